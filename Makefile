@@ -1,0 +1,54 @@
+# What you need: Linux, python3 (3.11 or newer, with venv) and make. Every target sets up its own environment first,
+# in .venv, once; it is made again when pyproject.toml or constraints.txt change.
+#
+#   make demo PYTHON=python3.12           another interpreter
+#   make demo PIP_FLAGS='--index-url …'   another package index (a CPU-only torch saves 4 GB)
+
+PYTHON ?= python3
+VENV ?= .venv
+OUT ?= out
+WORKERS ?= 2
+PIP_FLAGS ?=
+
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+BENCHMARKS := $(sort $(wildcard benchmarks/*.py))
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test bench lint clean
+
+help: ## say what can be made
+	@echo "cyclekit:"
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+
+demo: $(READY) ## the whole way on a simulated cell; everything it makes lies in out/
+	@echo "== demo: simulated logs -> dataset -> model -> cycle times, replay and report in $(OUT)/"
+	@$(BIN)/cyclekit demo --out $(OUT)/
+
+test: $(READY) ## the whole test suite
+	@echo "== test: the whole suite, $(WORKERS) processes"
+	@$(BIN)/python -m pytest -n $(WORKERS)
+
+bench: $(READY) ## the measurements in benchmarks/, one after the other (minutes)
+	@echo "== bench: $(words $(BENCHMARKS)) measurements"
+	@set -e; for file in $(BENCHMARKS); do echo "-- $$file"; $(BIN)/python $$file; done
+
+lint: $(READY) ## style, format and types
+	@echo "== lint: ruff check, ruff format --check, mypy --strict"
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+clean: ## remove the environment and everything that was made
+	@echo "== clean: removing $(VENV), $(OUT), caches and builds"
+	@rm -rf $(VENV) $(OUT) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	@find cyclekit adapters sim_fixtures tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(READY): pyproject.toml constraints.txt
+	@echo "== environment: $(VENV), with torch and the tools for tests (once; minutes, depending on the network)"
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: $(PYTHON) is older than 3.11; give another: make PYTHON=…")'
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null \
+		|| { echo "error: $(PYTHON) has no venv; on Debian and Ubuntu: apt install python3-venv" >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check $(PIP_FLAGS) -c constraints.txt -e '.[train,dev]'
+	@touch $(READY)

@@ -1,0 +1,1 @@
+"""Adapters for the log formats that cyclekit reads out of the box; one module per format."""

@@ -1,0 +1,215 @@
+"""OptiTrack Motive: CSV export of a take, versions 1.21 to 1.25.
+
+A person is a rigid body, the hip of a skeleton, or the middle of the seen markers of a marker set, in that order of
+preference; each is a track of its own, and the cell file may name the one that counts. Lengths come in the unit that
+line 1 states, Y points up, rotation stands before position. The clock is the take's: frame number over export rate.
+An empty cell is a body that no camera saw, and stays unknown. Which way the volume is turned in the cell is not in
+the file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.errors import DamagedLog, LogError, UnknownName, nearest
+from cyclekit.schema import PEOPLE, conform
+from cyclekit_adapters.delimited import Layout, encoding_of, fields_of, head_of, read_rows
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_HEADER_BYTES = 4 << 20  # a take of many markers has header rows of megabytes
+_METRES = {"meters": 1.0, "millimeters": 1e-3, "centimeters": 1e-2}
+_BODY, _BONE, _MARKER, _EXPECTED = "Rigid Body", "Bone", "Marker", "Rigid Body Marker"
+_HIPS = {"hip", "hips", "pelvis"}
+_EXPORT = "Export the take again from Motive as CSV"
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What stands above the data: `about` from line 1, `points` as (type, name) -> its x, y, z columns."""
+
+    about: dict[str, str]
+    lines: int
+    layout: Layout
+    points: dict[tuple[str, str], tuple[str, str, str]]
+
+
+class _MotiveCsv:
+    def recognises(self, path: Path) -> bool:
+        lines = head_of(path, 4096).removeprefix("\ufeff").split("\n")
+        return lines[0].startswith("Format Version,") and "Take Name" in lines[0]
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        for key in options.map:
+            raise UnknownName("[sources.map] of a Motive log", "key", key, [], cure="Motive needs no map; use `body`.")
+        header = _header(path)
+        metres = _metres(path, header)
+        people = _people_of(path, header, options.body)
+        cells = list(dict.fromkeys(name for points in people.values() for point in points for name in point))
+        clock = [name for name in ("Frame", "Time") if name in header.layout.names]
+        rows = read_rows(path, header.layout, numbers=[*clock, *cells], required=["Frame"]).or_refuse(path)
+        t_s, clock_said = _times(path, rows.frame, header.about)
+        tracks = [_track(rows.frame, t_s, name, points, metres) for name, points in people.items()]
+        table = pl.concat(tracks).sort("source_row", "person", maintain_order=True)
+        return Recording(
+            people=conform(table, PEOPLE),
+            clock="relative",
+            up="y",
+            rows_read=rows.rows_read,
+            set_aside=rows.set_aside,
+            warnings=(*clock_said, *_warnings(header, people, table, options.body)),
+            facts={key: header.about[key] for key in header.about if header.about[key]}
+            | {"tracked": ", ".join(people), "names_in_file": ", ".join(name for _, name in header.points)},
+        )
+
+
+def _header(path: Path) -> _Header:
+    lines = head_of(path, _HEADER_BYTES).removeprefix("\ufeff").split("\n")
+    first = fields_of(lines[0], ",")
+    about = {key.strip(): value.strip() for key, value in zip(first[::2], first[1::2], strict=False)}
+    at = next((i for i, line in enumerate(lines[:60]) if line.startswith(("Frame,", '"Frame",'))), None)
+    if at is None or "Length Units" not in about:
+        cause = "no header" if at is None and "Length Units" not in about else "the header is incomplete"
+        cure = f"{_EXPORT}, with header information switched on."
+        raise DamagedLog(path, f"{cause}: bodies and length units cannot be known", cure=cure)
+    axes = [cell.strip() for cell in fields_of(lines[at], ",")]
+    above = [[cell.strip() for cell in fields_of(line, ",")] for line in lines[1:at] if line.strip(" ,\r")]
+    width = max(i for i, cell in enumerate(axes) if cell) + 1
+    time = "Time" if len(axes) > 1 and axes[1].startswith("Time") else "#1"
+    names = ("Frame", time, *(f"#{index}" for index in range(2, _width(above, width))))
+    with path.open("rb") as log:
+        encoding = encoding_of(log.read(4096)) or "utf-8"
+    layout = Layout(names, ",", header_lines=at + 1, encoding=encoding)
+    return _Header(about, at + 1, layout, _points(path, above, axes, names))
+
+
+def _width(above: list[list[str]], width: int) -> int:
+    """Count the columns that have an axis or, as quality columns do, only a component."""
+    component = above[-1] if above else []
+    named = [index for index, cell in enumerate(component) if cell]
+    return max([width, *(index + 1 for index in named)])
+
+
+def _points(
+    path: Path, above: list[list[str]], axes: list[str], names: tuple[str, ...]
+) -> dict[tuple[str, str], tuple[str, str, str]]:
+    """Find every column triple of positions; walk up from the axis row, for rows come and go between versions."""
+    labels = {row[1]: row for row in above if len(row) > 1 and row[1] in ("Type", "Name")}
+    plain = [row for row in above[:-1] if len(row) > 1 and not row[1]]
+    types = labels.get("Type") or (plain[0] if plain else [])
+    titles = labels.get("Name") or (plain[1] if len(plain) > 1 else [])
+    found: dict[tuple[str, str], dict[str, str]] = {}
+    columns = zip(types, titles, above[-1] if above else [], axes, names, strict=False)
+    for kind, title, component, axis, name in columns:
+        if component == "Position" and axis in ("X", "Y", "Z"):
+            found.setdefault((kind, title), {}).setdefault(axis, name)
+    points = {key: (xyz["X"], xyz["Y"], xyz["Z"]) for key, xyz in found.items() if len(xyz) == 3}
+    if not points:
+        cure = f"{_EXPORT}, with rigid bodies, bones or markers switched on."
+        raise DamagedLog(path, "no positions: no column triple X, Y, Z under 'Position'", cure=cure)
+    return points
+
+
+def _metres(path: Path, header: _Header) -> float:
+    if header.about.get("Coordinate Space", "Global") != "Global":
+        cause = f"coordinate space is {header.about['Coordinate Space']!r}: positions are relative to a parent"
+        raise DamagedLog(path, cause, cure=f"{_EXPORT}, with coordinate space Global.")
+    unit = header.about["Length Units"]
+    if unit.lower() not in _METRES:
+        known = [name.capitalize() for name in _METRES]
+        cure = f"Known: {', '.join(known)}. {_EXPORT} in one of them."
+        raise DamagedLog(path, f"unknown length unit {unit!r}", nearest=nearest(unit, known), cure=cure)
+    return _METRES[unit.lower()]
+
+
+_Points = list[tuple[str, str, str]]
+
+
+def _people_of(path: Path, header: _Header, body: str | None) -> dict[str, _Points]:
+    """Return the tracks of this take and the points that make up each."""
+    tracks = _tracks(header.points)
+    if body is None:
+        return next(group for group in tracks if group)
+    for group in tracks:
+        if body in group:
+            return {body: group[body]}
+    for kind in (_BODY, _BONE, _MARKER, _EXPECTED):
+        if (kind, body) in header.points:
+            return {body: [header.points[kind, body]]}
+    known = sorted({*(name for group in tracks for name in group), *(name for _, name in header.points)})
+    raise LogError(path, f"no body {body!r}", nearest=nearest(body, known), cure=f"In the file: {', '.join(known)}.")
+
+
+def _tracks(points: dict[tuple[str, str], tuple[str, str, str]]) -> list[dict[str, _Points]]:
+    """Return groups of tracks, best first: rigid bodies, skeletons by their hip, marker sets, anything else."""
+    bodies = {name: [xyz] for (kind, name), xyz in points.items() if kind == _BODY}
+    skeletons: dict[str, _Points] = {}
+    sets: dict[str, _Points] = {}
+    for (kind, name), xyz in points.items():
+        owner, _, part = name.partition(":")
+        if kind == _BONE and (part.lower() in _HIPS or owner not in skeletons):
+            skeletons[owner] = [xyz]  # the first bone is the top of the hierarchy; one called hip replaces it
+        if kind == _MARKER and part and not owner.startswith("Unlabeled"):
+            sets.setdefault(owner, []).append(xyz)
+    rest = {name: [xyz] for (_, name), xyz in points.items()}
+    return [bodies, skeletons, sets, rest]
+
+
+def _times(path: Path, frame: pl.DataFrame, about: dict[str, str]) -> tuple[pl.Series, list[str]]:
+    """Return seconds since the take began: frame over rate, unless the Time column contradicts the rate."""
+    numbers = frame["Frame"]
+    try:
+        rate_hz = float(about.get("Export Frame Rate", ""))
+    except ValueError:
+        rate_hz = 0.0
+    logged = frame["Time"] if "Time" in frame.columns and not frame["Time"].has_nulls() else None
+    if rate_hz > 0.0:
+        exact = numbers / rate_hz
+        if logged is None:
+            return exact, []
+        off = ((logged - logged[0]) - (exact - exact[0])).abs().max()
+        if float(str(off)) <= max(2e-3, 0.5 / rate_hz):
+            return exact, []
+    if logged is None:
+        raise DamagedLog(path, "neither an export frame rate nor a Time column", cure=f"{_EXPORT}, with its header.")
+    stated = f"{rate_hz:g} Hz" if rate_hz > 0.0 else "none"
+    return logged, [f"the header's export rate ({stated}) does not fit the Time column: the Time column is used"]
+
+
+def _track(frame: pl.DataFrame, t_s: pl.Series, name: str, points: _Points, metres: float) -> pl.DataFrame:
+    """Return one person's rows: the mean of those of its points that were seen, null where none was."""
+    whole = [pl.all_horizontal(pl.col(point).is_not_null()) for point in points]
+    axes = {
+        f"{axis}_m": pl.mean_horizontal(
+            [pl.when(seen).then(pl.col(point[i])) for seen, point in zip(whole, points, strict=True)]
+        )
+        * metres
+        for i, axis in enumerate("xyz")
+    }
+    return frame.select(t_s.alias("t_s"), pl.lit(name).alias("person"), "source_row", **axes)
+
+
+def _warnings(header: _Header, people: dict[str, _Points], table: pl.DataFrame, body: str | None) -> list[str]:
+    said = []
+    kinds = {kind for kind, _ in header.points}
+    if body is None and len(people) > 1:
+        said.append(f"{len(people)} bodies tracked ({', '.join(people)}): name the operator with `body`")
+    if body is None and not kinds & {_BODY, _BONE} and any(name.startswith("Unlabeled") for name in people):
+        said.append("only unlabelled markers: one marker may be split over several tracks")
+    if any(len(points) > 1 for points in people.values()):
+        said.append("the person is the middle of the markers seen, which jumps when one is hidden")
+    for name in people:
+        seen = table.filter(pl.col("person") == name)["x_m"]
+        if seen.has_nulls():
+            said.append(f"{name!r} is not seen in {seen.null_count()} of {len(seen)} frames")
+    if (table.filter(pl.col("person") == next(iter(people)))["t_s"].diff() <= 0).any():
+        said.append("time does not increase throughout: the rows were edited or joined")
+    return said
+
+
+ADAPTER: Adapter = _MotiveCsv()

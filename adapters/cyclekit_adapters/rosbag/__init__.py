@@ -1,0 +1,99 @@
+"""ROS 1 and ROS 2 bags: .bag, .mcap, .db3 or the folder of a recording.
+
+Robot: the TCP pose (`tcp_pose_broadcaster/pose`, or the transforms from the base to the tool), JointState by joint
+name, the speed scaling in the unit of the driver that writes it, and whether the program runs. People: PoseArray,
+PoseStamped and PointStamped whose topic speaks of people. Events: String and Bool topics. Metres, radians, seconds
+since 1970; the time is the header's where every topic in use has one, else the moment of recording. Topics that
+nobody needs are skipped; which topic means what can be set in `[sources.map]`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.adapter import Adapter, ClockKind, ReadOptions, Recording
+from cyclekit.errors import DamagedLog
+from cyclekit_adapters.rosbag.container import Bag, is_bag, opened
+from cyclekit_adapters.rosbag.roles import Factor, Roles, roles_in
+from cyclekit_adapters.rosbag.tables import Contents, collect, events_table, people_table, robot_table
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_EPOCH_S = 1e8  # a clock below this (1973) counts from the start of something, not from 1970
+
+
+class _RosBag:
+    def recognises(self, path: Path) -> bool:
+        return is_bag(path)
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        with opened(path) as bag:
+            roles = _wanted(roles_in(path, bag.topics, bag.counts, options.map, options.body), options)
+            contents = collect(bag, roles)
+            robot = robot_table(contents, roles)
+            people = people_table(contents, roles) if roles.people else None
+            events = events_table(contents, roles) if roles.events else None
+            if robot is None and people is None and events is None:
+                raise _nothing_usable(bag)
+            return Recording(
+                robot=robot,
+                people=people,
+                events=events,
+                clock=_clock(robot, people, events),
+                joint_names=contents.joint_names,
+                rows_read=bag.messages_read + len(bag.undecodable),
+                set_aside=_set_aside(bag),
+                warnings=tuple(contents.warnings),
+                facts=_facts(bag, roles, contents),
+            )
+
+
+def _wanted(roles: Roles, options: ReadOptions) -> Roles:
+    """Keep only what the cell file wants of this bag, where it says so."""
+    if options.role == "people":
+        return Roles(people=roles.people)
+    if options.role == "events":
+        return Roles(events=roles.events)
+    if options.role == "robot":
+        return Roles(**{**vars(roles), "people": (), "events": ()})
+    return roles
+
+
+def _nothing_usable(bag: Bag) -> DamagedLog:
+    found = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.topics.items())) or "none"
+    cure = "Name the topics in [sources.map] of cell.toml: tcp, joints, scaling, people, events."
+    return DamagedLog(bag.path, f"no topic of robot, people or events; topics in the bag: {found}", cure=cure)
+
+
+def _clock(*tables: pl.DataFrame | None) -> ClockKind:
+    first = [float(str(table["t_s"].min())) for table in tables if table is not None and table.height]
+    return "epoch" if first and min(first) > _EPOCH_S else "relative"
+
+
+def _set_aside(bag: Bag) -> pl.DataFrame:
+    rows = [(index, reason) for _, index, reason in bag.undecodable]
+    return pl.DataFrame(rows, schema={"source_row": pl.Int64(), "reason": pl.String()}, orient="row")
+
+
+def _facts(bag: Bag, roles: Roles, contents: Contents) -> dict[str, str]:
+    def scale(factor: Factor) -> str:
+        return f"{factor.topic} / {factor.full:g}"
+
+    unused = sorted(set(bag.topics) - roles.topics())
+    return {
+        "time": "header stamp" if contents.stamped else "receive time",
+        "tcp": roles.tcp or (contents.tool_chain or "none"),
+        "joints": roles.joints or "none",
+        "speed_scaling": " * ".join(map(scale, roles.scaling)) or "not recorded",
+        "program_running": roles.running or "not recorded",
+        "people": ", ".join(roles.people) or "none",
+        "events": ", ".join(roles.events) or "none",
+        "frames": ", ".join(f"{topic}: {frame}" for topic, frame in contents.frames.items()) or "none",
+        "skipped_topics": ", ".join(unused) or "none",
+    }
+
+
+ADAPTER: Adapter = _RosBag()

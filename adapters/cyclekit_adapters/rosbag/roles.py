@@ -1,0 +1,203 @@
+"""Which topic of a bag means what, and in which unit.
+
+A name alone decides nothing: `/speed_scaling_factor` is a state in 0..1 where a UR driver writes it as Float64, and a
+command in 0..100 where a FANUC driver reads it as Int32. So every rule here asks for a message type and a name
+ending (drivers prefix their names), and what no rule knows is left to the cell file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from cyclekit.errors import ConfigError, LogError, UnknownName, nearest
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+JOINTS, POSE, POSES = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseArray"
+POINT = "geometry_msgs/msg/PointStamped"
+TRANSFORMS, TEXT, FLAG = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String", "std_msgs/msg/Bool"
+_TF1 = "tf/msg/tfMessage"
+_NUMBERS = {f"std_msgs/msg/{kind}" for kind in ("Float64", "Float32", "Int64", "Int32", "Int16", "UInt8")}
+_PEOPLE_WORDS = {"poses", "people", "persons", "humans", "bodies", "human", "person", "operator"}
+_KEYS = ("tcp", "joints", "scaling", "scaling_max", "running", "people", "events", "base_frame", "tool_frame")
+_WHERE = "[sources.map] of a bag"
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One topic that scales speed. `family`: topics of one family multiply, and so do the families of state."""
+
+    topic: str
+    family: str
+    full: float
+    attribute: str = "data"
+
+
+@dataclass(frozen=True)
+class Roles:
+    """What each topic of this bag is used for; None and () where there is none."""
+
+    tcp: str | None = None
+    joints: str | None = None
+    transforms: tuple[str, ...] = ()
+    scaling: tuple[Factor, ...] = ()
+    running: str | None = None
+    people: tuple[str, ...] = ()
+    events: tuple[str, ...] = ()
+    base_frame: str | None = None
+    tool_frame: str | None = None
+
+    def topics(self) -> set[str]:
+        """Return every topic in use."""
+        single = [topic for topic in (self.tcp, self.joints, self.running) if topic]
+        factors = [factor.topic for factor in self.scaling]
+        return {*single, *self.transforms, *factors, *self.people, *self.events}
+
+
+def roles_in(
+    path: Path, types: Mapping[str, str], counts: Mapping[str, int], chosen: Mapping[str, object], body: str | None
+) -> Roles:
+    """Decide what the topics of a bag are for.
+
+    Args:
+        path: The bag, for messages.
+        types: Message type of each topic.
+        counts: Messages of each topic; a topic without any is no candidate.
+        chosen: `[sources.map]` of the cell file, which beats every rule.
+        body: Topic of the person, where the cell file names one.
+
+    Raises:
+        UnknownName: The cell file uses a key that a bag does not know.
+        ConfigError: The cell file names a scaling topic of unknown unit.
+        LogError: The cell file names a topic that the bag does not hold.
+    """
+    for key in chosen:
+        if key not in _KEYS:
+            raise UnknownName(_WHERE, "key", key, _KEYS)
+    named = {key: _named(path, types, chosen[key]) for key in _KEYS[:2] + _KEYS[2:3] + _KEYS[4:7] if key in chosen}
+    live = {topic: kind for topic, kind in types.items() if counts.get(topic, 0) > 0}
+    people = tuple(_named(path, types, body)) if body else tuple(named.get("people", _people(live)))
+    running = named.get("running", _ending(live, {FLAG}, "robot_program_running"))
+    tcp = named.get("tcp", _ending(live, {POSE}, "tcp_pose_broadcaster/pose", "tcp_pose"))
+    frames = {key: str(chosen[key]) for key in ("base_frame", "tool_frame") if key in chosen}
+    events = [t for t, kind in live.items() if kind in (TEXT, FLAG) and t not in running and not _is_description(t)]
+    return Roles(
+        tcp=next(iter(tcp), None),
+        joints=next(iter(named.get("joints", _joints(live))), None),
+        transforms=() if tcp else tuple(topic for topic, kind in live.items() if kind in (TRANSFORMS, _TF1)),
+        scaling=_chosen_factor(named["scaling"], chosen, live) if "scaling" in named else _factors(live),
+        running=next(iter(running), None),
+        people=people,
+        events=tuple(named.get("events", events)),
+        base_frame=frames.get("base_frame"),
+        tool_frame=frames.get("tool_frame"),
+    )
+
+
+def _named(path: Path, types: Mapping[str, str], value: object) -> list[str]:
+    """Return the topics that a value of the cell file names; a leading slash may be left out."""
+    names = (
+        [str(item) for item in value] if isinstance(value, Sequence) and not isinstance(value, str) else [str(value)]
+    )
+    found = []
+    for name in names:
+        match = next((topic for topic in types if topic.strip("/") == name.strip("/")), None)
+        if match is None:
+            cure = f"In the bag: {', '.join(sorted(types))}."
+            raise LogError(path, f"no topic {name!r}", nearest=nearest(name, types), cure=cure)
+        found.append(match)
+    return found
+
+
+def _ending(types: Mapping[str, str], kinds: set[str], *endings: str) -> list[str]:
+    return [t for t, kind in types.items() if kind in kinds and any(_ends(t, ending) for ending in endings)]
+
+
+def _ends(topic: str, ending: str) -> bool:
+    return topic == ending or topic.endswith(f"/{ending}")
+
+
+def _is_description(topic: str) -> bool:
+    return "description" in topic.rpartition("/")[2]
+
+
+def _joints(types: Mapping[str, str]) -> list[str]:
+    """Return joint topics, best first; set points are no measurement."""
+    measured = [t for t in _ending_of_type(types, JOINTS) if "target" not in t and "command" not in t]
+    return sorted(measured, key=lambda topic: (topic.strip("/") != "joint_states", not _ends(topic, "joint_states")))
+
+
+def _ending_of_type(types: Mapping[str, str], kind: str) -> list[str]:
+    return [topic for topic, found in types.items() if found == kind]
+
+
+def _people(types: Mapping[str, str]) -> list[str]:
+    kinds = {POSES, POSE, POINT}
+    return [t for t, kind in types.items() if kind in kinds and _speaks_of_people(t, kind)]
+
+
+def _speaks_of_people(topic: str, kind: str) -> bool:
+    words = set(topic.strip("/").lower().replace("_", "/").split("/"))
+    if words & {"goal", "target", "command"}:
+        return False
+    return bool(words & (_PEOPLE_WORDS if kind == POSES else _PEOPLE_WORDS - {"poses"}))
+
+
+def _factors(types: Mapping[str, str]) -> tuple[Factor, ...]:
+    """Return the topics whose product is the scaling in force; a command only where no state was recorded."""
+    found = [factor for topic, kind in types.items() if (factor := _factor(topic, kind))]
+    families = {factor.family for factor in found}
+    if "ur-2" in families:
+        found = [factor for factor in found if factor.family != "ur-1"]
+    state = [factor for factor in found if factor.family in ("ur-1", "ur-2", "cnr")]
+    if not state:
+        state = [factor for factor in found if factor.family == "controller"][:1] or found[:1]
+    return tuple(_once_per_override(state))
+
+
+def _factor(topic: str, kind: str) -> Factor | None:
+    if kind == "std_msgs/msg/Float64" and _ends(topic, "speed_scaling_state_broadcaster/speed_scaling"):
+        return Factor(topic, "ur-2", full=100.0)
+    if _ends(topic, "speed_scaling_factor") and kind == "std_msgs/msg/Float64":
+        return Factor(topic, "ur-1", full=1.0)
+    if _ends(topic, "speed_scaling_factor") and kind == "std_msgs/msg/Int32":
+        return Factor(topic, "command", full=100.0)
+    if kind == "control_msgs/msg/SpeedScalingFactor":
+        return Factor(topic, "command", full=1.0, attribute="factor")
+    if kind == "control_msgs/msg/JointTrajectoryControllerState":
+        return Factor(topic, "controller", full=1.0, attribute="speed_scaling_factor")
+    if kind in _NUMBERS and _override_of(topic) is not None:
+        return Factor(topic, "cnr", full=100.0)
+    return None
+
+
+def _override_of(topic: str) -> str | None:
+    """Return which of the three overrides of the CNR stack a topic carries, if any; all its variants are percent."""
+    stem = topic.rpartition("/")[2].removesuffix("_float64").removesuffix("_float")
+    return stem if stem in ("speed_ovr", "safe_ovr_1", "safe_ovr_2") else None
+
+
+def _once_per_override(factors: list[Factor]) -> list[Factor]:
+    """Drop the Float32 and Float64 copies of an override that is there as an integer too."""
+    best: dict[str, Factor] = {}
+    for factor in sorted(factors, key=lambda f: len(f.topic)):
+        best.setdefault(_override_of(factor.topic) or factor.topic, factor)
+    return list(best.values())
+
+
+def _chosen_factor(topics: Sequence[str], chosen: Mapping[str, object], types: Mapping[str, str]) -> tuple[Factor, ...]:
+    full = chosen.get("scaling_max")
+    if full is not None and full not in (1, 100, 1.0, 100.0):
+        raise ConfigError(f"{_WHERE}: scaling_max = {full!r}", cure="It is 1 (fraction) or 100 (percent).")
+    factors = []
+    for topic in topics:
+        known = _factor(topic, types.get(topic, ""))
+        if known is None and full is None:
+            cure = "Add scaling_max = 1 or scaling_max = 100."
+            raise ConfigError(f"{_WHERE}: the unit of {topic!r} is not known", cure=cure)
+        value = float(str(full)) if full is not None else known.full if known else 1.0
+        factors.append(Factor(topic, "chosen", value, known.attribute if known else "data"))
+    return tuple(factors)

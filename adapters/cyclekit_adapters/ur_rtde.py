@@ -1,0 +1,167 @@
+"""Universal Robots: CSV of RTDE fields, as UR's `record.py` and `ur_rtde` write it.
+
+One row per controller sample; `record.py` separates by a space, `ur_rtde` by a comma, the column names are the same.
+Metres, radians, seconds since the controller was started. Two columns together are the override: the trajectory
+limiter (`speed_scaling`) times the slider (`target_speed_fraction`), and that product says something about speed only
+while the program plays (`runtime_state` 2). A pause writes the limiter as 0, which is no safety slow-down: there, and
+where a factor was not recorded, the scaling stays unknown.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
+from cyclekit.schema import ROBOT, conform
+from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, encoding_of, head_of, header_names, read_rows
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_FIELD = re.compile(r"(actual|target)_(q|qd|qdd|current|moment|TCP_pose|TCP_speed|TCP_force)_[0-5]")
+_SCALARS = {"speed_scaling", "target_speed_fraction", "runtime_state", "safety_status", "safety_mode"}
+_TYPE_WORDS = ("DOUBLE", "VECTOR6D", "VECTOR3D", "INT32", "UINT32", "UINT64", "BOOL", "VECTOR6INT32", "UINT8")
+_STATES = {0: "stopped", 1: "stopped", 2: "playing", 3: "paused", 4: "paused", 5: "paused"}
+_PLAYING = 2
+_POSITION = [f"actual_TCP_pose_{axis}" for axis in range(3)]
+_SPEED = [f"actual_TCP_speed_{axis}" for axis in range(3)]
+_FRACTIONS = ["speed_scaling", "target_speed_fraction"]
+_OUTPUTS = "actual_digital_output_bits"
+_RECORD_IT = "Add the field to record_configuration.xml (or to the list of variables) and record again."
+_SLACK = 1e-3  # a fraction may exceed 1 by rounding; by more it is something else
+
+
+class _UrRtdeCsv:
+    def recognises(self, path: Path) -> bool:
+        line, _, _ = head_of(path).partition("\n")
+        names = header_names(line.removeprefix("\ufeff"), delimiter_of(line))
+        return len(_SCALARS.intersection(names)) > 1 or any(_FIELD.fullmatch(name) for name in names)
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        layout = _layout(path)
+        register = _register(path, layout, options)
+        joints = _joints(layout.names)
+        _require(path, layout.names, joints)
+        wanted = ["timestamp", *_POSITION, *_SPEED, *_FRACTIONS, "runtime_state", _OUTPUTS, register, *joints]
+        present = [name for name in wanted if name in layout.names]
+        rows = read_rows(path, layout, numbers=present, required=["timestamp"]).or_refuse(path)
+        rows, repeated = _once(rows)
+        return Recording(
+            robot=_robot(rows.frame, register, joints),
+            clock="uptime",
+            joint_names=tuple(name for name in joints if name.startswith("actual_q_")),
+            rows_read=rows.rows_read,
+            set_aside=rows.set_aside,
+            warnings=tuple(_warnings(rows.frame, repeated)),
+            facts={
+                "writer": "record.py (space)" if layout.delimiter == " " else f"delimiter {layout.delimiter!r}",
+                "register": register if register in present else "not recorded",
+                "repeated_rows": str(repeated),
+                "speed_scaling": "speed_scaling * target_speed_fraction while runtime_state is 2 (playing)",
+            },
+        )
+
+
+def _layout(path: Path) -> Layout:
+    lines = head_of(path).removeprefix("\ufeff").split("\n")
+    if not lines[0].strip():
+        raise DamagedLog(path, "the file is empty or not text", cure="Check the copy.")
+    delimiter = delimiter_of(lines[0])
+    types = [word.strip() for word in lines[1].split(delimiter)] if len(lines) > 1 else []
+    if types and types[0] in _TYPE_WORDS:
+        cause = "this is a binary recording (record.py --binary), which is not read"
+        raise DamagedLog(path, cure="Record without --binary, or convert it with UR's own reader.", cause=cause)
+    with path.open("rb") as log:
+        encoding = encoding_of(log.read(4096)) or "utf-8"
+    return Layout(header_names(lines[0], delimiter), delimiter, header_lines=1, encoding=encoding)
+
+
+def _register(path: Path, layout: Layout, options: ReadOptions) -> str:
+    for key in options.map:
+        if key != "register":
+            raise UnknownName("[sources.map] of a UR RTDE log", "key", key, ["register"])
+    if "register" not in options.map:
+        return "output_int_register_0"
+    register = str(options.map["register"])
+    if register not in layout.names:
+        raise MissingColumns(path, [register], layout.names, _RECORD_IT)
+    return register
+
+
+def _joints(names: tuple[str, ...]) -> dict[str, str]:
+    """Return the joint columns present and what they are called in the canonical table."""
+    angles = {f"actual_q_{joint}": f"q{joint}_rad" for joint in range(6)}
+    speeds = {f"actual_qd_{joint}": f"qd{joint}_rad_s" for joint in range(6)}
+    return {name: column for name, column in (angles | speeds).items() if name in names}
+
+
+def _require(path: Path, names: tuple[str, ...], joints: dict[str, str]) -> None:
+    missing = {"timestamp"}.difference(names)
+    if not all(f"actual_q_{joint}" in joints for joint in range(6)):
+        missing |= set(_POSITION).difference(names)
+    if missing:
+        raise MissingColumns(path, missing, names, _RECORD_IT)
+
+
+def _once(rows: Rows) -> tuple[Rows, int]:
+    """Keep each controller sample once: a writer on its own clock repeats the last one it has."""
+    again = rows.frame["timestamp"].eq(rows.frame["timestamp"].shift()).fill_null(value=False)
+    reason = pl.lit("repeats the controller sample before it").alias("reason")
+    aside = pl.concat([rows.set_aside, rows.frame.filter(again).select("source_row", reason)]).sort("source_row")
+    return Rows(rows.frame.filter(~again), rows.rows_read, aside), int(again.sum())
+
+
+def _robot(frame: pl.DataFrame, register: str, joints: dict[str, str]) -> pl.DataFrame:
+    have = set(frame.columns)
+    columns = [pl.col("source_row"), pl.col("timestamp").alias("t_s")]
+    if have.issuperset(_POSITION):
+        columns += [pl.col(name).alias(f"tcp_{axis}_m") for name, axis in zip(_POSITION, "xyz", strict=True)]
+    if have.issuperset(_SPEED):
+        squares = pl.sum_horizontal([pl.col(name) ** 2 for name in _SPEED], ignore_nulls=False)
+        columns.append(squares.sqrt().alias("tcp_speed_m_s"))
+    if "target_speed_fraction" in have:
+        columns.append(_fraction(pl.col("target_speed_fraction")).alias("slider"))
+    if "runtime_state" in have:
+        state = pl.col("runtime_state").cast(pl.Int64, strict=False)
+        columns.append(state.replace_strict(_STATES, default=None, return_dtype=pl.String).alias("state"))
+        if have.issuperset(_FRACTIONS):
+            product = _fraction(pl.col("speed_scaling")) * _fraction(pl.col("target_speed_fraction"))
+            columns.append(pl.when(state == _PLAYING).then(product).alias("scaling"))
+    whole = {_OUTPUTS: "digital_out_bits", register: "register"}
+    columns += [pl.col(n).cast(pl.Int64, strict=False).alias(c) for n, c in whole.items() if n in have]
+    columns += [pl.col(name).alias(column) for name, column in joints.items()]
+    return conform(frame.select(columns), ROBOT)
+
+
+def _fraction(value: pl.Expr) -> pl.Expr:
+    """Return `value` where it is a fraction, null where it is none: a log in percent is not guessed at."""
+    return pl.when(value.is_between(0.0, 1.0 + _SLACK)).then(value.clip(0.0, 1.0))
+
+
+def _warnings(frame: pl.DataFrame, repeated: int) -> list[str]:
+    said = []
+    back = int((frame["timestamp"].diff() < 0).sum())
+    if back:
+        said.append(f"the controller's clock steps back {back} time(s): it was restarted, each part is its own run")
+    if repeated:
+        said.append(f"{repeated} rows repeat the controller sample before them and are left out")
+    absent = [name for name in (*_FRACTIONS, "runtime_state") if name not in frame.columns]
+    if absent:
+        said.append(f"{', '.join(absent)} not recorded: the speed scaling is unknown")
+    elif not (frame["runtime_state"] == _PLAYING).any():
+        said.append("the program plays in no row (runtime_state is never 2): the speed scaling is unknown")
+    said += [
+        f"{name} exceeds 1 in places, so it is no fraction there: left unknown"
+        for name in _FRACTIONS
+        if name in frame.columns and (frame[name] > 1.0 + _SLACK).any()
+    ]
+    if not set(_POSITION).issubset(frame.columns):
+        said.append("actual_TCP_pose not recorded: only joint angles are known")
+    return said
+
+
+ADAPTER: Adapter = _UrRtdeCsv()

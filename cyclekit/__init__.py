@@ -1,0 +1,80 @@
+"""From the logs of a robot that works beside people to the cycle time of task sequences.
+
+    from cyclekit import ingest_logs, Dataset, ModelSpec, train_model, load_sequences, estimate_cycles
+
+    ingest_logs([Path("logs")], Path("dataset"))
+    dataset = Dataset.open("dataset")
+    model = train_model(dataset, ModelSpec.of())
+    for cycle in estimate_cycles(model, dataset, load_sequences(Path("sequences.toml"))):
+        print(cycle.name, cycle.expected_s, cycle.safety_loss_s)
+
+The public names are found here and live in their rooms; nothing heavy is imported before a name is used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cyclekit.adapter import Adapter as Adapter
+    from cyclekit.adapter import ReadOptions as ReadOptions
+    from cyclekit.adapter import Recording as Recording
+    from cyclekit.sequences import TaskSequence as TaskSequence
+    from cyclekit.sequences import load_sequences as load_sequences
+    from cyclekit.dataset import Dataset as Dataset
+    from cyclekit.describe import describe as describe_path
+    from cyclekit.errors import CyclekitError as CyclekitError
+    from cyclekit.estimate.result import CycleEstimate as CycleEstimate
+    from cyclekit.estimate.rollout import estimate as estimate_cycles
+    from cyclekit.evaluate import evaluate as evaluate_model
+    from cyclekit.ingest import ingest as ingest_logs
+    from cyclekit.models.saved import load_model as load_model
+    from cyclekit.models.saved import save_model as save_model
+    from cyclekit.models.spec import ModelSpec as ModelSpec
+    from cyclekit.replay import write_replay as write_replay
+    from cyclekit.report import write_report as write_report
+    from cyclekit.sequences import TaskSequence as TaskSequence
+    from cyclekit.sequences import load_sequences as load_sequences
+    from cyclekit.train import train as train_model
+
+_HOMES = {
+    "Adapter": "cyclekit.adapter:Adapter",
+    "CycleEstimate": "cyclekit.estimate.result:CycleEstimate",
+    "CyclekitError": "cyclekit.errors:CyclekitError",
+    "Dataset": "cyclekit.dataset:Dataset",
+    "ModelSpec": "cyclekit.models.spec:ModelSpec",
+    "ReadOptions": "cyclekit.adapter:ReadOptions",
+    "Recording": "cyclekit.adapter:Recording",
+    "TaskSequence": "cyclekit.sequences:TaskSequence",
+    "describe_path": "cyclekit.describe:describe",
+    "estimate_cycles": "cyclekit.estimate.rollout:estimate",
+    "evaluate_model": "cyclekit.evaluate:evaluate",
+    "ingest_logs": "cyclekit.ingest:ingest",
+    "load_model": "cyclekit.models.saved:load_model",
+    "load_sequences": "cyclekit.sequences:load_sequences",
+    "save_model": "cyclekit.models.saved:save_model",
+    "train_model": "cyclekit.train:train",
+    "write_replay": "cyclekit.replay:write_replay",
+    "write_report": "cyclekit.report:write_report",
+}
+"""Where each public name lives. A name differs from every module's name, which would shadow it once imported."""
+
+__all__ = [*_HOMES, "__version__"]
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("cyclekit")
+    if name not in _HOMES:
+        msg = f"module 'cyclekit' has no attribute {name!r}"
+        raise AttributeError(msg)
+    module, _, attribute = _HOMES[name].partition(":")
+    return getattr(import_module(module), attribute)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

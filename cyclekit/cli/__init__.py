@@ -1,0 +1,83 @@
+"""The command line: each command parses, makes one call of the library, and says what happened.
+
+    exit 0   done
+    exit 1   our error: one message on standard error, `error: what was seen, where, and the cure`
+    exit 2   the command line itself was wrong
+    exit 130 interrupted
+
+With `--json` standard output holds exactly one JSON document, also when the command fails; everything else goes to
+standard error. A traceback means a bug of cyclekit. What the commands compute is the library's business: everything
+here can be done from Python in one line, the call in the middle of each command.
+"""
+
+from __future__ import annotations
+
+import sys
+from io import TextIOWrapper
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import typer
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run one command line and leave the process with its exit code.
+
+    Args:
+        arguments: Words after `cyclekit`; None takes them from the process.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # a place called Kühlregal must not end in a traceback on an old terminal
+            stream.reconfigure(errors="backslashreplace")
+    sys.exit(run(words))
+
+
+def run(words: list[str]) -> int:
+    """Run one command line and return its exit code; only a bug raises.
+
+    Args:
+        words: Words after `cyclekit`.
+    """
+    import typer
+
+    from cyclekit.cli.terminal import say_failure, say_usage
+    from cyclekit.errors import CyclekitError
+
+    as_json = "--json" in words
+    try:
+        code = app()(args=words or ["--help"], prog_name="cyclekit", standalone_mode=False)
+    except CyclekitError as error:
+        return say_failure(str(error), kind=type(error).__name__, as_json=as_json)
+    except typer.TyperException as error:
+        return say_usage(error, as_json=as_json)
+    except (KeyboardInterrupt, typer.Abort):
+        return say_failure("interrupted", kind="Interrupted", as_json=as_json, code=130)
+    if code == 130:  # typer has seen the interruption first
+        return say_failure("interrupted", kind="Interrupted", as_json=as_json, code=130)
+    return code if isinstance(code, int) else 0
+
+
+def app() -> typer.Typer:
+    """Return the command line with every command, in the order of the work."""
+    from cyclekit.cli import (
+        adapters,
+        demo,
+        estimate,
+        evaluate,
+        ingest,
+        inspect,
+        replay,
+        report,
+        simulate,
+        train,
+    )
+    from cyclekit.cli.options import new_app
+
+    commands = new_app()
+    for module in (demo, simulate, ingest, inspect, train, evaluate, estimate, replay, report, adapters):
+        name = module.__name__.rpartition(".")[2]
+        commands.command(name, epilog=f"\b\nExample:\n  {module.EXAMPLE}")(getattr(module, name))
+    return commands

@@ -1,0 +1,24 @@
+"""`cyclekit adapters`: which formats can be read, and from which package."""
+
+from __future__ import annotations
+
+from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.terminal import Terminal, table
+
+EXAMPLE = "cyclekit adapters"
+
+
+def adapters(json: Json = False, quiet: Quiet = False) -> None:
+    """List the log formats that can be read."""
+    from cyclekit.registry import adapters as registered
+
+    terminal = Terminal(json=json, quiet=quiet)
+    found = list(registered().values())
+    document = {
+        "adapters": [
+            {"name": entry.name, "package": entry.package, "version": entry.version, "reads": entry.summary}
+            for entry in found
+        ]
+    }
+    rows = [[entry.name, entry.summary, f"{entry.package} {entry.version}"] for entry in found]
+    terminal.answer(document, table(["adapter ", "reads ", "from "], rows))

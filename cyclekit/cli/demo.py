@@ -1,0 +1,177 @@
+"""`cyclekit demo`: the whole way on a simulated cell, from logs to the cycle time of three sequences.
+
+Each step is the library call that the command of the same name makes; the demo only strings them together, on its
+own folder, so that the same demo twice gives the same files.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cyclekit.cli.estimate import CAPTION, estimates_table, loses_most, rests_on
+from cyclekit.cli.options import Json, Quiet, vector
+from cyclekit.cli.simulate import simulated
+from cyclekit.cli.terminal import Terminal, by_stage, duration, write_out
+from cyclekit.cli.train import summary
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from cyclekit.cli.terminal import Progress
+    from cyclekit.dataset import Dataset
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.models.saved import TrainedModel
+
+EXAMPLE = "cyclekit demo --out out/"
+SCENE = "box-picking"
+STEPS = 6
+_LEFT, _RIGHT = ([f"{side}_{number}" for number in range(1, 6)] for side in ("left", "right"))
+SEQUENCES = {
+    "left table first": [*_LEFT, *_RIGHT],
+    "right table first": [*_RIGHT, *_LEFT],
+    "tables in turn": [slot for pair in zip(_LEFT, _RIGHT, strict=True) for slot in pair],
+}
+"""Ten boxes each, from the conveyor to the slots in this order; none of these orders occurs in the logs."""
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for everything that the demo makes.")] = Path("out"),
+    executions: Annotated[int, typer.Option(min=5, help="How many executions are simulated.")] = 40,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same logs.")] = 1,
+    operator_log: Annotated[
+        Path | None, typer.Option(help="A real tracker recording that walks instead of the simulated operator.")
+    ] = None,
+    operator_xyz: Annotated[
+        str | None, typer.Option(help="Where the recording's origin stands, base frame: x,y,z in m.")
+    ] = None,
+    operator_yaw: Annotated[float, typer.Option(help="How the recording is turned about the vertical, degrees.")] = 0.0,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Go the whole way once, on a simulated cell.
+
+    Plant logs are simulated and ingested, a model is trained, three sequences are estimated; a replay and a report
+    are written. The same demo again gives the same files.
+    """
+    settings: dict[str, Any] = {"operator_log": operator_log, "operator_yaw_deg": operator_yaw}
+    if operator_xyz is not None:
+        settings["operator_xyz_m"] = vector(operator_xyz)
+    run = _Run(Terminal(json=json, quiet=quiet), out)
+    dataset = _dataset(run, executions, seed, settings)
+    model = _model(run, dataset, seed)
+    estimates = _estimates(run, dataset, model, seed)
+    replay, report = _replay(run, dataset, model), _report(run, dataset, model, estimates)
+    document = {
+        "sequences": [entry.to_json() for entry in estimates],
+        "files": {"dataset": dataset.path, "model": out / "model", "replay": replay, "report": report},
+        "seconds": run.spent_s,
+    }
+    run.terminal.answer(document, _closing(estimates, run))
+
+
+@dataclass
+class _Run:
+    """Where the demo works, and how long each step took."""
+
+    terminal: Terminal
+    out: Path
+    spent_s: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def step(self, title: str) -> Iterator[Progress]:
+        began_s = time.monotonic()
+        with self.terminal.progress(title) as progress:
+            yield progress
+        self.spent_s[title] = time.monotonic() - began_s
+        self.terminal.remark(f"[{len(self.spent_s)}/{STEPS}] {title}: {duration(self.spent_s[title])}")
+
+
+def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) -> Dataset:
+    from cyclekit.dataset import Dataset
+    from cyclekit.ingest import ingest
+
+    with run.step(f"simulate {executions} executions of {SCENE}") as progress:
+        logs = simulated(SCENE, run.out / "logs", executions, seed, settings, progress)
+    with run.step("ingest the logs") as progress:
+        ingest([logs], run.out / "dataset", jobs=2, progress=progress)
+    return Dataset.open(run.out / "dataset")
+
+
+def _model(run: _Run, dataset: Dataset, seed: int) -> TrainedModel:
+    from cyclekit.models.saved import save_model
+    from cyclekit.models.spec import ModelSpec
+    from cyclekit.train import train
+
+    with run.step("train the safety function") as progress:
+        model = train(dataset, ModelSpec.of(seed=seed), progress=progress)
+        save_model(run.out / "model", model)
+    run.terminal.remark(f"  {summary(model)}")
+    return model
+
+
+def _estimates(run: _Run, dataset: Dataset, model: TrainedModel, seed: int) -> list[CycleEstimate]:
+    from cyclekit.estimate.rollout import estimate
+    from cyclekit.sequences import load_sequences
+
+    file = run.out / "sequences.toml"
+    write_out(file, sequences_toml(set(dataset.tasks()["task"])))
+    with run.step(f"estimate {len(SEQUENCES)} sequences") as progress:
+        found = estimate(model, dataset, load_sequences(file), seed=seed, progress=progress)
+    write_out(run.out / "estimates.json", {"sequences": [entry.to_json() for entry in found]})
+    return found
+
+
+def sequences_toml(logged: set[str]) -> str:
+    """Return the sequence file of the demo: every box from the conveyor to its slot, then home.
+
+    Args:
+        logged: Tasks that occur in the logs. Which slot was the last one of an execution is chance, so each order
+            ends with a slot from which the robot was seen to go home.
+    """
+    blocks = []
+    for name, slots in SEQUENCES.items():
+        ends = [slot for slot in slots if f"{slot}->home" in logged] or slots
+        order = [*(slot for slot in slots if slot != ends[-1]), ends[-1]]
+        places = ["home", *(place for slot in order for place in ("conveyor", slot)), "home"]
+        quoted = ", ".join(f'"{place}"' for place in places)
+        blocks.append(f'[[sequence]]\nname = "{name}"\nplaces = [{quoted}]\n')
+    return "\n".join(blocks)
+
+
+def _replay(run: _Run, dataset: Dataset, model: TrainedModel) -> Path:
+    from cyclekit.replay import write_replay
+
+    file = run.out / "replay.rrd"
+    with run.step("write the replay") as progress:
+        write_replay(dataset, dataset.find_execution("1"), file, model=model, progress=by_stage(progress))
+    return file
+
+
+def _report(run: _Run, dataset: Dataset, model: TrainedModel, estimates: list[CycleEstimate]) -> Path:
+    from cyclekit.evaluate import evaluate
+    from cyclekit.report import write_report
+
+    file = run.out / "report.html"
+    with run.step("evaluate, and write the report") as progress:
+        evaluation = evaluate(model, dataset)
+        write_report(dataset, model, file, estimates=estimates, evaluation=evaluation, progress=by_stage(progress))
+    return file
+
+
+def _closing(estimates: list[CycleEstimate], run: _Run) -> str:
+    lines = ["How long does a cycle take? Three orders of the same ten boxes, the quickest first:", ""]
+    lines += [estimates_table(estimates), CAPTION, "", loses_most(estimates), "", rests_on(estimates), "", "Next"]
+    lines += [
+        f"  {run.out / 'report.html'}     the page for the customer; open it in a browser",
+        f"  rerun {run.out / 'replay.rrd'}  the first execution in 3-D, with the model's prediction",
+        f"  {run.out / 'sequences.toml'}  change the sequences, then:",
+        f"  cyclekit estimate {run.out / 'model'} {run.out / 'sequences.toml'} --dataset {run.out / 'dataset'}",
+        f"Done in {duration(sum(run.spent_s.values()))}.",
+    ]
+    return "\n".join(lines)

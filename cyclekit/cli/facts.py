@@ -1,0 +1,184 @@
+"""The facts of a log, a dataset or a model as a page of at most 80 columns for people."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.cli.terminal import bullet, duration, percent, table
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.describe import (
+        DatasetDescription,
+        Description,
+        Gap,
+        LogFacts,
+        LogsDescription,
+        ModelDescription,
+        TableFacts,
+    )
+
+SHOWN_GAPS, SHOWN_TASKS, SHOWN_FILES = 3, 12, 20
+
+
+def page(found: Description) -> str:
+    """Return the page of a log, several logs, a dataset or a model."""
+    if found.kind == "dataset":
+        return _dataset(found)  # type: ignore[arg-type]
+    if found.kind == "model":
+        return _model(found)  # type: ignore[arg-type]
+    return _logs(found)  # type: ignore[arg-type]
+
+
+def _logs(found: LogsDescription) -> str:
+    parts = [_log(log) for log in found.logs] if len(found.logs) <= 3 else [_log_rows(found.logs)]
+    if len(found.logs) > 3:
+        warned = [f"{log.path.name}: {text}" for log in found.logs for text in log.warnings]
+        parts.append(bullet(_some(list(dict.fromkeys(warned)), SHOWN_FILES), mark="! "))
+    refused = [f"{path}: {reason}" for path, reason in found.not_read]
+    if refused:
+        parts.append("not read:\n" + bullet(_some(refused, SHOWN_FILES)))
+    return "\n\n".join(part for part in parts if part)
+
+
+def _log_rows(logs: Sequence[LogFacts]) -> str:
+    rows = []
+    for log in logs:
+        longest = max(log.tables.values(), key=lambda facts: facts.rows, default=None)
+        rows.append(
+            [
+                log.path.name,
+                log.adapter,
+                ", ".join(log.tables),
+                f"{longest.rows}" if longest else "0",
+                _rate(longest),
+                duration(longest.duration_s) if longest else "",
+                f"{sum(len(facts.gaps) for facts in log.tables.values())}",
+            ]
+        )
+    return table(["log ", "adapter ", "holds ", "rows", "rate", "duration", "gaps"], rows)
+
+
+def _rate(facts: TableFacts | None) -> str:
+    return f"{facts.rate_hz:.4g} Hz" if facts and facts.rate_hz else "unknown"
+
+
+def _log(log: LogFacts) -> str:
+    lines = [
+        f"{log.path}",
+        f"  adapter   {log.adapter} ({log.package})",
+        f"  clock     {log.clock}",
+        f"  rows      {log.rows_read} read, {sum(log.set_aside.values())} set aside",
+    ]
+    lines += [bullet([reason], mark=f"            {count} x ") for reason, count in log.set_aside.items()]
+    for name, facts in log.tables.items():
+        lines += _table(name, facts)
+    if log.levels:
+        shown = ", ".join(f"{v:.2f} ({percent(s)})" for v, s in zip(log.levels, log.level_share, strict=True))
+        lines.append(bullet([shown], mark="  scaling   "))
+    lines += [bullet([shorten(value)], mark=f"  {key}: ") for key, value in log.facts.items() if value]
+    notes = bullet(log.warnings, mark="  ! ")
+    return "\n".join(lines) + (f"\n{notes}" if notes else "")
+
+
+def _table(name: str, facts: TableFacts) -> list[str]:
+    lines = [f"  {name:<9} {facts.rows} rows, {_rate(facts)}, {duration(facts.duration_s)}"]
+    always = _columns([column for column, share in facts.known.items() if share == 1])
+    partly = [f"{column} {percent(share)}" for column, share in facts.known.items() if share < 1]
+    for title, columns in (("columns", always), ("partly known", partly)):
+        if columns:
+            lines.append(bullet([", ".join(columns)], mark=f"            {title}: "))
+    return [*lines, f"            gaps: {_gaps(facts.gaps)}"]
+
+
+def _columns(names: Sequence[str]) -> list[str]:
+    """Return the names with runs of joints put together: `q0_rad ... q5_rad`."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        groups.setdefault(re.sub(r"^(qd?)\d+", r"\1#", name), []).append(name)
+    return [f"{group[0]} ... {group[-1]}" if len(group) > 2 else ", ".join(group) for group in groups.values()]
+
+
+def _gaps(gaps: Sequence[Gap]) -> str:
+    if not gaps:
+        return "none"
+    shown = [f"{duration(gap.length_s)} at {gap.at_s:.1f} s" for gap in sorted(gaps, key=lambda g: -g.length_s)]
+    more = f" and {len(gaps) - SHOWN_GAPS} shorter" if len(gaps) > SHOWN_GAPS else ""
+    return ", ".join(shown[:SHOWN_GAPS]) + more
+
+
+def _dataset(found: DatasetDescription) -> str:
+    complete = found.executions - found.executions_complete
+    cut = f" ({complete} cut by the start or the end of a log)" if complete else ""
+    inferred = f", {percent(found.scaling_inferred)} of that inferred" if found.scaling_inferred else ""
+    head = [
+        f"{found.path}: dataset, schema version {found.schema_version}",
+        f"  executions  {found.executions}{cut}, {duration(found.duration_s)} in all",
+        f"  samples     {found.samples} at 10 Hz; operator seen in {percent(found.operator_seen)}",
+        f"  scaling     known in {percent(found.scaling_known)} of them{inferred}",
+        f"  recordings  {found.recordings}, from {found.sources} source files",
+    ]
+    head += [bullet([reason], mark=f"  set aside   {count} rows: ") for reason, count in found.set_aside.items()]
+    levels = [[f"{level:.2f}", percent(share)] for level, share in zip(found.levels, found.level_share, strict=True)]
+    parts = ["\n".join(head)]
+    parts.append(table(["scaling level ", "of samples"], levels) if levels else "no staircase levels found")
+    parts += [_places("robot place ", found.places), _places("operator place ", found.human_places)]
+    parts.append(_tasks(found.tasks))
+    silences = [f"gaps in {name}: {_gaps(gaps)}" for name, gaps in found.gaps.items()]
+    parts.append(bullet(_some(silences, SHOWN_FILES)))
+    parts.append(bullet(_some(found.warnings, SHOWN_FILES), mark="! "))
+    return "\n\n".join(part for part in parts if part)
+
+
+def _places(title: str, places: Mapping[str, Mapping[str, Any]]) -> str:
+    rows = [
+        [name, *(f"{value:.2f}" for value in place["xyz_m"]), "found" if place["inferred"] else "named"]
+        for name, place in places.items()
+    ]
+    return table([title, "x, m", "y, m", "z, m", "origin "], rows) if rows else ""
+
+
+def _tasks(tasks: Sequence[Mapping[str, Any]]) -> str:
+    def mean(value: float | None) -> str:
+        return "unknown" if value is None else f"{value:.1f}"
+
+    columns = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
+    rows = [[str(row["task"]), str(row["count"]), *(mean(row[name]) for name in columns)] for row in tasks]
+    if not rows:
+        return "no robot tasks found"
+    more = (
+        f"\n... and {len(rows) - SHOWN_TASKS} tasks more (all of them with --json)" if len(rows) > SHOWN_TASKS else ""
+    )
+    return table(["task ", "times", "motion, s", "safety", "dwell", "wait"], rows[:SHOWN_TASKS]) + more
+
+
+def _model(found: ModelDescription) -> str:
+    card, metrics = found.card, found.card.get("metrics", {})
+    split = {part: len(names) for part, names in card.get("split", {}).items()}
+    lines = [
+        f"{found.path}: model",
+        f"  problem    {found.problem}" + (f", horizon {duration(found.horizon_s)}" if found.horizon_s else ""),
+        f"  network    {found.network}, {found.parameters} parameters",
+        f"  levels     {', '.join(f'{level:.2f}' for level in found.levels) or 'none'}",
+        f"  trained    on dataset {card.get('dataset', 'unknown')}, seed {card.get('seed', 'unknown')}, "
+        f"by cyclekit {card.get('cyclekit', 'unknown')}",
+        f"  executions {', '.join(f'{count} {part}' for part, count in split.items()) or 'unknown'}",
+    ]
+    lines += [f"  dropped    {count} samples: {reason}" for reason, count in card.get("dropped", {}).items()]
+    if metrics:
+        named = "" if metrics.get("accuracy") is None else f", {percent(metrics['accuracy'])} of levels named rightly"
+        error = f"MSE {metrics['mse_mean']:.2e}, mean absolute error {metrics['mae']:.4f}"
+        lines.append(bullet([f"{error}{named} ({metrics['rows']} samples)"], mark="  held out   "))
+    return "\n".join([*lines, bullet(card.get("warnings", []), mark="  ! ")]).rstrip()
+
+
+def shorten(text: str) -> str:
+    """Return a text of at most three lines; the whole of it is in the JSON."""
+    return text if len(text) <= 220 else f"{text[:200].rstrip()} ... (all of it with --json)"
+
+
+def _some(texts: Sequence[str], count: int) -> list[str]:
+    kept = list(texts[:count])
+    return [*kept, f"... and {len(texts) - count} more"] if len(texts) > count else kept

@@ -1,0 +1,51 @@
+"""`cyclekit ingest`: logs of any supported kind, in any mix, to one dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from cyclekit.ingest import IngestReport
+
+EXAMPLE = "cyclekit ingest logs --out dataset"
+
+
+def ingest(
+    logs: Annotated[list[Path], typer.Argument(help="Logs: files and folders, in any mix.", metavar="LOGS...")],
+    out: Annotated[Path, typer.Option(help="Folder of the dataset.", metavar="DATASET")],
+    cell: Annotated[Path | None, typer.Option(help="Cell file; default: cell.toml in the folder of logs.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Logs read at the same time.")] = 1,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Read logs of any supported kind into one dataset.
+
+    The same command again re-reads nothing that has not changed.
+    """
+    from cyclekit.ingest import ingest as ingest_logs
+
+    terminal = Terminal(json=json, quiet=quiet)
+    with terminal.progress("ingesting") as progress:
+        report = ingest_logs(logs, out, cell=cell, jobs=jobs, progress=progress)
+    for path, reason in report.not_read:
+        terminal.remark(f"not read: {path}: {reason}")
+    terminal.warnings(report.warnings)
+    terminal.done(report.to_json(), summary(report))
+
+
+def summary(report: IngestReport) -> str:
+    """Return what an ingest did, in two or three lines."""
+    if report.unchanged:
+        return f"{report.dataset}: up to date ({report.recordings_kept} recordings, nothing read again)"
+    kept = f", {report.recordings_kept} kept" if report.recordings_kept else ""
+    return (
+        f"{report.dataset}: {report.executions} executions, {report.tasks} robot tasks, {report.samples} samples\n"
+        f"  recordings: {report.recordings_new} read{kept}; files not read: {len(report.not_read)}\n"
+        f"next: cyclekit inspect {report.dataset}, or cyclekit train {report.dataset} --out model"
+    )

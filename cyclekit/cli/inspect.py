@@ -1,0 +1,41 @@
+"""`cyclekit inspect`: what a log, a folder of logs, a dataset or a model is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.terminal import Terminal
+
+EXAMPLE = "cyclekit inspect logs --write-cell"
+
+
+def inspect(
+    path: Annotated[Path, typer.Argument(help="A log, a folder of logs, a dataset or a model.", metavar="PATH")],
+    write_cell: Annotated[
+        bool, typer.Option("--write-cell", help="Print the cell file that fits these logs, and nothing else.")
+    ] = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say what a log, a folder of logs, a dataset or a model is.
+
+    Adapter, rate, duration, columns, executions, places and tasks found, scaling levels, gaps, warnings.
+    """
+    terminal = Terminal(json=json, quiet=quiet)
+    if write_cell:
+        from cyclekit.config import cell_to_toml
+        from cyclekit.ingest import suggest_cell
+
+        text = cell_to_toml(suggest_cell([path]))
+        terminal.answer({"cell": text}, text.rstrip("\n"))
+        return
+    from cyclekit.cli.facts import page
+    from cyclekit.describe import describe
+
+    with terminal.progress("looking") as progress:
+        found = describe(path, progress=progress)
+    terminal.answer(found.to_json(), page(found))

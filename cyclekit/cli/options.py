@@ -1,0 +1,81 @@
+"""The frame of the command line, and the two options that every command takes."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, all else on standard error.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no remarks; errors are still shown.")]
+
+
+def new_app() -> typer.Typer:
+    """Return the command line without its commands; plain help, the same in a terminal and in a file."""
+    frame = typer.Typer(
+        name="cyclekit",
+        help=(
+            "From the logs of a robot that works beside people to the cycle time of task sequences.\n\n"
+            "The way: ingest logs, train on the dataset, estimate sequences; then replay and report."
+        ),
+        epilog="\b\nStart here:\n  cyclekit demo --out out/",
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    frame.callback()(_first)
+    return frame
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"cyclekit {version('cyclekit')}")
+        raise typer.Exit
+
+
+def _first(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and leave.")
+    ] = False,
+) -> None:
+    pass
+
+
+def seconds(text: str) -> float:
+    """Return a duration such as `14s`, `14`, `1.5min` or `500ms` in seconds.
+
+    Raises:
+        typer.BadParameter: It is no positive duration.
+    """
+    units = {"ms": 0.001, "min": 60.0, "s": 1.0}
+    word = text.strip().lower()
+    unit = next((name for name in units if word.endswith(name)), "")
+    try:
+        value = float(word.removesuffix(unit)) * units.get(unit, 1.0)
+    except ValueError as error:
+        msg = f"{text!r} is no duration; write it as 14s, 0.5min or 500ms"
+        raise typer.BadParameter(msg) from error
+    if not 0 < value < float("inf"):
+        msg = f"{text!r} is no positive duration"
+        raise typer.BadParameter(msg)
+    return value
+
+
+def vector(text: str) -> tuple[float, float, float]:
+    """Return `x,y,z` as three numbers, metres.
+
+    Raises:
+        typer.BadParameter: They are not three finite numbers.
+    """
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError as error:
+        msg = f"{text!r} is not three numbers; write x,y,z in metres, such as 0.4,-1.2,0"
+        raise typer.BadParameter(msg) from error
+    if not all(abs(value) < float("inf") for value in (x, y, z)):
+        msg = f"{text!r} is not three finite numbers"
+        raise typer.BadParameter(msg)
+    return x, y, z

@@ -1,0 +1,232 @@
+"""What a person sees: results on standard output, everything else on standard error.
+
+A `Terminal` belongs to one command. It shows progress while the library works, then the result: as tables for
+people, or as one JSON document for programs. What the numbers mean is the business of the commands.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    Progress = Callable[[float, str], None]
+
+PATIENCE_S = 2.0
+"""Where there is no terminal to draw in, the first line of progress comes after this time, the next after twice it."""
+
+
+@dataclass(frozen=True)
+class Terminal:
+    """Says what happened, in the way that was asked for."""
+
+    json: bool
+    quiet: bool
+
+    @contextmanager
+    def progress(self, title: str) -> Iterator[Progress]:
+        """Show how far the work is and how long it will last; give the callback for the library.
+
+        Args:
+            title: What is being done, in a few words.
+        """
+        if self.quiet:
+            yield lambda _fraction, _text: None
+        elif sys.stderr.isatty():
+            yield from _drawn(title)
+        else:
+            yield _Lines(title)
+
+    def remark(self, text: str) -> None:
+        """Say something beside the result, on standard error; nothing with --quiet."""
+        if not self.quiet:
+            typer.echo(text, err=True)
+
+    def warnings(self, texts: Sequence[str]) -> None:
+        """Say what a person must know before trusting the result."""
+        for text in texts:
+            self.remark(f"warning: {text}")
+
+    def done(self, document: Mapping[str, Any], text: str) -> None:
+        """Say what a command made: the document for programs, or the text unless --quiet."""
+        if self.json:
+            write_json(document)
+        elif not self.quiet:
+            typer.echo(text)
+
+    def answer(self, document: Mapping[str, Any], *parts: str) -> None:
+        """Give what a command was asked for: the document for programs, or the parts, --quiet or not."""
+        if self.json:
+            write_json(document)
+        else:
+            typer.echo("\n\n".join(part for part in parts if part))
+
+
+def write_json(document: Mapping[str, Any]) -> None:
+    """Write one JSON document to standard output; what is not a number becomes null, as JSON has no NaN."""
+    typer.echo(_as_json(document))
+
+
+def _as_json(document: Mapping[str, Any]) -> str:
+    return json.dumps(_finite(document), indent=2, default=str)
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return value
+
+
+def say_failure(message: str, *, kind: str, as_json: bool, code: int = 1) -> int:
+    """Say in one message why the command failed, and return the exit code."""
+    if as_json:
+        write_json({"error": {"kind": kind, "message": message}})
+    typer.echo(f"error: {message}" if code == 1 else message, err=True)
+    return code
+
+
+def say_usage(error: typer.TyperException, *, as_json: bool) -> int:
+    """Say what is wrong with the command line, and return the exit code 2."""
+    message = error.format_message()
+    if as_json:
+        write_json({"error": {"kind": "Usage", "message": message}})
+    context = getattr(error, "ctx", None)
+    if context is not None:
+        typer.echo(context.get_usage(), err=True)
+        typer.echo(f"Try '{context.command_path} --help'.", err=True)
+    typer.echo(f"error: {message}", err=True)
+    return 2
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "") -> str:
+    """Return a plain table of at most 80 columns; the first column is text, the others are right-aligned numbers.
+
+    Args:
+        header: One word per column; a column whose name ends in a blank is text and left-aligned.
+        rows: Cells as text, each as long as the header.
+        title: A line above the table.
+    """
+    import io
+
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    grid = Table(box=None, pad_edge=False, show_edge=False, padding=(0, 2, 0, 0))
+    for index, name in enumerate(header):
+        left = index == 0 or name.endswith(" ")
+        grid.add_column(name.strip(), justify="left" if left else "right", overflow="fold", no_wrap=not left)
+    for row in rows:
+        grid.add_row(*(Text(cell) for cell in row))  # as text: rich would take `[a]` in a path for a style
+    page = io.StringIO()
+    Console(file=page, width=80, markup=False, highlight=False, emoji=False, no_color=True).print(grid)
+    body = "\n".join(line.rstrip() for line in page.getvalue().splitlines())
+    return f"{title}\n{body}" if title else body
+
+
+class _Lines:
+    """Progress where nothing can be redrawn: a line after 2 s, 4 s, 8 s ... so that a log stays short."""
+
+    def __init__(self, title: str) -> None:
+        self.title, self.began_s, self.next_s = title, time.monotonic(), PATIENCE_S
+
+    def __call__(self, fraction: float, text: str) -> None:
+        spent_s = time.monotonic() - self.began_s
+        if spent_s < self.next_s:
+            return
+        self.next_s = spent_s * 2
+        left = f", about {duration(spent_s * (1 - fraction) / fraction)} left" if fraction > 0 else ""
+        typer.echo(f"{self.title}: {fraction:.0%} after {duration(spent_s)}{left}  {text}", err=True)
+
+
+def by_stage(progress: Progress) -> Callable[[str], None]:
+    """Return the callback of work that names its stages and cannot count them."""
+    return lambda stage: progress(0.0, stage)
+
+
+def _drawn(title: str) -> Iterator[Progress]:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+    from rich.table import Column
+
+    rest = Column(ratio=1, no_wrap=True, overflow="ellipsis")
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=16),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[rate]}", markup=False),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[text]}", markup=False, table_column=rest),
+    )
+    console = Console(stderr=True, markup=False, highlight=False, emoji=False)
+    with Progress(*columns, console=console, transient=True, expand=True) as bar:
+        task = bar.add_task(title, total=1.0, text="", rate="")
+        began_s = time.monotonic()
+
+        def show(fraction: float, text: str) -> None:
+            spent_s = max(time.monotonic() - began_s, 1e-9)
+            rate = f"{100 * fraction / spent_s:.1f} %/s" if fraction > 0 else ""
+            bar.update(task, completed=min(fraction, 1.0), text=text, rate=rate)
+
+        yield show
+
+
+def duration(seconds: float) -> str:
+    """Return a duration as people say it: `0.8 s`, `12 s`, `3 min 5 s`, `1 h 20 min`."""
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    if seconds < 119.5:
+        return f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s"
+    return f"{minutes // 60} h {minutes % 60} min"
+
+
+def percent(fraction: float | None) -> str:
+    """Return a fraction as percent, `unknown` where there is none."""
+    if fraction is None or math.isnan(fraction):
+        return "unknown"
+    whole = round(100 * fraction)
+    if whole == 100 and fraction < 1:
+        return ">99%"
+    return "<1%" if whole == 0 and fraction > 0 else f"{whole}%"
+
+
+def bullet(texts: Sequence[str], *, mark: str = "- ") -> str:
+    """Return texts as lines of at most 80 columns, each with its mark."""
+    import textwrap
+
+    blank = " " * len(mark)
+    return "\n".join(textwrap.fill(text, 80, initial_indent=mark, subsequent_indent=blank) for text in texts)
+
+
+def write_out(file: Path, content: str | Mapping[str, Any]) -> None:
+    """Write text, or a document as JSON, in one step: the file is the old one or the new one.
+
+    Raises:
+        CyclekitError: The file cannot be written.
+    """
+    from cyclekit.dataset import write_text
+
+    write_text(file, content if isinstance(content, str) else _as_json(content) + "\n")

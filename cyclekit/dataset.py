@@ -1,0 +1,255 @@
+"""The dataset: a folder of Parquet files with its provenance, opened here and replaced here as a whole.
+
+    DATASET/dataset.json                                  schema version, provenance, executions, places, levels
+    DATASET/recordings/<id>/{robot,people,events}.parquet native rate, SI, each log's own clock
+    DATASET/samples/<session>.parquet                     10 Hz, one clock, one base frame
+    DATASET/tasks.parquet                                 one row per executed robot task
+
+A dataset is built in a folder beside its final place and then swapped in, so that a reader sees the old one or the
+new one, never half. What goes into the tables is decided by `ingest`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.errors import CyclekitError, DatasetError, UnknownName
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+CARD = "dataset.json"
+
+
+@dataclass(frozen=True)
+class Place:
+    """A named place of the cell: where the robot (or the operator) stops.
+
+    Attributes:
+        xyz_m: Centre in the base frame, metres.
+        radius_m: Positions within it count as being there.
+        inferred: Found from the logs; False when the cell file names it.
+    """
+
+    name: str
+    xyz_m: tuple[float, float, float]
+    radius_m: float
+    inferred: bool
+
+
+class Dataset:
+    """A dataset opened for reading; tables are read when asked for."""
+
+    def __init__(self, path: Path, card: dict[str, Any]) -> None:
+        """Use `Dataset.open`; this only keeps what it is given."""
+        self.path = path
+        self.card = card
+
+    @classmethod
+    def open(cls, path: Path | str) -> Dataset:
+        """Open the dataset at `path`.
+
+        Raises:
+            DatasetError: There is no dataset, or it is of another schema version.
+        """
+        path = Path(path)
+        recover(path)
+        card_path = path / CARD
+        if not path.is_dir() or not card_path.is_file():
+            seen = "no such folder" if not path.exists() else f"no {CARD} in it, so it is no cyclekit dataset"
+            msg = f"{path}: {seen}"
+            raise DatasetError(msg, cure=f"Make one: cyclekit ingest LOGS --out {path}")
+        try:
+            card = json.loads(card_path.read_text(encoding="utf-8"))
+            version = card["schema_version"]
+        except (ValueError, KeyError, TypeError) as error:
+            msg = f"{card_path}: not a dataset card ({error})"
+            raise DatasetError(msg, cure="Ingest the logs again into a new folder.") from error
+        if version != schema.SCHEMA_VERSION:
+            msg = f"{path}: dataset of schema version {version}, this cyclekit reads version {schema.SCHEMA_VERSION}"
+            raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
+        return cls(path, card)
+
+    @cached_property
+    def executions(self) -> pl.DataFrame:
+        """One row per execution: execution, session, start_s, end_s, duration_s, complete (Bool)."""
+        columns = ("execution", "session", "start_s", "end_s", "complete")
+        rows = [{name: entry[name] for name in columns} for entry in self.card["executions"]]
+        types = {"execution": schema.TEXT, "session": schema.TEXT, "start_s": schema.F64, "end_s": schema.F64}
+        frame = pl.DataFrame(rows, schema={**types, "complete": schema.FLAG})
+        return frame.with_columns(duration_s=pl.col("end_s") - pl.col("start_s"))
+
+    @property
+    def places(self) -> dict[str, Place]:
+        """Robot places by name."""
+        return {name: _place(name, entry) for name, entry in self.card["places"].items()}
+
+    @property
+    def human_places(self) -> dict[str, Place]:
+        """Operator places by name (empty where neither the cell file nor events name any)."""
+        return {name: _place(name, entry) for name, entry in self.card["human_places"].items()}
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Staircase levels found in the logged scaling, ascending; empty when none could be found."""
+        return tuple(self.card["levels"])
+
+    @property
+    def recordings(self) -> list[dict[str, Any]]:
+        """Provenance of each recording, as in the card: id, session, sources, adapter, clock, frame, rows, warnings."""
+        return list(self.card["recordings"])
+
+    def samples(self, executions: Sequence[str] | None = None) -> pl.DataFrame:
+        """Return the 10 Hz samples, all or those of some executions, in order of execution and time.
+
+        Raises:
+            UnknownName: An execution is not in the dataset.
+        """
+        files = sorted((self.path / "samples").glob("*.parquet"))
+        if executions is not None:
+            sessions = {self._execution(name)["session"] for name in executions}
+            files = [file for file in files if file.stem in sessions]
+        if not files:
+            return schema.empty(schema.SAMPLES)
+        frame = pl.concat([pl.read_parquet(file, glob=False) for file in files])
+        return frame if executions is None else frame.filter(pl.col("execution").is_in(list(executions)))
+
+    def tasks(self) -> pl.DataFrame:
+        """Return one row per executed robot task (table TASKS)."""
+        return pl.read_parquet(self.path / "tasks.parquet", glob=False)
+
+    def recorded(self, recording: str, table: str) -> pl.DataFrame | None:
+        """Return one native-rate table (`robot`, `people` or `events`) of a recording, None if it has none."""
+        file = self.path / "recordings" / recording / f"{table}.parquet"
+        return pl.read_parquet(file, glob=False) if file.is_file() else None
+
+    def native_robot(self, execution: str) -> pl.DataFrame | None:
+        """Return the native-rate robot rows of one execution, `t_s` in session time; None without a robot log."""
+        entry = self._execution(execution)
+        for record in self.recordings:
+            if record["session"] == entry["session"] and "robot" in record["tables"]:
+                frame = self.recorded(record["id"], "robot")
+                if frame is not None:
+                    session_time = pl.col("t_s") * record["clock"]["rate"] + record["clock"]["offset_s"]
+                    inside = pl.col("t_s").is_between(entry["start_s"], entry["end_s"])
+                    return frame.with_columns(t_s=session_time).filter(inside)
+        return None
+
+    def find_execution(self, name: str) -> str:
+        """Return the execution called `name`; a plain number counts executions from 1.
+
+        Raises:
+            UnknownName: There is none.
+        """
+        names = self.executions["execution"].to_list()
+        if name.isdigit() and name not in names and 1 <= int(name) <= len(names):
+            return str(names[int(name) - 1])
+        return str(self._execution(name)["execution"])
+
+    def _execution(self, name: str) -> dict[str, Any]:
+        by_name = {entry["execution"]: entry for entry in self.card["executions"]}
+        if name not in by_name:
+            names = list(by_name)
+            shown = ", ".join(names[:3]) + (f" … {names[-1]} ({len(names)} in all)" if len(names) > 3 else "")
+            cure = f"Give one of {shown}, or a number from 1 to {len(names)}." if names else "It holds no execution."
+            raise UnknownName(str(self.path), "execution", name, names, cure=cure)
+        return dict(by_name[name])
+
+
+def _place(name: str, entry: dict[str, Any]) -> Place:
+    x, y, z = entry["xyz_m"]
+    return Place(name, (x, y, z), entry["radius_m"], entry["inferred"])
+
+
+def write_parquet(frame: pl.DataFrame, file: Path) -> None:
+    """Write one table (zstd) and see it on the disk before returning; same frame, same bytes."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("wb") as handle:
+        frame.write_parquet(handle, compression="zstd", statistics=True)
+        handle.flush()
+        os.fsync(handle.fileno())
+
+
+def write_text(file: Path, text: str) -> None:
+    """Write a text file atomically: temporary name, fsync, rename.
+
+    Raises:
+        CyclekitError: The target cannot be written; the old file is untouched.
+    """
+    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("w", encoding="utf-8", newline="\n") as handle:
+            handle.write(text)
+            handle.flush()
+            os.fsync(handle.fileno())
+        temporary.replace(file)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        msg = f"{file}: cannot be written ({error.strerror})"
+        raise CyclekitError(msg, cure="Check the folder, its permissions and the free space.") from error
+
+
+def _staging(path: Path) -> Path:
+    return path.with_name(f".{path.name}.new")
+
+
+def _retired(path: Path) -> Path:
+    return path.with_name(f".{path.name}.old")
+
+
+@contextmanager
+def staged(path: Path) -> Iterator[Path]:
+    """Give a fresh folder to build in; on success it takes the place of `path`, on failure nothing changes.
+
+    The swap is two renames. A process killed between them leaves the new folder complete under its staging name,
+    and `recover` finishes the work at the next opening.
+
+    Raises:
+        CyclekitError: The place cannot be written.
+    """
+    recover(path)
+    staging = _staging(path)
+    try:
+        shutil.rmtree(staging, ignore_errors=True)
+        staging.mkdir(parents=True)
+        yield staging
+        (staging / ".complete").touch()
+        _swap(path)
+    except OSError as error:
+        msg = f"{path}: cannot be written ({error.strerror or error})"
+        raise CyclekitError(msg, cure="Check the folder, its permissions and the free space.") from error
+    finally:
+        if not (staging / ".complete").exists():
+            shutil.rmtree(staging, ignore_errors=True)
+
+
+def recover(path: Path) -> None:
+    """Finish or undo what a killed process left beside `path`: only complete folders ever take its place."""
+    staging, retired = _staging(path), _retired(path)
+    if (staging / ".complete").is_file():
+        _swap(path)
+    elif retired.is_dir() and not path.exists():
+        retired.replace(path)
+    elif retired.is_dir():
+        shutil.rmtree(retired, ignore_errors=True)
+
+
+def _swap(path: Path) -> None:
+    staging, retired = _staging(path), _retired(path)
+    if path.exists():
+        shutil.rmtree(retired, ignore_errors=True)
+        path.replace(retired)
+    staging.replace(path)
+    (path / ".complete").unlink(missing_ok=True)
+    shutil.rmtree(retired, ignore_errors=True)

@@ -1,0 +1,296 @@
+"""From recordings to samples and tasks: one clock, one base frame, executions, goals, scaling.
+
+Everything here can be computed again from the recordings, without the vendor files. Reading those is the business of
+`ingest`, finding places and executions that of `segment`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.account import Leg, account, usual_dwells
+from cyclekit.activity import with_operator
+from cyclekit.clock import LogClock, fit_clock
+from cyclekit.dataset import Place
+from cyclekit.override import infer_overrides
+from cyclekit.segment import (
+    Execution,
+    RobotRun,
+    find_executions,
+    find_places,
+    find_stops,
+    find_visits,
+    split_runs,
+    tcp_speed,
+)
+from cyclekit.session import Grid
+from cyclekit.steps import find_staircase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.config import Cell, Source
+    from cyclekit.session import Session
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+    Read = Callable[[str, str], pl.DataFrame | None]
+
+
+@dataclass(frozen=True)
+class Derived:
+    """All that a dataset says beyond its recordings; `samples` by session."""
+
+    samples: Mapping[str, pl.DataFrame]
+    tasks: pl.DataFrame
+    executions: list[dict[str, Any]]
+    places: Mapping[str, Place]
+    human_places: Mapping[str, Place]
+    levels: tuple[float, ...]
+    origin: str | None
+    warnings: list[str]
+
+
+def derive(
+    sessions: Sequence[Session],
+    sources: Mapping[str, Source | None],
+    read: Read,
+    cell: Cell,
+    progress: Callable[[float, str], None],
+) -> Derived:
+    """Compute samples and tasks.
+
+    Args:
+        sessions: From `ingest`; their entries get `clock` and `frame` filled in.
+        sources: What the cell file says about each recording, by id.
+        read: Returns a native table of a recording (id, table), None if it has none.
+        cell: Places, execution rule, rates.
+        progress: Told fraction and text.
+
+    Raises:
+        UnknownName: The cell file's home is no place that was found.
+    """
+    for session in sessions:
+        _place_in_time(session, sources)
+    runs = _load_runs(sessions, read, cell, progress)
+    stops = [stop for number, run in enumerate(runs) for stop in find_stops(run, number)]
+    places = find_places(runs, stops, cell.places)
+    executions = find_executions(runs, find_visits(stops, places, runs), places, cell.executions)
+    executions += _whole_runs(runs, executions)
+    runs, origin, warnings = _with_scaling(runs, executions, sessions)
+    dwells = usual_dwells(runs, executions)
+    grids, rows, cards = [], [], []
+    for number, session in enumerate(sessions):
+        progress(0.5 + 0.4 * number / len(sessions), f"samples of {session.name}")
+        for k, (execution, legs) in enumerate(_session_executions(session, runs, executions, dwells), 1):
+            name = f"{session.name}.{k:03d}"
+            grid = _grid(session, name, execution, legs, runs, places, origin, cell)
+            if len(grid.t_s):
+                grids.append(grid)
+                rows += _task_rows(name, legs)
+                cards.append(_execution_card(name, session, execution, legs, grid))
+    grids, human_places = with_operator(grids, sources, read, cell)
+    staircase = find_staircase(np.concatenate([g.frame["scaling"].to_numpy() for g in grids] or [np.empty(0)]))
+    samples = _by_session(grids, staircase.label)
+    levels = tuple(round(float(level), 6) for level in staircase.levels)
+    tasks = pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.TASKS.items()}, orient="row")
+    return Derived(samples, tasks, cards, places, human_places, levels, origin, [*warnings, *staircase.warnings])
+
+
+def _place_in_time(session: Session, sources: Mapping[str, Source | None]) -> None:
+    first = session.entries[0]
+    master = LogClock(first["clock"]["kind"], first["first_s"])
+    for entry in session.entries:
+        log = LogClock(entry["clock"]["kind"], entry["first_s"])
+        fit = fit_clock(log, master, sources[entry["id"]], same_log=entry is first)
+        method = "own" if entry is first else fit.method
+        entry["clock"] |= {"method": method, "offset_s": fit.offset_s, "rate": fit.rate}
+        if fit.warning and fit.warning not in entry["warnings"]:
+            entry["warnings"].append(fit.warning)
+    spans = [_session_span(entry) for entry in session.entries]
+    session.span_s = (min(a for a, _ in spans), max(b for _, b in spans))
+
+
+def _session_span(entry: Mapping[str, Any]) -> tuple[float, float]:
+    clock = entry["clock"]
+    return (
+        entry["first_s"] * clock["rate"] + clock["offset_s"],
+        entry["last_s"] * clock["rate"] + clock["offset_s"],
+    )
+
+
+def _load_runs(
+    sessions: Sequence[Session], read: Read, cell: Cell, progress: Callable[[float, str], None]
+) -> list[RobotRun]:
+    runs: list[RobotRun] = []
+    for number, session in enumerate(sessions):
+        progress(0.4 * number / len(sessions), f"motion of {session.name}")
+        entry = session.entries[0]
+        table = read(entry["id"], "robot") if "robot" in entry["tables"] else None
+        if table is None or table.height == 0:
+            continue
+        t = table["t_s"].to_numpy() + entry["clock"]["offset_s"]
+        xyz = table.select("tcp_x_m", "tcp_y_m", "tcp_z_m").to_numpy()
+        logged = table["tcp_speed_m_s"].to_numpy()
+        scaling = table["scaling"].to_numpy()
+        marker = _marker(table, cell)
+        for part in split_runs(t, gap_s=cell.executions.gap_s if cell.executions.begin != "file" else np.inf):
+            speed = logged[part] if np.isfinite(logged[part]).all() else tcp_speed(t[part], xyz[part])
+            session.runs.append(len(runs))
+            runs.append(RobotRun(t[part], xyz[part], speed, scaling[part], marker[part]))
+    return runs
+
+
+def _marker(table: pl.DataFrame, cell: Cell) -> Vector:
+    how = cell.executions
+    if how.begin == "register":
+        return table["register"].cast(pl.Float64).to_numpy()
+    if how.begin == "digital-output":
+        bits = table["digital_out_bits"].fill_null(0).to_numpy()
+        return np.asarray((bits >> how.bit) & 1, float)
+    return np.empty(0)
+
+
+def _whole_runs(runs: Sequence[RobotRun], executions: Sequence[Execution]) -> list[Execution]:
+    """A run in which no task was found is still an execution: it can be inspected and replayed."""
+    covered = {execution.run for execution in executions}
+    return [Execution(number, (), False) for number in range(len(runs)) if number not in covered]
+
+
+def _with_scaling(
+    runs: list[RobotRun], executions: Sequence[Execution], sessions: Sequence[Session]
+) -> tuple[list[RobotRun], str | None, list[str]]:
+    if any(np.isfinite(run.scaling).any() for run in runs):
+        return runs, "logged", []
+    without = [number for session in sessions if session.reference for number in session.runs]
+    inferred, references = infer_overrides(runs, executions, without)
+    if not references:
+        missing = "no log holds a valid speed scaling, and no motion repeats, so it could not be inferred either"
+        return runs, None, [missing] if runs else []
+    how = "runs without the operator" if without else "the fastest repetition of each task"
+    note = f"no log holds a valid speed scaling: inferred from velocity ratios against {how} ({len(references)} tasks)"
+    return inferred, "inferred", [note]
+
+
+def _session_executions(
+    session: Session, runs: Sequence[RobotRun], executions: Sequence[Execution], dwells: Mapping[str, float]
+) -> list[tuple[Execution | None, list[Leg]]]:
+    if not session.runs:
+        return [(None, [])]
+    mine = sorted((e for e in executions if e.run in set(session.runs)), key=lambda e: (e.run, _first_row(e)))
+    return [(e, account(runs[e.run], e, dwells) if e.visits else []) for e in mine]
+
+
+def _first_row(execution: Execution) -> int:
+    return execution.visits[0].first if execution.visits else 0
+
+
+def _grid(
+    session: Session,
+    name: str,
+    execution: Execution | None,
+    legs: list[Leg],
+    runs: Sequence[RobotRun],
+    places: Mapping[str, Place],
+    origin: str | None,
+    cell: Cell,
+) -> Grid:
+    if execution is None:
+        start, end = session.span_s
+    elif legs:
+        start, end = legs[0].start_s, legs[-1].end_s
+    else:
+        start, end = float(runs[execution.run].t_s[0]), float(runs[execution.run].t_s[-1])
+    t = start + np.arange(int((end - start) * cell.rate_hz + 1e-6) + 1) / cell.rate_hz
+    if execution is not None:
+        t = _on_rows(runs[execution.run].t_s, t)
+    columns: dict[str, Any] = {"execution": [name] * len(t), "t_s": t}
+    if execution is not None:
+        columns |= _robot_columns(runs[execution.run], t, origin)
+    columns |= _task_columns(t, legs, places)
+    frame = schema.conform(pl.DataFrame(columns, nan_to_null=True, strict=False), schema.SAMPLES)
+    return Grid(session, name, t, frame, np.full((len(t), 3), np.nan))
+
+
+def _on_rows(row_s: Vector, t: Vector) -> Vector:
+    """Move sample times back to the rows of the robot log, where it has them dense enough.
+
+    The scaling of a row belongs to the positions at that row; a TCP at 1 m/s is 8 mm farther one cycle later, which
+    at the edge of a zone is another level.
+    """
+    row = np.clip(np.searchsorted(row_s, t + 1e-9, side="right") - 1, 0, len(row_s) - 1)
+    back = t - row_s[row]
+    return np.where(back < 0.02, row_s[row], t)
+
+
+def _robot_columns(run: RobotRun, t: Vector, origin: str | None) -> dict[str, Any]:
+    """TCP by linear interpolation, scaling as the value in force; neither looks across a gap in the log."""
+    row = np.clip(np.searchsorted(run.t_s, t + 1e-9, side="right") - 1, 0, len(run.t_s) - 1)
+    after = np.minimum(row + 1, len(run.t_s) - 1)
+    period = float(np.median(np.diff(run.t_s))) if len(run.t_s) > 1 else 0.1
+    gap = run.t_s[after] - run.t_s[row] > max(0.1, 5 * period)
+    xyz = np.column_stack([np.interp(t, run.t_s, run.xyz_m[:, axis]) for axis in range(3)])
+    xyz[gap] = np.nan
+    scaling = np.where(gap, np.nan, run.scaling[row])
+    origins = [origin if known else None for known in np.isfinite(scaling).tolist()]
+    named = {f"robot_{axis}_m": xyz[:, k] for k, axis in enumerate("xyz")}
+    return {**named, "scaling": scaling, "scaling_origin": pl.Series(origins, dtype=pl.String)}
+
+
+def _task_columns(t: Vector, legs: Sequence[Leg], places: Mapping[str, Place]) -> dict[str, Any]:
+    if not legs:
+        return {}
+    starts = np.array([leg.start_s for leg in legs])
+    index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(legs) - 1)
+    goals = np.array([places[leg.goal_place].xyz_m for leg in legs])[index]
+    arrivals = np.array([leg.arrival_s for leg in legs])[index]
+    names = [f"{leg.start_place}->{leg.goal_place}" for leg in legs]
+    return {
+        **{f"robot_goal_{axis}_m": goals[:, k] for k, axis in enumerate("xyz")},
+        "robot_task": [names[i] for i in index.tolist()],
+        "robot_moving": t < arrivals,
+    }
+
+
+def _task_rows(name: str, legs: Sequence[Leg]) -> list[tuple[object, ...]]:
+    return [
+        (
+            name, index, f"{leg.start_place}->{leg.goal_place}", leg.start_place, leg.goal_place, leg.start_s,
+            leg.arrival_s, leg.end_s, leg.nominal_s, leg.safety_loss_s, leg.dwell_s, leg.wait_s,
+        )
+        for index, leg in enumerate(legs)
+    ]  # fmt: skip
+
+
+def _execution_card(
+    name: str, session: Session, execution: Execution | None, legs: Sequence[Leg], grid: Grid
+) -> dict[str, Any]:
+    end = legs[-1].end_s if legs else float(grid.t_s[-1])
+    return {
+        "execution": name,
+        "session": session.name,
+        "start_s": float(grid.t_s[0]),
+        "end_s": float(end),
+        "complete": bool(execution is not None and execution.complete),
+        "reference": session.reference,
+        "places": [legs[0].start_place, *(leg.goal_place for leg in legs)] if legs else [],
+    }
+
+
+def _by_session(grids: Sequence[Grid], labels: NDArray[np.int32]) -> dict[str, pl.DataFrame]:
+    frames: dict[str, list[pl.DataFrame]] = {}
+    begin = 0
+    for grid in grids:
+        label = labels[begin : begin + len(grid.t_s)]
+        begin += len(grid.t_s)
+        step = pl.Series("step", label, dtype=pl.Int32)
+        frame = grid.frame.with_columns(step=pl.when(step >= 0).then(step))
+        frames.setdefault(grid.session.name, []).append(frame)
+    return {name: schema.conform(pl.concat(parts), schema.SAMPLES) for name, parts in frames.items()}

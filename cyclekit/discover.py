@@ -1,0 +1,125 @@
+"""Which logs there are: files and folders walked, matched with the cell file, given to adapters by content.
+
+Nothing is read here beyond the first bytes that tell a format. Reading is the business of `ingest`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cyclekit import schema
+from cyclekit.adapter import ReadOptions
+from cyclekit.config import Cell, Source, load_cell
+from cyclekit.errors import ConfigError, LogError
+from cyclekit.registry import Registered, adapter_named, find_logs, why_unknown
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+CELL_FILE = "cell.toml"
+
+
+@dataclass(frozen=True)
+class Log:
+    """One log to be read: where, by whom, with what options, and a key that changes when any of these does."""
+
+    id: str
+    path: Path
+    shown: str
+    adapter: str
+    package: str
+    version: str
+    source: Source | None
+    key: str
+
+
+def cell_for(roots: Sequence[Path], given: Path | None) -> Cell:
+    """Return the cell file given, else the one beside the logs, else the defaults.
+
+    Raises:
+        ConfigError: It cannot be followed, or there are two.
+    """
+    if given is not None:
+        return load_cell(given)
+    folders = dict.fromkeys(path if path.is_dir() else path.parent for path in roots)
+    files = [folder / CELL_FILE for folder in folders if (folder / CELL_FILE).is_file()]
+    if len(files) > 1:
+        msg = f"two cell files beside the logs: {files[0]} and {files[1]}"
+        raise ConfigError(msg, cure="Choose one with --cell.")
+    return load_cell(files[0]) if files else Cell(name=roots[0].resolve().stem)
+
+
+def find_all(roots: Sequence[Path], cell: Cell) -> tuple[list[Log], list[tuple[str, str]]]:
+    """Return the logs in files and folders, and the files that nobody reads with the reason.
+
+    Raises:
+        UnknownFormat: A file named explicitly is no log.
+        LogError: There is no log at all.
+        UnknownName: The cell file forces an adapter that does not exist.
+    """
+    logs: dict[str, Log] = {}
+    not_read: list[tuple[str, str]] = []
+    unknown: LogError | None = None
+    for root in roots:
+        base = root if root.is_dir() else root.parent
+        for path, registered in _candidates(root, base, cell):
+            shown = path.relative_to(base).as_posix() if path != base else path.name
+            source = next((s for s in cell.sources if matches(shown, path, s.path)), None)
+            reader = adapter_named(source.adapter) if source and source.adapter else registered
+            if reader is None:
+                unknown = why_unknown(path)
+                if path in roots:
+                    raise unknown
+                not_read.append((shown, unknown.cause))
+            else:
+                log = _log(path, shown, reader, source, logs)
+                logs[log.id] = log
+    if not logs:
+        cure = "Give files, or a folder that holds logs; `cyclekit adapters` lists what can be read."
+        cause = "holds no file" if not not_read else f"holds no log that can be read ({len(not_read)} other files)"
+        raise unknown if unknown and len(not_read) == 1 else LogError(roots[0], cause, cure=cure)
+    return list(logs.values()), not_read
+
+
+def _candidates(root: Path, base: Path, cell: Cell) -> Iterable[tuple[Path, Registered | None]]:
+    for path, registered in find_logs(root):
+        shown = path.relative_to(base).as_posix() if path != base else path.name
+        if path.name != CELL_FILE and not any(matches(shown, path, pattern) for pattern in cell.ignore):
+            yield path, registered
+
+
+def matches(shown: str, path: Path, pattern: str) -> bool:
+    """Tell whether a log, shown relative to the folder given, is meant by a path or glob of the cell file."""
+    wanted = Path(pattern).as_posix()
+    return shown == wanted or fnmatchcase(shown, wanted) or str(path) == pattern
+
+
+def _log(path: Path, shown: str, reader: Registered, source: Source | None, taken: dict[str, Log]) -> Log:
+    stem = re.sub(r"[^A-Za-z0-9_-]+", "_", Path(shown).with_suffix("").as_posix().replace("/", "."))
+    slug = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(shown).with_suffix("").as_posix().replace("/", ".")) or stem
+    name, number = slug, 1
+    while name in taken:
+        number += 1
+        name = f"{slug}-{number}"
+    facts = [str(path.resolve()), reader.name, reader.version, repr(options_of(source)), schema.SCHEMA_VERSION]
+    stats = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files_of(path)]
+    key = hashlib.sha256(json.dumps([facts, stats]).encode()).hexdigest()
+    return Log(name, path, shown, reader.name, reader.package, reader.version, source, key)
+
+
+def files_of(path: Path) -> list[Path]:
+    """Return the files that make a log: itself, or all in a folder that is one log."""
+    return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+
+
+def options_of(source: Source | None) -> ReadOptions:
+    """Return what an adapter is told about a source of the cell file."""
+    if source is None:
+        return ReadOptions()
+    return ReadOptions(role=source.role, map=source.map, body=source.body, rate_hz=source.rate_hz)

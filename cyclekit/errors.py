@@ -1,0 +1,129 @@
+"""Every error that cyclekit raises on purpose, and the text a person reads.
+
+    CyclekitError
+    ├── LogError            a log cannot be used: which file, why, what to do
+    │   ├── UnknownFormat       no adapter recognises it
+    │   ├── DamagedLog          recognised, but broken where it is read
+    │   └── MissingColumns      recognised, but a needed column is absent
+    ├── ConfigError         cell.toml or a sequence file says something we cannot follow
+    │   └── UnknownName         a name (place, key, task, topic) that does not exist; the nearest one is shown
+    ├── DatasetError        the dataset folder is not one, is older or newer, or lacks what is needed
+    ├── ModelError          the model folder is not one, is foreign, or does not fit the dataset
+    ├── EstimateError       the question cannot be answered from these logs
+    ├── ShapeError          arrays that do not fit together (a mistake of the caller)
+    └── MissingExtra        an optional dependency is not installed
+
+A message has three parts: what was seen and where, the nearest right thing if one is near, and the cure. The parts
+are put together here so that every room says it alike. Printing is the command line's business.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class CyclekitError(Exception):
+    """Root of the tree; the command line turns any of these into exit code 1 and one message."""
+
+    def __init__(self, seen: str, *, nearest: str | None = None, cure: str | None = None) -> None:
+        """Keep the three parts; `str(error)` is the whole message.
+
+        Args:
+            seen: What was found, and where (file, key, value).
+            nearest: The right thing that is nearest to what was found.
+            cure: What the person should do now.
+        """
+        self.seen, self.nearest, self.cure = seen, nearest, cure
+        lines = [seen]
+        if nearest:
+            lines.append(f"  the nearest is {nearest!r}")
+        if cure:
+            lines.append(f"  {cure}")
+        super().__init__("\n".join(lines))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Let an error cross from a worker process as it is; the default would call `__init__` with the message."""
+        return _restore, (type(self), self.args, self.__dict__)
+
+
+def _restore(kind: type[CyclekitError], args: tuple[str, ...], state: dict[str, object]) -> CyclekitError:
+    error = kind.__new__(kind, *args)
+    error.args = args
+    error.__dict__.update(state)
+    return error
+
+
+class LogError(CyclekitError):
+    """A log file cannot be used."""
+
+    def __init__(self, path: Path, cause: str, *, nearest: str | None = None, cure: str | None = None) -> None:
+        """Name the file first: people look for the file, then for the reason."""
+        self.path, self.cause = path, cause
+        super().__init__(f"{path}: {cause}", nearest=nearest, cure=cure)
+
+
+class UnknownFormat(LogError):
+    """No adapter recognises the file."""
+
+
+class DamagedLog(LogError):
+    """An adapter recognises the file, but it is cut, garbled or contradicts itself."""
+
+
+class MissingColumns(LogError):
+    """A column that the adapter needs is absent."""
+
+    def __init__(self, path: Path, missing: Iterable[str], present: Iterable[str], cure: str | None = None) -> None:
+        """Show every missing column at once, and the nearest present name of the first one."""
+        absent = sorted(missing)
+        named = ", ".join(repr(name) for name in absent)
+        word = "column" if len(absent) == 1 else "columns"
+        super().__init__(path, f"no {word} {named}", nearest=nearest(absent[0], present), cure=cure)
+
+
+class ConfigError(CyclekitError):
+    """A configuration or sequence file cannot be followed."""
+
+
+class UnknownName(ConfigError):
+    """A name that does not exist where it is used."""
+
+    def __init__(self, where: str, kind: str, name: str, known: Iterable[str], *, cure: str | None = None) -> None:
+        """Say which names would have been understood, so that nobody has to look them up."""
+        names = sorted(known)
+        text = cure or (f"Known: {', '.join(names)}." if names else f"No {kind} is known here.")
+        super().__init__(f"{where}: unknown {kind} {name!r}", nearest=nearest(name, names), cure=text)
+
+
+class DatasetError(CyclekitError):
+    """The folder is no dataset, or not one that this question can be asked of."""
+
+
+class ModelError(CyclekitError):
+    """The folder is no model, or the model does not fit."""
+
+
+class EstimateError(CyclekitError):
+    """The logs do not hold an answer to this question."""
+
+
+class ShapeError(CyclekitError):
+    """Arrays that do not fit together."""
+
+
+class MissingExtra(CyclekitError):
+    """An optional dependency is needed and not installed."""
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        """Name the command that installs it."""
+        super().__init__(
+            f"{purpose} needs {package}, which is not installed", cure=f"Install it: pip install 'cyclekit[{extra}]'"
+        )
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name most like `name`, or None when none is alike."""
+    found = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
+    return found[0] if found else None

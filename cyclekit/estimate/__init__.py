@@ -1,0 +1,1 @@
+"""Expected cycle time per task sequence, out of a learned safety function and logged operator tracks."""

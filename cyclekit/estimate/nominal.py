@@ -1,0 +1,100 @@
+"""The nominal motion of every logged task, recovered by undoing the scaling.
+
+While a task runs, the path's nominal time is the integral of the scaling, so the least hindered repetition of a task,
+drawn over that integral, is the motion that the program asks for. What an operator makes of it is the business of
+`rollout`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.account import fill_nearest
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset import Dataset
+
+    Vector = NDArray[np.float64]
+
+STEP_S = 0.01
+"""Grid of the nominal time; a TCP at 1 m/s moves 1 cm in it."""
+
+
+@dataclass(frozen=True)
+class NominalTask:
+    """One task as its program asks for it.
+
+    Attributes:
+        xyz_m: TCP along the motion at every STEP_S of nominal time, shape (K, 3), base frame.
+        nominal_s: Duration of the motion at scaling 1: the median of its repetitions.
+        dwell_s, wait_s: Mean process time and mean waiting at the goal.
+        repetitions: How often the task was logged.
+    """
+
+    task: str
+    xyz_m: NDArray[np.float64]
+    nominal_s: float
+    dwell_s: float
+    wait_s: float
+    repetitions: int
+
+
+def nominal_tasks(dataset: Dataset) -> dict[str, NominalTask]:
+    """Return the nominal motion of every task that was logged with known scaling, by task name."""
+    tasks = dataset.tasks().filter(pl.col("nominal_s").is_not_null())
+    if tasks.height == 0:
+        return {}
+    means = tasks.group_by("task").agg(
+        nominal_s=pl.col("nominal_s").median(),
+        dwell_s=pl.col("dwell_s").mean(),
+        wait_s=pl.col("wait_s").mean(),
+        repetitions=pl.len(),
+    )
+    best = tasks.sort("safety_loss_s", "execution", "index").group_by("task", maintain_order=True).first()
+    found = {}
+    chosen = best.join(means, on="task", suffix="_all").sort("execution", "start_s")
+    for (execution,), rows in chosen.group_by(["execution"], maintain_order=True):
+        track = _execution_track(dataset, str(execution))
+        for row in rows.iter_rows(named=True):
+            path = _undo_scaling(track, row["start_s"], row["arrival_s"], row["nominal_s_all"])
+            found[row["task"]] = NominalTask(
+                task=row["task"],
+                xyz_m=path,
+                nominal_s=row["nominal_s_all"],
+                dwell_s=row["dwell_s_all"],
+                wait_s=row["wait_s_all"],
+                repetitions=row["repetitions"],
+            )
+    return found
+
+
+def _execution_track(dataset: Dataset, execution: str) -> tuple[Vector, NDArray[np.float64], Vector]:
+    """Times, TCP and scaling of one execution: native rate where the scaling was logged, else the samples."""
+    native = dataset.native_robot(execution)
+    if native is not None and native["scaling"].is_not_null().any():
+        xyz = native.select("tcp_x_m", "tcp_y_m", "tcp_z_m").to_numpy()
+        return native["t_s"].to_numpy(), xyz, native["scaling"].to_numpy()
+    samples = dataset.samples([execution])
+    xyz = samples.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()
+    return samples["t_s"].to_numpy(), xyz, samples["scaling"].to_numpy()
+
+
+def _undo_scaling(
+    track: tuple[Vector, NDArray[np.float64], Vector], start_s: float, arrival_s: float, nominal_s: float
+) -> NDArray[np.float64]:
+    """Return the TCP over nominal time, shape (K, 3), stretched to the usual nominal duration."""
+    t, xyz, scaling = track
+    inside = (t >= start_s - 1e-9) & (t <= arrival_s + 1e-9)
+    t, xyz, s = t[inside], xyz[inside], scaling[inside]
+    known = np.flatnonzero(np.isfinite(s))
+    s = fill_nearest(s, known) if len(known) else np.ones(len(s))
+    elapsed = np.concatenate([[0.0], np.cumsum(s[:-1] * np.diff(t))])
+    elapsed *= nominal_s / max(float(elapsed[-1]), 1e-9)
+    grid = np.arange(max(2, round(nominal_s / STEP_S) + 1)) * (nominal_s / max(1, round(nominal_s / STEP_S)))
+    return np.column_stack([np.interp(grid, elapsed, xyz[:, axis]) for axis in range(3)])

@@ -1,0 +1,76 @@
+"""What an estimate says: cycle time per sequence with its distribution and its split.
+
+Only data and its JSON form; how the numbers come about is the business of `rollout`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True)
+class TaskShare:
+    """Mean time of one task of the sequence, split; seconds.
+
+    `nominal_s + safety_loss_s + dwell_s + wait_s = expected_s`.
+    """
+
+    task: str
+    expected_s: float
+    nominal_s: float
+    safety_loss_s: float
+    dwell_s: float
+    wait_s: float
+
+
+@dataclass(frozen=True)
+class CycleEstimate:
+    """Expected cycle time of one sequence.
+
+    Attributes:
+        name: The sequence's name in the user's file.
+        places: Ordered places, the start first.
+        expected_s: Mean cycle time over the operator tracks.
+        expected_low_s, expected_high_s: 95 % interval of that mean from resampling the tracks (finite logs only;
+            the network's own error is not in it).
+        quantiles_s: Quantiles of single cycles, by level.
+        nominal_s, safety_loss_s, dwell_s, wait_s: Split of `expected_s`.
+        support: Fraction of the rolled-out time whose robot and operator positions lie near logged samples.
+        tracks: Number of logged operator tracks it rests on.
+        warnings: What limits the number, one sentence each.
+        tasks: The split per task, in order.
+        safety_by_activity_s: Mean safety loss per operator activity (human task), seconds, where known.
+        durations_s: Cycle time on each track, seconds, in the order of the executions they were logged in.
+    """
+
+    name: str
+    places: tuple[str, ...]
+    expected_s: float
+    expected_low_s: float
+    expected_high_s: float
+    quantiles_s: Mapping[float, float]
+    nominal_s: float
+    safety_loss_s: float
+    dwell_s: float
+    wait_s: float
+    support: float
+    tracks: int
+    warnings: tuple[str, ...]
+    tasks: tuple[TaskShare, ...]
+    safety_by_activity_s: Mapping[str, float]
+    durations_s: tuple[float, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the estimate as plain JSON values; quantile levels become keys such as "0.05"."""
+        out = dict(vars(self))
+        out["places"] = list(self.places)
+        out["warnings"] = list(self.warnings)
+        out["tasks"] = [dict(vars(task)) for task in self.tasks]
+        out["quantiles_s"] = {f"{level:g}": value for level, value in self.quantiles_s.items()}
+        out["safety_by_activity_s"] = dict(self.safety_by_activity_s)
+        out["durations_s"] = list(self.durations_s)
+        return out

@@ -1,0 +1,45 @@
+"""How far a question lies from anything that was logged.
+
+The learned safety function is only known where robot and operator have been together. Logged pairs of positions fill
+cells of space; support is the part of a rolled-out cycle that runs through filled cells.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+ROBOT_M = 0.15
+"""Edge of a cell of robot positions."""
+HUMAN_M = 0.3
+"""Edge of a cell of operator positions."""
+
+
+class Support:
+    """Cells of (x_r, x_h) that logged samples fall into."""
+
+    def __init__(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> None:
+        """Remember the cells of logged positions, shapes (N, 3) and (N, 3), metres; rows with NaN are left out."""
+        known = np.isfinite(robot_m).all(axis=1) & np.isfinite(human_m).all(axis=1)
+        self._filled = np.unique(_cells(robot_m[known], human_m[known]))
+
+    def near_logged(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Tell which pairs of positions, shapes (N, 3) and (N, 3), lie in cells that were logged, shape (N,).
+
+        A pair without an operator (NaN) counts as known: there the robot runs free.
+        """
+        absent = ~np.isfinite(human_m).all(axis=1)
+        return absent | np.isin(_cells(robot_m, np.nan_to_num(human_m)), self._filled)
+
+
+def _cells(robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Pack six cell indices of 10 bits each: a cell is unique within +-77 m (robot) and +-153 m (operator)."""
+    index = np.concatenate([np.floor(robot_m / ROBOT_M), np.floor(human_m / HUMAN_M)], axis=1).astype(np.int64)
+    packed = np.zeros(len(index), dtype=np.int64)
+    for column in range(6):
+        packed = (packed << 10) | ((index[:, column] + 512) & 1023)
+    return packed

@@ -1,0 +1,110 @@
+"""Which adapters exist, and which one reads this file.
+
+Adapters are found through the entry-point group `cyclekit.adapters`, ours and third parties' alike; cyclekit imports
+none by name. What a file contains is the adapters' business.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, cast
+
+from cyclekit.errors import CyclekitError, UnknownFormat, UnknownName
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from cyclekit.adapter import Adapter
+
+GROUP = "cyclekit.adapters"
+_LFS = b"version https://git-lfs.github.com/spec/"
+
+
+@dataclass(frozen=True)
+class Registered:
+    """An adapter and where it comes from."""
+
+    name: str
+    package: str
+    version: str
+    summary: str
+    adapter: Adapter
+
+
+@cache
+def adapters() -> dict[str, Registered]:
+    """Return all adapters by name, in order of name.
+
+    Raises:
+        CyclekitError: An installed adapter cannot be imported; the message names its package.
+    """
+    return {point.name: _load(point) for point in sorted(entry_points(group=GROUP), key=lambda p: p.name)}
+
+
+def _load(point: EntryPoint) -> Registered:
+    package = point.dist.name if point.dist else point.module
+    try:
+        adapter = cast("Adapter", point.load())
+    except Exception as error:
+        msg = f"adapter {point.name!r} of package {package!r} cannot be loaded: {error}"
+        raise CyclekitError(msg, cure="Install that package again, or uninstall it.") from error
+    doc = inspect.getdoc(sys.modules[point.module]) or ""
+    version = point.dist.version if point.dist else "unknown"
+    return Registered(point.name, package, version, doc.partition("\n")[0].rstrip("."), adapter)
+
+
+def adapter_named(name: str) -> Registered:
+    """Return the adapter called `name`.
+
+    Raises:
+        UnknownName: There is none.
+    """
+    known = adapters()
+    if name not in known:
+        raise UnknownName("adapters", "adapter", name, known)
+    return known[name]
+
+
+def find_adapter(path: Path) -> Registered | None:
+    """Return the adapter that recognises `path` (file or folder) by its content, or None."""
+    return next((entry for entry in adapters().values() if entry.adapter.recognises(path)), None)
+
+
+def find_logs(path: Path) -> Iterator[tuple[Path, Registered | None]]:
+    """Walk `path`; yield each log with the adapter that reads it, None for a file nobody reads.
+
+    A folder that is itself a log (a ROS 2 bag, a folder of one file per signal) is yielded as one.
+    """
+    if path.name.startswith("."):
+        return
+    if (found := find_adapter(path)) or not path.is_dir():
+        yield path, found
+        return
+    for child in sorted(path.iterdir()):
+        yield from find_logs(child)
+
+
+def why_unknown(path: Path) -> UnknownFormat:
+    """Return the error for a file that no adapter recognises, with the likeliest reason first."""
+    head = b""
+    if path.is_file():
+        with path.open("rb") as file:
+            head = file.read(4096)
+    known = ", ".join(adapters())
+    cure = f"cyclekit reads: {known} (see `cyclekit adapters`)."
+    if path.is_file() and not head:
+        return UnknownFormat(path, "the file is empty", cure="Check the copy, or remove the file.")
+    if head.startswith(_LFS):
+        return UnknownFormat(
+            path, "this is a Git LFS pointer, not the log itself", cure="Fetch the content first: git lfs pull"
+        )
+    if len(head) < 4096 and b"\0" not in head and len(head.split()) > 1 and len(head.strip().splitlines()) == 1:
+        return UnknownFormat(path, "a single line: a header and no rows", cure="Record again, or remove the file.")
+    if b"\0" not in head and (b"," in head or b";" in head or b"\t" in head):
+        cure += ' For a table of your own, map its columns in cell.toml with adapter = "csv".'
+    return UnknownFormat(path, "no adapter recognises this content", cure=cure)

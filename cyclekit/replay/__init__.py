@@ -1,0 +1,16 @@
+"""A replay of one execution in Rerun: the scene, the plots and the words that say why the robot was slow.
+
+    facts = write_replay(dataset, "run-001", Path("x.rrd"), model=model)
+    open_viewer(facts.path)
+
+The file holds its own layout and opens in any Rerun viewer of the same minor version. What is missing from the log is
+missing from the replay, and the replay says so. The only room that knows rerun.
+"""
+
+from __future__ import annotations
+
+from cyclekit.replay.execution import PredictsNow
+from cyclekit.replay.recording import ReplayFacts, write_replay
+from cyclekit.replay.viewer import open_viewer
+
+__all__ = ["PredictsNow", "ReplayFacts", "open_viewer", "write_replay"]

@@ -1,0 +1,233 @@
+"""One execution as arrays: what the replay draws, and what of it is unknown.
+
+Every array is on the 10 Hz samples, NaN where unknown; a hole in the log is filled with one unknown row on either side,
+so that whatever is drawn from the arrays stops there. How it looks is the business of `scene`, `curves` and `words`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import polars as pl
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset import Dataset, Place
+
+GAP_S = 0.35
+"""A longer time without a 10 Hz sample is a gap: nothing is drawn across it."""
+
+FINEST_S = 1 / 30
+_JOINTS = tuple(f"q{axis}_rad" for axis in range(6))
+
+
+class PredictsNow(Protocol):
+    """What the replay needs of a trained model of problem `now`."""
+
+    @property
+    def problem(self) -> str:
+        """Which question the model answers."""
+        ...
+
+    def predict(self, x: NDArray[np.float32], /) -> NDArray[np.floating]:
+        """Speed scaling (N,) for robot and operator positions (N, 6), metres, base frame."""
+        ...
+
+
+@dataclass(frozen=True)
+class Joints:
+    """Joint angles, thinned to at most 30 Hz.
+
+    Attributes:
+        t_s: Seconds of the execution, shape (T,).
+        angle_rad: By column name (`q0_rad`), each of shape (T,), NaN where unknown.
+        tcp_m: Logged tool centre point at the same instants, shape (T, 3).
+    """
+
+    t_s: NDArray[np.float64]
+    angle_rad: Mapping[str, NDArray[np.float64]]
+    tcp_m: NDArray[np.float64]
+
+    @property
+    def six(self) -> NDArray[np.float64] | None:
+        """Angles of a six-axis arm, shape (T, 6), or None when the log has more or fewer joints."""
+        if set(self.angle_rad) != set(_JOINTS):
+            return None
+        return np.stack([self.angle_rad[name] for name in _JOINTS], axis=1)
+
+
+@dataclass(frozen=True)
+class Execution:
+    """What is known of one execution; T instants at 10 Hz plus the edges of gaps.
+
+    Attributes:
+        name, cell: Names of the execution and of the dataset.
+        start_s, duration_s: Start in session time, and length.
+        t_s: Seconds of the execution, shape (T,).
+        robot_m, human_m, robot_goal_m, human_goal_m: Positions, shape (T, 3), metres, base frame.
+        scaling: Speed scaling in force, shape (T,), logged or inferred.
+        inferred: True where `scaling` is inferred, shape (T,).
+        predicted: Scaling that the model expects, shape (T,), or None without a model.
+        speed_m_s: Speed of the tool centre point, shape (T,).
+        step: Index of the level, shape (T,), NaN where unknown.
+        moving: True, False, or None where unknown, length T; likewise the tasks.
+        gaps: Start and end of each gap, seconds of the execution.
+        tasks: Rows of TASKS of this execution.
+        notes: What is missing or doubtful, one sentence each.
+    """
+
+    name: str
+    cell: str
+    start_s: float
+    duration_s: float
+    t_s: NDArray[np.float64]
+    robot_m: NDArray[np.float64]
+    human_m: NDArray[np.float64]
+    robot_goal_m: NDArray[np.float64]
+    human_goal_m: NDArray[np.float64]
+    scaling: NDArray[np.float64]
+    inferred: NDArray[np.bool_]
+    predicted: NDArray[np.float64] | None
+    speed_m_s: NDArray[np.float64]
+    step: NDArray[np.float64]
+    moving: tuple[bool | None, ...]
+    robot_task: tuple[str | None, ...]
+    human_task: tuple[str | None, ...]
+    gaps: tuple[tuple[float, float], ...]
+    tasks: pl.DataFrame
+    places: Mapping[str, Place]
+    human_places: Mapping[str, Place]
+    levels: tuple[float, ...]
+    joints: Joints | None
+    notes: tuple[str, ...]
+
+    @property
+    def distance_m(self) -> NDArray[np.float64]:
+        """Distance between tool and operator, shape (T,), NaN where one is unknown."""
+        return np.asarray(np.linalg.norm(self.robot_m - self.human_m, axis=1))
+
+
+def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None) -> Execution:
+    """Read one execution and let the model say what it would expect.
+
+    Raises:
+        UnknownName: The dataset has no such execution.
+    """
+    name = dataset.find_execution(name)
+    entry = dataset.executions.row(by_predicate=pl.col("execution") == name, named=True)
+    start_s = float(entry["start_s"])
+    raw = dataset.samples([name]).sort("t_s").filter(pl.col("t_s").is_not_null())
+    rows, gaps = _with_gaps(raw.with_columns(pl.col("t_s") - start_s))
+    t_s = _floats(rows, "t_s")
+    robot_m, human_m = _points(rows, "robot"), _points(rows, "human")
+    joints = _joints(dataset.native_robot(name), start_s)
+    usable = model if model is not None and model.problem == "now" else None
+    tasks = dataset.tasks().filter(pl.col("execution") == name).sort("index")
+    return Execution(
+        name=name,
+        cell=str(dataset.card.get("name") or dataset.path.name),
+        start_s=start_s,
+        duration_s=float(entry["duration_s"]),
+        t_s=t_s,
+        robot_m=robot_m,
+        human_m=human_m,
+        robot_goal_m=_points(rows, "robot_goal"),
+        human_goal_m=_points(rows, "human_goal"),
+        scaling=_floats(rows, "scaling"),
+        inferred=(rows["scaling_origin"].fill_null("") == "inferred").to_numpy(),
+        predicted=_predicted(usable, robot_m, human_m),
+        speed_m_s=_speed(t_s, robot_m),
+        step=_floats(rows, "step"),
+        moving=tuple(rows["robot_moving"].to_list()),
+        robot_task=tuple(rows["robot_task"].to_list()),
+        human_task=tuple(rows["human_task"].to_list()),
+        gaps=gaps,
+        tasks=tasks.with_columns(pl.col("start_s", "arrival_s", "end_s") - start_s),
+        places=dataset.places,
+        human_places=dataset.human_places,
+        levels=dataset.levels,
+        joints=joints,
+        notes=_notes(rows, joints, model),
+    )
+
+
+def _floats(rows: pl.DataFrame, column: str) -> NDArray[np.float64]:
+    return rows[column].cast(pl.Float64).fill_null(float("nan")).to_numpy().astype(np.float64)
+
+
+def _points(rows: pl.DataFrame, stem: str) -> NDArray[np.float64]:
+    """Positions (T, 3); a height that a planar tracker cannot know counts as 0, in the robot's base plane."""
+    x_m, y_m, z_m = (_floats(rows, f"{stem}_{axis}_m") for axis in "xyz")
+    z_m = np.where(np.isnan(z_m) & ~np.isnan(x_m), 0.0, z_m)
+    points = np.stack([x_m, y_m, z_m], axis=1)
+    points[np.isnan(points).any(axis=1)] = np.nan
+    return points
+
+
+def _with_gaps(rows: pl.DataFrame) -> tuple[pl.DataFrame, tuple[tuple[float, float], ...]]:
+    """Put one row of nulls into every gap, so that nothing is carried or drawn across it."""
+    times = rows["t_s"].to_numpy()
+    before = np.flatnonzero(np.diff(times) > GAP_S)
+    gaps = tuple((float(times[i]), float(times[i + 1])) for i in before)
+    if not gaps:
+        return rows, ()
+    edges = pl.DataFrame({"t_s": [start + 0.1 for start, _ in gaps]}, schema={"t_s": pl.Float64})
+    return pl.concat([rows, edges], how="diagonal").sort("t_s"), gaps
+
+
+def _speed(t_s: NDArray[np.float64], robot_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Speed between neighbouring samples (T,), given to the later one; NaN at the first and after a gap."""
+    if len(t_s) < 2:
+        return np.full(len(t_s), np.nan)
+    way = np.linalg.norm(np.diff(robot_m, axis=0), axis=1)
+    return np.concatenate([[np.nan], way / np.maximum(np.diff(t_s), 1e-6)])
+
+
+def _predicted(
+    model: PredictsNow | None, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    if model is None:
+        return None
+    x = np.concatenate([robot_m, human_m], axis=1)
+    known = np.isfinite(x).all(axis=1)
+    out = np.full(len(x), np.nan)
+    if known.any():
+        out[known] = np.asarray(model.predict(x[known].astype(np.float32)), dtype=np.float64)
+    return out
+
+
+def _joints(native: pl.DataFrame | None, start_s: float) -> Joints | None:
+    if native is None:
+        return None
+    names = [c for c in native.columns if c.startswith("q") and c.endswith("_rad") and native[c].count()]
+    if not names or native.is_empty():
+        return None
+    slot = ((pl.col("t_s") - start_s) / FINEST_S).floor()
+    thin = native.filter(slot.is_first_distinct()).sort("t_s")
+    return Joints(
+        t_s=thin["t_s"].to_numpy() - start_s,
+        angle_rad={name: _floats(thin, name) for name in names},
+        tcp_m=np.stack([_floats(thin, f"tcp_{axis}_m") for axis in "xyz"], axis=1),
+    )
+
+
+def _notes(rows: pl.DataFrame, joints: Joints | None, model: PredictsNow | None) -> tuple[str, ...]:
+    """Say what is not in the picture, so that an empty place is not taken for a quiet cell."""
+    notes = []
+    if not rows["robot_x_m"].count():
+        seen = f"{len(joints.angle_rad)} joints are plotted instead" if joints else "no robot is shown"
+        notes.append(f"The log holds no robot tool position: {seen}.")
+    if not rows["human_x_m"].count():
+        notes.append("No operator position: either nobody was there or nobody was tracked.")
+    if not rows["scaling"].count():
+        notes.append("Speed scaling is unknown in this execution.")
+    if model is None:
+        notes.append("No model was given: no predicted scaling.")
+    elif model.problem != "now":
+        notes.append(f"The model answers problem '{model.problem}', not 'now': no predicted scaling.")
+    return tuple(notes)

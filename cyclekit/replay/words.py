@@ -1,0 +1,192 @@
+"""The execution in words: what happened when, and why the robot was slow.
+
+Short sentences for the text log and a summary for the panel beside it, made from the arrays of `execution`. Nothing of
+rerun is known here.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit import colours
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.replay.execution import Execution
+
+SHORTEST_S = 0.25
+"""A change of speed or a lost operator shorter than this is not worth a sentence."""
+
+FULL = 0.98
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of the log: when (seconds of the execution), what, how loud (INFO or WARN), and its colour."""
+
+    t_s: float
+    text: str
+    level: str = "INFO"
+    colour: str = "#8b96a3"
+
+
+@dataclass(frozen=True)
+class Slowdown:
+    """A stretch in which the robot, on its way, was slowed.
+
+    Attributes:
+        start_s, end_s: Seconds of the execution.
+        lowest: Least scaling in it.
+        lost_s: Integral of 1 - s over it.
+        nearest_m: Least distance to the operator; NaN where unknown.
+        robot_task, human_task: What both were doing for most of it; None where unknown.
+    """
+
+    start_s: float
+    end_s: float
+    lowest: float
+    lost_s: float
+    nearest_m: float
+    robot_task: str | None
+    human_task: str | None
+
+
+def spell(task: str) -> str:
+    """Write a task `a->b` as people read it."""
+    return task.replace("->", " → ")
+
+
+def slowdowns(run: Execution) -> list[Slowdown]:
+    """Return the stretches in which the moving robot was below full speed, in order of time."""
+    slow = (run.scaling < FULL) & np.array([moving is not False for moving in run.moving], dtype=np.bool_)
+    found = []
+    for first, last in _stretches(slow):
+        end_s = float(run.t_s[last + 1]) if last + 1 < len(run.t_s) else float(run.t_s[last])
+        if end_s - run.t_s[first] < SHORTEST_S:
+            continue
+        part = slice(first, last + 1)
+        until_s = np.minimum(np.append(run.t_s[first + 1 : last + 1], end_s), run.t_s[part] + 0.2)
+        lost_s = float(np.sum((1.0 - run.scaling[part]) * (until_s - run.t_s[part])))
+        found.append(
+            Slowdown(
+                float(run.t_s[first]),
+                end_s,
+                float(run.scaling[part].min()),
+                lost_s,
+                _least(run.distance_m[part]),
+                _most(run.robot_task[part]),
+                _most(run.human_task[part]),
+            )
+        )
+    return found
+
+
+def log_lines(run: Execution) -> list[Line]:
+    """Return everything worth telling, in order of time."""
+    lines = [*_task_lines(run), *_operator_lines(run), *_slow_lines(run)]
+    for start_s, end_s in run.gaps:
+        lines.append(Line(start_s, f"Gap in the log: nothing is known for {end_s - start_s:.1f} s", "WARN"))
+    lines.extend(Line(0.0, note, "WARN") for note in run.notes)
+    return sorted(lines, key=lambda line: line.t_s)
+
+
+def summary(run: Execution) -> str:
+    """Return the panel's text, Markdown: what happened in three lines, the worst moments, what is not shown."""
+    found = slowdowns(run)
+    lost_s = float(run.tasks["safety_loss_s"].sum() or 0.0) or sum(each.lost_s for each in found)
+    known = bool(np.isfinite(run.scaling).any())
+    head = [f"## {run.duration_s:.1f} s" + (f", of which {lost_s:.1f} s lost to safety slow-down" if known else "")]
+    if known and not found:
+        head.append("The robot was never slowed on its way.")
+    if found:
+        worst = sorted(found, key=lambda each: -each.lost_s)[:4]
+        head.append("**Where the time went**")
+        head.extend(f"- **{each.lost_s:.1f} s** at {_clock(each.start_s)}: {_why(each)}" for each in worst)
+    head.extend(f"- *{note}*" for note in run.notes)
+    if run.gaps:
+        head.append(f"- *{len(run.gaps)} gap(s) in the log; nothing is drawn across them.*")
+    head.append("Colour is the robot's speed: red halted, amber half speed, blue full speed, grey unknown.")
+    return "\n\n".join(head[:2]) + "\n" + "\n".join(head[2:-1]) + f"\n\n{head[-1]}"
+
+
+def lanes(labels: Sequence[str | None], t_s: NDArray[np.float64]) -> list[tuple[float, str | None]]:
+    """Return when a label changes, and to what; the last entry ends the lane."""
+    changes: list[tuple[float, str | None]] = []
+    last: str | None = None
+    for time_s, label in zip(t_s.tolist(), labels, strict=True):
+        if label != last or not changes:
+            changes.append((time_s, label))
+            last = label
+    if changes:
+        changes.append((float(t_s[-1]), None))
+    return changes
+
+
+def _why(slow: Slowdown) -> str:
+    speed = "robot halted" if slow.lowest < 0.02 else f"robot down to {100 * slow.lowest:.0f} %"
+    where = f" on {spell(slow.robot_task)}" if slow.robot_task else ""
+    near = "" if np.isnan(slow.nearest_m) else f", operator {slow.nearest_m:.2f} m away"
+    doing = f" ({slow.human_task})" if slow.human_task else ""
+    return f"{speed}{where}{near}{doing}"
+
+
+def _slow_lines(run: Execution) -> Iterator[Line]:
+    for slow in slowdowns(run):
+        text = f"SLOWED for {slow.end_s - slow.start_s:.1f} s, {slow.lost_s:.1f} s lost: {_why(slow)}"
+        yield Line(slow.start_s, text, "WARN", colours.scaling_hex(max(slow.lowest, 0.25)))
+        yield Line(slow.end_s, "Full speed again", "INFO", "#5b97d8")
+
+
+def _task_lines(run: Execution) -> Iterator[Line]:
+    for row in run.tasks.iter_rows(named=True):
+        yield Line(row["start_s"], f"Robot starts {spell(row['task'])}")
+        took = row["arrival_s"] - row["start_s"]
+        loss = row["safety_loss_s"]
+        lost = "" if loss is None else f", {loss:.1f} s of it slow-down" if loss >= 0.05 else ", never slowed"
+        yield Line(row["arrival_s"], f"Robot arrives at {row['goal_place']} after {took:.1f} s{lost}")
+
+
+def _operator_lines(run: Execution) -> Iterator[Line]:
+    changes = lanes(run.human_task, run.t_s)[:-1]
+    for time_s, task in changes:
+        if task is not None:
+            yield Line(time_s, f"Operator: {spell(task)}", colour="#2ba08d")
+    unseen = np.isnan(run.human_m[:, 0])
+    if unseen.all():
+        return
+    for first, last in _stretches(unseen):
+        length_s = float(run.t_s[min(last + 1, len(run.t_s) - 1)] - run.t_s[first])
+        if length_s >= SHORTEST_S:
+            yield Line(float(run.t_s[first]), f"Operator absent or not seen for {length_s:.1f} s", "WARN")
+
+
+def _stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last index of every run of True."""
+    out, at = [], 0
+    for value, group in itertools.groupby(flags.tolist()):
+        length = sum(1 for _ in group)
+        if value:
+            out.append((at, at + length - 1))
+        at += length
+    return out
+
+
+def _least(values: NDArray[np.float64]) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.min()) if len(known) else float("nan")
+
+
+def _most(labels: Sequence[str | None]) -> str | None:
+    known = [label for label in labels if label is not None]
+    return max(set(known), key=lambda label: (known.count(label), label)) if known else None
+
+
+def _clock(t_s: float) -> str:
+    return f"{t_s:.1f} s" if t_s < 60 else f"{int(t_s // 60)} min {t_s % 60:.0f} s"

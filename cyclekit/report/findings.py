@@ -1,0 +1,294 @@
+"""What the logs of a dataset say, as a few numbers and small arrays that fit on a page.
+
+Everything is counted out of samples and tasks; nothing is predicted here except by the model that is passed in. How it
+looks is the business of `charts` and the template.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import polars as pl
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset import Dataset, Place
+
+SAMPLE_S = 0.1
+FULL = 0.98
+"""Scaling from here on counts as full speed."""
+
+DISTANCE_BIN_M = 0.05
+CELL_M = 0.2
+SCATTER = 2500
+_PARTS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
+
+
+class Predicts(Protocol):
+    """What the report needs of a trained model."""
+
+    @property
+    def problem(self) -> str:
+        """Which question the model answers."""
+        ...
+
+    @property
+    def network(self) -> str:
+        """Which kind of network it is."""
+        ...
+
+    @property
+    def card(self) -> dict[str, Any]:
+        """How it came about, with its metrics."""
+        ...
+
+    def predict(self, X: NDArray[np.floating[Any]], /) -> NDArray[np.floating[Any]]:
+        """Speed scaling (N,) for robot and operator positions (N, 6)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Share:
+    """Mean seconds of one task, split, and how often it was seen (0 for an estimate)."""
+
+    name: str
+    nominal_s: float
+    safety_s: float
+    dwell_s: float
+    wait_s: float
+    seen: int = 0
+
+    @property
+    def total_s(self) -> float:
+        """Mean length of the task."""
+        return self.nominal_s + self.safety_s + self.dwell_s + self.wait_s
+
+
+@dataclass(frozen=True)
+class Overview:
+    """The logs in one paragraph.
+
+    Attributes:
+        executions: How many, and how many of them are complete.
+        duration_s: Durations of the complete executions, shape (E,), s.
+        slowed: Fraction of the robot's moving time below full speed; None where unknown.
+        halted: The same at standstill.
+        operator_seen: Fraction of all samples with an operator position.
+        lost_s: Mean safety loss per complete execution; None where unknown.
+        inferred: Fraction of known scaling that is inferred, not logged.
+    """
+
+    executions: int
+    complete: int
+    duration_s: NDArray[np.float64]
+    slowed: float | None
+    halted: float | None
+    operator_seen: float
+    lost_s: float | None
+    inferred: float
+
+
+@dataclass(frozen=True)
+class Band:
+    """One level of the staircase and where it was in force: 90 % of its distances lie between low and high."""
+
+    scaling: float
+    low_m: float
+    high_m: float
+    samples: int
+
+
+@dataclass(frozen=True)
+class SafetyFunction:
+    """Scaling against distance, from samples in which the robot was moving and both positions were known.
+
+    Attributes:
+        distance_m, scaling: A subsample to draw, shape (K,).
+        bin_m: Centres of the distance bins, shape (B,).
+        logged, predicted: Mean scaling per bin, shape (B,); `predicted` is None without a model of problem `now`.
+        bands: One per level.
+        explained: Part of the variance of scaling that distance alone explains, in [0, 1].
+        samples: How many samples it rests on.
+    """
+
+    distance_m: NDArray[np.float64]
+    scaling: NDArray[np.float64]
+    bin_m: NDArray[np.float64]
+    logged: NDArray[np.float64]
+    predicted: NDArray[np.float64] | None
+    bands: tuple[Band, ...]
+    explained: float
+    samples: int
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """Where the operator stood while the robot was slowed, on a grid in the base frame.
+
+    Attributes:
+        x_m, y_m: Centres of the squares in which time was lost, shape (C,).
+        lost_s: Time lost while the operator was in the square, s, shape (C,).
+        scaling: Mean scaling of the slowed time there, shape (C,).
+        walked_m: Where the operator was at all: a thinned list of positions, shape (W, 2).
+        robot_m: Where the tool was: thinned, shape (R, 2).
+        places, human_places: Named places.
+        cell_m: Side of a square.
+    """
+
+    x_m: NDArray[np.float64]
+    y_m: NDArray[np.float64]
+    lost_s: NDArray[np.float64]
+    scaling: NDArray[np.float64]
+    walked_m: NDArray[np.float64]
+    robot_m: NDArray[np.float64]
+    places: Mapping[str, Place]
+    human_places: Mapping[str, Place]
+    cell_m: float = CELL_M
+
+
+def overview(dataset: Dataset, samples: pl.DataFrame, tasks: pl.DataFrame) -> Overview:
+    """Count what the logs hold."""
+    runs = dataset.executions
+    complete = runs.filter(pl.col("complete"))
+    moving = samples.filter(pl.col("robot_moving") & pl.col("scaling").is_not_null())
+    known = samples["scaling"].count()
+    lost = None
+    mine = tasks.join(complete.select("execution"), on="execution", how="semi")
+    if complete.height and mine["safety_loss_s"].count():
+        lost = float(mine["safety_loss_s"].sum()) / complete.height
+    return Overview(
+        executions=runs.height,
+        complete=complete.height,
+        duration_s=complete["duration_s"].to_numpy().astype(np.float64),
+        slowed=float((moving["scaling"] < FULL).sum()) / moving.height if moving.height else None,
+        halted=float((moving["scaling"] < 0.01).sum()) / moving.height if moving.height else None,
+        operator_seen=samples["human_x_m"].count() / samples.height if samples.height else 0.0,
+        lost_s=lost,
+        inferred=samples.filter(pl.col("scaling_origin") == "inferred").height / known if known else 0.0,
+    )
+
+
+def task_shares(tasks: pl.DataFrame) -> list[Share]:
+    """Return the mean split of every logged task, the costliest in safety loss first; unknown parts count as nominal.
+
+    A task whose scaling is unknown has neither nominal time nor loss: its whole motion is shown as nominal.
+    """
+    if tasks.is_empty():
+        return []
+    motion = pl.col("arrival_s") - pl.col("start_s")
+    known = tasks.with_columns(
+        nominal_s=pl.col("nominal_s").fill_null(motion),
+        safety_loss_s=pl.col("safety_loss_s").fill_null(0.0),
+        dwell_s=pl.col("dwell_s").fill_null(0.0),
+        wait_s=pl.col("wait_s").fill_null(0.0),
+    )
+    means = known.group_by("task").agg(*(pl.col(part).mean() for part in _PARTS), pl.len().alias("seen"))
+    total = pl.col("safety_loss_s") * pl.col("seen")
+    rows = means.sort(total, pl.col("task"), descending=[True, False]).iter_rows(named=True)
+    return [
+        Share(
+            name=r["task"],
+            nominal_s=r["nominal_s"],
+            safety_s=r["safety_loss_s"],
+            dwell_s=r["dwell_s"],
+            wait_s=r["wait_s"],
+            seen=r["seen"],
+        )
+        for r in rows
+    ]
+
+
+def safety_function(
+    samples: pl.DataFrame, levels: Sequence[float], model: Predicts | None, *, seed: int = 0
+) -> SafetyFunction | None:
+    """Read the safety function back from the samples; None where scaling or positions are unknown."""
+    axes = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
+    rows = samples.with_columns(pl.col("human_z_m").fill_null(0.0)).filter(pl.col("robot_moving").fill_null(value=True))
+    rows = rows.select(*axes, "scaling", "step").drop_nulls([*axes, "scaling"])
+    if rows.height < 50:
+        return None
+    x = rows.select(axes).to_numpy().astype(np.float64)
+    scaling = rows["scaling"].to_numpy().astype(np.float64)
+    distance = np.linalg.norm(x[:, :3] - x[:, 3:], axis=1)
+    slot = np.floor(distance / DISTANCE_BIN_M).astype(np.int64)
+    counts = np.bincount(slot)
+    filled = np.flatnonzero(counts >= 5)
+    means = np.bincount(slot, weights=scaling) / np.maximum(counts, 1)
+    spread = float(np.var(scaling))
+    explained = 1 - float(np.mean((scaling - means[slot]) ** 2)) / spread if spread > 0 else 0.0
+    picked = np.random.default_rng(seed).permutation(len(distance))[:SCATTER]
+    return SafetyFunction(
+        distance_m=distance[picked],
+        scaling=scaling[picked],
+        bin_m=np.asarray((filled + 0.5) * DISTANCE_BIN_M, np.float64),
+        logged=means[filled],
+        predicted=_predicted(model, x, slot, filled, seed),
+        bands=_bands(rows["step"], distance, levels),
+        explained=max(0.0, explained),
+        samples=len(distance),
+    )
+
+
+def _predicted(
+    model: Predicts | None, x: NDArray[np.float64], slot: NDArray[np.int64], filled: NDArray[np.int64], seed: int
+) -> NDArray[np.float64] | None:
+    """Mean prediction per bin, from at most 50 000 samples: a mean needs no more, and a page should be quick."""
+    if model is None or model.problem != "now":
+        return None
+    picked = np.random.default_rng(seed).permutation(len(x))[:50_000]
+    value = np.asarray(model.predict(x[picked].astype(np.float32)), dtype=np.float64)
+    size = int(slot.max()) + 1
+    total = np.bincount(slot[picked], weights=value, minlength=size)
+    counts = np.bincount(slot[picked], minlength=size)
+    means = np.full(size, np.nan)
+    np.divide(total, counts, out=means, where=counts > 0)
+    return means[filled]
+
+
+def _bands(step: pl.Series, distance: NDArray[np.float64], levels: Sequence[float]) -> tuple[Band, ...]:
+    label = step.fill_null(-1).to_numpy()
+    bands = []
+    for index, level in enumerate(levels):
+        mine = distance[label == index]
+        if len(mine):
+            low, high = np.quantile(mine, [0.05, 0.95])
+            bands.append(Band(float(level), float(low), float(high), len(mine)))
+    return tuple(bands)
+
+
+def floor_plan(dataset: Dataset, samples: pl.DataFrame) -> FloorPlan | None:
+    """Put the time lost on the floor plan; None where no operator position is known."""
+    seen = samples.filter(pl.col("human_x_m").is_not_null() & pl.col("human_y_m").is_not_null())
+    if seen.is_empty():
+        return None
+    lost = seen.filter(pl.col("robot_moving") & (pl.col("scaling") < FULL))
+    squares = (
+        lost.select(
+            column=(pl.col("human_x_m") / CELL_M).floor(),
+            row=(pl.col("human_y_m") / CELL_M).floor(),
+            s=pl.col("scaling"),
+        )
+        .group_by("column", "row")
+        .agg(lost_s=(1 - pl.col("s")).sum() * SAMPLE_S, scaling=pl.col("s").mean())
+        .sort("column", "row")
+    )
+    robot = samples.select("robot_x_m", "robot_y_m").drop_nulls()
+    return FloorPlan(
+        x_m=(squares["column"].to_numpy() + 0.5) * CELL_M,
+        y_m=(squares["row"].to_numpy() + 0.5) * CELL_M,
+        lost_s=squares["lost_s"].to_numpy(),
+        scaling=squares["scaling"].to_numpy(),
+        walked_m=_thin(seen.select("human_x_m", "human_y_m"), 4000),
+        robot_m=_thin(robot, 4000),
+        places=dataset.places,
+        human_places=dataset.human_places,
+    )
+
+
+def _thin(frame: pl.DataFrame, most: int) -> NDArray[np.float64]:
+    return frame.gather_every(max(1, -(-frame.height // most))).to_numpy().astype(np.float64)

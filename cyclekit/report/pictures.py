@@ -1,0 +1,121 @@
+"""Matplotlib figures as clean inline SVG: text stays text, ids are unique on the page, nothing points outside.
+
+Every picture exists twice, for a desk and for a phone; the page shows the one that fits. What is drawn is the business
+of `charts`.
+"""
+
+from __future__ import annotations
+
+import html
+import io
+import re
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from matplotlib.figure import Figure
+
+WIDE_IN, NARROW_IN = 7.4, 3.7
+"""Widths of the two versions, inches; text is 9.5 pt in both, so it stays readable on either."""
+
+RASTER_DPI = 160
+"""Of the dots, which would make the page heavy as vectors."""
+
+INK, MUTED, RULE = "#1c232b", "#55606c", "#d9dee4"
+
+STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "cyclekit",
+    "text.parse_math": False,
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9.5,
+    "text.color": INK,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": MUTED,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlesize": 9.5,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelsize": 9,
+    "ytick.labelsize": 9,
+    "grid.color": RULE,
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture for the page.
+
+    Attributes:
+        wide, narrow: SVG elements for desk and phone.
+        alt: What the picture shows, for those who cannot see it.
+    """
+
+    wide: str
+    narrow: str
+    alt: str
+
+
+def picture(name: str, alt: str, draw: Callable[[float], Figure]) -> Picture:
+    """Draw a picture in both widths.
+
+    Args:
+        name: Short and unique on the page; ids inside the SVG start with it.
+        alt: Text alternative.
+        draw: Makes the figure for a width in inches.
+    """
+    with plain_style():
+        wide = _to_svg(draw(WIDE_IN), f"{name}-w", alt)
+        narrow = _to_svg(draw(NARROW_IN), f"{name}-n", alt)
+    return Picture(wide, narrow, alt)
+
+
+@contextmanager
+def plain_style() -> Iterator[None]:
+    """Use the page's look inside the block, whatever the caller's own matplotlib settings are."""
+    import matplotlib as mpl
+
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(STYLE)  # type: ignore[arg-type]  # its keys are literals
+        yield
+
+
+def _to_svg(figure: Figure, prefix: str, alt: str) -> str:
+    """Write the figure as an SVG element without prolog, metadata, fixed size or common ids."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    figure.set_dpi(RASTER_DPI)
+    buffer = io.StringIO()
+    canvas: Any = FigureCanvasSVG(figure)
+    canvas.print_svg(buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    text = re.sub(r'\bid="([^"]+)"', rf'id="{prefix}-\1"', text)
+    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", text)
+    text = re.sub(r'xlink:href="#([^"]+)"', rf'xlink:href="#{prefix}-\1"', text)
+    text = re.sub(r"font-family: [^;\"]*;? ?", "", text)  # the page's own font
+    text = re.sub(r"<style.*?</style>", "", text, flags=re.DOTALL)
+    text = re.sub(r"\s*\n\s*", "\n", text)
+    label = f'role="img" aria-label="{html.escape(alt, quote=True)}"'
+    return re.sub(r'^<svg([^>]*?) width="[^"]*"', rf"<svg\1 {label}", _without_height(text), count=1)
+
+
+def _without_height(text: str) -> str:
+    head, tag_end, rest = text.partition(">")
+    head = re.sub(r' height="[^"]*"', "", head, count=1)
+    return head + tag_end + rest

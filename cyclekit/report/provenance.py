@@ -1,0 +1,143 @@
+"""Where the numbers come from: recordings, clocks, frames, rows set aside, warnings, versions.
+
+A dataset can rest on thousands of files; equal ones are put together, and what is unusual keeps its name. Reads the
+dataset's card only.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from cyclekit.dataset import Dataset
+
+MOST_WARNINGS = 12
+MOST_FILES = 12
+
+
+@dataclass(frozen=True)
+class Source:
+    """Recordings read alike.
+
+    Attributes:
+        adapter: Its name, package and version.
+        tables: What they hold, in words.
+        recordings: How many, from how many files.
+        rows: Rows read and rows set aside.
+        rate_hz, hours: Mean rate where known; total length.
+        clock, frame: How time and place were brought to the robot's.
+    """
+
+    adapter: str
+    tables: str
+    recordings: int
+    files: int
+    rows: int
+    set_aside: int
+    rate_hz: float | None
+    hours: float
+    clock: str
+    frame: str
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Everything a reader needs to judge the logs.
+
+    Attributes:
+        sources: Recordings, put together where alike.
+        files: Path and SHA-256 of the first files; `more_files` others are in the dataset's card.
+        set_aside: Reason and number of rows, most frequent first.
+        warnings: Text and how often, most frequent first; `more_warnings` others.
+        not_read: Path and reason.
+        versions: What made dataset and model.
+    """
+
+    sources: tuple[Source, ...]
+    files: tuple[tuple[str, str], ...]
+    more_files: int
+    set_aside: tuple[tuple[str, int], ...]
+    warnings: tuple[tuple[str, int], ...]
+    more_warnings: int
+    not_read: tuple[tuple[str, str], ...]
+    versions: tuple[tuple[str, str], ...]
+
+
+def provenance(dataset: Dataset, versions: Mapping[str, str]) -> Provenance:
+    """Gather the provenance of `dataset`."""
+    card = dataset.card
+    groups: dict[tuple[str, ...], list[dict[str, Any]]] = defaultdict(list)
+    for record in dataset.recordings:
+        groups[_kind(record)].append(record)
+    aside: Counter[str] = Counter()
+    warned: Counter[str] = Counter(str(text) for text in card.get("warnings", ()))
+    files: list[tuple[str, str]] = []
+    for record in dataset.recordings:
+        for entry in _set_aside(record):
+            aside[str(entry.get("reason", "no reason given"))] += int(entry.get("count", 1))
+        warned.update(str(text) for text in record.get("warnings", ()))
+        files.extend((str(f.get("path", "")), str(f.get("sha256", ""))) for f in record.get("sources", ()))
+    unread = card.get("not_read", ())
+    common = warned.most_common()
+    return Provenance(
+        sources=tuple(_source(kind, records) for kind, records in sorted(groups.items())),
+        files=tuple(files[:MOST_FILES]),
+        more_files=max(0, len(files) - MOST_FILES),
+        set_aside=tuple(aside.most_common()),
+        warnings=tuple(common[:MOST_WARNINGS]),
+        more_warnings=max(0, len(common) - MOST_WARNINGS),
+        not_read=tuple((str(e.get("path", "")), str(e.get("reason", ""))) for e in unread),
+        versions=tuple(versions.items()),
+    )
+
+
+def _kind(record: Mapping[str, Any]) -> tuple[str, ...]:
+    name, version = record.get("adapter", "unknown"), record.get("adapter_version")
+    package = record.get("adapter_package")
+    made = f"{name} ({package} {version})" if package and version else str(name)
+    tables = ", ".join(record.get("tables", ()))
+    return made, tables, _clock(record.get("clock", {})), _frame(record.get("frame", {}))
+
+
+def _clock(clock: Mapping[str, Any]) -> str:
+    """The kind of clock and how it was related; the offset itself differs per recording and stays in the card."""
+    parts = [str(clock[key]) for key in ("kind", "method") if clock.get(key)]
+    rate = float(clock.get("rate", 1.0))
+    if abs(rate - 1.0) > 1e-9:
+        parts.append(f"rate {rate:.6f}")
+    return ", ".join(parts) or "not stated"
+
+
+def _frame(frame: Mapping[str, Any]) -> str:
+    parts = [str(frame["method"])] if frame.get("method") else []
+    xyz = frame.get("xyz_m")
+    if xyz and any(abs(float(v)) > 0 for v in xyz):
+        parts.append("origin at (" + ", ".join(f"{float(v):g}" for v in xyz) + ") m")
+    if frame.get("yaw_deg"):
+        parts.append(f"turned by {float(frame['yaw_deg']):g}°")
+    return ", ".join(parts) or "not stated"
+
+
+def _source(kind: tuple[str, ...], records: Iterable[Mapping[str, Any]]) -> Source:
+    records = list(records)
+    rates = [float(r["rate_hz"]) for r in records if r.get("rate_hz")]
+    return Source(
+        adapter=kind[0],
+        tables=kind[1],
+        recordings=len(records),
+        files=sum(len(r.get("sources", ())) for r in records),
+        rows=sum(int(r.get("rows_read") or sum((r.get("rows") or {}).values())) for r in records),
+        set_aside=sum(int(e.get("count", 1)) for r in records for e in _set_aside(r)),
+        rate_hz=sum(rates) / len(rates) if rates else None,
+        hours=sum(float(r.get("duration_s") or 0.0) for r in records) / 3600,
+        clock=kind[2],
+        frame=kind[3],
+    )
+
+
+def _set_aside(record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    return list(record.get("rows_set_aside") or ())

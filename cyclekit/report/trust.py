@@ -1,0 +1,177 @@
+"""Section 4: what the numbers rest on, how good the model is, and what this page is not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+from cyclekit.report.numbers import count, fixed, percent, significant
+from cyclekit.report.provenance import provenance
+from cyclekit.report.tables import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.dataset import Dataset
+    from cyclekit.report.findings import Overview, Predicts
+    from cyclekit.report.provenance import Provenance
+    from cyclekit.report.texts import Texts
+
+_CARD_METRICS = ("rows", "mse_mean", "mse_argmax", "mae", "bias", "accuracy")
+
+
+class Judged(Protocol):
+    """What the report needs of an evaluation: its numbers as JSON values."""
+
+    def to_json(self) -> dict[str, Any]:
+        """`mse` (rows of name, mse, note), `accuracy`, `confusion` (logged x predicted), `levels`; all optional."""
+        ...
+
+
+def section(
+    texts: Texts, dataset: Dataset, model: Predicts | None, evaluation: Judged | None, seen: Overview
+) -> dict[str, Any]:
+    """Return what the template needs for section 4."""
+    versions = {texts("trust.made_dataset"): f"cyclekit {dataset.card.get('cyclekit_version', 'unknown')}"}
+    versions[texts("trust.layout")] = str(dataset.card.get("schema_version", "unknown"))
+    if model is not None:
+        versions[texts("trust.made_model")] = f"cyclekit {model.card.get('cyclekit', 'unknown')}"
+    origin = provenance(dataset, versions)
+    judged = evaluation.to_json() if evaluation is not None else {}
+    tables = [_model(texts, model, judged), *_confusion(texts, judged), *_data_tables(texts, origin)]
+    return {
+        "facts": _facts(texts, dataset, seen, origin),
+        "tables": tables,
+        "missing": [],
+    }
+
+
+def _facts(texts: Texts, dataset: Dataset, seen: Overview, origin: Provenance) -> list[tuple[str, str]]:
+    runs = dataset.executions
+    hours = float(runs["duration_s"].sum()) / 3600 if runs.height else 0.0
+    length = f"{fixed(hours, 1)} h" if hours >= 1 else f"{fixed(60 * hours, 1)} min"
+    executions = texts("trust.executions_value", all=count(seen.executions), complete=count(seen.complete))
+    facts = [
+        (texts("trust.executions"), executions),
+        (texts("trust.duration"), length),
+        (texts("trust.seen"), percent(seen.operator_seen)),
+        (texts("trust.inferred"), percent(seen.inferred)),
+        (texts("trust.levels"), ", ".join(f"{100 * level:.0f} %" for level in dataset.levels) or "–"),
+    ]
+    return facts + [(name, value) for name, value in origin.versions]
+
+
+def _model(texts: Texts, model: Predicts | None, judged: Mapping[str, Any]) -> Table:
+    if model is None:
+        return Table(title=texts("trust.model"), text=texts("trust.model_none"))
+    rows = [
+        [texts("trust.problem"), str(model.problem), ""],
+        [texts("trust.network"), str(model.network), ""],
+        *_judged_rows(texts, judged),
+    ]
+    if not judged:
+        metrics = model.card.get("metrics") or {}
+        names = {"rows": "rows_held_out"}
+        rows.extend(
+            [texts(f"trust.{names.get(key, key)}"), _metric(key, float(metrics[key])), ""]
+            for key in _CARD_METRICS
+            if metrics.get(key) is not None
+        )
+    heads = [texts("trust.metric"), texts("trust.value"), texts("trust.note")]
+    if not any(row[2] for row in rows):
+        heads, rows = heads[:2], [row[:2] for row in rows]
+    held_out = texts("trust.held_out")
+    return Table(
+        texts("trust.model"), heads, rows, frozenset({1}), silent=True, title=texts("trust.model"), text=held_out
+    )
+
+
+def _judged_rows(texts: Texts, judged: Mapping[str, Any]) -> list[list[str]]:
+    rows = []
+    for entry in judged.get("mse") or ():
+        label = f"{texts('trust.mse_mean')}: {entry.get('name', '')}"
+        rows.append([label, _metric("mse_mean", float(entry["mse"])), str(entry.get("note") or "")])
+    if judged.get("accuracy") is not None:
+        rows.append([texts("trust.accuracy"), percent(float(judged["accuracy"])), ""])
+    return rows
+
+
+def _metric(key: str, value: float) -> str:
+    if key == "rows":
+        return count(int(value))
+    if key == "accuracy":
+        return percent(value)
+    if 0 < abs(value) < 1e-3:
+        mantissa, exponent = f"{value:.2e}".split("e")
+        return f"{mantissa.replace('-', '−')} · 10{_superscript(int(exponent))}"
+    return significant(value)
+
+
+def _superscript(number: int) -> str:
+    return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def _confusion(texts: Texts, judged: Mapping[str, Any]) -> list[Table]:
+    matrix: Sequence[Sequence[float]] = judged.get("confusion") or ()
+    levels: Sequence[float] = judged.get("levels") or ()
+    if not matrix or len(matrix) != len(levels):
+        return []
+    names = [f"{100 * float(level):.0f} %" for level in levels]
+    rows = []
+    for name, line in zip(names, matrix, strict=True):
+        total = float(sum(line))
+        rows.append([name, *(fixed(100 * float(v) / total, 1) if total else "–" for v in line)])
+    caption = texts("trust.confusion")
+    return [
+        Table(
+            caption, [texts("trust.truth"), *names], rows, frozenset(range(len(names) + 1)), silent=True, title=caption
+        )
+    ]
+
+
+def _data_tables(texts: Texts, origin: Provenance) -> list[Table]:
+    none = texts("trust.none")
+    warnings = [text if n == 1 else texts("trust.times", text=text, count=n) for text, n in origin.warnings]
+    after = texts("trust.more_warnings", count=origin.more_warnings) if origin.more_warnings else ""
+    tables = [
+        Table(title=texts("trust.warnings"), text="" if warnings else none, items=warnings, after=after),
+        _sources(texts, origin),
+        Table(
+            texts("trust.aside_title"),
+            [texts("trust.reason"), texts("trust.rows")],
+            [[reason, count(rows)] for reason, rows in origin.set_aside],
+            frozenset({1}),
+            silent=True,
+            title=texts("trust.aside_title"),
+            text="" if origin.set_aside else none,
+        ),
+    ]
+    if origin.not_read:
+        title, heads = texts("trust.not_read"), [texts("trust.path"), texts("trust.reason")]
+        tables.append(Table(title, heads, [list(pair) for pair in origin.not_read[:50]], silent=True, title=title))
+    if origin.files:
+        title, heads = texts("trust.files"), [texts("trust.path"), "SHA-256"]
+        more = texts("trust.more_files", count=origin.more_files) if origin.more_files else ""
+        files = [[path, f"{digest[:16]}…" if digest else "–"] for path, digest in origin.files]
+        tables.append(Table(title, heads, files, silent=True, title=title, after=more))
+    return tables
+
+
+def _sources(texts: Texts, origin: Provenance) -> Table:
+    names = ("reader", "tables", "recordings", "rows", "aside", "rate", "length", "clock", "frame")
+    heads = [texts(f"trust.{name}") for name in names]
+    rows = [
+        [
+            s.adapter,
+            s.tables,
+            count(s.recordings),
+            count(s.rows),
+            count(s.set_aside),
+            significant(s.rate_hz),
+            significant(s.hours, 2),
+            s.clock,
+            s.frame,
+        ]
+        for s in origin.sources
+    ]
+    title = texts("trust.sources")
+    return Table(title, heads, rows, frozenset(range(2, 7)), silent=True, title=title)

@@ -1,0 +1,140 @@
+"""The canonical tables: every column, its type, its unit and what it means.
+
+Adapters fill ROBOT, PEOPLE and EVENTS; ingest makes SAMPLES and TASKS of them. A null always means "unknown", never
+zero. What is computed from the columns is the business of the rooms that use them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.errors import ShapeError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+SCHEMA_VERSION = 1
+"""Version of the dataset layout; a dataset of another version is refused, never half-read."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a canonical table."""
+
+    dtype: pl.DataType
+    unit: str
+    meaning: str
+
+
+F64, I64, TEXT, FLAG = pl.Float64(), pl.Int64(), pl.String(), pl.Boolean()
+
+ROBOT: Mapping[str, Column] = {
+    "t_s": Column(F64, "s", "time in the log's own clock, strictly increasing within a run"),
+    "tcp_x_m": Column(F64, "m", "tool centre point, robot base frame"),
+    "tcp_y_m": Column(F64, "m", "tool centre point, robot base frame"),
+    "tcp_z_m": Column(F64, "m", "tool centre point, robot base frame"),
+    "tcp_speed_m_s": Column(F64, "m/s", "norm of the linear TCP velocity, where the log has it"),
+    "scaling": Column(F64, "1", "effective speed scaling in [0,1] where logged and valid; null elsewhere"),
+    "slider": Column(F64, "1", "the operator's speed slider (target fraction) in [0,1], where logged"),
+    "state": Column(TEXT, "", "program state: playing, paused, stopped; null = not logged"),
+    "digital_out_bits": Column(I64, "", "digital outputs as a bit field, where logged"),
+    "register": Column(I64, "", "the integer register chosen for the cell, where logged"),
+    "source_row": Column(I64, "", "0-based data row (or message index) in the source file"),
+}
+"""Robot recording at its native rate. Joint columns `q<i>_rad` and `qd<i>_rad_s` may follow (see `is_joint`)."""
+
+PEOPLE: Mapping[str, Column] = {
+    "t_s": Column(F64, "s", "time in the log's own clock"),
+    "person": Column(TEXT, "", "track id as the tracker gives it"),
+    "x_m": Column(F64, "m", "position of the person's tracked point, the log's own frame; null = not seen"),
+    "y_m": Column(F64, "m", "as x_m"),
+    "z_m": Column(F64, "m", "as x_m; null for a planar tracker"),
+    "source_row": Column(I64, "", "0-based data row (or message index) in the source file"),
+}
+
+EVENTS: Mapping[str, Column] = {
+    "t_s": Column(F64, "s", "time in the log's own clock"),
+    "signal": Column(TEXT, "", "which signal: a button, a PLC tag, a digital input"),
+    "value": Column(TEXT, "", "its new value, as text"),
+    "source_row": Column(I64, "", "0-based data row (or message index) in the source file"),
+}
+
+SAMPLES: Mapping[str, Column] = {
+    "execution": Column(TEXT, "", "which execution of the process"),
+    "t_s": Column(F64, "s", "time since the session began, robot clock"),
+    "robot_x_m": Column(F64, "m", "x_r: TCP, base frame"),
+    "robot_y_m": Column(F64, "m", "x_r"),
+    "robot_z_m": Column(F64, "m", "x_r"),
+    "human_x_m": Column(F64, "m", "x_h: operator, base frame; null = absent or not seen"),
+    "human_y_m": Column(F64, "m", "x_h"),
+    "human_z_m": Column(F64, "m", "x_h"),
+    "robot_goal_x_m": Column(F64, "m", "g_r: end of the robot's running motion"),
+    "robot_goal_y_m": Column(F64, "m", "g_r"),
+    "robot_goal_z_m": Column(F64, "m", "g_r"),
+    "human_goal_x_m": Column(F64, "m", "g_h: end of the operator's running task"),
+    "human_goal_y_m": Column(F64, "m", "g_h"),
+    "human_goal_z_m": Column(F64, "m", "g_h"),
+    "scaling": Column(F64, "1", "s: speed scaling in force; null = unknown"),
+    "scaling_origin": Column(TEXT, "", "logged or inferred; null where scaling is null"),
+    "step": Column(pl.Int32(), "", "index of the staircase level, ascending; null = unknown or in a ramp"),
+    "robot_task": Column(TEXT, "", "running task, `start->goal`"),
+    "human_task": Column(TEXT, "", "the operator's running task: the place it ends at"),
+    "robot_moving": Column(FLAG, "", "true while the robot is on its way, halted by safety or not"),
+}
+"""10 Hz samples in one clock and one base frame."""
+
+TASKS: Mapping[str, Column] = {
+    "execution": Column(TEXT, "", "which execution of the process"),
+    "index": Column(pl.Int32(), "", "0-based order within the execution"),
+    "task": Column(TEXT, "", "`start->goal`"),
+    "start_place": Column(TEXT, "", "where the motion starts"),
+    "goal_place": Column(TEXT, "", "where it ends and the dwell happens"),
+    "start_s": Column(F64, "s", "start of the motion, session time"),
+    "arrival_s": Column(F64, "s", "end of the motion, session time"),
+    "end_s": Column(F64, "s", "end of dwell and wait, session time"),
+    "nominal_s": Column(F64, "s", "duration of the motion at scaling 1; null = scaling unknown"),
+    "safety_loss_s": Column(F64, "s", "time lost to slow-down: integral of (1 - s) over the motion"),
+    "dwell_s": Column(F64, "s", "process time at the goal"),
+    "wait_s": Column(F64, "s", "standstill at the goal beyond dwell, not explained by safety"),
+}
+"""One row per executed robot task: nominal + safety loss + dwell + wait = end - start."""
+
+
+def is_joint(name: str) -> bool:
+    """Tell whether a column is a joint angle (`q3_rad`) or joint speed (`qd3_rad_s`)."""
+    stem, _, unit = name.partition("_")
+    digits = stem.removeprefix("qd") if stem.startswith("qd") else stem.removeprefix("q")
+    return stem.startswith("q") and digits.isdigit() and unit == ("rad_s" if stem.startswith("qd") else "rad")
+
+
+def empty(table: Mapping[str, Column]) -> pl.DataFrame:
+    """Return a frame of no rows with exactly the columns of `table`."""
+    return pl.DataFrame(schema={name: column.dtype for name, column in table.items()})
+
+
+def conform(frame: pl.DataFrame, table: Mapping[str, Column]) -> pl.DataFrame:
+    """Return `frame` with the columns of `table`, in order and type; absent ones are null.
+
+    Joint columns are kept behind the others when `table` is ROBOT.
+
+    Raises:
+        ShapeError: `frame` has a column that the table does not know (a slip in an adapter).
+    """
+    joints = sorted((c for c in frame.columns if is_joint(c)), key=_joint_order) if table is ROBOT else []
+    if unknown := set(frame.columns) - set(table) - set(joints):
+        msg = f"columns {sorted(unknown)} are not in the canonical table ({', '.join(table)})"
+        raise ShapeError(msg)
+    have = set(frame.columns)
+    columns = [
+        (pl.col(name) if name in have else pl.lit(None)).cast(column.dtype).alias(name)
+        for name, column in table.items()
+    ]
+    return frame.select(*columns, *(pl.col(name).cast(F64) for name in joints))
+
+
+def _joint_order(name: str) -> tuple[bool, int]:
+    speed = name.startswith("qd")
+    return speed, int(name.removeprefix("qd" if speed else "q").partition("_")[0])

@@ -1,0 +1,80 @@
+"""The sequence file: which task sequences are asked for, in which order the robot visits its places.
+
+Whether the places exist and the tasks were ever logged is found out by `estimate`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.toml_file import list_at, read_toml
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+
+@dataclass(frozen=True)
+class TaskSequence:
+    """What the robot shall do: ordered places, the start first; optionally what the operator does meanwhile."""
+
+    name: str
+    places: tuple[str, ...]
+    operator: tuple[str, ...] | None = None
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks `start->goal` in order."""
+        return tuple(f"{a}->{b}" for a, b in pairwise(self.places))
+
+
+def load_sequences(path: Path) -> list[TaskSequence]:
+    """Read a sequence file: `[[sequence]]` with `name` and `places` (or `tasks`), optionally `operator`.
+
+    Raises:
+        ConfigError: The file cannot be read, holds no sequence, or a sequence is not one.
+    """
+    raw = read_toml(path)
+    for key in raw:
+        if key != "sequence":
+            raise UnknownName(str(path), "key", key, ["sequence"])
+    entries = list_at(str(path), raw, "sequence")
+    if not entries:
+        msg = f"{path}: no [[sequence]] in it"
+        raise ConfigError(msg, cure='Add one: [[sequence]] name = "A" places = ["home", "conveyor", "left_1", "home"]')
+    found = [_sequence(f"{path} sequence[{i}]", entry, i) for i, entry in enumerate(entries)]
+    names = [sequence.name for sequence in found]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        msg = f"{path}: sequence name {twice[0]!r} is used twice"
+        raise ConfigError(msg, cure="Give each sequence a name of its own.")
+    return found
+
+
+def _sequence(where: str, entry: Mapping[str, Any], index: int) -> TaskSequence:
+    for key in entry:
+        if key not in {"name", "places", "tasks", "operator"}:
+            raise UnknownName(where, "key", key, ["name", "places", "tasks", "operator"])
+    if ("places" in entry) == ("tasks" in entry):
+        raise ConfigError(f"{where}: needs either places or tasks", cure='places = ["home", "conveyor", "left_1"]')
+    if "tasks" in entry:
+        places = _joined(where, [str(task) for task in list_at(where, entry, "tasks")])
+    else:
+        places = tuple(map(str, list_at(where, entry, "places")))
+    if len(places) < 2:
+        raise ConfigError(f"{where}: a sequence needs at least two places", cure="Name the start, then each goal.")
+    operator = tuple(map(str, list_at(where, entry, "operator"))) if "operator" in entry else None
+    return TaskSequence(str(entry.get("name", f"sequence {index + 1}")), places, operator)
+
+
+def _joined(where: str, tasks: list[str]) -> tuple[str, ...]:
+    pairs = [task.split("->") for task in tasks]
+    if bad := [task for task, pair in zip(tasks, pairs, strict=True) if len(pair) != 2 or not all(pair)]:
+        raise ConfigError(f"{where}: {bad[0]!r} is no task", cure="Write a task as 'start->goal'.")
+    for before, after in pairwise(pairs):
+        if before[1] != after[0]:
+            seen = f"{where}: task {'->'.join(after)!r} does not start where {'->'.join(before)!r} ends"
+            raise ConfigError(seen, cure="A robot cannot jump: insert the task between them.")
+    return (*(pair[0] for pair in pairs), pairs[-1][1]) if pairs else ()

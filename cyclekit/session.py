@@ -1,0 +1,98 @@
+"""A session: recordings that share a time, and the sample times of its executions.
+
+Only the data that pass between `ingest`, `derive` and `activity`; which recordings belong together is decided here,
+folder by folder.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+    import polars as pl
+    from numpy.typing import NDArray
+
+
+@dataclass
+class Session:
+    """Recordings that share a time; filled step by step.
+
+    Attributes:
+        entries: Provenance entries of the recordings, the clock's master first.
+        runs: Numbers of its runs in the list of all runs.
+        span_s: First and last time of a session without a robot, session seconds.
+    """
+
+    name: str
+    entries: list[dict[str, Any]]
+    reference: bool = False
+    runs: list[int] = field(default_factory=list)
+    span_s: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The sample times of one execution and what the robot did then."""
+
+    session: Session
+    execution: str
+    t_s: NDArray[np.float64]
+    frame: pl.DataFrame
+    human_m: NDArray[np.float64]
+
+
+def group_sessions(entries: list[dict[str, Any]], is_reference: Callable[[str], bool]) -> list[Session]:
+    """Group recordings that share a time: all of them if there is one robot log, else folder by folder."""
+    robots = [entry for entry in entries if "robot" in entry["tables"]]
+    others = [entry for entry in entries if "robot" not in entry["tables"]]
+    if len(robots) == 1 and len({tuple(entry["tables"]) for entry in others}) == len(others):
+        groups = [[robots[0], *others]]
+    else:
+        groups = []
+        for folder in dict.fromkeys(_folder(entry) for entry in entries):
+            here = [entry for entry in entries if _folder(entry) == folder]
+            groups += _in_folder(folder, [e for e in here if e in robots], [e for e in here if e in others])
+    sessions: list[Session] = []
+    for group in groups:
+        name = _session_name(group, {session.name for session in sessions})
+        shown = group[0]["sources"][0]["path"]
+        reference = is_reference(shown)
+        for entry in group:
+            entry["session"] = name
+        sessions.append(Session(name, group, reference))
+    return sessions
+
+
+def _folder(entry: dict[str, Any]) -> str:
+    source = entry["sources"][0]["path"]
+    parts = Path(source).parts[:-1]
+    return "/".join(parts[:-1] if len(entry["sources"]) > 1 else parts)
+
+
+def _in_folder(folder: str, robots: list[dict[str, Any]], others: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    if len(robots) == 1:
+        return [[robots[0], *others]]
+    if robots and others:
+        every = [entry["sources"][0]["path"] for entry in robots + others]
+        msg = (
+            f"{folder or 'the logs'}: {len(robots)} robot logs and {len(others)} others, unclear which belong together"
+        )
+        raise ConfigError(msg, cure=f"Put each session into a folder of its own ({', '.join(every[:4])}, …).")
+    return [[entry] for entry in robots + others]
+
+
+def _session_name(group: list[dict[str, Any]], taken: set[str]) -> str:
+    folder = _folder(group[0]).replace("/", ".")
+    name = folder if folder and folder not in taken else group[0]["id"]
+    number = 1
+    while name in taken:
+        number += 1
+        name = f"{group[0]['id']}-{number}"
+    return name

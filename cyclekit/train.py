@@ -1,0 +1,162 @@
+"""Learn the speed scaling from a dataset: find the levels, divide the executions, fit the network, judge it.
+
+Executions are divided three ways: most to learn from, some of those to decide which epoch's weights are kept, and a
+held-out part that is only looked at once, for the metrics in the model's card. The levels are found in the executions
+to learn from alone. How a network is built is in `models.network`; what comes out needs no torch any more.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import cyclekit
+from cyclekit import schema
+from cyclekit.errors import DatasetError, MissingExtra
+from cyclekit.models.metrics import measure
+from cyclekit.models.saved import MODEL_VERSION, TrainedModel
+from cyclekit.samples import Samples, build_samples, scaling_without_operator, split_executions
+from cyclekit.steps import Staircase, find_staircase
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import polars as pl
+
+    from cyclekit.dataset import Dataset
+    from cyclekit.models.spec import ModelSpec
+
+    Progress = Callable[[float, str], None]
+
+MIN_ROWS = 100
+"""Fewer rows than this (10 s of log) teach nothing."""
+MIN_EXECUTIONS = 3
+"""One to learn from, one to choose the epoch, one to judge by."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """Which executions served for what, by name."""
+
+    train: tuple[str, ...]
+    validation: tuple[str, ...]
+    test: tuple[str, ...]
+
+
+def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None) -> TrainedModel:
+    """Train the network of `spec` on `dataset` and judge it on held-out executions.
+
+    Args:
+        dataset: With a speed scaling, logged or inferred, and positions of robot and operator.
+        spec: What to train.
+        progress: Told the fraction done and the validation error after every epoch.
+
+    Returns:
+        The model with the weights of its best epoch. Its card holds `metrics` on the held-out executions, the
+        `split`, `levels` with their shares, `history`, what was `dropped` and why, and where the data came from.
+
+    Raises:
+        DatasetError: The dataset lacks what training needs; the message says what.
+        MissingExtra: torch is not installed.
+    """
+    _need_torch()
+    from cyclekit.models.fitting import fit  # here, so that this module can be imported without torch
+
+    frame = dataset.samples(dataset.executions["execution"].to_list())
+    rows = _usable_rows(dataset, frame, spec)
+    split = _split(dataset, rows, spec)
+    seen = frame.filter(frame["execution"].is_in([*split.train, *split.validation]))
+    staircase = _staircase(dataset, seen, spec)
+    levels = tuple(round(float(level), 6) for level in staircase.levels)
+    rows = rows.labelled(levels) if spec.problem != "average" else rows
+    learn, check, held_out = (rows.of(part) for part in (split.train, split.validation, split.test))
+    fitted = fit(spec, learn, check, levels, progress)
+    model = TrainedModel(spec.problem, spec.network, spec.horizon_s, levels, fitted.layers)
+    card = {
+        **_origin(dataset, spec),
+        "metrics": measure(model, held_out).to_json(),
+        "levels": [{"value": v, "share": round(float(s), 6)} for v, s in zip(levels, staircase.share, strict=True)],
+        "warnings": list(staircase.warnings),
+        "scaling_without_operator": scaling_without_operator(seen),
+        "mean_scaling": float(learn.scaling.mean()),
+        "rows": {"train": len(learn), "validation": len(check), "test": len(held_out)},
+        "dropped": dict(rows.dropped),
+        "inputs": list(rows.inputs),
+        "standardisation": {"mean_m": fitted.mean.tolist(), "scale_1_m": fitted.scale.tolist()},
+        "split": asdict(split),
+        "history": [asdict(epoch) for epoch in fitted.history],
+    }
+    return replace(model, card=card)
+
+
+def fingerprint(dataset: Dataset) -> str:
+    """Return the SHA-256 of what the dataset says about itself: same fingerprint, same data."""
+    text = json.dumps(dataset.card, sort_keys=True, ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _need_torch() -> None:
+    try:
+        import torch  # noqa: F401
+    except ImportError as error:
+        raise MissingExtra("torch", "train", "training") from error
+
+
+def _origin(dataset: Dataset, spec: ModelSpec) -> dict[str, Any]:
+    return {
+        "cyclekit": cyclekit.__version__,
+        "schema_version": schema.SCHEMA_VERSION,
+        "model_version": MODEL_VERSION,
+        "spec": asdict(spec),
+        "problem": spec.problem,
+        "network": spec.network,
+        "horizon_s": spec.horizon_s,
+        "seed": spec.seed,
+        "dataset": dataset.path.name,
+        "dataset_sha256": fingerprint(dataset),
+    }
+
+
+def _usable_rows(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Samples:
+    rows = build_samples(frame, spec.problem, spec.horizon_s, ())
+    if frame["scaling"].is_null().all():
+        cure = "Log the scaling, or give a reference run without the operator in cell.toml so that it can be inferred."
+        msg = f"{dataset.path}: the speed scaling is unknown in all {frame.height} samples, so nothing can be learned"
+        raise DatasetError(msg, cure=cure)
+    if len(rows) < MIN_ROWS:
+        why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "the log is that short"
+        msg = f"{dataset.path}: only {len(rows)} of {frame.height} samples can be learned from ({why})"
+        raise DatasetError(
+            msg, cure=f"At least {MIN_ROWS} are needed. See what the logs lack: cyclekit inspect DATASET"
+        )
+    return rows
+
+
+def _split(dataset: Dataset, rows: Samples, spec: ModelSpec) -> Split:
+    names = [rows.executions[i] for i in np.unique(rows.execution)]
+    if len(names) < MIN_EXECUTIONS:
+        msg = f"{dataset.path}: {len(names)} usable execution(s); at least {MIN_EXECUTIONS} are needed"
+        cure = "One to learn from, one to stop at, one to judge by: log more, or mark in cell.toml how they begin."
+        raise DatasetError(msg, cure=cure)
+    learn, test = split_executions(names, test_fraction=spec.test_fraction, seed=spec.seed)
+    if len(learn) < 2:
+        learn, test = (*learn, *test[1:]), test[:1]
+    fit, validation = split_executions(learn, test_fraction=spec.validation_fraction, seed=spec.seed)
+    return Split(fit, validation, test)
+
+
+def _staircase(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Staircase:
+    """Find the levels; a network that names steps needs at least two of them."""
+    scaling = frame["scaling"].fill_null(np.nan).to_numpy()
+    staircase = find_staircase(scaling)
+    if np.nanmax(scaling) - np.nanmin(scaling) < 1e-6:
+        msg = f"{dataset.path}: the speed scaling is {np.nanmax(scaling):.2f} throughout, so there is nothing to learn"
+        raise DatasetError(msg, cure="Log executions in which the operator comes near enough to slow the robot.")
+    if spec.network != "regressor" and staircase.levels.size < 2:
+        msg = f"{dataset.path}: a {spec.network} needs at least two levels, but {'; '.join(staircase.warnings)}"
+        raise DatasetError(msg, cure="Train a network that needs none: --network regressor")
+    return staircase

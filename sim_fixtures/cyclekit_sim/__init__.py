@@ -1,0 +1,19 @@
+"""cyclekit_sim: seeded human-robot cells that write plant logs in vendor formats, with their ground truth beside them.
+
+It imports nothing of cyclekit: what tests a computation may not share it.
+"""
+
+from cyclekit_sim.errors import SimulationError
+from cyclekit_sim.options import SimulationOptions
+from cyclekit_sim.scenes import SCENES
+from cyclekit_sim.simulate import random_sequence, scene_places, simulate, simulate_sequence
+
+__all__ = [
+    "SCENES",
+    "SimulationError",
+    "SimulationOptions",
+    "random_sequence",
+    "scene_places",
+    "simulate",
+    "simulate_sequence",
+]

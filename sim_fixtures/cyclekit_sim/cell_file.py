@@ -1,0 +1,48 @@
+"""The cell file beside the logs: what an integrator would have written down about this cell.
+
+It tells places, roles, frames and the offset between the clocks; it tells neither the safety function nor the
+imperfections that were asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from cyclekit_sim.options import SimulationOptions
+from cyclekit_sim.scenes import Scene
+from cyclekit_sim.tracker import lead_s
+from cyclekit_sim.write_csv import UPTIME_S
+
+_ROBOT_RADIUS_M = 0.05
+
+
+def cell_file(scene: Scene, options: SimulationOptions) -> str:
+    """Return the text of cell.toml."""
+    lines = [f'name = "{scene.name}"', 'ignore = ["truth/*"]']
+    lines += _bag_sources() if options.logs == "mcap" else _csv_sources(options)
+    for name, xyz_m in scene.places.items():
+        lines += ["", f"[places.{name}]", f"xyz_m = {_numbers(xyz_m)}", f"radius_m = {_ROBOT_RADIUS_M}"]
+    for name, station in scene.stations.items():
+        where = f"xyz_m = {_numbers(station.xyz_m)}"
+        lines += ["", f"[human_places.{name}]", where, f"radius_m = {station.radius_m}"]
+    return "\n".join(lines) + "\n"
+
+
+def _csv_sources(options: SimulationOptions) -> list[str]:
+    offset = f"clock_offset_s = {UPTIME_S - lead_s(options):.3f}  # this log's time + this = the robot log's time"
+    frame = f"frame = {{ xyz_m = {_numbers(options.tracker_xyz_m)}, yaw_deg = {options.tracker_yaw_deg} }}"
+    names = 'time = "time", time_unit = "s", signal = "signal", value = "value"'
+    return [
+        *("", "[[sources]]", 'path = "session_*/robot.csv"', 'role = "robot"'),
+        *("", "[[sources]]", 'path = "session_*/operator.csv"', 'role = "people"', offset, frame),
+        *("", "[[sources]]", 'path = "session_*/events.csv"', 'role = "events"', 'adapter = "csv"', offset),
+        f'map = {{ delimiter = ",", {names} }}',
+    ]
+
+
+def _bag_sources() -> list[str]:
+    return ["", "[[sources]]", 'path = "session_*/*.mcap"']
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return "[" + ", ".join(repr(float(value)) for value in values) + "]"

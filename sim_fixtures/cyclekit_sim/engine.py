@@ -1,0 +1,180 @@
+"""The cell in motion: programs, tracks and a safety function stepped together, one control cycle at a time.
+
+The scaling acts as time scaling: while the robot moves, the nominal time of its program advances at the rate s; while
+it dwells or waits, at rate 1. Many cells are stepped side by side. What comes out is bare (nominal time, s, segment
+per cycle, and when each segment ended); turning it into logs and truth is the business of the writers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cyclekit_sim.arm import Array
+from cyclekit_sim.errors import SimulationError
+from cyclekit_sim.motion import MotionTable
+from cyclekit_sim.options import SimulationOptions
+from cyclekit_sim.program import MOVE, Ints, Program
+from cyclekit_sim.safety import SafetyFunction, SpeedScaling
+from cyclekit_sim.walking import Track
+
+_CHUNK = 1024  # cycles between two looks at whether all are done
+_SLOWEST = 20.0  # a run this many times longer than its nominal time is stuck
+_FAR_M = 1e6  # where nobody stands
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What one run did: K control cycles, S segments.
+
+    Attributes:
+        program: What was run.
+        track: Who walked.
+        nominal_s: Nominal time since the start of the running segment, at the start of each cycle (K,).
+        scaling: s, held over the cycle (K,).
+        segment: Running segment (K,).
+        ends_s: Real time since the start of the run when each segment ended (S,).
+        cycle_s: Length of a cycle.
+    """
+
+    program: Program
+    track: Track
+    nominal_s: Array
+    scaling: Array
+    segment: Ints
+    ends_s: Array
+    cycle_s: float
+
+    @property
+    def duration_s(self) -> float:
+        """How long the run took."""
+        return float(self.ends_s[-1])
+
+    @property
+    def begins_s(self) -> Array:
+        """Real time since the start of the run when each segment began (S,)."""
+        return np.concatenate([[0.0], self.ends_s[:-1]])
+
+    def rows(self) -> tuple[Ints, Array]:
+        """Return the row of the motion table at the start of each cycle (K,), and the way to the next one (K,)."""
+        return table_rows(self.program.row[self.segment], self.nominal_s, self.program.rows_per_s[self.segment])
+
+
+def table_rows(first: Ints, nominal_s: Array, rows_per_s: Array) -> tuple[Ints, Array]:
+    """Return table rows and the ways to the next row in [0, 1).
+
+    The way is taken from the start of the segment, so that it does not depend on where in the table the move lies.
+    """
+    within = nominal_s * rows_per_s
+    below = within.astype(np.int64)
+    return first + below, within - below
+
+
+class _Line:
+    """The segments of B programs side by side, each closed by an endless stand; flat index = base + segment."""
+
+    def __init__(self, programs: Sequence[Program]) -> None:
+        width = max(len(program.kind) for program in programs) + 1
+        shape = (len(programs), width)
+        length_s, rows_per_s = np.full(shape, np.inf), np.zeros(shape)
+        row, moving = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
+        for b, program in enumerate(programs):
+            count = len(program.kind)
+            length_s[b, :count] = program.length_s
+            row[b, :count] = program.row
+            row[b, count:] = program.row[-1] + round(program.length_s[-1] * program.rows_per_s[-1])
+            rows_per_s[b, :count] = program.rows_per_s
+            moving[b, :count] = program.kind == MOVE
+        self.length_s, self.row, self.rows_per_s = length_s.ravel(), row.ravel(), rows_per_s.ravel()
+        self.moving = moving.ravel()
+        self.base = np.arange(len(programs)) * width
+        self.last = np.array([len(program.kind) for program in programs])
+
+
+class _Cells:
+    """B cells at one instant: segment, nominal time in it, and when the segments before it ended."""
+
+    def __init__(self, programs: Sequence[Program], table: MotionTable, scaling: SpeedScaling, cycle_s: float) -> None:
+        self._line, self._scaling, self._cycle_s = _Line(programs), scaling, cycle_s
+        self._tcp, self._tcp_step = table.tcp_m, np.diff(table.tcp_m, axis=0, append=table.tcp_m[-1:])
+        self._nominal_s = np.zeros(len(programs))
+        self._segment = np.zeros(len(programs), dtype=np.int64)
+        self.ends_s = [np.zeros(len(program.kind)) for program in programs]
+
+    @property
+    def running(self) -> NDArray[np.bool_]:
+        """Which cells are not done yet (B,)."""
+        return np.asarray(self._segment < self._line.last)
+
+    @property
+    def share_done(self) -> float:
+        """Fraction of all segments done."""
+        return float(np.mean(self._segment / self._line.last))
+
+    def step(self, t_s: float, person_m: Array) -> tuple[Array, Array, Ints]:
+        """Go on by one cycle from `t_s`; return nominal time, s and segment (B,) as they were at its start."""
+        line, dt, u = self._line, self._cycle_s, self._nominal_s
+        segment = self._segment.copy()
+        flat = line.base + segment
+        row, way = table_rows(line.row[flat], u, line.rows_per_s[flat])
+        s = self._scaling.advance(self._tcp[row] + way[:, None] * self._tcp_step[row], person_m)
+        rate = np.where(line.moving[flat], s, 1.0)
+        left = line.length_s[flat] - u
+        self._nominal_s = u + rate * dt
+        for b in np.flatnonzero(rate * dt >= left).tolist():
+            used = left[b] / rate[b]
+            self.ends_s[b][segment[b]] = t_s + used
+            self._segment[b] += 1
+            self._nominal_s[b] = (dt - used) * (s[b] if line.moving[flat[b] + 1] else 1.0)
+        return u, s, segment
+
+
+def run(
+    programs: Sequence[Program],
+    tracks: Sequence[Track],
+    *,
+    table: MotionTable,
+    safety: SafetyFunction,
+    options: SimulationOptions,
+    progress: Callable[[float], None] | None = None,
+) -> list[Trace]:
+    """Step B programs against B tracks until the last one is done.
+
+    Raises:
+        SimulationError: A robot never gets done, because the person never leaves its way.
+    """
+    cells = _Cells(programs, table, SpeedScaling(safety, options), options.cycle_s)
+    records: list[tuple[Array, Array, Ints]] = []
+    limit_s = _SLOWEST * max(float(program.length_s.sum()) for program in programs)
+    while cells.running.any():
+        times = np.asarray((len(records) * _CHUNK + np.arange(_CHUNK)) * options.cycle_s, dtype=np.float64)
+        if times[0] > limit_s:
+            raise SimulationError(_stuck(programs[int(np.flatnonzero(cells.running)[0])], limit_s))
+        people = np.stack([track.at(times) for track in tracks], axis=1)
+        people = np.where(np.isnan(people), _FAR_M, people)
+        steps = [cells.step(t_s, person) for t_s, person in zip(times.tolist(), people, strict=True)]
+        records.append((_stack(steps, 0), _stack(steps, 1), np.stack([step[2] for step in steps])))
+        if progress is not None:
+            progress(cells.share_done)
+    nominal_s, scaling = (np.concatenate([record[i] for record in records]) for i in (0, 1))
+    segment = np.concatenate([record[2] for record in records])
+    traces = []
+    for b, (program, track, ends_s) in enumerate(zip(programs, tracks, cells.ends_s, strict=True)):
+        n = int(np.ceil(ends_s[-1] / options.cycle_s - 1e-9))
+        parts = nominal_s[:n, b].copy(), scaling[:n, b].copy(), segment[:n, b].copy()
+        traces.append(Trace(program, track, *parts, ends_s, options.cycle_s))
+    return traces
+
+
+def _stack(steps: list[tuple[Array, Array, Ints]], column: int) -> Array:
+    return np.stack([np.asarray(step[column], dtype=np.float64) for step in steps])
+
+
+def _stuck(program: Program, limit_s: float) -> str:
+    return (
+        f"execution {program.executions[0].index} is not done after {limit_s:.0f} s: somebody stands so near that the "
+        "robot never moves on. Move the operator (operator_xyz_m, operator_yaw_deg) farther from the robot."
+    )

@@ -1,0 +1,89 @@
+"""Robot motion at full override: each move planned once, sampled finely in nominal time.
+
+A move goes joint to joint between two places, time-optimal and jerk-limited. The safety function later stretches time
+along these tables and never changes their path. Which moves are made in which order is the business of `program`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from ruckig import InputParameter, Result, Ruckig, Trajectory
+
+from cyclekit_sim.arm import Array, forward, jacobian, quaternion, reach
+from cyclekit_sim.errors import SimulationError
+
+Place = tuple[float, float, float]
+# The speed and acceleration that UR's own movej takes by default (60 deg/s, 80 deg/s^2); the jerk is ours.
+SPEED_RAD_S = 1.05
+ACCELERATION_RAD_S2 = 1.4
+JERK_RAD_S3 = 10.0
+_GRID_S = 0.001
+
+
+@dataclass(frozen=True)
+class MotionTable:
+    """All moves, stacked row by row (R rows, about 1 ms of nominal time apart).
+
+    Attributes:
+        q_rad: Joints (R, 6).
+        qd_rad_s: Joint speeds at full override (R, 6).
+        tcp_m: TCP position (R, 3), base frame.
+        quaternion: TCP orientation x, y, z, w (R, 4).
+        twist: TCP velocity at full override, linear m/s and angular rad/s (R, 6).
+        first_row: Row where the move of a (start, goal) pair begins.
+        rows: Number of steps of that move; it has one row more.
+        duration_s: Nominal duration of that move.
+    """
+
+    q_rad: Array
+    qd_rad_s: Array
+    tcp_m: Array
+    quaternion: Array
+    twist: Array
+    first_row: dict[tuple[str, str], int]
+    rows: dict[tuple[str, str], int]
+    duration_s: dict[tuple[str, str], float]
+
+
+def plan_moves(places: Mapping[str, Place], pairs: Iterable[tuple[str, str]]) -> MotionTable:
+    """Plan the move of every (start, goal) pair of place names.
+
+    Raises:
+        SimulationError: A place is out of reach, or ruckig finds no motion.
+    """
+    wanted = sorted(set(pairs))
+    joints = {name: reach(places[name]) for name in sorted({name for pair in wanted for name in pair})}
+    first_row, rows, duration_s = {}, {}, {}
+    parts: list[tuple[Array, ...]] = []
+    at = 0
+    for pair in wanted:
+        q, qd, duration = _plan(joints[pair[0]], joints[pair[1]])
+        first_row[pair], rows[pair], duration_s[pair] = at, len(q) - 1, duration
+        at += len(q)
+        # Move by move, so that a move is the same to the last bit whatever other moves are planned with it.
+        tcp_m, rotation = forward(q)
+        twist = np.einsum("tij,tj->ti", jacobian(q), qd)
+        parts.append((q, qd, tcp_m, quaternion(rotation), twist))
+    q_rad, qd_rad_s, tcp_m, turned, twist = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return MotionTable(q_rad, qd_rad_s, tcp_m, turned, twist, first_row, rows, duration_s)
+
+
+def _plan(start: Array, goal: Array) -> tuple[Array, Array, float]:
+    """Return joints and joint speeds of one move on an even grid that ends exactly at its end, and its duration."""
+    task = InputParameter(6)
+    task.current_position, task.target_position = start.tolist(), goal.tolist()
+    task.max_velocity = [SPEED_RAD_S] * 6
+    task.max_acceleration = [ACCELERATION_RAD_S2] * 6
+    task.max_jerk = [JERK_RAD_S3] * 6
+    path = Trajectory(6)
+    result = Ruckig(6).calculate(task, path)
+    if result not in (Result.Working, Result.Finished):
+        raise SimulationError(f"no motion from joints {start.round(3)} to {goal.round(3)}: {result}")
+    steps = max(2, int(np.ceil(path.duration / _GRID_S)))
+    samples = [path.at_time(t)[:2] for t in np.linspace(0.0, path.duration, steps + 1)]
+    q, qd = np.array([s[0] for s in samples]), np.array([s[1] for s in samples])
+    qd[[0, -1]] = 0.0
+    return q, qd, float(path.duration)

@@ -1,0 +1,91 @@
+"""The switches of a simulation: log format, imperfections of the logs, dynamics of the safety function.
+
+Everything is off by default: perfect clocks, a noiseless tracker, a scaling that jumps at once. What the options
+mean for a cell (places, thresholds, walking) is the business of `scenes`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from cyclekit_sim.errors import SimulationError
+
+
+@dataclass(frozen=True)
+class SimulationOptions:
+    """How the cell is logged, and what is imperfect in it.
+
+    Attributes:
+        logs: "csv" writes record.py, Motive and event CSVs; "mcap" writes one ROS 2 bag per session.
+        robot_rate_hz: Controller rate and log rate, 125 or 500 Hz.
+        tracker_rate_hz: Frames per second of the tracker.
+        delta_m: Tracker noise, standard deviation per axis; white, in the log only.
+        dropout: Fraction of tracker frames lost, in bursts; 0 to below 1.
+        clock_offset_s: By how much the tracker's clock is behind what cell.toml says.
+        clock_drift: Rate error of the tracker's clock (50e-6: 50 ppm fast).
+        tracker_xyz_m: Where the tracker's origin is, robot base frame; z is the height of the floor.
+        tracker_yaw_deg: How the tracker is turned about the vertical.
+        millimetres: The tracker writes millimetres (and says so in its header).
+        log_override: False leaves the two scaling columns (or the scaling topic) out of the logs.
+        ramp_down_per_s: Fastest fall of s per second; None: it jumps.
+        ramp_up_per_s: Fastest rise of s per second; None: it jumps.
+        latency_s: Age of the positions that s reacts to.
+        hysteresis_m: How much farther than the threshold a person must go before s rises again.
+        operator_log: A real tracker recording that walks instead of the simulated operator.
+        operator_xyz_m: Where the recording's origin (turned Z up) stands in the base frame.
+        operator_yaw_deg: How the recording is turned about the vertical.
+        executions_per_session: After how many executions the logger starts a new session; a scene recorded without
+            pauses takes at least 60.
+        with_operator: False is the reference run, with nobody in the cell.
+    """
+
+    logs: Literal["csv", "mcap"] = "csv"
+    robot_rate_hz: int = 125
+    tracker_rate_hz: int = 60
+    delta_m: float = 0.0
+    dropout: float = 0.0
+    clock_offset_s: float = 0.0
+    clock_drift: float = 0.0
+    tracker_xyz_m: tuple[float, float, float] = (1.4, -2.6, -0.8)
+    tracker_yaw_deg: float = 35.0
+    millimetres: bool = False
+    log_override: bool = True
+    ramp_down_per_s: float | None = None
+    ramp_up_per_s: float | None = None
+    latency_s: float = 0.0
+    hysteresis_m: float = 0.0
+    operator_log: Path | None = None
+    operator_xyz_m: tuple[float, float, float] = (0.0, 2.35, -0.8)
+    operator_yaw_deg: float = 0.0
+    executions_per_session: int = 25
+    with_operator: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse values no cell can have, all at once."""
+        faults = [
+            message
+            for wrong, message in (
+                (self.logs not in ("csv", "mcap"), f"logs is {self.logs!r}: use 'csv' or 'mcap'"),
+                (self.robot_rate_hz not in (125, 500), f"robot_rate_hz is {self.robot_rate_hz}: use 125 or 500"),
+                (self.tracker_rate_hz < 1, f"tracker_rate_hz is {self.tracker_rate_hz}: use 1 or more"),
+                (self.delta_m < 0, f"delta_m is {self.delta_m}: a standard deviation is not negative"),
+                (not 0 <= self.dropout < 1, f"dropout is {self.dropout}: use a fraction from 0 to below 1"),
+                (self.latency_s < 0, f"latency_s is {self.latency_s}: use 0 or more"),
+                (self.hysteresis_m < 0, f"hysteresis_m is {self.hysteresis_m}: use 0 or more"),
+                ((self.ramp_down_per_s or 1.0) <= 0, f"ramp_down_per_s is {self.ramp_down_per_s}: use more than 0"),
+                ((self.ramp_up_per_s or 1.0) <= 0, f"ramp_up_per_s is {self.ramp_up_per_s}: use more than 0"),
+                (self.ramp_down_per_s == 0, "ramp_down_per_s is 0: use more than 0, or None for a jump"),
+                (self.ramp_up_per_s == 0, "ramp_up_per_s is 0: use more than 0, or None for a jump"),
+                (self.executions_per_session < 1, "executions_per_session must be 1 or more"),
+            )
+            if wrong
+        ]
+        if faults:
+            raise SimulationError("; ".join(faults))
+
+    @property
+    def cycle_s(self) -> float:
+        """Length of one control cycle, s."""
+        return 1.0 / self.robot_rate_hz

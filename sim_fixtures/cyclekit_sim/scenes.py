@@ -1,0 +1,162 @@
+"""The three cells: places, stations, safety function, and how their robot and operator choose what to do next.
+
+All coordinates are in the robot base frame, metres; the robot stands on a pedestal, the floor is at z = -0.8 and a
+walking person's pelvis at z = 0.2. Geometry and dwell times are ours, tuned so that the cycle and its loss are
+plausible; levels and thresholds of the first two cells are those of the paper (arXiv 2512.17579).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from cyclekit_sim.motion import Place
+from cyclekit_sim.safety import DistanceStaircase, FloorZone, FloorZones, SafetyFunction
+
+LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
+PELVIS_Z_M = 0.2
+GOAL_SD_M, MIDDLE_SD_M = 0.05, 0.25
+
+
+@dataclass(frozen=True)
+class Station:
+    """A place where the operator works: position, shortest and longest dwell there."""
+
+    xyz_m: Place
+    dwell_s: tuple[float, float]
+    radius_m: float = 0.25
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One cell.
+
+    Attributes:
+        name: Its name on the command line.
+        places: Robot places by name, `home` and `conveyor` among them.
+        stations: Operator places by name.
+        safety: The safety function, which the logs do not tell.
+        picks: Conveyor-to-slot placements per execution.
+        repeats_slots: True: each placement draws any slot; False: the slots are a permutation.
+        pick_s, place_s: Process times of the gripper.
+        wait_s: Mean wait for a box at the conveyor; 0: boxes are always there.
+        walk_m_s: Slowest and fastest walking speed.
+        operator: "deliver": boxes from `inbound` to each outbound station once, then rest. "roam": for ever from
+            station to station.
+        continuous: One recording without pauses, the operator going on from execution to execution.
+    """
+
+    name: str
+    places: Mapping[str, Place]
+    stations: Mapping[str, Station]
+    safety: SafetyFunction
+    picks: int
+    repeats_slots: bool
+    pick_s: float
+    place_s: float
+    wait_s: float
+    walk_m_s: tuple[float, float]
+    operator: str
+    continuous: bool
+
+    @property
+    def slots(self) -> tuple[str, ...]:
+        """The places where the robot puts boxes."""
+        return tuple(name for name in self.places if name not in ("home", "conveyor"))
+
+
+def _station(x: float, y: float, dwell_s: tuple[float, float]) -> Station:
+    return Station((x, y, PELVIS_Z_M), dwell_s)
+
+
+def _box_picking() -> Scene:
+    places: dict[str, Place] = {"home": (0.40, 0.0, 0.40), "conveyor": (0.60, 0.0, 0.10)}
+    for number, x in enumerate((-0.32, -0.16, 0.0, 0.16, 0.32), start=1):
+        places[f"left_{number}"] = (x, 0.62, 0.0)
+        places[f"right_{number}"] = (x, -0.62, 0.0)
+    stations = {"inbound": _station(3.1, 0.0, (2.0, 3.0)), "rest": _station(3.6, 1.8, (1.0, 1.0))}
+    for number, x in enumerate((-0.20, 0.25, 0.70), start=1):
+        stations[f"out_left_{number}"] = _station(x, 1.50, (3.0, 5.0))
+        stations[f"out_right_{number}"] = _station(x, -1.50, (3.0, 5.0))
+    return Scene(
+        name="box-picking",
+        places=dict(sorted(places.items())),
+        stations=stations,
+        safety=DistanceStaircase(LEVELS, (1.2, 1.5, 1.9, 2.4)),
+        picks=10,
+        repeats_slots=False,
+        pick_s=0.6,
+        place_s=0.5,
+        wait_s=0.0,
+        walk_m_s=(1.0, 1.2),
+        operator="deliver",
+        continuous=False,
+    )
+
+
+def _pick_and_package() -> Scene:
+    places: dict[str, Place] = {
+        "home": (0.40, 0.0, 0.40),
+        "conveyor": (0.45, -0.40, 0.10),
+        "box_1": (0.60, 0.20, 0.0),
+        "box_2": (0.42, 0.40, 0.0),
+        "box_3": (0.18, 0.56, 0.0),
+        "box_4": (-0.08, 0.60, 0.0),
+    }
+    stations = {
+        "inspect": _station(1.35, -0.75, (4.0, 9.0)),
+        "pack": _station(0.70, 1.05, (5.0, 11.0)),
+        "refill": _station(2.30, 1.30, (6.0, 14.0)),
+    }
+    return Scene(
+        name="pick-and-package",
+        places=places,
+        stations=stations,
+        safety=DistanceStaircase(LEVELS, (0.6, 0.8, 1.2, 1.6)),
+        picks=12,
+        repeats_slots=True,
+        pick_s=0.6,
+        place_s=0.5,
+        wait_s=0.6,
+        walk_m_s=(0.9, 1.1),
+        operator="roam",
+        continuous=True,
+    )
+
+
+def _laser_zones() -> Scene:
+    places: dict[str, Place] = {"home": (0.40, 0.0, 0.40), "conveyor": (0.60, 0.0, 0.10)}
+    for number, x in enumerate((-0.20, 0.05, 0.30), start=1):
+        places[f"left_{number}"] = (x, 0.62, 0.0)
+        places[f"right_{number}"] = (x, -0.62, 0.0)
+    stations = {
+        "inbound": _station(3.3, 0.0, (2.0, 3.5)),
+        "rest": _station(3.9, -1.5, (1.0, 1.0)),
+        "shelf": _station(2.0, -1.9, (3.0, 6.0)),
+        "pallet_left": _station(0.4, 2.0, (2.0, 5.0)),
+        "pallet_right": _station(0.9, -1.35, (2.0, 5.0)),
+        "refill": _station(-0.3, 1.25, (1.5, 3.0)),
+    }
+    zones = (
+        FloorZone("presence", (-1.6, 2.6), (-2.4, 2.4), 2),
+        FloorZone("warning", (-1.2, 1.7), (-1.9, 1.7), 1),
+        FloorZone("protective", (-0.9, 1.1), (-1.1, 1.4), 0),
+    )
+    return Scene(
+        name="laser-zones",
+        places=places,
+        stations=stations,
+        safety=FloorZones((0.0, 0.5, 0.75, 1.0), zones),
+        picks=6,
+        repeats_slots=False,
+        pick_s=0.6,
+        place_s=0.5,
+        wait_s=0.0,
+        walk_m_s=(1.0, 1.2),
+        operator="deliver",
+        continuous=False,
+    )
+
+
+BUILT_IN: dict[str, Scene] = {scene.name: scene for scene in (_box_picking(), _pick_and_package(), _laser_zones())}
+SCENES: tuple[str, ...] = tuple(BUILT_IN)

@@ -1,0 +1,128 @@
+"""One recording session: runs laid on one time line, and what robot and person did on it.
+
+Time here is session time: 0 at the first robot sample. Between two runs the robot's logger is off while the tracker
+goes on and sees the operator come back to where the next run finds them. In which clock, frame, unit and file this is
+written is the business of the writers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from cyclekit_sim.arm import Array, rotation_vector
+from cyclekit_sim.engine import Trace
+from cyclekit_sim.motion import MotionTable
+from cyclekit_sim.program import MOVE, Ints
+from cyclekit_sim.walking import Press
+
+
+@dataclass(frozen=True)
+class RobotStates:
+    """The robot at N control cycles, ascending in time.
+
+    Attributes:
+        t_s: Session time (N,).
+        q_rad, qd_rad_s: Joints and their speeds (N, 6).
+        tcp_m: TCP position (N, 3).
+        quaternion: TCP orientation x, y, z, w (N, 4).
+        twist: TCP velocity, linear then angular (N, 6).
+        scaling: s (N,).
+        closed: Gripper closed, 0 or 1 (N,).
+        execution: Execution number; on an idle stay that of the execution before (N,).
+    """
+
+    t_s: Array
+    q_rad: Array
+    qd_rad_s: Array
+    tcp_m: Array
+    quaternion: Array
+    twist: Array
+    scaling: Array
+    closed: Ints
+    execution: Ints
+
+    @property
+    def rotation_vector(self) -> Array:
+        """TCP orientation as a rotation vector (N, 3), rad."""
+        return rotation_vector(self.quaternion)
+
+
+@dataclass(frozen=True)
+class Session:
+    """Runs and when they begin (session time, whole control cycles)."""
+
+    index: int
+    traces: tuple[Trace, ...]
+    begins_s: tuple[float, ...]
+    table: MotionTable
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+        return f"session_{self.index:03d}"
+
+    @property
+    def end_s(self) -> float:
+        """When the last run ended."""
+        return self.begins_s[-1] + self.traces[-1].duration_s
+
+    @cached_property
+    def robot(self) -> RobotStates:
+        """What the controller saw, cycle by cycle."""
+        parts = [robot_states(t, self.table, begin_s=b) for t, b in zip(self.traces, self.begins_s, strict=True)]
+        names = RobotStates.__dataclass_fields__
+        return RobotStates(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def person(self, t_s: Array) -> Array:
+        """Return where the person is (M, 3), base frame, at session times (M,); NaN: nobody."""
+        found = np.empty((len(t_s), 3))
+        ends = [b + trace.duration_s for b, trace in zip(self.begins_s, self.traces, strict=True)]
+        for i, (trace, begin) in enumerate(zip(self.traces, self.begins_s, strict=True)):
+            last = i + 1 == len(self.traces)
+            mine = (t_s >= begin if i else np.ones(len(t_s), dtype=bool)) & ((t_s <= ends[i]) | last)
+            found[mine] = trace.track.at(np.clip(t_s[mine] - begin, 0.0, trace.duration_s))
+            if not last:
+                here = trace.track.at(np.array([trace.duration_s]))
+                there = self.traces[i + 1].track.at(np.array([0.0]))
+                between = (t_s > ends[i]) & (t_s < self.begins_s[i + 1])
+                done = (t_s[between] - ends[i]) / (self.begins_s[i + 1] - ends[i])
+                found[between] = here + (done**2 * (3 - 2 * done))[:, None] * (there - here)
+        return found
+
+    def presses(self) -> list[Press]:
+        """Return the operator's button presses, in session time."""
+        return [
+            Press(begin + press.t_s, press.goal, press.goal_m)
+            for trace, begin in zip(self.traces, self.begins_s, strict=True)
+            for press in trace.track.presses(trace.duration_s)
+        ]
+
+
+def robot_states(trace: Trace, table: MotionTable, *, begin_s: float, cycles: Ints | None = None) -> RobotStates:
+    """Return the robot of one run at its control cycles (all of them, or those numbered in `cycles`)."""
+    k = np.arange(len(trace.scaling)) if cycles is None else cycles
+    of, program = trace.segment[k], trace.program
+    below, way = (part[k] for part in trace.rows())
+    above, share = np.minimum(below + 1, len(table.q_rad) - 1), way[:, None]
+
+    def read(column: Array) -> Array:
+        return np.asarray(column[below] + share * (column[above] - column[below]))
+
+    speed = np.where(program.kind[of] == MOVE, trace.scaling[k], 0.0)[:, None]
+    turned = read(table.quaternion)
+    late = trace.nominal_s[k] >= 0.5 * program.length_s[of]
+    running = np.where(program.execution < 0, np.roll(program.execution, 1), program.execution)
+    return RobotStates(
+        t_s=np.asarray(begin_s + k * trace.cycle_s, dtype=np.float64),
+        q_rad=read(table.q_rad),
+        qd_rad_s=read(table.qd_rad_s) * speed,
+        tcp_m=read(table.tcp_m),
+        quaternion=turned / np.linalg.norm(turned, axis=1, keepdims=True),
+        twist=read(table.twist) * speed,
+        scaling=trace.scaling[k],
+        closed=np.where(late, program.closed_after[of], program.closed_before[of]),
+        execution=running[of],
+    )

@@ -1,0 +1,178 @@
+"""The two calls that the simulator is for: plant logs with their ground truth, and fresh executions of one sequence.
+
+Logs are written into a folder beside the wanted one and moved there when all is done: a killed simulation leaves
+nothing that looks like logs. Same seed, same bytes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from cyclekit_sim.cell_file import cell_file
+from cyclekit_sim.choices import SEQUENCE, TRACKER, draw_places, stream
+from cyclekit_sim.errors import SimulationError
+from cyclekit_sim.motion import Place
+from cyclekit_sim.options import SimulationOptions
+from cyclekit_sim.plan import Work, prepare, run_alone, run_sessions
+from cyclekit_sim.scenes import BUILT_IN, SCENES, Scene
+from cyclekit_sim.session import Session
+from cyclekit_sim.tracker import record
+from cyclekit_sim.truth import execution_table, sample_table, task_rows, task_table
+from cyclekit_sim.write_bag import BAG_EPOCH_S, write_bag
+from cyclekit_sim.write_csv import UPTIME_S, write_events, write_people, write_robot
+
+Progress = Callable[[float, str], None]
+_DEFAULT = SimulationOptions()
+_TRUTH = ("executions", "tasks", "samples")
+
+
+def scene_places(scene: str) -> dict[str, Place]:
+    """Return the robot places of a scene: name -> TCP position, m, base frame."""
+    return dict(_scene(scene).places)
+
+
+def random_sequence(scene: str, seed: int) -> list[str]:
+    """Return place names in visiting order as the scene's robot would draw them, home first and last."""
+    cell = _scene(scene)
+    return list(draw_places(cell, stream(seed, cell, SEQUENCE, 0)))
+
+
+def simulate(
+    scene: str,
+    out: Path,
+    *,
+    executions: int,
+    seed: int,
+    options: SimulationOptions = _DEFAULT,
+    progress: Progress | None = None,
+) -> Path:
+    """Simulate a cell and write its logs, its cell file and its ground truth into the folder `out`.
+
+    Args:
+        scene: One of SCENES.
+        out: Folder to make. An earlier simulation there is replaced; any other content is refused.
+        executions: How many executions of the process.
+        seed: Same seed, same bytes; execution i is the same however many are simulated.
+        options: Log format, imperfections, dynamics.
+        progress: Called with the fraction done and what is being done.
+
+    Returns:
+        `out`.
+
+    Raises:
+        SimulationError: Unknown scene, unusable options, a folder with other content, or a robot that gets stuck.
+    """
+    work = prepare(_scene(scene), seed, options, executions=executions)
+    _refuse_foreign(out)
+    partial = out.with_name(f".{out.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        _write(partial, work, progress or (lambda _done, _what: None))
+        shutil.rmtree(out, ignore_errors=True)
+        partial.replace(out)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return out
+
+
+def simulate_sequence(
+    scene: str,
+    places: Sequence[str],
+    *,
+    executions: int,
+    seed: int,
+    options: SimulationOptions = _DEFAULT,
+) -> pl.DataFrame:
+    """Run one place sequence again and again with a fresh operator each time, and write nothing.
+
+    The random streams are apart from those of `simulate`, whatever the seeds.
+
+    Returns:
+        One row per execution: execution, duration_s, nominal_s, safety_loss_s, dwell_s, wait_s.
+
+    Raises:
+        SimulationError: Unknown scene or place, or a robot that gets stuck.
+    """
+    work = prepare(_scene(scene), seed, options, executions=executions, places=places)
+    rows = [row for trace in run_alone(work, work.executions) for row in task_rows(trace, 0.0)]
+    sums = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
+    return (
+        pl.DataFrame(rows)
+        .group_by("execution", maintain_order=True)
+        .agg((pl.col("end_s").last() - pl.col("start_s").first()).alias("duration_s"), pl.col(sums).sum())
+    )
+
+
+def _scene(name: str) -> Scene:
+    if name not in BUILT_IN:
+        raise SimulationError(f"no scene {name!r}: choose one of {', '.join(SCENES)}")
+    return BUILT_IN[name]
+
+
+def _refuse_foreign(out: Path) -> None:
+    if not out.exists():
+        return
+    if not out.is_dir() or (any(out.iterdir()) and not (out / "truth" / "truth.json").is_file()):
+        raise SimulationError(f"{out} exists and is no earlier simulation: choose another folder")
+
+
+def _write(folder: Path, work: Work, progress: Progress) -> None:
+    (folder / "truth").mkdir(parents=True)
+    clock_s = BAG_EPOCH_S if work.options.logs == "mcap" else UPTIME_S
+    plans = {execution.index: execution for execution in work.executions}
+    tables: dict[str, list[pl.DataFrame]] = {name: [] for name in _TRUTH}
+    total = len(work.executions)
+
+    def in_motion(share: float) -> None:
+        progress(share, "cell in motion")
+
+    for session in run_sessions(work, in_motion):
+        tasks = task_table(session, clock_s)
+        last = int(tasks["execution"][-1])
+        progress((last + 1) / total, f"writing {session.name}, execution {last + 1} of {total}")
+        _write_session(folder / session.name, session, work)
+        tables["tasks"].append(tasks)
+        tables["executions"].append(execution_table(tasks, session.name, plans))
+        tables["samples"].append(sample_table(session, work.scene, clock_s))
+    for name, parts in tables.items():
+        pl.concat(parts).write_parquet(folder / "truth" / f"{name}.parquet")
+    (folder / "truth" / "truth.json").write_text(_facts(work), encoding="utf-8")
+    (folder / "cell.toml").write_text(cell_file(work.scene, work.options), encoding="utf-8")
+    progress(1.0, "done")
+
+
+def _write_session(folder: Path, session: Session, work: Work) -> None:
+    folder.mkdir()
+    options = work.options
+    frames = record(session, options, stream(work.seed, work.scene, TRACKER, session.index))
+    if options.logs == "mcap":
+        write_bag(folder / f"{session.name}.mcap", session, frames, options)
+        return
+    write_robot(folder / "robot.csv", session, options)
+    write_people(folder / "operator.csv", frames, options, session.name)
+    write_events(folder / "events.csv", session, options)
+
+
+def _facts(work: Work) -> str:
+    options = dataclasses.asdict(work.options)
+    options["operator_log"] = work.options.operator_log.name if work.options.operator_log else None
+    scene = work.scene
+    facts = {
+        "scene": scene.name,
+        "seed": work.seed,
+        "executions": len(work.executions),
+        "options": options,
+        "safety": {"kind": type(scene.safety).__name__, **dataclasses.asdict(scene.safety)},  # type: ignore[call-overload]
+        "places": scene.places,
+        "human_places": {name: station.xyz_m for name, station in scene.stations.items()},
+        "pick_s": scene.pick_s,
+        "place_s": scene.place_s,
+    }
+    return json.dumps(facts, indent=2, default=np.ndarray.tolist) + "\n"

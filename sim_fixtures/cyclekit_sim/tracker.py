@@ -1,0 +1,89 @@
+"""The tracker: the person as its log has them, in its own clock and frame, with noise and lost frames.
+
+It starts recording a few seconds before the robot's logger and sees the person all along. Its file format is the
+business of `write_motive` and `write_bag`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cyclekit_sim.arm import Array
+from cyclekit_sim.options import SimulationOptions
+from cyclekit_sim.session import Session
+
+_LOST_S = 0.25  # mean length of a dropout
+_TAIL_S = 1.0
+
+
+@dataclass(frozen=True)
+class Frames:
+    """M frames of a take.
+
+    Attributes:
+        t_s: Tracker clock, 0 at the start of the take (M,).
+        session_s: When that really was, session time (M,).
+        xyz_m: Person in the base frame as measured, NaN where nobody was seen (M, 3).
+        heading_rad: Direction of walking about the base's vertical (M,).
+    """
+
+    t_s: Array
+    session_s: Array
+    xyz_m: Array
+    heading_rad: Array
+
+
+def lead_s(options: SimulationOptions) -> float:
+    """Return how long before the robot's first sample the take starts, by what cell.toml tells."""
+    return 5.0 + float(np.ceil(max(0.0, options.clock_offset_s)))
+
+
+def tracker_time(session_s: Array, options: SimulationOptions) -> Array:
+    """Return the tracker's time at session times, imperfect as its clock is."""
+    return np.asarray((session_s + lead_s(options)) * (1 + options.clock_drift) - options.clock_offset_s)
+
+
+def record(session: Session, options: SimulationOptions, rng: np.random.Generator) -> Frames:
+    """Return the take of a session."""
+    last = float(tracker_time(np.array([session.end_s + _TAIL_S]), options)[0])
+    t_s = np.arange(int(last * options.tracker_rate_hz) + 1) / options.tracker_rate_hz
+    session_s = (t_s + options.clock_offset_s) / (1 + options.clock_drift) - lead_s(options)
+    true_m = session.person(session_s)
+    measured = true_m + rng.normal(0.0, 1.0, true_m.shape) * options.delta_m
+    measured[_lost(len(t_s), options, rng)] = np.nan
+    return Frames(t_s, session_s, measured, _heading(true_m))
+
+
+def in_tracker_frame(xyz_m: Array, options: SimulationOptions) -> Array:
+    """Turn base-frame positions (M, 3) into the tracker's frame, Z still up."""
+    yaw = np.deg2rad(options.tracker_yaw_deg)
+    c, s = np.cos(yaw), np.sin(yaw)
+    apart = xyz_m - np.array(options.tracker_xyz_m)
+    return np.stack([c * apart[:, 0] + s * apart[:, 1], c * apart[:, 1] - s * apart[:, 0], apart[:, 2]], axis=1)
+
+
+def _lost(count: int, options: SimulationOptions, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return which frames are lost (M,): bursts of random length, the wanted fraction in all."""
+    lost = np.zeros(count, dtype=bool)
+    if options.dropout == 0:
+        return lost
+    burst = max(1.0, _LOST_S * options.tracker_rate_hz)
+    seen = burst * (1 - options.dropout) / options.dropout
+    bursts = int(2 * count / (burst + seen)) + 20
+    lengths = np.stack([rng.geometric(1 / max(1.0, seen), bursts), rng.geometric(1 / burst, bursts)], axis=1).ravel()
+    state = np.repeat(np.arange(2 * bursts) % 2 == 1, lengths)[:count]
+    lost[: len(state)] = state
+    return lost
+
+
+def _heading(xyz_m: Array) -> Array:
+    """Return the direction of walking (M,), rad; held while the person stands."""
+    if len(xyz_m) < 2:
+        return np.zeros(len(xyz_m))
+    step = np.gradient(xyz_m[:, :2], axis=0)
+    walking = np.linalg.norm(step, axis=1) > 1e-4
+    held = np.maximum.accumulate(np.where(walking, np.arange(len(step)), 0))
+    return np.asarray(np.arctan2(step[held, 1], step[held, 0]) * (walking[held]))

@@ -1,0 +1,151 @@
+"""The operator as a track: where the person is at any time, and which task was begun when.
+
+A simulated operator walks from station to station on a curve through a random midpoint and dwells there; a recorded
+one replays a tracker log to and fro. Nobody reacts to the robot. Where the stations are is the business of `scenes`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from cyclekit_sim.arm import Array
+
+_KNOT_S = 0.02
+_WALK_ACCELERATION_M_S2 = 1.5
+
+
+@dataclass(frozen=True)
+class Press:
+    """The operator begins a task: when (s since the track's start), whither by name, and the very goal (3,), m."""
+
+    t_s: float
+    goal: str
+    goal_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A stretch of a track: knot times from 0 on (K,), s, and positions (K, 3), m; with the press that begins it."""
+
+    t_s: Array
+    xyz_m: Array
+    press: Press | None = None
+
+
+class Track(Protocol):
+    """A person in the cell."""
+
+    def at(self, t_s: Array) -> Array:
+        """Return positions (M, 3), base frame, m, at times (M,), s since the track's start; NaN: nobody."""
+
+    def presses(self, until_s: float) -> list[Press]:
+        """Return the tasks begun up to `until_s`, in order."""
+
+
+class Nobody:
+    """The reference run: an empty cell."""
+
+    def at(self, t_s: Array) -> Array:
+        """Return NaN everywhere."""
+        return np.full((len(t_s), 3), np.nan)
+
+    def presses(self, until_s: float) -> list[Press]:
+        """Return no task."""
+        del until_s
+        return []
+
+
+class WalkedTrack:
+    """Legs one after the other, made as far as they are asked for; after the last leg the person stands still.
+
+    `skip_s` cuts off the beginning: time 0 of the track is that far into the legs.
+    """
+
+    def __init__(self, legs: Iterator[Leg], *, skip_s: float = 0.0) -> None:
+        self._legs, self._skip_s = legs, skip_s
+        self._times: list[Array] = []
+        self._places: list[Array] = []
+        self._presses: list[Press] = []
+        self._end_s = 0.0
+        self._over = False
+        self._t_s = np.empty(0)
+        self._xyz_m = np.empty((0, 3))
+
+    def at(self, t_s: Array) -> Array:
+        """Return positions (M, 3) at times (M,); before 0 the first, after the last leg the last."""
+        t_s = t_s + self._skip_s
+        self._grow(float(np.max(t_s, initial=0.0)))
+        return np.stack([np.interp(t_s, self._t_s, self._xyz_m[:, axis]) for axis in range(3)], axis=1)
+
+    def presses(self, until_s: float) -> list[Press]:
+        """Return the tasks begun up to `until_s`, in order."""
+        self._grow(until_s + self._skip_s)
+        begun = [Press(press.t_s - self._skip_s, press.goal, press.goal_m) for press in self._presses]
+        return [press for press in begun if 0.0 <= press.t_s <= until_s]
+
+    def _grow(self, until_s: float) -> None:
+        grown = False
+        while not self._over and self._end_s <= until_s:
+            leg = next(self._legs, None)
+            if leg is None:
+                self._over = True
+                break
+            if leg.press is not None:
+                self._presses.append(Press(self._end_s + leg.press.t_s, leg.press.goal, leg.press.goal_m))
+            self._times.append(self._end_s + leg.t_s)
+            self._places.append(leg.xyz_m)
+            self._end_s += float(leg.t_s[-1])
+            grown = True
+        if grown:
+            self._t_s, self._xyz_m = np.concatenate(self._times), np.concatenate(self._places)
+
+
+class RecordedTrack:
+    """A recording (K,), (K, 3) replayed to and fro without end, entered at `phase_s`; all in the base frame."""
+
+    def __init__(self, t_s: Array, xyz_m: Array, phase_s: float) -> None:
+        self._t_s, self._xyz_m, self._phase_s = t_s - t_s[0], xyz_m, phase_s
+
+    def at(self, t_s: Array) -> Array:
+        """Return positions (M, 3) at times (M,)."""
+        length = self._t_s[-1]
+        folded = np.mod(np.maximum(t_s, 0.0) + self._phase_s, 2 * length)
+        folded = np.minimum(folded, 2 * length - folded)
+        return np.stack([np.interp(folded, self._t_s, self._xyz_m[:, axis]) for axis in range(3)], axis=1)
+
+    def presses(self, until_s: float) -> list[Press]:
+        """Return no task: a recording presses no button."""
+        del until_s
+        return []
+
+
+def walk(start_m: Array, middle_m: Array, goal_m: Array, speed_m_s: float) -> Leg:
+    """Return the walk from `start_m` to `goal_m` (3,) on the parabola through `middle_m`, easing in and out."""
+    u = np.linspace(0.0, 1.0, 65)[:, None]
+    handle = 2 * middle_m - 0.5 * (start_m + goal_m)
+    curve = (1 - u) ** 2 * start_m + 2 * u * (1 - u) * handle + u**2 * goal_m
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    length = float(along[-1])
+    top = min(speed_m_s, np.sqrt(length * _WALK_ACCELERATION_M_S2))
+    rise_s = top / _WALK_ACCELERATION_M_S2
+    total_s = length / top + rise_s
+    t = np.linspace(0.0, total_s, max(2, int(np.ceil(total_s / _KNOT_S)) + 1))
+    done = _trapezoid(t, top, rise_s, total_s)
+    return Leg(t, np.stack([np.interp(done, along, curve[:, axis]) for axis in range(3)], axis=1))
+
+
+def stand(at_m: Array, length_s: float) -> Leg:
+    """Return a dwell of `length_s` at `at_m` (3,)."""
+    return Leg(np.array([0.0, length_s]), np.stack([at_m, at_m]))
+
+
+def _trapezoid(t: Array, top: float, rise_s: float, total_s: float) -> Array:
+    """Return the way gone (K,) at times (K,) when speed rises to `top`, holds and falls at one rate."""
+    rising = 0.5 * top / rise_s * np.minimum(t, rise_s) ** 2
+    cruising = top * np.clip(t - rise_s, 0.0, total_s - 2 * rise_s)
+    falling_s = np.clip(t - (total_s - rise_s), 0.0, rise_s)
+    return np.asarray(rising + cruising + top * falling_s - 0.5 * top / rise_s * falling_s**2)

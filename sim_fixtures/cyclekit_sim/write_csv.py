@@ -1,0 +1,83 @@
+"""CSV logs: UR `record.py`, OptiTrack Motive 1.23 and the operator's buttons.
+
+The robot CSV has one space between fields, CRLF line ends, one row per control cycle, SI units, uptime clock. The
+Motive CSV has its five header rows, Y up, rotation before position, empty cells where the body is lost. The button
+CSV has `time,signal,value`, in the tracker's clock.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from cyclekit_sim.options import SimulationOptions
+from cyclekit_sim.session import Session
+from cyclekit_sim.tracker import Frames, in_tracker_frame, tracker_time
+
+UPTIME_S = 152.512  # what the controller's clock shows at the first sample
+_GROUPS = ("actual_q", "actual_qd", "actual_TCP_pose", "actual_TCP_speed")
+_BODY = "Operator"
+_BODY_ID = "5F1C2A9E0B7D11EFA3C20242AC120002"
+
+
+def write_robot(path: Path, session: Session, options: SimulationOptions) -> None:
+    """Write a session's robot log as UR's `record.py` does."""
+    robot = session.robot
+    count = len(robot.t_s)
+    pose = np.concatenate([robot.tcp_m, robot.rotation_vector], axis=1)
+    groups = zip(_GROUPS, (robot.q_rad, robot.qd_rad_s, pose, robot.twist), strict=True)
+    columns: dict[str, pl.Series] = {"timestamp": pl.Series(UPTIME_S + robot.t_s)}
+    columns |= {f"{name}_{i}": pl.Series(values[:, i]) for name, values in groups for i in range(6)}
+    columns["actual_digital_output_bits"] = pl.Series(robot.closed)
+    columns["robot_mode"] = pl.repeat(7, count, eager=True)
+    columns["safety_status"] = pl.repeat(1, count, eager=True)
+    if options.log_override:
+        columns["speed_scaling"] = pl.Series(robot.scaling)
+        columns["target_speed_fraction"] = pl.repeat(1.0, count, eager=True)
+    columns["runtime_state"] = pl.repeat(2, count, eager=True)
+    columns["output_int_register_0"] = pl.Series(robot.execution)
+    pl.DataFrame(columns).write_csv(path, separator=" ", line_terminator="\r\n", float_precision=7, quote_style="never")
+
+
+def write_people(path: Path, frames: Frames, options: SimulationOptions, take: str) -> None:
+    """Write a take as Motive 1.23 exports it: one rigid body, Y up."""
+    place = in_tracker_frame(frames.xyz_m, options) * (1000.0 if options.millimetres else 1.0)
+    half = 0.5 * (frames.heading_rad - np.deg2rad(options.tracker_yaw_deg))
+    still = np.zeros(len(half))
+    seen = ~np.isnan(place[:, 0])
+    cells = (still, np.sin(half), still, np.cos(half), place[:, 0], place[:, 2], -place[:, 1])
+    data = {"frame": pl.Series(np.arange(len(seen))), "time": pl.Series(frames.t_s)}
+    data |= {str(i): pl.Series(np.where(seen, values, np.nan)).fill_nan(None) for i, values in enumerate(cells)}
+    with path.open("wb") as log:
+        log.write(_motive_header(take, len(seen), options).encode())
+        pl.DataFrame(data).write_csv(log, include_header=False, line_terminator="\r\n", float_precision=6)
+
+
+def _motive_header(take: str, frames: int, options: SimulationOptions) -> str:
+    rate, unit = f"{options.tracker_rate_hz:.6f}", "Millimeters" if options.millimetres else "Meters"
+    rows = [
+        f"Format Version,1.23,Take Name,{take},Take Notes,,Capture Frame Rate,{rate},Export Frame Rate,{rate},"
+        f"Capture Start Time,2025-06-02 08.00.00.000 AM,Total Frames in Take,{frames},Total Exported Frames,{frames},"
+        f"Rotation Type,Quaternion,Length Units,{unit},Coordinate Space,Global",
+        "",
+        ",Type" + ",Rigid Body" * 7,
+        ",Name" + f",{_BODY}" * 7,
+        ",ID" + f',"{_BODY_ID}"' * 7,
+        "," + ",Rotation" * 4 + ",Position" * 3,
+        "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z",
+    ]
+    return "".join(f"{row}\r\n" for row in rows)
+
+
+def write_events(path: Path, session: Session, options: SimulationOptions) -> None:
+    """Write the button presses, tracker clock."""
+    presses = session.presses()
+    times = tracker_time(np.array([press.t_s for press in presses], dtype=np.float64), options)
+    columns = {
+        "time": pl.Series(times, dtype=pl.Float64),
+        "signal": pl.Series(["operator_goal"] * len(presses), dtype=pl.String),
+        "value": pl.Series([press.goal for press in presses], dtype=pl.String),
+    }
+    pl.DataFrame(columns).write_csv(path, float_precision=4)

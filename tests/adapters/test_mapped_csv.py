@@ -1,0 +1,164 @@
+import math
+
+import pytest
+from cyclekit_adapters.mapped_csv import ADAPTER
+
+from cyclekit.adapter import ReadOptions
+from cyclekit.errors import ConfigError, DamagedLog, MissingColumns, UnknownName
+
+
+def read(path, text, role=None, rate_hz=None, saved_as="utf-8", **mapping):
+    path.write_bytes(text.encode(saved_as))
+    assert not ADAPTER.recognises(path)
+    return ADAPTER.read(path, ReadOptions(role=role, map=mapping, rate_hz=rate_hz))
+
+
+def test_a_robot_table_in_millimetres_degrees_and_percent_comes_out_in_si(tmp_path):
+    text = "ms;X;Y;Z;J1;OVR;V\n1500;1000;-250;50;180;50;200\n"
+    log = read(
+        tmp_path / "kuka.csv",
+        text,
+        time="ms",
+        time_unit="ms",
+        clock="uptime",
+        x="X",
+        y="Y",
+        z="Z",
+        length_unit="mm",
+        joints=["J1"],
+        joint_unit="deg",
+        scaling="OVR",
+        scaling_max=100,
+        speed="V",
+    )
+    row = log.robot.row(0, named=True)
+    assert (row["t_s"], row["tcp_x_m"], row["tcp_y_m"], row["tcp_z_m"]) == (1.5, 1.0, -0.25, 0.05)
+    assert row["q0_rad"] == pytest.approx(math.pi)
+    assert (row["scaling"], row["tcp_speed_m_s"]) == (0.5, 0.2)
+    assert (log.clock, log.joint_names) == ("uptime", ("J1",))
+
+
+def test_decimal_comma_latin_1_and_lines_above_the_header(tmp_path):
+    text = "Anlage: Süd\nStand: heute\nZeit;Pos_x;Pos_y\n0,5;1,25;2\n1,0;1,5;2\n"
+    log = read(
+        tmp_path / "log.csv",
+        text,
+        saved_as="latin-1",
+        encoding="latin-1",
+        role="people",
+        decimal=",",
+        skip_rows=2,
+        time="Zeit",
+        x="Pos_x",
+        y="Pos_y",
+    )
+    assert log.people.select("t_s", "x_m", "y_m", "z_m").rows() == [(0.5, 1.25, 2.0, None), (1.0, 1.5, 2.0, None)]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_table_saved_by_a_windows_editor(tmp_path, encoding):
+    log = read(tmp_path / "log.csv", "t,x,y\n1,2,3\n", role="people", saved_as=encoding, time="t", x="x", y="y")
+    assert log.people["x_m"].to_list() == [2.0]
+
+
+def test_people_by_id_and_those_not_seen(tmp_path):
+    text = "t,id,x,y,z\n0,ann,1,2,0\n0,bo,,,\n1,,3,4,5\n"
+    log = read(tmp_path / "log.csv", text, time="t", person="id", x="x", y="y", z="z")
+    assert log.people["person"].to_list() == ["ann", "bo"]
+    assert log.people["x_m"].to_list() == [1.0, None]
+    assert log.set_aside["source_row"].to_list() == [2]
+
+
+def test_events_keep_signal_and_value_as_text(tmp_path):
+    text = 't,tag,val\n1,button,1\n2,"door, left",open\n'
+    log = read(tmp_path / "plc.csv", text, time="t", signal="tag", value="val")
+    assert log.events.select("signal", "value").rows() == [("button", "1"), ("door, left", "open")]
+
+
+def test_without_a_clock_the_cure_names_the_rate_and_the_rate_makes_one(tmp_path):
+    text = "x,y\n1,2\n3,4\n"
+    with pytest.raises(MissingColumns) as refusal:
+        read(tmp_path / "log.csv", text, role="people", x="x", y="y")
+    assert "rate_hz" in refusal.value.cure
+    log = read(tmp_path / "log.csv", text, role="people", rate_hz=50.0, x="x", y="y")
+    assert log.people["t_s"].to_list() == [0.0, 0.02]
+
+
+def test_a_row_set_aside_does_not_move_the_clock_of_a_rate(tmp_path):
+    log = read(tmp_path / "log.csv", "x,y\n1,2\n3\n5,6\n", role="people", rate_hz=10.0, x="x", y="y")
+    assert log.people["t_s"].to_list() == [0.0, 0.2]
+
+
+def test_a_column_that_is_not_there_is_named_with_the_nearest(tmp_path):
+    with pytest.raises(MissingColumns, match="pos_y") as refusal:
+        read(tmp_path / "log.csv", "t,pos_x,pos_Y\n1,2,3\n", role="people", time="t", x="pos_x", y="pos_y")
+    assert refusal.value.nearest in ("pos_Y", "pos_x")
+
+
+@pytest.mark.parametrize(
+    "mapping",
+    [
+        {"tiem": "t"},
+        {"time_unit": "min"},
+        {"length_unit": "feet"},
+        {"joint_unit": "grad"},
+        {"clock": "utc"},
+        {"scaling_max": 255},
+        {"skip_rows": -1},
+        {"joints": "J1"},
+        {"delimiter": "||"},
+        {"encoding": "utf-99"},
+        {"encoding": "hex"},
+        {"states": {"3": "working"}},
+        {"decimal": ",", "delimiter": ","},
+    ],
+)
+def test_a_cell_file_that_says_something_impossible_is_refused(tmp_path, mapping):
+    with pytest.raises(ConfigError):
+        read(tmp_path / "log.csv", "t,x,y\n1,2,3\n", **({"role": "people", "time": "t", "x": "x", "y": "y"} | mapping))
+
+
+def test_an_unknown_key_shows_the_nearest(tmp_path):
+    with pytest.raises(UnknownName) as refusal:
+        read(tmp_path / "log.csv", "t,x,y\n1,2,3\n", role="people", tiem="t", x="x", y="y")
+    assert refusal.value.nearest == "time"
+
+
+def test_a_map_that_could_be_robot_or_person_must_say_which(tmp_path):
+    with pytest.raises(ConfigError, match="whose rows"):
+        read(tmp_path / "log.csv", "t,x,y\n1,2,3\n", time="t", x="x", y="y")
+
+
+def test_a_percentage_taken_for_a_fraction_is_unknown_and_said(tmp_path):
+    log = read(tmp_path / "log.csv", "t,o\n1,0.5\n2,80\n", time="t", scaling="o")
+    assert log.robot["scaling"].to_list() == [0.5, None]
+    assert any("scaling_max" in said for said in log.warnings)
+
+
+def test_program_states_by_the_words_of_the_cell_file(tmp_path):
+    text = "t,x,y,s\n1,0,0,AUTO\n2,0,0,playing\n3,0,0,JOG\n"
+    log = read(tmp_path / "log.csv", text, time="t", x="x", y="y", state="s", states={"AUTO": "playing"})
+    assert log.robot["state"].to_list() == ["playing", "playing", None]
+    assert any("'JOG'" in said for said in log.warnings)
+
+
+def test_a_header_and_no_rows_is_refused(tmp_path):
+    with pytest.raises(DamagedLog, match="a header and no rows"):
+        read(tmp_path / "log.csv", "\ufefft,x,y\n", role="people", time="t", x="x", y="y")
+
+
+def test_a_time_written_as_a_date_is_refused_with_its_first_value(tmp_path):
+    with pytest.raises(DamagedLog, match="'2024-05-01 10:00:00' in column 't' is not a number"):
+        read(tmp_path / "log.csv", "t,x,y\n2024-05-01 10:00:00,1,2\n", role="people", time="t", x="x", y="y")
+
+
+def test_a_repeated_instant_of_the_robot_counts_once(tmp_path):
+    log = read(tmp_path / "log.csv", "t,x,y\n1,0,0\n1,0,0\n2,1,0\n", role="robot", time="t", x="x", y="y")
+    assert log.robot["t_s"].to_list() == [1.0, 2.0]
+    assert log.set_aside["source_row"].to_list() == [1]
+
+
+def test_a_file_name_with_brackets_is_a_name_and_no_pattern(tmp_path):
+    (tmp_path / "runa.csv").write_text("t,x,y\n9,9,9\n")
+    log = read(tmp_path / "run[a].csv", "t,x,y\n1,2,3\n", role="people", time="t", x="x", y="y")
+    assert log.people["x_m"].to_list() == [2.0]

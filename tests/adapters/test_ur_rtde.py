@@ -1,0 +1,186 @@
+import pytest
+from cyclekit_adapters.ur_rtde import ADAPTER
+
+from cyclekit.adapter import ReadOptions
+from cyclekit.errors import DamagedLog, LogError, MissingColumns, UnknownName
+from cyclekit.schema import ROBOT
+
+
+def read(path, **options):
+    return ADAPTER.read(path, ReadOptions(**options))
+
+
+def write(path, text, encoding="utf-8"):
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def test_the_scaling_is_the_product_of_limiter_and_slider_while_the_program_plays(tmp_path, ur):
+    rows = [ur.row(10.0, speed_scaling=0.5, target_speed_fraction=0.8)]
+    log = read(write(tmp_path / "run.csv", ur.text(rows)))
+    assert log.robot["scaling"].to_list() == [0.4]
+    assert log.robot["slider"].to_list() == [0.8]
+    assert log.clock == "uptime"
+    assert log.robot.columns[: len(ROBOT)] == list(ROBOT)
+
+
+@pytest.mark.parametrize(
+    ("runtime_state", "state"), [(0, "stopped"), (1, "stopped"), (3, "paused"), (4, "paused"), (5, "paused"), (9, None)]
+)
+def test_outside_of_playing_the_scaling_is_unknown_and_not_zero(tmp_path, ur, runtime_state, state):
+    rows = [ur.row(10.0, speed_scaling=0.0, runtime_state=runtime_state), ur.row(10.1)]
+    robot = read(write(tmp_path / "run.csv", ur.text(rows))).robot
+    assert robot["scaling"].to_list() == [None, 1.0]
+    assert robot["state"].to_list() == [state, "playing"]
+
+
+@pytest.mark.parametrize("delimiter", [" ", ",", ";", "\t"])
+def test_both_writers_and_their_edited_kin_give_the_same_table(tmp_path, ur, delimiter):
+    rows = [ur.row(10.0 + i / 8, actual_TCP_pose_0=i, actual_q_5=-i) for i in range(4)]
+    path = write(tmp_path / "run.csv", ur.text(rows, delimiter))
+    assert ADAPTER.recognises(path)
+    robot = read(path).robot
+    assert robot["t_s"].to_list() == [10.0, 10.125, 10.25, 10.375]
+    assert robot["tcp_x_m"].to_list() == [0, 1, 2, 3]
+    assert robot["q5_rad"].to_list() == [0, -1, -2, -3]
+
+
+def test_the_tcp_speed_is_the_norm_of_the_linear_part(tmp_path, ur):
+    rows = [ur.row(1.0, actual_TCP_speed_0=0.3, actual_TCP_speed_1=0.4, actual_TCP_speed_5=9.0)]
+    robot = read(write(tmp_path / "run.csv", ur.text(rows))).robot
+    assert robot["tcp_speed_m_s"][0] == pytest.approx(0.5)
+
+
+def test_a_sample_that_ur_rtde_writes_twice_counts_once(tmp_path, ur):
+    rows = [ur.row(t) for t in (1.0, 1.0, 1.002, 1.002, 1.002, 1.004)]
+    log = read(write(tmp_path / "run.csv", ur.text(rows, ",", "\n")))
+    assert log.robot["t_s"].to_list() == [1.0, 1.002, 1.004]
+    assert log.set_aside["source_row"].to_list() == [1, 3, 4]
+    assert log.rows_read == 6
+
+
+def test_two_runs_with_a_restarted_controller_keep_their_order(tmp_path, ur):
+    rows = [ur.row(t) for t in (5.0, 5.1, 1.0, 1.1)]
+    log = read(write(tmp_path / "run.csv", ur.text(rows)))
+    assert log.robot["t_s"].to_list() == [5.0, 5.1, 1.0, 1.1]
+    assert any("steps back 1 time" in said for said in log.warnings)
+
+
+def test_a_column_that_stands_at_zero_for_long_and_then_moves_is_read(tmp_path, ur):
+    rows = [ur.row(1.0 + i / 500, speed_scaling=0) for i in range(300)]
+    rows += [ur.row(2.0, speed_scaling=0.5)]
+    assert read(write(tmp_path / "run.csv", ur.text(rows))).robot["scaling"][-1] == 0.5
+
+
+def test_a_last_line_cut_inside_a_number_is_set_aside(tmp_path, ur):
+    text = ur.text([ur.row(1.0), ur.row(1.1), ur.row(1.2, runtime_state=2.375)])
+    log = read(write(tmp_path / "run.csv", text.rstrip("\r\n")[:-2]))
+    assert log.robot["t_s"].to_list() == [1.0, 1.1]
+    assert log.set_aside["source_row"].to_list() == [2]
+    assert "cut" in log.set_aside["reason"][0]
+
+
+def test_blank_lines_between_the_rows_on_windows_are_no_rows(tmp_path, ur):
+    text = ur.text([ur.row(1.0), ur.row(1.1)]).replace("\r\n", "\r\n\r\n")
+    log = read(write(tmp_path / "run.csv", text))
+    assert log.robot["source_row"].to_list() == [0, 1]
+    assert log.rows_read == 2
+    assert log.set_aside.is_empty()
+
+
+@pytest.mark.parametrize("harm", [lambda s: s.replace(" ", "  ", 1), lambda s: s.partition(" ")[2], lambda s: s + " 1"])
+def test_a_row_of_another_width_is_set_aside_and_never_shifted(tmp_path, ur, harm):
+    lines = ur.text([ur.row(t, actual_TCP_pose_1=7.0) for t in (1.0, 1.1, 1.2)]).split("\r\n")
+    lines[2] = harm(lines[2])
+    log = read(write(tmp_path / "run.csv", "\r\n".join(lines)))
+    assert log.robot["t_s"].to_list() == [1.0, 1.2]
+    assert log.robot["tcp_y_m"].to_list() == [7.0, 7.0]
+    assert log.set_aside["source_row"].to_list() == [1]
+    assert "fields where the header has" in log.set_aside["reason"][0]
+
+
+def test_a_space_at_the_end_of_every_line_changes_nothing(tmp_path, ur):
+    rows = [ur.row(1.0, actual_TCP_pose_2=0.7), ur.row(1.1)]
+    plain = read(write(tmp_path / "a.csv", ur.text(rows)))
+    trailing = read(write(tmp_path / "b.csv", ur.text(rows).replace("\r\n", " \r\n")))
+    assert trailing.robot.equals(plain.robot)
+
+
+def test_a_word_where_a_number_is_due_sets_that_row_aside(tmp_path, ur):
+    rows = [ur.row(1.0), ur.row(1.1, actual_q_0="1.0.3"), ur.row(1.2)]
+    log = read(write(tmp_path / "run.csv", ur.text(rows)))
+    assert log.robot["t_s"].to_list() == [1.0, 1.2]
+    assert "'1.0.3' in column 'actual_q_0' is not a number" in log.set_aside["reason"][0]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le"])
+def test_a_file_saved_again_by_a_windows_editor_is_read(tmp_path, ur, encoding):
+    path = write(tmp_path / "run.csv", ur.text([ur.row(1.0), ur.row(1.1)]), encoding)
+    assert ADAPTER.recognises(path)
+    assert read(path).robot["t_s"].to_list() == [1.0, 1.1]
+
+
+def test_a_block_of_nul_bytes_after_a_power_cut_is_set_aside(tmp_path, ur):
+    path = tmp_path / "run.csv"
+    path.write_bytes(ur.text([ur.row(1.0), ur.row(1.1)]).encode() + b"\0" * 512)
+    log = read(path)
+    assert log.robot["t_s"].to_list() == [1.0, 1.1]
+    assert log.set_aside.height == 1
+
+
+def test_a_file_name_with_brackets_is_a_name_and_no_pattern(tmp_path, ur):
+    write(tmp_path / "runa.csv", ur.text([ur.row(9.0)]))
+    path = write(tmp_path / "run[a].csv", ur.text([ur.row(1.0)]))
+    assert read(path).robot["t_s"].to_list() == [1.0]
+
+
+def test_without_a_timestamp_the_cure_is_named(tmp_path):
+    path = write(tmp_path / "run.csv", "actual_TCP_force_0,actual_TCP_force_1\n1,2\n")
+    assert ADAPTER.recognises(path)
+    with pytest.raises(MissingColumns, match="timestamp") as refusal:
+        read(path)
+    assert "record_configuration.xml" in refusal.value.cure
+
+
+def test_a_header_without_rows_is_refused_with_that_reason(tmp_path, ur):
+    with pytest.raises(DamagedLog, match="a header and no rows"):
+        read(write(tmp_path / "run.csv", ur.text([])))
+
+
+def test_a_binary_recording_is_recognised_and_refused(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_bytes(b"timestamp actual_q_0\nDOUBLE DOUBLE\n" + bytes(range(256)))
+    assert ADAPTER.recognises(path) or b"\0" in path.read_bytes()
+    with pytest.raises(DamagedLog, match="binary recording"):
+        read(path)
+
+
+def test_the_register_is_the_one_the_cell_names(tmp_path, ur):
+    path = write(tmp_path / "run.csv", ur.text([ur.row(1.0, output_int_register_0=4, output_int_register_3=7)]))
+    assert read(path).robot["register"].to_list() == [4]
+    assert read(path, map={"register": "output_int_register_3"}).robot["register"].to_list() == [7]
+    with pytest.raises(MissingColumns) as refusal:
+        read(path, map={"register": "output_int_register_4"})
+    assert refusal.value.nearest is not None
+    with pytest.raises(UnknownName, match="registr"):
+        read(path, map={"registr": "output_int_register_3"})
+
+
+def test_a_log_in_percent_is_left_unknown_and_said(tmp_path, ur):
+    log = read(write(tmp_path / "run.csv", ur.text([ur.row(1.0, target_speed_fraction=80.0)])))
+    assert log.robot["scaling"].to_list() == [None]
+    assert any("exceeds 1" in said for said in log.warnings)
+
+
+def test_a_log_without_pose_or_joints_is_refused(tmp_path, ur):
+    path = write(tmp_path / "run.csv", "timestamp,speed_scaling,runtime_state\n1,1,2\n")
+    with pytest.raises(MissingColumns, match="actual_TCP_pose_0"):
+        read(path)
+
+
+def test_a_folder_and_other_tables_are_not_mine(tmp_path):
+    assert not ADAPTER.recognises(tmp_path)
+    assert not ADAPTER.recognises(tmp_path / "absent.csv")
+    assert not ADAPTER.recognises(write(tmp_path / "a.csv", "timestamp,x,y\n1,2,3\n"))
+    with pytest.raises(LogError):
+        read(tmp_path / "absent.csv")

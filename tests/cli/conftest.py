@@ -1,0 +1,87 @@
+"""What the tests of the command line share: a terminal to type into, and one small cell, simulated once."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import pytest
+from cyclekit_sim import SimulationOptions, simulate
+
+from cyclekit.cli import run
+
+
+@dataclass(frozen=True)
+class Typed:
+    """What came of one command line."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The one JSON document on standard output."""
+        return json.loads(self.out)
+
+
+class Shell(Protocol):
+    def __call__(self, *words: str | Path) -> Typed: ...
+
+
+@pytest.fixture
+def cyclekit(capsys: pytest.CaptureFixture[str]) -> Shell:
+    """Type a command line in this process."""
+
+    def typed(*words: str | Path) -> Typed:
+        capsys.readouterr()
+        code = run([str(word) for word in words])
+        out, err = capsys.readouterr()
+        return Typed(code, out, err)
+
+    return typed
+
+
+@pytest.fixture(scope="session")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six executions of box picking, as vendor files."""
+    folder = tmp_path_factory.mktemp("cell") / "logs"
+    return simulate("box-picking", folder, executions=6, seed=1, options=SimulationOptions())
+
+
+@pytest.fixture(scope="session")
+def dataset(logs: Path) -> Path:
+    folder = logs.parent / "dataset"
+    assert run(["ingest", str(logs), "--out", str(folder), "--quiet"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def model(dataset: Path) -> Path:
+    """A model trained for a moment: good enough to be used, not to be right."""
+    from cyclekit.dataset import Dataset
+    from cyclekit.models.saved import save_model
+    from cyclekit.models.spec import ModelSpec
+    from cyclekit.train import train
+
+    folder = dataset.parent / "model"
+    save_model(folder, train(Dataset.open(dataset), ModelSpec.of(epochs=2)))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def sequences(dataset: Path) -> Path:
+    """Two sequences of tasks that were logged."""
+    from cyclekit.dataset import Dataset
+
+    tasks = set(Dataset.open(dataset).tasks()["task"])
+    back = next(slot for slot in ("left_2", "left_3", "right_2", "right_3", "right_4") if f"{slot}->conveyor" in tasks)
+    file = dataset.parent / "sequences.toml"
+    file.write_text(
+        f'[[sequence]]\nname = "one way"\nplaces = ["home", "conveyor", "left_1"]\n'
+        f'[[sequence]]\nname = "two boxes"\nplaces = ["home", "conveyor", "{back}", "conveyor", "left_1"]\n',
+        encoding="utf-8",
+    )
+    return file

@@ -1,0 +1,122 @@
+"""What a person sees: tables in 80 columns, durations as people say them, few lines where nothing can be redrawn."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import time
+from pathlib import Path
+
+import pytest
+import typer
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cyclekit.cli import terminal
+from cyclekit.cli.options import seconds, vector
+from cyclekit.cli.terminal import Terminal, bullet, duration, percent, table, write_json, write_out
+
+
+def test_a_path_in_brackets_stays_in_the_table() -> None:
+    shown = table(["log ", "rows"], [["run[a].csv", "12"], ["[bold]x[/bold]", "3"]])
+    assert "run[a].csv" in shown
+    assert "[bold]x[/bold]" in shown
+
+
+def test_a_long_name_is_folded_and_no_number_is_lost() -> None:
+    shown = table(["name ", "s", "s2"], [["x" * 300, "123.4", "5678.9"]])
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "123.4" in shown
+    assert "5678.9" in shown
+
+
+@pytest.mark.parametrize(
+    ("value_s", "said"),
+    [(0.84, "0.8 s"), (9.96, "10 s"), (59.6, "60 s"), (119.6, "2 min 0 s"), (185, "3 min 5 s"), (4800, "1 h 20 min")],
+)
+def test_a_duration_is_said_as_people_say_it(value_s: float, said: str) -> None:
+    assert duration(value_s) == said
+
+
+@pytest.mark.parametrize(
+    ("fraction", "said"),
+    [
+        (0.5, "50%"),
+        (0.9999, ">99%"),
+        (1.0, "100%"),
+        (0.0, "0%"),
+        (0.001, "<1%"),
+        (None, "unknown"),
+        (math.nan, "unknown"),
+    ],
+)
+def test_a_fraction_never_rounds_to_all_or_nothing(fraction: float | None, said: str) -> None:
+    assert percent(fraction) == said
+
+
+def test_what_is_not_a_number_is_null_in_json(capsys: pytest.CaptureFixture[str]) -> None:
+    write_json({"a": math.nan, "b": [1.0, math.inf], "path": Path("x")})
+    assert json.loads(capsys.readouterr().out) == {"a": None, "b": [1.0, None], "path": "x"}
+
+
+def test_a_remark_keeps_to_80_columns() -> None:
+    assert max(map(len, bullet(["word " * 60]).splitlines())) <= 80
+
+
+@given(st.floats(min_value=0.001, max_value=1e5))
+def test_a_duration_typed_with_any_unit_means_the_same(value: float) -> None:
+    assert seconds(f"{value!r}s") == seconds(f"{value!r}") == value
+    assert seconds(f"{value!r} min") == pytest.approx(60 * value)
+    assert seconds(f"{value!r}ms") == pytest.approx(value / 1000)
+
+
+@given(st.text(max_size=12))
+def test_a_duration_that_is_none_is_a_usage_error_never_a_crash(text: str) -> None:
+    with contextlib.suppress(typer.BadParameter):
+        assert 0 < seconds(text) < math.inf
+
+
+@given(st.text(alphabet="0123456789.,-+einf ", max_size=20))
+def test_a_position_is_three_finite_numbers_or_a_usage_error(text: str) -> None:
+    with contextlib.suppress(typer.BadParameter):
+        assert all(math.isfinite(value) for value in vector(text))
+
+
+def test_progress_is_silent_with_quiet_and_when_the_work_is_short(capsys: pytest.CaptureFixture[str]) -> None:
+    for quiet in (True, False):
+        with Terminal(json=False, quiet=quiet).progress("working") as progress:
+            progress(0.5, "half")
+    assert capsys.readouterr() == ("", "")
+
+
+def test_progress_is_few_lines_where_nothing_can_be_redrawn(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
+    with Terminal(json=False, quiet=False).progress("working") as progress:
+        for _ in range(1000):
+            now_s[0] += 0.1
+            progress(now_s[0] / 100, "log 3")
+    out, err = capsys.readouterr()
+    lines = err.splitlines()
+    assert out == ""
+    assert 5 <= len(lines) <= 8  # after 2, 4, 8 ... 64 s of 100
+    assert lines[0].startswith("working: 2% after 2.0 s, about 98 s left")
+
+
+def test_progress_in_a_terminal_shows_rate_and_time_left(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(terminal.sys.stderr, "isatty", lambda: True, raising=False)
+    with Terminal(json=False, quiet=False).progress("working") as progress:
+        progress(0.25, "log[3]")
+    out, _ = capsys.readouterr()
+    assert out == ""
+
+
+def test_a_result_is_written_whole_with_its_folder(tmp_path: Path) -> None:
+    write_out(tmp_path / "new" / "x.json", {"expected_s": math.nan})
+    assert json.loads((tmp_path / "new" / "x.json").read_text(encoding="utf-8")) == {"expected_s": None}
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["x.json"]

@@ -1,0 +1,143 @@
+"""Who may import whom: the house has floors, and a room looks only downwards."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+FLOORS = [
+    {"cli"},
+    {"describe", "replay", "report"},
+    {"estimate", "evaluate", "whatif"},
+    {"ingest", "train"},
+    {"derive", "discover", "models"},
+    {"account", "activity"},
+    {"people", "registry", "samples"},
+    {"override", "segment", "session", "steps", "zones"},
+    {"adapter", "clock", "dataset", "frames"},
+    {"config", "schema", "sequences"},
+    {"toml_file"},
+    {"colours", "errors", "labels"},
+]
+"""Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
+
+ROOMS_OF = {
+    "torch": {"models", "train"},
+    "rerun": {"replay"},
+    "sklearn": {"evaluate", "samples", "steps"},
+    "typer": {"cli"},
+    "rich": {"cli"},
+    "jinja2": {"report"},
+    "matplotlib": {"report"},
+    "rosbags": set(),
+    "mcap": set(),
+    "cyclekit_adapters": set(),
+    "cyclekit_sim": {"cli"},
+}
+"""The only rooms of cyclekit that may import each of these."""
+
+OF_ADAPTERS = {"cyclekit.adapter", "cyclekit.errors", "cyclekit.schema"}
+
+
+@dataclass(frozen=True)
+class Import:
+    """One import statement: by which file and line, of which module, and whether only for the type checker."""
+
+    file: Path
+    line: int
+    module: str
+    typing_only: bool
+
+    def __str__(self) -> str:
+        return f"{self.file.relative_to(ROOT)}:{self.line} imports {self.module}"
+
+    @property
+    def top(self) -> str:
+        return self.module.partition(".")[0]
+
+
+def imports_of(package: Path) -> list[Import]:
+    found = []
+    for file in sorted(package.rglob("*.py")):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for_types = {inner for node in ast.walk(tree) if _is_typing_block(node) for inner in ast.walk(node)}
+        for node in ast.walk(tree):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                module = node.module or ""
+                names = [f"{module}.{alias.name}" if module == "cyclekit" else module for alias in node.names]
+            assert not (isinstance(node, ast.ImportFrom) and node.level), f"{file}: relative import"
+            found += [Import(file, node.lineno, name, node in for_types) for name in dict.fromkeys(names)]
+    return found
+
+
+def _is_typing_block(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+
+
+def room(file: Path) -> str:
+    first = file.relative_to(ROOT / "cyclekit").parts[0]
+    return first.removesuffix(".py")
+
+
+CYCLEKIT = [entry for entry in imports_of(ROOT / "cyclekit") if room(entry.file) != "__init__"]
+FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
+
+
+def test_every_room_stands_on_a_floor() -> None:
+    rooms = {
+        path.stem for path in (ROOT / "cyclekit").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
+    }
+    assert rooms - {"__init__"} <= set(FLOOR), "say in FLOORS where the new room stands, and in docs/architecture.md"
+
+
+def test_a_room_imports_only_from_floors_below() -> None:
+    upwards = []
+    for entry in CYCLEKIT:
+        if entry.top != "cyclekit" or entry.typing_only or entry.module == "cyclekit":
+            continue
+        ours, theirs = room(entry.file), entry.module.split(".")[1]
+        if theirs not in FLOOR:  # a public name of the package itself
+            upwards.append(f"{entry}: import it from its room")
+        elif ours != theirs and FLOOR[theirs] <= FLOOR[ours]:
+            upwards.append(str(entry))
+    assert upwards == []
+
+
+@pytest.mark.parametrize("library", ROOMS_OF)
+def test_a_library_is_known_only_in_its_rooms(library: str) -> None:
+    strangers = [str(e) for e in CYCLEKIT if e.top == library and room(e.file) not in ROOMS_OF[library]]
+    assert strangers == []
+
+
+def test_adapters_know_the_contract_and_nothing_else_of_cyclekit() -> None:
+    found = imports_of(ROOT / "adapters" / "cyclekit_adapters")
+    assert found
+    assert [str(e) for e in found if e.top == "cyclekit" and not _is_contract(e.module)] == []
+    assert [str(e) for e in found if e.top == "cyclekit_sim"] == []
+
+
+def _is_contract(module: str) -> bool:
+    return any(module == known or module.startswith(f"{known}.") for known in OF_ADAPTERS)
+
+
+def test_the_simulator_knows_nothing_of_cyclekit() -> None:
+    found = imports_of(ROOT / "sim_fixtures" / "cyclekit_sim")
+    assert found
+    assert [str(e) for e in found if e.top in {"cyclekit", "cyclekit_adapters"}] == []
+
+
+def test_no_room_is_called_after_nothing() -> None:
+    names = {path.name for folder in ("cyclekit", "adapters", "sim_fixtures") for path in (ROOT / folder).rglob("*.py")}
+    assert names.isdisjoint({"utils.py", "common.py", "helpers.py", "base.py"})
+
+
+def test_the_folders_around_the_packages_are_no_packages() -> None:
+    assert [name for name in ("adapters", "sim_fixtures", "tests") if (ROOT / name / "__init__.py").exists()] == []

@@ -2,7 +2,7 @@
 # in .venv, once; it is made again when pyproject.toml or constraints.txt change.
 #
 #   make demo PYTHON=python3.12           another interpreter
-#   make demo PIP_FLAGS='--index-url …'   another package index (a CPU-only torch saves 4 GB)
+#   make demo PIP_FLAGS='--index-url …'   another package index (a CPU-only torch saves gigabytes)
 
 PYTHON ?= python3
 VENV ?= .venv

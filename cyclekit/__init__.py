@@ -17,26 +17,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from cyclekit.adapter import Adapter as Adapter
-    from cyclekit.adapter import ReadOptions as ReadOptions
-    from cyclekit.adapter import Recording as Recording
-    from cyclekit.sequences import TaskSequence as TaskSequence
-    from cyclekit.sequences import load_sequences as load_sequences
-    from cyclekit.dataset import Dataset as Dataset
+    from cyclekit.adapter import Adapter, ReadOptions, Recording
+    from cyclekit.dataset import Dataset
     from cyclekit.describe import describe as describe_path
-    from cyclekit.errors import CyclekitError as CyclekitError
-    from cyclekit.estimate.result import CycleEstimate as CycleEstimate
+    from cyclekit.errors import CyclekitError
+    from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.rollout import estimate as estimate_cycles
     from cyclekit.evaluate import evaluate as evaluate_model
     from cyclekit.ingest import ingest as ingest_logs
-    from cyclekit.models.saved import load_model as load_model
-    from cyclekit.models.saved import save_model as save_model
-    from cyclekit.models.spec import ModelSpec as ModelSpec
-    from cyclekit.replay import write_replay as write_replay
-    from cyclekit.report import write_report as write_report
-    from cyclekit.sequences import TaskSequence as TaskSequence
-    from cyclekit.sequences import load_sequences as load_sequences
+    from cyclekit.models.saved import load_model, save_model
+    from cyclekit.models.spec import ModelSpec
+    from cyclekit.replay import write_replay
+    from cyclekit.report import write_report
+    from cyclekit.sequences import TaskSequence, load_sequences
     from cyclekit.train import train as train_model
+
+    __version__: str
 
 _HOMES = {
     "Adapter": "cyclekit.adapter:Adapter",
@@ -60,20 +56,41 @@ _HOMES = {
 }
 """Where each public name lives. A name differs from every module's name, which would shadow it once imported."""
 
-__all__ = [*_HOMES, "__version__"]
+__all__ = [
+    "Adapter",
+    "CycleEstimate",
+    "CyclekitError",
+    "Dataset",
+    "ModelSpec",
+    "ReadOptions",
+    "Recording",
+    "TaskSequence",
+    "__version__",
+    "describe_path",
+    "estimate_cycles",
+    "evaluate_model",
+    "ingest_logs",
+    "load_model",
+    "load_sequences",
+    "save_model",
+    "train_model",
+    "write_replay",
+    "write_report",
+]
 
+if not TYPE_CHECKING:  # the type checker reads the imports above, so that a slip in a name is found
 
-def __getattr__(name: str) -> object:
-    """Import a public name when it is first used."""
-    if name == "__version__":
-        from importlib.metadata import version
+    def __getattr__(name: str) -> object:
+        """Import a public name when it is first used."""
+        if name == "__version__":
+            from importlib.metadata import version
 
-        return version("cyclekit")
-    if name not in _HOMES:
-        msg = f"module 'cyclekit' has no attribute {name!r}"
-        raise AttributeError(msg)
-    module, _, attribute = _HOMES[name].partition(":")
-    return getattr(import_module(module), attribute)
+            return version("cyclekit")
+        if name not in _HOMES:
+            msg = f"module 'cyclekit' has no attribute {name!r}"
+            raise AttributeError(msg)
+        module, _, attribute = _HOMES[name].partition(":")
+        return getattr(import_module(module), attribute)
 
 
 def __dir__() -> list[str]:

@@ -67,7 +67,7 @@ def _operator_logs(
         if people is not None:
             source = sources[entry["id"]]
             frame = source.frame if source else None
-            for (person,), rows in people.group_by(["person"], maintain_order=True):
+            for (person,), rows in people.sort("t_s").group_by(["person"], maintain_order=True):
                 xyz = to_base(rows.select("x_m", "y_m", "z_m").to_numpy(), frame, up=entry["up"])
                 t = rows["t_s"].to_numpy() * clock["rate"] + clock["offset_s"]
                 tracks.append(Track(str(person), t, xyz))

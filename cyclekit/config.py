@@ -7,6 +7,7 @@ What the settings do is the business of the rooms that get them.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
@@ -122,20 +123,16 @@ def load_cell(path: Path) -> Cell:
     where = str(path)
     _only(where, raw, Cell)
     sources = tuple(_source(f"{where} sources[{i}]", entry) for i, entry in enumerate(list_at(where, raw, "sources")))
-    executions = raw.get("executions", {})
-    _only(f"{where} [executions]", executions, Executions)
-    if executions.get("begin", "auto") not in get_args(Begin):
-        raise UnknownName(f"{where} [executions]", "value of begin", str(executions["begin"]), get_args(Begin))
     return Cell(
-        name=str(raw.get("name", path.parent.name)),
+        name=_text(where, raw, "name") or path.resolve().parent.name,
         sources=sources,
         ignore=tuple(map(str, list_at(where, raw, "ignore"))),
         reference=tuple(map(str, list_at(where, raw, "reference"))),
         places=_places(f"{where} [places]", raw.get("places", {})),
         human_places=_places(f"{where} [human_places]", raw.get("human_places", {})),
-        executions=Executions(**executions),
+        executions=_executions(f"{where} [executions]", raw.get("executions", {})),
         rate_hz=_positive(where, raw, "rate_hz", 10.0),
-        bridge_s=float(raw.get("bridge_s", 0.3)),
+        bridge_s=_number(where, raw, "bridge_s", 0.3),
     )
 
 
@@ -151,11 +148,45 @@ def _only(where: str, raw: object, shape: type) -> None:
             raise ConfigError(f"{where}: no {needed.name!r}", cure=f"Add {needed.name} = …")
 
 
-def _positive(where: str, raw: Mapping[str, Any], key: str, default: float) -> float:
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _number(where: str, raw: Mapping[str, Any], key: str, default: float) -> float:
     value = raw.get(key, default)
-    if not isinstance(value, int | float) or isinstance(value, bool) or not 0 < value < math.inf:
-        raise ConfigError(f"{where}: {key} = {value!r} must be a positive number", cure=f"{key} = {default:g}")
+    if not _is_number(value):
+        raise ConfigError(f"{where}: {key} = {value!r} must be a number", cure=f"{key} = {default:g}")
     return float(value)
+
+
+def _positive(where: str, raw: Mapping[str, Any], key: str, default: float) -> float:
+    value = _number(where, raw, key, default)
+    if value <= 0:
+        raise ConfigError(f"{where}: {key} = {value!r} must be a positive number", cure=f"{key} = {default:g}")
+    return value
+
+
+def _text(where: str, raw: Mapping[str, Any], key: str) -> str | None:
+    value = raw.get(key)
+    if value is not None and not isinstance(value, str):
+        raise ConfigError(f"{where}: {key} = {value!r} must be a text", cure=f'{key} = "{value}"')
+    return value
+
+
+def _table(where: str, value: object) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ConfigError(f"{where}: {value!r} must be a table", cure="See docs/commands.md for the cell file.")
+    return value
+
+
+def _executions(where: str, raw: Mapping[str, Any]) -> Executions:
+    _only(where, raw, Executions)
+    if raw.get("begin", "auto") not in get_args(Begin):
+        raise UnknownName(where, "value of begin", str(raw["begin"]), get_args(Begin))
+    bit = raw.get("bit", 0)
+    if not isinstance(bit, int) or isinstance(bit, bool) or not 0 <= bit < 63:
+        raise ConfigError(f"{where}: bit = {bit!r} must be a number from 0 to 62", cure="bit = 0")
+    return Executions(raw.get("begin", "auto"), _positive(where, raw, "gap_s", 2.0), _text(where, raw, "home"), bit)
 
 
 def _source(where: str, entry: Mapping[str, Any]) -> Source:
@@ -163,14 +194,21 @@ def _source(where: str, entry: Mapping[str, Any]) -> Source:
     role = entry.get("role")
     if role not in (None, "robot", "people", "events"):
         raise UnknownName(where, "role", str(role), ["robot", "people", "events"])
-    frame = _frame(f"{where} frame", entry["frame"]) if "frame" in entry else None
-    offset = entry.get("clock_offset_s")
-    if offset is not None and not isinstance(offset, int | float):
-        raise ConfigError(f"{where}: clock_offset_s = {offset!r} must be a number", cure="Give seconds.")
-    return Source(**{**entry, "frame": frame, "map": dict(entry.get("map", {}))})
+    return Source(
+        path=_text(where, entry, "path") or "",
+        adapter=_text(where, entry, "adapter"),
+        role=role,
+        clock_offset_s=_number(where, entry, "clock_offset_s", 0.0) if "clock_offset_s" in entry else None,
+        clock_rate=_positive(where, entry, "clock_rate", 1.0),
+        frame=_frame(f"{where} frame", entry["frame"]) if "frame" in entry else None,
+        body=_text(where, entry, "body"),
+        rate_hz=_positive(where, entry, "rate_hz", 100.0) if "rate_hz" in entry else None,
+        map=dict(_table(f"{where} map", entry.get("map", {}))),
+    )
 
 
-def _frame(where: str, raw: Mapping[str, Any]) -> Frame:
+def _frame(where: str, raw: object) -> Frame:
+    raw = _table(where, raw)
     known = ["xyz_m", "yaw_deg", "rotation"]
     for key in raw:
         if key not in known:
@@ -183,7 +221,7 @@ def _frame(where: str, raw: Mapping[str, Any]) -> Frame:
             raise ConfigError(f"{where}: rotation is no rotation matrix", cure="Give three orthonormal rows, det +1.")
         rotation: Matrix = (rows[0], rows[1], rows[2])
     else:
-        yaw = math.radians(float(raw.get("yaw_deg", 0.0)))
+        yaw = math.radians(_number(where, raw, "yaw_deg", 0.0))
         c, s = math.cos(yaw), math.sin(yaw)
         rotation = ((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0))
     return Frame(_point(f"{where} xyz_m", raw.get("xyz_m", [0.0, 0.0, 0.0])), rotation)
@@ -199,14 +237,14 @@ def _orthonormal(rows: tuple[Point, ...]) -> bool:
 
 
 def _point(where: str, value: object) -> Point:
-    if not isinstance(value, list | tuple) or len(value) != 3 or not all(isinstance(v, int | float) for v in value):
+    if not isinstance(value, list | tuple) or len(value) != 3 or not all(map(_is_number, value)):
         raise ConfigError(f"{where}: {value!r} is no point", cure="Give three numbers in metres: [x, y, z].")
     return float(value[0]), float(value[1]), float(value[2])
 
 
-def _places(where: str, raw: Mapping[str, Any]) -> dict[str, NamedPlace]:
+def _places(where: str, raw: object) -> dict[str, NamedPlace]:
     found = {}
-    for name, entry in raw.items():
+    for name, entry in _table(where, raw).items():
         _only(f"{where[:-1]}.{name}]", entry, NamedPlace)
         radius = _positive(f"{where[:-1]}.{name}]", entry, "radius_m", 0.05)
         found[name] = NamedPlace(_point(f"{where} {name} xyz_m", entry["xyz_m"]), radius)
@@ -218,6 +256,8 @@ def cell_to_toml(cell: Cell) -> str:
     lines = [f"name = {_toml(cell.name)}"]
     lines += [f"ignore = {_toml(list(cell.ignore))}"] if cell.ignore else []
     lines += [f"reference = {_toml(list(cell.reference))}  # logs with nobody in the cell"] if cell.reference else []
+    lines += [f"rate_hz = {_toml(cell.rate_hz)}"] if cell.rate_hz != Cell.rate_hz else []
+    lines += [f"bridge_s = {_toml(cell.bridge_s)}"] if cell.bridge_s != Cell.bridge_s else []
     for source in cell.sources:
         lines += ["", "[[sources]]"]
         for key, value in vars(source).items():
@@ -229,16 +269,17 @@ def cell_to_toml(cell: Cell) -> str:
             lines.append("# clock_offset_s = 0.0  # add to this log's time to get the robot log's time")
     for title, places in (("places", cell.places), ("human_places", cell.human_places)):
         for name, place in places.items():
-            xyz = [round(v, 4) for v in place.xyz_m]
-            lines += ["", f"[{title}.{_key(name)}]", f"xyz_m = {_toml(xyz)}", f"radius_m = {place.radius_m:g}"]
+            xyz, radius = _toml(list(place.xyz_m)), _toml(place.radius_m)
+            lines += ["", f"[{title}.{_key(name)}]", f"xyz_m = {xyz}", f"radius_m = {radius}"]
     begin = cell.executions
     lines += [
         "",
         "[executions]",
         f'begin = "{begin.begin}"  # {", ".join(get_args(Begin))}',
-        f"gap_s = {begin.gap_s:g}",
+        f"gap_s = {_toml(begin.gap_s)}",
     ]
     lines += [f"home = {_toml(begin.home)}"] if begin.home else []
+    lines += [f"bit = {begin.bit}"] if begin.bit else []
     return "\n".join(lines) + "\n"
 
 
@@ -257,6 +298,5 @@ def _toml(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\t", "\\t")
-        return f'"{escaped}"'
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML's escapes are those of JSON
     return repr(value)

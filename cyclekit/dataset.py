@@ -218,6 +218,7 @@ def staged(path: Path) -> Iterator[Path]:
     Raises:
         CyclekitError: The place cannot be written.
     """
+    path = path.resolve()  # "." has no name to put a folder beside, and a link shall stay a link
     recover(path)
     staging = _staging(path)
     try:
@@ -236,6 +237,7 @@ def staged(path: Path) -> Iterator[Path]:
 
 def recover(path: Path) -> None:
     """Finish or undo what a killed process left beside `path`: only complete folders ever take its place."""
+    path = path.resolve()
     staging, retired = _staging(path), _retired(path)
     if (staging / ".complete").is_file():
         _swap(path)

@@ -17,6 +17,7 @@ from cyclekit.account import Leg, account, usual_dwells
 from cyclekit.activity import with_operator
 from cyclekit.clock import LogClock, fit_clock
 from cyclekit.dataset import Place
+from cyclekit.errors import ConfigError
 from cyclekit.override import infer_overrides
 from cyclekit.segment import (
     Execution,
@@ -76,6 +77,7 @@ def derive(
 
     Raises:
         UnknownName: The cell file's home is no place that was found.
+        ConfigError: Executions are to begin by a register or output that was not logged.
     """
     for session in sessions:
         _place_in_time(session, sources)
@@ -140,7 +142,7 @@ def _load_runs(
         xyz = table.select("tcp_x_m", "tcp_y_m", "tcp_z_m").to_numpy()
         logged = table["tcp_speed_m_s"].to_numpy()
         scaling = table["scaling"].to_numpy()
-        marker = _marker(table, cell)
+        marker = _marker(table, cell, entry)
         for part in split_runs(t, gap_s=cell.executions.gap_s if cell.executions.begin != "file" else np.inf):
             speed = logged[part] if np.isfinite(logged[part]).all() else tcp_speed(t[part], xyz[part])
             session.runs.append(len(runs))
@@ -148,10 +150,14 @@ def _load_runs(
     return runs
 
 
-def _marker(table: pl.DataFrame, cell: Cell) -> Vector:
+def _marker(table: pl.DataFrame, cell: Cell, entry: Mapping[str, Any]) -> Vector:
     how = cell.executions
+    column = {"register": "register", "digital-output": "digital_out_bits"}.get(how.begin)
+    if column and table[column].null_count() == table.height:
+        seen = f"{entry['sources'][0]['path']}: executions are to begin by {how.begin}, and that was not logged"
+        raise ConfigError(seen, cure='Log it, or set begin = "auto" in [executions] of the cell file.')
     if how.begin == "register":
-        return table["register"].cast(pl.Float64).to_numpy()
+        return table["register"].forward_fill().backward_fill().cast(pl.Float64).to_numpy()
     if how.begin == "digital-output":
         bits = table["digital_out_bits"].fill_null(0).to_numpy()
         return np.asarray((bits >> how.bit) & 1, float)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -66,11 +67,13 @@ def find_all(roots: Sequence[Path], cell: Cell) -> tuple[list[Log], list[tuple[s
     logs: dict[str, Log] = {}
     not_read: list[tuple[str, str]] = []
     unknown: LogError | None = None
+    prefixes = _prefixes(roots)
     for root in roots:
         base = root if root.is_dir() else root.parent
         for path, registered in _candidates(root, base, cell):
             shown = path.relative_to(base).as_posix() if path != base else path.name
             source = next((s for s in cell.sources if matches(shown, path, s.path)), None)
+            shown = prefixes[base] + shown
             reader = adapter_named(source.adapter) if source and source.adapter else registered
             if reader is None:
                 unknown = why_unknown(path)
@@ -87,6 +90,17 @@ def find_all(roots: Sequence[Path], cell: Cell) -> tuple[list[Log], list[tuple[s
     return list(logs.values()), not_read
 
 
+def _prefixes(roots: Sequence[Path]) -> dict[Path, str]:
+    """What tells the logs of several folders apart, by folder: its path below what all have in common."""
+    bases = dict.fromkeys(root if root.is_dir() else root.parent for root in roots)
+    whole = {base: base.resolve() for base in bases}
+    if len(set(whole.values())) == 1:
+        return dict.fromkeys(bases, "")
+    common = Path(os.path.commonpath(whole.values())) if len({path.drive for path in whole.values()}) == 1 else None
+    below = {base: path.relative_to(common) if common else Path(path.name) for base, path in whole.items()}
+    return {base: "" if path == Path() else f"{path.as_posix()}/" for base, path in below.items()}
+
+
 def _candidates(root: Path, base: Path, cell: Cell) -> Iterable[tuple[Path, Registered | None]]:
     for path, registered in find_logs(root):
         shown = path.relative_to(base).as_posix() if path != base else path.name
@@ -97,7 +111,7 @@ def _candidates(root: Path, base: Path, cell: Cell) -> Iterable[tuple[Path, Regi
 def matches(shown: str, path: Path, pattern: str) -> bool:
     """Tell whether a log, shown relative to the folder given, is meant by a path or glob of the cell file."""
     wanted = Path(pattern).as_posix()
-    return shown == wanted or fnmatchcase(shown, wanted) or str(path) == pattern
+    return shown == wanted or shown.startswith(f"{wanted}/") or fnmatchcase(shown, wanted) or str(path) == pattern
 
 
 def _log(path: Path, shown: str, reader: Registered, source: Source | None, taken: dict[str, Log]) -> Log:

@@ -102,13 +102,15 @@ def ingest(
     explicit = {path for path in roots if path.is_file()}
     with staged(out) as staging:
         entries, failed, kept = _read_all(found, staging, old, jobs, lambda f, text: tell(0.6 * f, text))
+        shown = {log.path: log.shown for log in found}
         for error in failed:
             if error.path in explicit or not entries:
                 raise error
-            not_read.append((str(error.path), error.cause))
+            not_read.append((shown.get(error.path, str(error.path)), error.cause))
         sources = {log.id: log.source for log in found}
         sessions = group_sessions(entries, partial(_is_reference, settings))
         derived = derive(sessions, sources, partial(_native, staging), settings, lambda f, t: tell(0.6 + 0.4 * f, t))
+        derived.warnings.extend(_unmatched(settings, found))
         card = _card(settings, entries, derived, not_read, fingerprint)
         for name, frame in derived.samples.items():
             write_parquet(frame, staging / "samples" / f"{name}.parquet")
@@ -148,7 +150,7 @@ def _read_all(
     failed: list[LogError] = []
     todo = []
     for log in logs:
-        if old is not None and log.key in known:
+        if old is not None and log.key in known and (old.path / "recordings" / known[log.key]["id"]).is_dir():
             entries[log.id] = _take_over(known[log.key], log, old.path, staging)
         else:
             todo.append(log)
@@ -185,11 +187,11 @@ def _read(log: Log, staging: Path) -> dict[str, Any]:
     frames = {name: frame for name, frame in _tables(recording).items() if frame is not None}
     if not frames:
         raise LogError(log.path, "holds neither robot, people nor events", cure="Check what was recorded.")
-    for name, frame in frames.items():
-        write_parquet(schema.conform(frame, TABLES[name]), staging / "recordings" / log.id / f"{name}.parquet")
     main = next((frame for frame in frames.values() if frame.height), None)
     if main is None:
         raise LogError(log.path, "holds a header and no data", cure="Record again, or remove the file.")
+    for name, frame in frames.items():
+        write_parquet(schema.conform(frame, TABLES[name]), staging / "recordings" / log.id / f"{name}.parquet")
     first, last = (float(main["t_s"].min()), float(main["t_s"].max()))  # type: ignore[arg-type]
     rows = max(main["t_s"].n_unique() - 1, 1)
     return {
@@ -268,6 +270,14 @@ def _native(staging: Path, recording: str, table: str) -> pl.DataFrame | None:
 
 def _is_reference(cell: Cell, shown: str) -> bool:
     return any(matches(shown, Path(shown), pattern) for pattern in cell.reference)
+
+
+def _unmatched(cell: Cell, logs: Sequence[Log]) -> list[str]:
+    """Say which sources of the cell file mean no log: a slip there would silently change what the logs mean."""
+    used = {id(log.source) for log in logs}
+    unused = [source.path for source in cell.sources if id(source) not in used]
+    unused += [glob for glob in cell.reference if not any(matches(log.shown, log.path, glob) for log in logs)]
+    return [f"the cell file speaks of {path!r}, and no log is meant by it" for path in unused]
 
 
 def _card(

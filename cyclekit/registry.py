@@ -13,6 +13,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, cast
 
+from cyclekit.dataset import CARD
 from cyclekit.errors import CyclekitError, UnknownFormat, UnknownName
 
 if TYPE_CHECKING:
@@ -78,15 +79,15 @@ def find_adapter(path: Path) -> Registered | None:
 def find_logs(path: Path) -> Iterator[tuple[Path, Registered | None]]:
     """Walk `path`; yield each log with the adapter that reads it, None for a file nobody reads.
 
-    A folder that is itself a log (a ROS 2 bag, a folder of one file per signal) is yielded as one.
+    A folder that is itself a log (a ROS 2 bag, a folder of one file per signal) is yielded as one. Below `path`,
+    hidden files and datasets are passed over.
     """
-    if path.name.startswith("."):
-        return
     if (found := find_adapter(path)) or not path.is_dir():
         yield path, found
         return
     for child in sorted(path.iterdir()):
-        yield from find_logs(child)
+        if not child.name.startswith(".") and not (child / CARD).is_file():
+            yield from find_logs(child)
 
 
 def why_unknown(path: Path) -> UnknownFormat:

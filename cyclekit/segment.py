@@ -193,7 +193,7 @@ def _radius(members: Points, centre: Vector) -> float:
 
 
 def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArray[np.int64]]:
-    """Group positions that lie within `radius_m` of the densest spots, densest first; every row in one group.
+    """Group positions that lie within `radius_m` of the densest spots, densest first; an unknown one is in no group.
 
     Args:
         xyz: Positions, shape (M, 3), metres.
@@ -201,7 +201,7 @@ def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArr
         radius_m: Reach of a group around its densest cell's median.
     """
     groups: list[NDArray[np.int64]] = []
-    rest = rows
+    rest = rows[np.isfinite(xyz[rows]).all(axis=1)]
     while len(rest):
         cells = np.floor(xyz[rest] / radius_m).astype(np.int64)
         _, index, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)

@@ -5,6 +5,7 @@ Whether the places exist and the tasks were ever logged is found out by `estimat
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,6 @@ from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.toml_file import list_at, read_toml
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
 
@@ -54,6 +54,8 @@ def load_sequences(path: Path) -> list[TaskSequence]:
 
 
 def _sequence(where: str, entry: Mapping[str, Any], index: int) -> TaskSequence:
+    if not isinstance(entry, Mapping):
+        raise ConfigError(f"{where}: {entry!r} must be a table", cure="Begin each sequence with [[sequence]].")
     for key in entry:
         if key not in {"name", "places", "tasks", "operator"}:
             raise UnknownName(where, "key", key, ["name", "places", "tasks", "operator"])

@@ -90,7 +90,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
         "split": asdict(split),
         "history": [asdict(epoch) for epoch in fitted.history],
     }
-    return replace(model, card=card)
+    return replace(model, card=json.loads(json.dumps(card)))  # as it will be read back: lists, no tuples
 
 
 def fingerprint(dataset: Dataset) -> str:

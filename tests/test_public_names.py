@@ -32,12 +32,13 @@ def test_what_the_type_checker_sees_is_what_is_given() -> None:
     tree = ast.parse(Path(cyclekit.__file__).read_text(encoding="utf-8"))
     block = next(node for node in tree.body if isinstance(node, ast.If))
     seen = {
-        alias.asname: f"{node.module}:{alias.name}"
+        alias.asname or alias.name: f"{node.module}:{alias.name}"
         for node in block.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
     assert seen == cyclekit._HOMES
+    assert set(cyclekit.__all__) == {*seen, "__version__"}
 
 
 def test_a_name_that_is_not_there_is_missed_as_in_any_module() -> None:

@@ -1,7 +1,7 @@
 """`cyclekit demo`: the whole way on a simulated cell, from logs to the cycle time of three sequences.
 
 Each step is the library call that the command of the same name makes; the demo only strings them together, on its
-own folder, so that the same demo twice gives the same files.
+own folder, which the same demo overwrites with the same numbers.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def demo(
     """Go the whole way once, on a simulated cell.
 
     Plant logs are simulated and ingested, a model is trained, three sequences are estimated; a replay and a report
-    are written. The same demo again gives the same files.
+    are written. The same demo again gives the same numbers.
     """
     settings: dict[str, Any] = {"operator_log": operator_log, "operator_yaw_deg": operator_yaw}
     if operator_xyz is not None:
@@ -104,13 +104,13 @@ def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) ->
 
 
 def _model(run: _Run, dataset: Dataset, seed: int) -> TrainedModel:
-    from cyclekit.models.saved import save_model
+    from cyclekit.models.saved import load_model, save_model
     from cyclekit.models.spec import ModelSpec
     from cyclekit.train import train
 
     with run.step("train the safety function") as progress:
-        model = train(dataset, ModelSpec.of(seed=seed), progress=progress)
-        save_model(run.out / "model", model)
+        save_model(run.out / "model", train(dataset, ModelSpec.of(seed=seed), progress=progress))
+    model = load_model(run.out / "model")  # as the other commands will find it
     run.terminal.remark(f"  {summary(model)}")
     return model
 
@@ -132,13 +132,13 @@ def sequences_toml(logged: set[str]) -> str:
 
     Args:
         logged: Tasks that occur in the logs. Which slot was the last one of an execution is chance, so each order
-            ends with a slot from which the robot was seen to go home.
+            ends with a slot from which the robot was seen to go home, or at its last slot where there is none.
     """
     blocks = []
     for name, slots in SEQUENCES.items():
-        ends = [slot for slot in slots if f"{slot}->home" in logged] or slots
-        order = [*(slot for slot in slots if slot != ends[-1]), ends[-1]]
-        places = ["home", *(place for slot in order for place in ("conveyor", slot)), "home"]
+        last = next((slot for slot in reversed(slots) if f"{slot}->home" in logged), None)
+        order = [slot for slot in slots if slot != last] + ([last] if last else [])
+        places = ["home", *(place for slot in order for place in ("conveyor", slot)), *(["home"] if last else [])]
         quoted = ", ".join(f'"{place}"' for place in places)
         blocks.append(f'[[sequence]]\nname = "{name}"\nplaces = [{quoted}]\n')
     return "\n".join(blocks)
@@ -165,13 +165,16 @@ def _report(run: _Run, dataset: Dataset, model: TrainedModel, estimates: list[Cy
 
 
 def _closing(estimates: list[CycleEstimate], run: _Run) -> str:
-    lines = ["How long does a cycle take? Three orders of the same ten boxes, the quickest first:", ""]
+    lines = ["How long does a cycle take? Three orders of the same ten boxes, quickest first:", ""]
     lines += [estimates_table(estimates), CAPTION, "", loses_most(estimates), "", rests_on(estimates), "", "Next"]
     lines += [
-        f"  {run.out / 'report.html'}     the page for the customer; open it in a browser",
-        f"  rerun {run.out / 'replay.rrd'}  the first execution in 3-D, with the model's prediction",
-        f"  {run.out / 'sequences.toml'}  change the sequences, then:",
-        f"  cyclekit estimate {run.out / 'model'} {run.out / 'sequences.toml'} --dataset {run.out / 'dataset'}",
+        "- the page for the customer, in any browser:",
+        f"    {run.out / 'report.html'}",
+        "- the first execution in 3-D, with the model's prediction:",
+        f"    rerun {run.out / 'replay.rrd'}",
+        f"- your own sequences: change {run.out / 'sequences.toml'}, then",
+        f"    cyclekit estimate {run.out / 'model'} {run.out / 'sequences.toml'} --dataset {run.out / 'dataset'}",
+        "",
         f"Done in {duration(sum(run.spent_s.values()))}.",
     ]
     return "\n".join(lines)

@@ -146,11 +146,12 @@ class _Lines:
 
     def __call__(self, fraction: float, text: str) -> None:
         spent_s = time.monotonic() - self.began_s
-        if spent_s < self.next_s:
+        if spent_s < self.next_s or fraction >= 1:
             return
         self.next_s = spent_s * 2
+        far = f"{fraction:.0%} after {duration(spent_s)}" if fraction > 0 else duration(spent_s)
         left = f", about {duration(spent_s * (1 - fraction) / fraction)} left" if fraction > 0 else ""
-        typer.echo(f"{self.title}: {fraction:.0%} after {duration(spent_s)}{left}  {text}", err=True)
+        typer.echo(f"{self.title}: {far}{left}  {text}", err=True)
 
 
 def by_stage(progress: Progress) -> Callable[[str], None]:

@@ -44,23 +44,20 @@ RESAMPLES = 1000
 
 @dataclass(frozen=True)
 class Program:
-    """A sequence laid out along nominal time, at every STEP_S.
+    """A sequence laid out along nominal time, in K cells of about STEP_S.
 
     Attributes:
+        length_s: Duration at scaling 1, stands included: the sum over the tasks, exactly.
         xyz_m: TCP, shape (K, 3).
         moving: On the way (advances at s) or standing (advances at 1), shape (K,).
         leg: Index of the task, shape (K,).
     """
 
     tasks: tuple[NominalTask, ...]
+    length_s: float
     xyz_m: NDArray[np.float64]
     moving: NDArray[np.bool_]
     leg: NDArray[np.int64]
-
-    @property
-    def length_s(self) -> float:
-        """Duration at scaling 1, stands included."""
-        return len(self.leg) * STEP_S
 
 
 @dataclass(frozen=True)
@@ -147,14 +144,20 @@ def lay_out(sequence: TaskSequence, nominal: Mapping[str, NominalTask], dataset:
         cure = f"Go by tasks that were: {_tasks_from(missing[0], nominal)}."
         raise EstimateError(seen, cure=cure)
     tasks = tuple(nominal[task] for task in sequence.tasks)
-    xyz, moving, leg = [], [], []
+    edges = np.cumsum([part for task in tasks for part in (task.nominal_s, task.dwell_s + task.wait_s)])
+    length_s = float(edges[-1])
+    cells = max(1, round(length_s / STEP_S))
+    middle = (np.arange(cells) + 0.5) * (length_s / cells)
+    part = np.minimum(np.searchsorted(edges, middle, side="right"), len(edges) - 1)
+    leg, moving = part // 2, part % 2 == 0
+    xyz = np.empty((cells, 3))
     for index, task in enumerate(tasks):
-        steps = len(task.xyz_m) - 1
-        stand = round((task.dwell_s + task.wait_s) / STEP_S)
-        xyz += [task.xyz_m[:-1], np.repeat(task.xyz_m[-1:], stand, axis=0)]
-        moving += [np.ones(steps, bool), np.zeros(stand, bool)]
-        leg.append(np.full(steps + stand, index))
-    return Program(tasks, np.concatenate(xyz), np.concatenate(moving), np.concatenate(leg))
+        mine = leg == index
+        begin = edges[2 * index] - task.nominal_s
+        phase = np.clip((middle[mine] - begin) / max(task.nominal_s, 1e-9), 0.0, 1.0)
+        at = np.linspace(0.0, 1.0, len(task.xyz_m))
+        xyz[mine] = np.column_stack([np.interp(phase, at, task.xyz_m[:, axis]) for axis in range(3)])
+    return Program(tasks, length_s, xyz, moving, leg)
 
 
 def _tasks_from(task: str, nominal: Mapping[str, NominalTask]) -> str:
@@ -189,24 +192,25 @@ def roll_out(model: TrainedModel, program: Program, tracks: OperatorTracks, supp
     without = model.card.get("scaling_without_operator")
     free = 1.0 if without is None else float(without)
     known = looked = spliced = 0.0
-    end = len(program.leg) - 1e-9
+    cells_per_s = len(program.leg) / program.length_s
+    end = program.length_s
     for number in range(int((samples - 2) * tracks.step_s / TIME_STEP_S)):
         going = np.flatnonzero(~np.isfinite(duration))
         if not len(going):
             break
-        at = position[going].astype(np.int64)
+        at = np.minimum((position[going] * cells_per_s).astype(np.int64), len(program.leg) - 1)
         human, sample = _human_at(tracks, going, number * TIME_STEP_S)
         robot = program.xyz_m[at]
         scaling = _scaling(model, robot, human, free)
         rate = np.where(program.moving[at], scaling, 1.0)
-        lost = (1.0 - rate) * TIME_STEP_S
+        to_go = (end - position[going]) / np.maximum(rate, 1e-12)
+        arrives = to_go <= TIME_STEP_S
+        spent = np.minimum(to_go, TIME_STEP_S)
+        duration[going[arrives]] = number * TIME_STEP_S + spent[arrives]
+        position[going] += rate * spent
+        lost = (1.0 - rate) * spent
         safety[going, program.leg[at]] += lost
         np.add.at(activity_s, tracks.activity[going, sample], lost)
-        advance = rate * TIME_STEP_S / STEP_S
-        arrives = position[going] + advance >= end
-        left = (end - position[going]) / np.maximum(advance, 1e-12)
-        duration[going[arrives]] = (number + left[arrives]) * TIME_STEP_S
-        position[going] += advance
         spliced += float(np.count_nonzero(sample >= tracks.logged[going]))
         if number % SUPPORT_EVERY == 0:
             known += float(np.count_nonzero(support.near_logged(robot, human)))

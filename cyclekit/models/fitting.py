@@ -1,4 +1,4 @@
-"""The training loop: slices of one tensor, a fused Adam, one rise and fall of the learning rate, the best epoch kept.
+"""The training loop: slices of one tensor, a fused AdamW, one rise and fall of the learning rate, the best epoch kept.
 
 A loader that hands out rows one by one is what makes small networks slow; here the shuffled rows are one tensor on the
 device and a batch is a slice of it. Same rows, spec and seed give the same weights on a CPU, and torch's global random
@@ -8,6 +8,7 @@ state is left as it was.
 from __future__ import annotations
 
 import copy
+import math
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from cyclekit.errors import ConfigError
 from cyclekit.models.network import build, fold
 
 if TYPE_CHECKING:
@@ -30,8 +32,10 @@ if TYPE_CHECKING:
     Progress = Callable[[float, str], None]
 
 _BLOCK = 16_384
-_STEPS, _EPOCHS = 6000, (8, 200)
+_STEPS, _EPOCHS = 6000, (8, 100)
 """Where no number of epochs is asked for: as many as make this many steps, within these bounds."""
+_DECAY_ROWS, _MOST_DECAY = 3000, 0.1
+"""Where no weight decay is asked for: this many divided by the training rows. Few rows need it, many hardly any."""
 
 
 @dataclass(frozen=True)
@@ -138,10 +142,10 @@ def _run(
     """Train in place and leave the weights of the best epoch in `network`."""
     batches = max(len(learn.x) // spec.batch, 1)
     epochs = spec.epochs or min(max(round(_STEPS / batches), _EPOCHS[0]), _EPOCHS[1])
-    optimiser = torch.optim.Adam(network.parameters(), lr=spec.learning_rate, fused=True)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, spec.learning_rate, total_steps=batches * epochs, pct_start=0.2
-    )
+    decay = min(_DECAY_ROWS / len(learn.x), _MOST_DECAY) if spec.weight_decay is None else spec.weight_decay
+    optimiser = torch.optim.AdamW(network.parameters(), lr=spec.learning_rate, weight_decay=decay, fused=True)
+    total_steps = max(batches * epochs, 10)  # fewer cannot rise and fall
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, spec.learning_rate, total_steps, pct_start=0.2)
     loss_of: nn.Module = nn.CrossEntropyLoss() if spec.network == "classifier" else nn.MSELoss()
     history: list[Epoch] = []
     best, best_state = float("inf"), copy.deepcopy(network.state_dict())
@@ -164,6 +168,9 @@ def _run(
             best, best_state = mse, copy.deepcopy(network.state_dict())
         if progress:
             progress(number / epochs, f"epoch {number} of {epochs}, validation MSE {mse:.2e}")
+    if not math.isfinite(best):
+        msg = f"training diverged: the validation error is {mse} after {epochs} epochs"
+        raise ConfigError(msg, cure="Choose a lower learning rate.")
     network.load_state_dict(best_state)
     return tuple(history)
 

@@ -55,6 +55,7 @@ class ModelSpec:
         learning_rate: The highest learning rate of the run.
         test_fraction: Part of the executions held out to judge by.
         validation_fraction: Part of the remaining executions that decides which epoch's weights are kept.
+        weight_decay: How strongly weights are drawn to zero (as AdamW), None for what suits the number of rows.
         freeze_norm_after: Part of the run after which batch normalisation keeps its statistics; 1 = never, as usual.
             Statistics that change with every batch shake the boundaries between levels, which is what limits the
             network in the end; with the default the error is less than half as large after the same time.
@@ -72,6 +73,7 @@ class ModelSpec:
     test_fraction: float = 0.2
     validation_fraction: float = 0.1
     freeze_norm_after: float = 0.25
+    weight_decay: float | None = None
 
     def __post_init__(self) -> None:
         """Check what was asked for, before any data is read.
@@ -90,6 +92,15 @@ class ModelSpec:
         if not self.hidden or min(*self.hidden, self.epochs or 1) < 1 or self.batch < 2 or not self.learning_rate > 0:
             msg = f"hidden {self.hidden}, epochs {self.epochs}, batch {self.batch}, rate {self.learning_rate}"
             raise ConfigError(msg, cure="All must be positive, and a batch needs at least two rows.")
+        parts = (self.test_fraction, self.validation_fraction, self.freeze_norm_after)
+        if (
+            not all(0 < part < 1 for part in parts[:2])
+            or not 0 <= parts[2] <= 1
+            or self.seed < 0
+            or not (self.weight_decay or 0) >= 0
+        ):
+            msg = f"test, validation and freezing part {parts}, seed {self.seed}, weight decay {self.weight_decay}"
+            raise ConfigError(msg, cure="Parts lie between 0 and 1; seed and weight decay are not negative.")
 
     @classmethod
     def of(

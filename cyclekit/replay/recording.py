@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import uuid
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -86,7 +87,8 @@ def write_replay(
         msg = f"{out}: the replay cannot be written ({error.strerror or error})"
         raise CyclekitError(msg, cure="Check the folder, its permissions and the free space.") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
     return ReplayFacts(out, run.name, run.duration_s, rows, out.stat().st_size, len(run.gaps), run.notes)
 
 

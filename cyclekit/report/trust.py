@@ -79,10 +79,10 @@ def _model(texts: Texts, model: Predicts | None, judged: Mapping[str, Any]) -> T
     heads = [texts("trust.metric"), texts("trust.value"), texts("trust.note")]
     if not any(row[2] for row in rows):
         heads, rows = heads[:2], [row[:2] for row in rows]
-    held_out = texts("trust.held_out")
-    return Table(
-        texts("trust.model"), heads, rows, frozenset({1}), silent=True, title=texts("trust.model"), text=held_out
-    )
+    held_out = texts("trust.held_out" if judged.get("held_out", True) else "trust.not_held_out")
+    notes = [str(note) for note in judged.get("notes") or ()]
+    title = texts("trust.model")
+    return Table(title, heads, rows, frozenset({1}), silent=True, title=title, text=held_out, items=notes)
 
 
 def _judged_rows(texts: Texts, judged: Mapping[str, Any]) -> list[list[str]]:
@@ -92,6 +92,8 @@ def _judged_rows(texts: Texts, judged: Mapping[str, Any]) -> list[list[str]]:
         rows.append([label, _metric("mse_mean", float(entry["mse"])), str(entry.get("note") or "")])
     if judged.get("accuracy") is not None:
         rows.append([texts("trust.accuracy"), percent(float(judged["accuracy"])), ""])
+    if judged.get("rows") is not None:
+        rows.append([texts("trust.rows_held_out"), count(int(judged["rows"])), ""])
     return rows
 
 
@@ -112,10 +114,10 @@ def _superscript(number: int) -> str:
 
 def _confusion(texts: Texts, judged: Mapping[str, Any]) -> list[Table]:
     matrix: Sequence[Sequence[float]] = judged.get("confusion") or ()
-    levels: Sequence[float] = judged.get("levels") or ()
+    levels = [entry["level"] if isinstance(entry, dict) else entry for entry in judged.get("levels") or ()]
     if not matrix or len(matrix) != len(levels):
         return []
-    names = [f"{100 * float(level):.0f} %" for level in levels]
+    names = [percent(float(level)) for level in levels]
     rows = []
     for name, line in zip(names, matrix, strict=True):
         total = float(sum(line))

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.texts import Texts
 
-MOST_SEQUENCES = 5
+MOST_SEQUENCES = 3
 """So many sequences are drawn task by task; the others are in the first picture and in the tables."""
 
 MOST_LOGGED, MOST_ROWS = 12, 30

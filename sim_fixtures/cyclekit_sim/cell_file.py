@@ -22,7 +22,8 @@ def cell_file(scene: Scene, options: SimulationOptions) -> str:
     lines += _bag_sources() if options.logs == "mcap" else _csv_sources(options)
     for name, xyz_m in scene.places.items():
         lines += ["", f"[places.{name}]", f"xyz_m = {_numbers(xyz_m)}", f"radius_m = {_ROBOT_RADIUS_M}"]
-    for name, station in scene.stations.items():
+    stations = {} if options.operator_log else scene.stations  # nobody knows where a recorded operator goes
+    for name, station in stations.items():
         where = f"xyz_m = {_numbers(station.xyz_m)}"
         lines += ["", f"[human_places.{name}]", where, f"radius_m = {station.radius_m}"]
     return "\n".join(lines) + "\n"

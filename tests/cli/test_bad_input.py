@@ -20,7 +20,7 @@ def empty_folder(path: Path) -> None:
 
 
 def text_file(path: Path) -> None:
-    path.write_text("Monday: robot stood still again.\n", encoding="utf-8")
+    path.write_text("Monday: robot stood still again.\nTuesday: the same.\n", encoding="utf-8")
 
 
 def empty_file(path: Path) -> None:

@@ -6,14 +6,21 @@ is mended here; how the facts look on a screen is the command line's business.
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
 from cyclekit.dataset import CARD, Dataset, recover
+from cyclekit.describe.facts import (
+    DatasetDescription,
+    Description,
+    Gap,
+    LogFacts,
+    LogsDescription,
+    ModelDescription,
+    TableFacts,
+)
 from cyclekit.discover import cell_for, find_all, options_of
 from cyclekit.errors import LogError
 from cyclekit.models.saved import CARD as MODEL_CARD
@@ -22,153 +29,26 @@ from cyclekit.registry import adapter_named
 from cyclekit.steps import find_staircase
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from cyclekit.adapter import ReadOptions
     from cyclekit.registry import Registered
 
     Progress = Callable[[float, str], None]
 
+__all__ = [
+    "DatasetDescription",
+    "Description",
+    "Gap",
+    "LogFacts",
+    "LogsDescription",
+    "ModelDescription",
+    "TableFacts",
+    "describe",
+]
+
 GAP_PERIODS, GAP_S = 5.0, 0.25
 """A silence is a gap when it is longer than both: five usual periods, and a quarter of a second."""
-
-
-@dataclass(frozen=True)
-class Gap:
-    """A silence in a log: from `at_s` on, `length_s` long, seconds of the log's own clock."""
-
-    at_s: float
-    length_s: float
-
-
-@dataclass(frozen=True)
-class TableFacts:
-    """One table of a log.
-
-    Attributes:
-        rows: Number of rows.
-        rate_hz: One over the median period; None below two instants.
-        duration_s: From the first instant to the last.
-        known: Fraction of rows that hold a value, per column that holds any.
-        gaps: Silences, in order of time.
-    """
-
-    rows: int
-    rate_hz: float | None
-    duration_s: float
-    known: Mapping[str, float]
-    gaps: tuple[Gap, ...]
-
-
-@dataclass(frozen=True)
-class LogFacts:
-    """One log file (or one folder that is a log).
-
-    Attributes:
-        rows_read: Data rows or messages looked at.
-        set_aside: Rows not used, by reason.
-        tables: Facts of `robot`, `people`, `events`, where the log has them.
-        levels: Levels of the logged speed scaling, ascending; `level_share`: fraction of its rows on each.
-        facts: What the log states about itself.
-    """
-
-    path: Path
-    adapter: str
-    package: str
-    clock: str
-    rows_read: int
-    tables: Mapping[str, TableFacts]
-    set_aside: Mapping[str, int]
-    levels: tuple[float, ...]
-    level_share: tuple[float, ...]
-    warnings: tuple[str, ...]
-    facts: Mapping[str, str]
-
-
-@dataclass(frozen=True)
-class LogsDescription:
-    """Logs, one or a folder of them.
-
-    Attributes:
-        not_read: Path and reason of each file that is no usable log.
-    """
-
-    path: Path
-    logs: tuple[LogFacts, ...]
-    not_read: tuple[tuple[Path, str], ...] = ()
-    kind: str = "logs"
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return _plain(asdict(self))
-
-
-@dataclass(frozen=True)
-class DatasetDescription:
-    """A dataset.
-
-    Attributes:
-        sources: Source files that went in; rows set aside from them, by reason.
-        robot_place: Centre and radius per robot place, metres; `human_place` likewise.
-        tasks: Per task: how often, mean seconds of motion at full speed, of safety loss, of dwell and wait.
-        level_share: Fraction of the samples per staircase level.
-        scaling_known: Fraction of the samples whose scaling is known; `scaling_inferred`: of those, not logged.
-        operator_seen: Fraction of the samples in which the operator's position is known.
-        gaps: Silences per recording and table (`id/robot`), where there are any.
-    """
-
-    path: Path
-    schema_version: int
-    recordings: int
-    sources: int
-    set_aside: Mapping[str, int]
-    executions: int
-    executions_complete: int
-    duration_s: float
-    samples: int
-    places: Mapping[str, Mapping[str, Any]]
-    human_places: Mapping[str, Mapping[str, Any]]
-    tasks: tuple[Mapping[str, Any], ...]
-    levels: tuple[float, ...]
-    level_share: tuple[float, ...]
-    scaling_known: float
-    scaling_inferred: float
-    operator_seen: float
-    gaps: Mapping[str, tuple[Gap, ...]]
-    warnings: tuple[str, ...]
-    kind: str = "dataset"
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return _plain(asdict(self))
-
-
-@dataclass(frozen=True)
-class ModelDescription:
-    """A model.
-
-    Attributes:
-        horizon_s: How far ahead the target lies or reaches.
-        levels: Staircase levels that it knows.
-        parameters: How many numbers the network has.
-        card: How it came about, as written when it was trained.
-    """
-
-    path: Path
-    problem: str
-    network: str
-    horizon_s: float
-    levels: tuple[float, ...]
-    parameters: int
-    card: Mapping[str, Any]
-    kind: str = "model"
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return _plain(asdict(self))
-
-
-Description = LogsDescription | DatasetDescription | ModelDescription
 
 
 def describe(path: Path, *, progress: Progress | None = None) -> Description:
@@ -332,9 +212,3 @@ def _recording_gaps(dataset: Dataset, progress: Progress | None) -> dict[str, tu
             if table is not None and (gaps := table_facts(table).gaps):
                 found[f"{record['id']}/{name}"] = gaps
     return found
-
-
-def _plain(value: dict[str, Any]) -> dict[str, Any]:
-    """Return the value with paths as text, ready for JSON."""
-    plain: dict[str, Any] = json.loads(json.dumps(value, default=str))
-    return plain

@@ -1,0 +1,195 @@
+"""Walk through a file made of chunks: find every message, put aside the chunks that are damaged.
+
+An mcap and a ROS 1 bag are built alike: chunks of whole records, most often followed by an index of where each
+message is. The index is used but not believed: only where its records lie end to end and fill the chunk are they all
+there is; otherwise the chunk is walked record by record. What the records look like inside is told by a `Format`.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+import numpy as np
+
+from cyclekit_adapters.rosbag.inflate import inflate
+from cyclekit_adapters.rosbag.payloads import BLOCK_BYTES, Bytes, Channel, Damage, Ints, Payloads
+
+_MAX_STEP = 64  # gaps between indexed records are few (connections); more, and the plain walk is faster
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Where a chunk is and what it says of itself.
+
+    Attributes:
+        place: File offset of the stored bytes.
+        stored: Bytes in the file.
+        size: Bytes when unpacked.
+        compression: See `inflate`.
+        crc: CRC-32 of the unpacked bytes; 0 where the writer computed none.
+        index: Channel, file offset and bytes of each index of this chunk.
+    """
+
+    place: int
+    stored: int
+    size: int
+    compression: str = ""
+    crc: int = 0
+    index: tuple[tuple[int, int, int], ...] = ()
+
+
+@dataclass(frozen=True)
+class Messages:
+    """The messages among the records of a chunk, each shape (N,), and the starts of all other records."""
+
+    channel: Ints
+    receive_ns: Ints
+    start: Ints
+    size: Ints
+    other: Sequence[int] = ()
+
+
+class Format(Protocol):
+    """How records look inside a chunk."""
+
+    def walk(self, raw: bytes, begin: int, end: int) -> tuple[list[int], int]:
+        """Return the starts of the whole records from `begin`, and where the last of them ends."""
+        ...
+
+    def ends(self, buffer: Bytes, start: Ints, end: int) -> Ints | None:
+        """Return where each record ends, shape (N,); None if one of them cannot be a record before `end`."""
+        ...
+
+    def indexed(self, raw: bytes) -> Ints:
+        """Return the starts that an index names, relative to its chunk."""
+        ...
+
+    def messages(self, buffer: Bytes, start: Ints) -> Messages:
+        """Read the heads of the records that begin at `start`, shape (N,)."""
+        ...
+
+
+@dataclass
+class ChunkedFile:
+    """An mcap or a ROS 1 bag as far as it is whole; meets `payloads.BagFile`."""
+
+    path: Path
+    form: Format
+    channels: dict[int, Channel] = field(default_factory=dict)
+    counts: dict[int, int] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    set_aside: list[str] = field(default_factory=list)
+    chunks: list[Chunk] = field(default_factory=list)
+    last_ns: int | None = None
+
+    def unpacked(self, log: BinaryIO, chunk: Chunk) -> bytes:
+        """Return the bytes of a chunk.
+
+        Raises:
+            Damage: The chunk is broken.
+        """
+        log.seek(chunk.place)
+        raw = inflate(log.read(chunk.stored), chunk.compression, chunk.size)
+        if chunk.crc and zlib.crc32(raw) != chunk.crc:
+            raise Damage("its checksum does not match")
+        return raw
+
+    def drop(self, chunk: Chunk, reason: object) -> None:
+        """Say once that a chunk, or its rest, is not used."""
+        said = f"chunk at byte {chunk.place}: {reason}"
+        if said not in self.set_aside:
+            self.set_aside.append(said)
+
+    def blocks(self, wanted: set[int]) -> Iterator[Mapping[int, Payloads]]:
+        """Yield the messages of the wanted channels in the order of the file, about BLOCK_BYTES at a time."""
+        with self.path.open("rb") as log:
+            for group in _in_blocks(self.chunks):
+                yield self._block(log, group, wanted)
+
+    def _block(self, log: BinaryIO, chunks: list[Chunk], wanted: set[int]) -> dict[int, Payloads]:
+        buffer = np.empty(sum(chunk.size for chunk in chunks), np.uint8)
+        found, base = [], 0
+        for chunk in chunks:
+            try:
+                raw = self.unpacked(log, chunk)
+            except Damage as damage:
+                self.drop(chunk, damage)
+                continue
+            end = base + chunk.size
+            buffer[base:end] = np.frombuffer(raw, np.uint8)
+            start, reached = records(self.form, raw, self._indexed(log, chunk))
+            if reached != chunk.size:
+                self.drop(chunk, f"its records break off at byte {reached} of {chunk.size}")
+            found.append(start + base)
+            base = end
+        messages = self.form.messages(buffer, np.concatenate(found) if found else np.zeros(0, np.int64))
+        block = {}
+        for channel in sorted(wanted & set(np.unique(messages.channel).tolist())):
+            rows = np.flatnonzero(messages.channel == channel)
+            block[channel] = Payloads(buffer, messages.start[rows], messages.size[rows], messages.receive_ns[rows])
+        return block
+
+    def _indexed(self, log: BinaryIO, chunk: Chunk) -> Ints:
+        parts = []
+        for _, place, size in chunk.index:
+            log.seek(place)
+            parts.append(self.form.indexed(log.read(size)))
+        return np.concatenate(parts) if parts else np.zeros(0, np.int64)
+
+
+def records(form: Format, raw: bytes, indexed: Ints) -> tuple[Ints, int]:
+    """Return the starts of all records of a chunk, shape (N,), and the byte up to which they were found.
+
+    Args:
+        form: The format of the records.
+        raw: The unpacked chunk.
+        indexed: Starts that its index names; a help, not a truth.
+    """
+    if indexed.size:
+        start = np.sort(indexed)
+        complete = _filled(form, raw, start) if start[0] >= 0 else None
+        if complete is not None:
+            return complete, len(raw)
+    walked, reached = form.walk(raw, 0, len(raw))
+    return np.asarray(walked, np.int64), reached
+
+
+def _filled(form: Format, raw: bytes, start: Ints) -> Ints | None:
+    """Return the starts with those of the gaps between them; None if they do not fill the chunk end to end."""
+    ends = form.ends(np.frombuffer(raw, np.uint8), start, len(raw))
+    if ends is None:
+        return None
+    begins, stops = np.append(0, ends), np.append(start, len(raw))
+    gaps = np.flatnonzero(begins != stops)
+    if gaps.size > _MAX_STEP + start.size // 16:
+        return None
+    between: list[int] = []
+    for gap in gaps.tolist():
+        walked, reached = form.walk(raw, int(begins[gap]), int(stops[gap]))
+        if reached != stops[gap]:
+            return None
+        between += walked
+    return np.sort(np.append(start, np.asarray(between, np.int64))) if between else start
+
+
+def _in_blocks(chunks: list[Chunk]) -> Iterator[list[Chunk]]:
+    group: list[Chunk] = []
+    for chunk in chunks:
+        if group and sum(one.size for one in group) + chunk.size > BLOCK_BYTES:
+            yield group
+            group = []
+        group.append(chunk)
+    if group:
+        yield group
+
+
+def moment(receive_ns: int) -> str:
+    """Return a time as people read it: the date where it counts from 1970, else seconds."""
+    if 10**17 < receive_ns < 10**19:
+        return datetime.fromtimestamp(receive_ns / 1e9, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3] + " UTC"
+    return f"{receive_ns / 1e9:.3f} s"

@@ -1,0 +1,224 @@
+"""Look through an mcap: its channels, its chunks, and how far it is whole.
+
+Only the heads of records are read, so a large file takes milliseconds; a chunk is opened here only where it has no
+index or names a channel that is not known yet (a file that was cut lost its summary, but every chunk that introduces
+a channel holds it). ROS 2 and ROS 1 profiles are read alike. The layout is that of the MCAP specification 1.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from rosbags.typesys.msg import normalize_msgtype
+
+from cyclekit_adapters.rosbag.chunks import Chunk, ChunkedFile, Messages, moment, records
+from cyclekit_adapters.rosbag.inflate import check_size
+from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Damage, Ints, column, gather
+
+MAGIC = b"\x89MCAP0\r\n"
+_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX, _DATA_END = 3, 4, 5, 6, 7, 15
+_RECORD = struct.Struct("<BQ")
+_HEAD = 31  # bytes of a message record before its payload
+_WINDOW = 4 << 20  # bytes of messages outside chunks that make one chunk of our own
+_NOTATIONS = {"ros2msg": "msg", "ros1msg": "msg", "ros2idl": "idl", "omgidl": "idl"}
+
+
+class _Records:
+    """Records of an mcap: opcode, length, content."""
+
+    def walk(self, raw: bytes, begin: int, end: int) -> tuple[list[int], int]:
+        starts, position, unpack = [], begin, _RECORD.unpack_from
+        while position + 9 <= end:
+            after = position + 9 + unpack(raw, position)[1]
+            if after > end:
+                break
+            starts.append(position)
+            position = after
+        return starts, position
+
+    def ends(self, buffer: Bytes, start: Ints, end: int) -> Ints | None:
+        if start[-1] + 9 > end:
+            return None
+        after = start + 9 + column(gather(buffer, start, 9), 1, "<u8")
+        return after if ((after > start) & (after <= end)).all() else None
+
+    def indexed(self, raw: bytes) -> Ints:
+        entries = np.frombuffer(raw, "<u8", len(raw) // 16 * 2).reshape(-1, 2)
+        return entries[:, 1].astype(np.int64)
+
+    def messages(self, buffer: Bytes, start: Ints) -> Messages:
+        heads = gather(buffer, start, 9)
+        size = column(heads, 1, "<u8") - (_HEAD - 9)
+        said = (heads[:, 0] == _MESSAGE) & (size >= 0)
+        other = start[~said].tolist() if not said.all() else []
+        start, size = (start, size) if said.all() else (start[said], size[said])
+        heads = gather(buffer, start, _HEAD)
+        return Messages(column(heads, 9, "<u2"), column(heads, 15, "<u8"), start + _HEAD, size, other)
+
+
+@dataclass
+class _Survey:
+    """What was found so far."""
+
+    found: ChunkedFile
+    schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)
+    pending: list[tuple[int, int, str, str]] = field(default_factory=list)
+    loose: bool = False
+    data_crc: int = 0
+    data_end: int = 0
+
+    def schema(self, body: bytes) -> None:
+        (number,) = struct.unpack_from("<H", body)
+        name, at = _text(body, 2)
+        encoding, at = _text(body, at)
+        text, _ = _text(body, at)
+        self.schemas[number] = (name, encoding, text)
+
+    def channel(self, body: bytes) -> None:
+        number, schema = struct.unpack_from("<HH", body)
+        topic, at = _text(body, 4)
+        coding, _ = _text(body, at)
+        name, encoding, text = self.schemas.get(schema, ("", "", ""))
+        known = encoding in _NOTATIONS
+        self.found.channels[number] = Channel(
+            number=number,
+            topic=topic,
+            kind=normalize_msgtype(name) if "/" in name else name,
+            definition=text if known else "",
+            notation=_NOTATIONS.get(encoding, "msg"),
+            coding=coding,
+        )
+
+    def take(self, op: int, body: bytes) -> None:
+        if op == _SCHEMA:
+            self.schema(body)
+        elif op == _CHANNEL:
+            self.channel(body)
+
+
+def look(path: Path) -> ChunkedFile:
+    """Return what an mcap holds, as far as it is whole.
+
+    Raises:
+        OSError: The file cannot be read.
+        Exception: A record makes no sense; any error of parsing.
+    """
+    survey = _Survey(ChunkedFile(path, _Records()))
+    with path.open("rb") as log:
+        end = log.seek(0, 2)
+        cut = _heads(log, survey, end)
+        for chunk in survey.found.chunks:
+            if not chunk.index or any(number not in survey.found.channels for number, _, _ in chunk.index):
+                _open(log, survey, chunk)
+        if cut is not None:
+            survey.found.warnings.append(_how_much(survey.found, log, cut, end))
+        elif survey.loose and survey.data_crc and _crc(log, survey.data_end) != survey.data_crc:
+            survey.found.warnings.append("the checksum of the bag does not match: some of its values are wrong")
+    return survey.found
+
+
+def _heads(log: BinaryIO, survey: _Survey, end: int) -> int | None:
+    """Read the heads of all records; return where the file stops making sense, None if it is whole."""
+    position, chunks = len(MAGIC), survey.found.chunks
+    while True:
+        log.seek(position)
+        head = log.read(9)
+        if head[:8] == MAGIC:
+            return None
+        if len(head) < 9:
+            return position
+        op, length = _RECORD.unpack(head)
+        after = position + 9 + length
+        if after > end or op == 0:
+            return position
+        if op == _MESSAGE:
+            after = _loose(log, survey, position, after - position)
+        elif op in (_SCHEMA, _CHANNEL):
+            survey.take(op, log.read(length))
+        elif op == _CHUNK:
+            chunks.append(_chunk(log, survey.found, position))
+        elif op == _INDEX and chunks:
+            number, size = struct.unpack("<HI", log.read(6))
+            count = survey.found.counts.get(number, 0) + size // 16
+            survey.found.counts[number] = count
+            entry = (number, position + 15, min(size, length - 6))
+            chunks[-1] = replace(chunks[-1], index=(*chunks[-1].index, entry))
+        elif op == _DATA_END:
+            survey.data_end, survey.data_crc = position, struct.unpack("<I", log.read(4))[0]
+        position = after
+
+
+def _chunk(log: BinaryIO, found: ChunkedFile, position: int) -> Chunk:
+    _, until_ns, size, crc, letters = struct.unpack("<QQQII", log.read(32))
+    compression = log.read(letters).decode()
+    (stored,) = struct.unpack("<Q", log.read(8))
+    found.last_ns = max(found.last_ns or 0, until_ns)
+    return Chunk(position + 9 + 40 + letters, stored, size, compression, crc)
+
+
+def _loose(log: BinaryIO, survey: _Survey, position: int, first: int) -> int:
+    """Make a chunk of messages that stand outside of chunks; return where it ends."""
+    log.seek(position)
+    raw = log.read(max(_WINDOW, first))
+    starts, reached = _Records().walk(raw, 0, len(raw))
+    foreign = (start for start in starts if raw[start] not in (_SCHEMA, _CHANNEL, _MESSAGE))
+    reached = next(foreign, reached)
+    survey.found.chunks.append(Chunk(position, reached, reached))
+    survey.loose = True
+    return position + reached
+
+
+def _open(log: BinaryIO, survey: _Survey, chunk: Chunk) -> None:
+    """Look into a chunk for what its index does not tell."""
+    found = survey.found
+    try:
+        check_size(chunk.stored, chunk.size)
+        raw = found.unpacked(log, chunk)
+    except Damage as damage:
+        found.drop(chunk, damage)
+        return
+    start, _ = records(found.form, raw, np.zeros(0, np.int64))
+    messages = found.form.messages(np.frombuffer(raw, np.uint8), start)
+    for begin in messages.other:
+        op, length = _RECORD.unpack_from(raw, begin)
+        survey.take(op, raw[begin + 9 : begin + 9 + length])
+    if messages.receive_ns.size:
+        found.last_ns = max(found.last_ns or 0, int(messages.receive_ns.max()))
+    if not chunk.index:
+        for number, count in zip(*np.unique(messages.channel, return_counts=True), strict=True):
+            found.counts[int(number)] = found.counts.get(int(number), 0) + int(count)
+
+
+def _how_much(found: ChunkedFile, log: BinaryIO, cut: int, end: int) -> str:
+    """Say what a cut bag has lost, as far as it can be known."""
+    said = f"the bag is cut: its last {end - cut} of {end} bytes cannot be read"
+    if found.last_ns is None:
+        return said
+    said += f"; messages up to {moment(found.last_ns)} are recovered, what came after is lost"
+    log.seek(cut)
+    head = log.read(9 + 16)
+    if len(head) == 25 and head[0] == _CHUNK:
+        lost_ns = struct.unpack_from("<Q", head, 17)[0] - found.last_ns
+        if 0 < lost_ns < 10**13:
+            said += f" (at least {lost_ns / 1e9:.1f} s)"
+    return said
+
+
+def _crc(log: BinaryIO, end: int) -> int:
+    crc, left = 0, end
+    log.seek(0)
+    while left > 0 and (part := log.read(min(left, 1 << 20))):
+        crc, left = zlib.crc32(part, crc), left - len(part)
+    return crc
+
+
+def _text(body: bytes, at: int) -> tuple[str, int]:
+    (size,) = struct.unpack_from("<I", body, at)
+    if at + 4 + size > len(body):
+        raise ValueError("a text reaches beyond its record")
+    return body[at + 4 : at + 4 + size].decode(), at + 4 + size

@@ -1,0 +1,249 @@
+"""Look through a ROS 1 bag: its connections, its chunks, and how far it is whole.
+
+The index at the end of the file is not needed: every chunk that introduces a connection holds its definition, and the
+index records behind each chunk say what is in it. So a bag that was cut, or never closed, is read like any other as
+far as its chunks are whole. ROS 1 bags have no checksums. The layout is that of bag format 2.0.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from rosbags.typesys.msg import normalize_msgtype
+
+from cyclekit_adapters.rosbag.chunks import Chunk, ChunkedFile, Messages, moment, records
+from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Damage, Ints, column, gather
+
+MAGIC = b"#ROSBAG V"
+_MESSAGE, _BAG, _INDEX, _CHUNK, _CONNECTION = b"\x02", b"\x03", b"\x04", b"\x05", b"\x07"
+_MAX_HEADER = 1 << 20
+_SIZE = struct.Struct("<I")
+
+
+class _Records:
+    """Records of a ROS 1 bag: length and fields of a header, length and bytes of the data."""
+
+    def walk(self, raw: bytes, begin: int, end: int) -> tuple[list[int], int]:
+        starts, position, unpack = [], begin, _SIZE.unpack_from
+        while position + 8 <= end:
+            data = position + 4 + unpack(raw, position)[0]
+            if data + 4 > end:
+                break
+            after = data + 4 + unpack(raw, data)[0]
+            if after > end:
+                break
+            starts.append(position)
+            position = after
+        return starts, position
+
+    def ends(self, buffer: Bytes, start: Ints, end: int) -> Ints | None:
+        if start[-1] + 8 > end:
+            return None
+        data = start + 4 + column(gather(buffer, start, 4), 0, "<u4")
+        if (data + 4 > end).any():
+            return None
+        after = data + 4 + column(gather(buffer, data, 4), 0, "<u4")
+        return after if (after <= end).all() else None
+
+    def indexed(self, raw: bytes) -> Ints:
+        return np.frombuffer(raw, "<u4", len(raw) // 12 * 3).reshape(-1, 3)[:, 2].astype(np.int64)
+
+    def messages(self, buffer: Bytes, start: Ints) -> Messages:
+        lengths = column(gather(buffer, start, 4), 0, "<u4")
+        parts, other = [], []
+        for length in np.unique(lengths).tolist():
+            same, left = _alike(buffer, start[lengths == length], length)
+            other += left
+            if same is not None:
+                parts.append(same)
+        if not parts:
+            return Messages(*(np.zeros(0, np.int64) for _ in range(4)), other)
+        joined = [np.concatenate(part) for part in zip(*parts, strict=True)]
+        order = np.argsort(joined[2], kind="stable")
+        return Messages(*(part[order] for part in joined), sorted(other))
+
+
+def _alike(buffer: Bytes, start: Ints, length: int) -> tuple[tuple[Ints, Ints, Ints, Ints] | None, list[int]]:
+    """Read the message heads among records whose headers have one length; return the other records beside them.
+
+    The first message shows where its fields stand; another one with the same bytes around them has them there too.
+    """
+    heads = gather(buffer, start, length + 8)
+    other: list[int] = []
+    for row in range(start.size):
+        places = _places(heads[row, 4 : 4 + length].tobytes())
+        if places is not None:
+            break
+        other.append(int(start[row]))
+    else:
+        return None, other
+    fixed = np.ones(length + 4, bool)
+    for name, size in (("conn", 4), ("time", 8)):
+        fixed[places[name] + 4 : places[name] + 4 + size] = False
+    alike = (heads[:, : length + 4][:, fixed] == heads[row, : length + 4][fixed]).all(1)
+    other += [int(begin) for begin in start[row:][~alike[row:]]]
+    heads, start = heads[alike], start[alike]
+    seconds, nanos = (column(heads, places["time"] + 4 + 4 * half, "<u4") for half in (0, 1))
+    size = column(heads, length + 4, "<u4")
+    return (column(heads, places["conn"] + 4, "<u4"), seconds * 10**9 + nanos, start + length + 8, size), other
+
+
+def _places(header: bytes) -> dict[str, int] | None:
+    """Return where the values of a message's header stand, None if it is no message."""
+    places, position = {}, 0
+    try:
+        while position < len(header):
+            (size,) = _SIZE.unpack_from(header, position)
+            name, _, value = header[position + 4 : position + 4 + size].partition(b"=")
+            places[name.decode()] = position + 4 + len(name) + 1
+            if name == b"op" and value != _MESSAGE:
+                return None
+            position += 4 + size
+    except (struct.error, UnicodeDecodeError):
+        return None
+    inside = all(places.get(name, len(header)) + size <= len(header) for name, size in (("conn", 4), ("time", 8)))
+    return places if "op" in places and inside else None
+
+
+def look(path: Path) -> ChunkedFile:
+    """Return what a ROS 1 bag holds, as far as it is whole.
+
+    Raises:
+        Damage: It is encrypted, or of another version of the format.
+        OSError: The file cannot be read.
+        Exception: A record makes no sense; any error of parsing.
+    """
+    found = ChunkedFile(path, _Records())
+    with path.open("rb") as log:
+        end = log.seek(0, 2)
+        log.seek(0)
+        version = re.match(rb"#ROSBAG V(\d+\.\d+)\n", log.readline(32))
+        if version is None or version[1] != b"2.0":
+            raise Damage("only format 2.0 of ROS 1 bags is read")
+        cut, about = _heads(log, found, end)
+        for chunk in found.chunks:
+            if not chunk.index or any(number not in found.channels for number, _, _ in chunk.index):
+                _open(log, found, chunk)
+        promised = _number(about, b"chunk_count")
+        unclosed = _number(about, b"index_pos") == 0
+        if cut is not None or unclosed or promised > len(found.chunks):
+            _last(log, found)
+            found.warnings.append(_how_much(found, end - (end if cut is None else cut), promised, unclosed=unclosed))
+    return found
+
+
+def _heads(log: BinaryIO, found: ChunkedFile, end: int) -> tuple[int | None, dict[bytes, bytes]]:
+    """Read the heads of all records; return where the file stops making sense (None if it is whole) and the bag's."""
+    position, about = log.tell(), dict[bytes, bytes]()
+    while position < end:
+        log.seek(position)
+        fields = _header(log)
+        if fields is None:
+            return position, about
+        size = log.read(4)
+        place = log.tell()
+        after = place + _SIZE.unpack(size)[0] if len(size) == 4 else end + 1
+        if after > end:
+            return position, about
+        op = fields.get(b"op")
+        if op == _BAG:
+            about = fields
+            if fields.get(b"encryptor"):
+                raise Damage("the bag is encrypted")
+        elif op == _CHUNK:
+            compression, size_in = fields[b"compression"].decode(), _number(fields, b"size")
+            found.chunks.append(Chunk(place, after - place, size_in, compression))
+        elif op == _INDEX and found.chunks:
+            number, count = _number(fields, b"conn"), _number(fields, b"count")
+            found.counts[number] = found.counts.get(number, 0) + count
+            last = found.chunks[-1]
+            found.chunks[-1] = replace(last, index=(*last.index, (number, place, after - place)))
+        elif op == _CONNECTION:
+            _connect(found, fields, log.read(after - place))
+        position = after
+    return None, about
+
+
+def _header(log: BinaryIO) -> dict[bytes, bytes] | None:
+    size = log.read(4)
+    if len(size) < 4 or (length := _SIZE.unpack(size)[0]) > _MAX_HEADER:
+        return None
+    raw = log.read(length)
+    return _fields(raw) if len(raw) == length else None
+
+
+def _fields(raw: bytes) -> dict[bytes, bytes] | None:
+    fields, position = {}, 0
+    while position + 4 <= len(raw):
+        (size,) = _SIZE.unpack_from(raw, position)
+        name, sign, value = raw[position + 4 : position + 4 + size].partition(b"=")
+        if not sign or position + 4 + size > len(raw):
+            return None
+        fields[name] = value
+        position += 4 + size
+    return fields
+
+
+def _number(fields: dict[bytes, bytes], name: bytes) -> int:
+    return int.from_bytes(fields.get(name, b""), "little")
+
+
+def _connect(found: ChunkedFile, fields: dict[bytes, bytes], data: bytes) -> None:
+    about = _fields(data)
+    if about is None or b"type" not in about:
+        return
+    topic = fields.get(b"topic", b"").decode()
+    number = _number(fields, b"conn")
+    found.channels[number] = Channel(
+        number=number,
+        topic="/" * topic.startswith("/") + "/".join(part for part in topic.split("/") if part),
+        kind=normalize_msgtype(about[b"type"].decode()),
+        definition=about.get(b"message_definition", b"").decode(),
+        coding="ros1",
+        digest=about.get(b"md5sum", b"").decode(),
+    )
+
+
+def _open(log: BinaryIO, found: ChunkedFile, chunk: Chunk) -> Messages | None:
+    """Look into a chunk for what its index does not tell."""
+    try:
+        raw = found.unpacked(log, chunk)
+    except Damage as damage:
+        found.drop(chunk, damage)
+        return None
+    start, _ = records(found.form, raw, np.zeros(0, np.int64))
+    messages = found.form.messages(np.frombuffer(raw, np.uint8), start)
+    for begin in messages.other:
+        data = begin + 4 + _SIZE.unpack_from(raw, begin)[0]
+        fields = _fields(raw[begin + 4 : data])
+        if fields and fields.get(b"op") == _CONNECTION and _number(fields, b"conn") not in found.channels:
+            _connect(found, fields, raw[data + 4 : data + 4 + _SIZE.unpack_from(raw, data)[0]])
+    if not chunk.index:
+        for number, count in zip(*np.unique(messages.channel, return_counts=True), strict=True):
+            found.counts[int(number)] = found.counts.get(int(number), 0) + int(count)
+    return messages
+
+
+def _last(log: BinaryIO, found: ChunkedFile) -> None:
+    """Find the last time recovered: in the last chunk that can be read."""
+    for chunk in reversed(found.chunks):
+        messages = _open(log, found, replace(chunk, index=chunk.index or ((-1, 0, 0),)))
+        if messages is not None and messages.receive_ns.size:
+            found.last_ns = int(messages.receive_ns.max())
+            return
+
+
+def _how_much(found: ChunkedFile, lost: int, promised: int, *, unclosed: bool) -> str:
+    """Say what a cut bag has lost, as far as it can be known."""
+    if unclosed:
+        said = f"the bag was never closed; its last {lost} bytes cannot be read"
+    else:
+        said = f"the bag is cut: {len(found.chunks)} of {promised} chunks are there"
+    if found.last_ns is not None:
+        said += f"; messages up to {moment(found.last_ns)} are recovered, what came after is lost"
+    return said

@@ -1,0 +1,185 @@
+"""How good is a model, and compared with what: its errors on executions it never saw, beside simple rivals.
+
+A figure alone says little: the same error is excellent in one cell and poor in another. So the constant mean, the best
+staircase over the distance, and gradient boosting learn from the same executions and are judged by the same rows. How
+a model is trained is the business of `train`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit.errors import DatasetError, ModelError
+from cyclekit.evaluate.baselines import Row, rivals
+from cyclekit.models.metrics import Metrics, measure
+from cyclekit.samples import Samples, build_samples
+from cyclekit.train import fingerprint
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import polars as pl
+
+    from cyclekit.dataset import Dataset
+    from cyclekit.models.saved import TrainedModel
+
+__all__ = ["Evaluation", "LevelRow", "Row", "evaluate"]
+
+
+@dataclass(frozen=True)
+class LevelRow:
+    """How well one level is predicted, over the rows that were truly on it.
+
+    Attributes:
+        level: The level.
+        rows: How many rows were on it.
+        recall: Part of them whose step was named rightly; None without rows.
+        precision: Part of the rows named as this step that were on it; None where it was never named.
+        bias: Mean of predicted - true scaling; None without rows.
+    """
+
+    level: float
+    rows: int
+    recall: float | None
+    precision: float | None
+    bias: float | None
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A model judged on a dataset.
+
+    Attributes:
+        problem: The model's problem.
+        network: The model's network.
+        held_out: True when these executions were kept from the model while it learned.
+        executions: The executions it was judged on.
+        metrics: Errors over all their usable rows.
+        mse: Mean squared errors, the model's own read-outs first, then the rivals: name, mse, note.
+        confusion: Rows by true (first index) and predicted step, shape (P, P); None for an average.
+        levels: One entry per level, ascending; empty for an average.
+        dropped: Rows left out, by reason.
+        notes: What limits the comparison, one sentence each.
+    """
+
+    problem: str
+    network: str
+    held_out: bool
+    executions: tuple[str, ...]
+    metrics: Metrics
+    mse: tuple[Row, ...]
+    confusion: tuple[tuple[int, ...], ...] | None
+    levels: tuple[LevelRow, ...]
+    dropped: Mapping[str, int]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def accuracy(self) -> float | None:
+        """Part of the rows on a level whose step is named rightly."""
+        return self.metrics.accuracy
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything as JSON values."""
+        return {
+            "problem": self.problem,
+            "network": self.network,
+            "held_out": self.held_out,
+            "executions": list(self.executions),
+            **self.metrics.to_json(),
+            "mse": [vars(row) for row in self.mse],
+            "confusion": None if self.confusion is None else [list(row) for row in self.confusion],
+            "levels": [vars(row) for row in self.levels],
+            "dropped": dict(self.dropped),
+            "notes": list(self.notes),
+        }
+
+
+def evaluate(model: TrainedModel, dataset: Dataset, *, boosting: bool = True) -> Evaluation:
+    """Judge `model` on the executions of `dataset` that it never saw.
+
+    When it was trained on this dataset, those are the ones held out at training, and the rivals learn from the ones
+    the model learned from. Otherwise they are all executions, and there are no rivals: nothing here may be learned
+    from.
+
+    Args:
+        model: Any model.
+        dataset: With the scaling known.
+        boosting: Also fit scikit-learn's gradient boosting, which takes a few seconds.
+
+    Raises:
+        DatasetError: No row of these executions can be used.
+        ModelError: The model's card does not say what was held out, though it was trained on this dataset.
+    """
+    same = model.card.get("dataset_sha256") == fingerprint(dataset)
+    executions = _held_out(model) if same else tuple(dataset.executions["execution"].to_list())
+    rows = _rows(model, dataset, executions)
+    if not len(rows):
+        why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "it is empty"
+        msg = f"{dataset.path}: no sample can be judged ({why})"
+        raise DatasetError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
+    metrics = measure(model, rows)
+    table, notes = list(_read_outs(metrics)), []
+    if same:
+        learned = _rows(model, dataset, tuple(model.card["split"]["train"]))
+        table += rivals(learned, rows, model.levels, boosting=boosting)
+    else:
+        notes.append("not the dataset the model was trained on: all executions are judged, without rivals")
+    confusion = _confusion(model, rows) if model.levels and model.problem != "average" else None
+    return Evaluation(
+        model.problem,
+        model.network,
+        same,
+        executions,
+        metrics,
+        tuple(table),
+        None if confusion is None else tuple(tuple(int(count) for count in row) for row in confusion),
+        () if confusion is None else _per_level(model, rows, confusion),
+        dict(rows.dropped),
+        tuple(notes),
+    )
+
+
+def _held_out(model: TrainedModel) -> tuple[str, ...]:
+    split = model.card.get("split")
+    if not isinstance(split, dict) or not isinstance(split.get("test"), list) or not split.get("train"):
+        msg = "the model's card does not say which executions were held out"
+        raise ModelError(msg, cure="Train it again: cyclekit train DATASET --out MODEL")
+    return tuple(str(name) for name in split["test"])
+
+
+def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) -> Samples:
+    frame: pl.DataFrame = dataset.samples(executions)
+    return build_samples(frame, model.problem, model.horizon_s, model.levels)
+
+
+def _read_outs(metrics: Metrics) -> list[Row]:
+    rows = [Row("model", metrics.mse_mean, "best estimate: mean of the levels under their probabilities, or the value")]
+    if metrics.mse_argmax is not None:
+        rows.append(Row("model, step named", metrics.mse_argmax, "the level of the likeliest step"))
+    return rows
+
+
+def _confusion(model: TrainedModel, rows: Samples) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
+    count, known = len(model.levels), rows.step >= 0
+    cell = rows.step[known].astype(np.int64) * count + model.steps(rows.X[known])
+    return np.bincount(cell, minlength=count**2).reshape(count, count)
+
+
+def _per_level(
+    model: TrainedModel, rows: Samples, confusion: np.ndarray[tuple[int, int], np.dtype[np.int64]]
+) -> tuple[LevelRow, ...]:
+    error = model.predict(rows.X) - rows.scaling
+    true, named, right = confusion.sum(axis=1), confusion.sum(axis=0), confusion.diagonal()
+    return tuple(
+        LevelRow(
+            level,
+            int(true[i]),
+            float(right[i] / true[i]) if true[i] else None,
+            float(right[i] / named[i]) if named[i] else None,
+            float(error[rows.step == i].mean()) if true[i] else None,
+        )
+        for i, level in enumerate(model.levels)
+    )

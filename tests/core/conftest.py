@@ -1,0 +1,133 @@
+"""One small simulation per scene, ingested once, for all tests of the core; and small robot logs written by hand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+from cyclekit_sim import SimulationOptions, simulate
+
+from cyclekit.dataset import Dataset
+from cyclekit.ingest import ingest
+
+EXECUTIONS = {"box-picking": 4, "pick-and-package": 4, "laser-zones": 6}
+ROBOT_START_S = 152.512
+"""What the simulated controller's clock shows when a session begins."""
+
+
+@dataclass(frozen=True)
+class SimulatedCell:
+    """Logs with their truth, and the dataset made of them."""
+
+    scene: str
+    logs: Path
+    dataset: Dataset
+
+    @cached_property
+    def executions(self) -> pl.DataFrame:
+        """The true executions, one row each."""
+        return pl.read_parquet(self.logs / "truth" / "executions.parquet")
+
+    @cached_property
+    def tasks(self) -> pl.DataFrame:
+        """The true tasks."""
+        return pl.read_parquet(self.logs / "truth" / "tasks.parquet")
+
+    @cached_property
+    def samples(self) -> pl.DataFrame:
+        """The truth at 10 Hz."""
+        return pl.read_parquet(self.logs / "truth" / "samples.parquet")
+
+    @property
+    def routes(self) -> list[list[str]]:
+        """The places of every true execution."""
+        return [row.split(",") for row in self.executions["sequence"]]
+
+    @property
+    def routes_found(self) -> list[list[str]]:
+        """The places of every execution that the dataset holds."""
+        return [entry["places"] for entry in self.dataset.card["executions"]]
+
+
+class Cells:
+    """Simulated cells, made when first asked for and kept for the session."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._made: dict[Any, SimulatedCell] = {}
+
+    def __call__(self, scene: str, executions: int | None = None, *, seed: int = 3, **options: Any) -> SimulatedCell:
+        key = (scene, executions, seed, *sorted(options.items()))
+        if key not in self._made:
+            root = self._folder / f"cell_{len(self._made)}"
+            count = executions or EXECUTIONS[scene]
+            logs = simulate(scene, root / "logs", executions=count, seed=seed, options=SimulationOptions(**options))
+            ingest([logs], root / "dataset")
+            self._made[key] = SimulatedCell(scene, logs, Dataset.open(root / "dataset"))
+        return self._made[key]
+
+
+@pytest.fixture(scope="session")
+def cells(tmp_path_factory: pytest.TempPathFactory) -> Cells:
+    return Cells(tmp_path_factory.mktemp("cells"))
+
+
+@pytest.fixture(scope="session")
+def boxes(cells: Cells) -> SimulatedCell:
+    """The box-picking cell."""
+    return cells("box-picking")
+
+
+@pytest.fixture
+def robot_log() -> Any:
+    """Return a writer of UR logs: a robot that goes along the x axis, 125 rows a second.
+
+    `robot_log(path, [("stand", s), ("move", x_m), ("halt", s), ...])`: stand so long free, go to x at 0.5 m/s, be
+    halted so long where it is. Speeds are those of the position.
+    """
+
+    def write(path: Path, doing: list[tuple[str, float]], *, scaling: bool = True, x_m: float = 0.0) -> Path:
+        rows, t = [], 10.0
+        for what, amount in doing:
+            steps = round((abs(amount - x_m) / 0.5 if what == "move" else amount) * 125)
+            speed = (amount - x_m) / steps * 125 if what == "move" and steps else 0.0
+            for _ in range(steps):
+                rows.append((t, x_m, speed, 0.0 if what == "halt" else 1.0))
+                t, x_m = t + 0.008, x_m + speed * 0.008
+        rows.append((t, x_m, 0.0, rows[-1][3]))
+        t_s, x, v, s = (pl.Series(column) for column in zip(*rows, strict=True))
+        columns = {"timestamp": t_s}
+        columns |= {f"actual_TCP_pose_{i}": x if i == 0 else 0.0 * x for i in range(6)}
+        columns |= {f"actual_TCP_speed_{i}": v if i == 0 else 0.0 * v for i in range(6)}
+        columns |= {f"actual_q_{i}": 0.0 * x for i in range(6)}
+        if scaling:
+            columns |= {"speed_scaling": s, "target_speed_fraction": 0.0 * s + 1.0}
+        columns["runtime_state"] = pl.Series([2] * len(rows))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pl.DataFrame(columns).write_csv(path, separator=" ", line_terminator="\r\n", float_precision=7)
+        return path
+
+    return write
+
+
+@pytest.fixture
+def motive_log() -> Any:
+    """Return a writer of Motive logs, z up already turned away: points are (x, y, z) with z up, 50 Hz from 0."""
+
+    def write(path: Path, points: list[tuple[float, float, float] | None], *, name: str = "Operator") -> Path:
+        about = "Format Version,1.23,Take Name,t,Capture Frame Rate,50.0,Export Frame Rate,50.0"
+        about += f",Total Exported Frames,{len(points)},Rotation Type,Quaternion,Length Units,Meters"
+        lines = [about + ",Coordinate Space,Global", "", ",Type" + ",Rigid Body" * 7, ",Name" + f",{name}" * 7]
+        lines += [",ID" + ',"6D79"' * 7, "," + ",Rotation" * 4 + ",Position" * 3, "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z"]
+        for frame, point in enumerate(points):
+            cells = ["0.0", "0.0", "0.0", "1.0", *(f"{v:.6f}" for v in (point[0], point[2], -point[1]))] if point else [""] * 7
+            lines.append(",".join([str(frame), f"{frame / 50:.6f}", *cells]))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("\r\n".join(lines) + "\r\n", encoding="utf-8", newline="")
+        return path
+
+    return write

@@ -1,0 +1,200 @@
+"""The operator in the samples: never invented, the nearest of several, with the goal of what they do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from cyclekit.config import Cell, Source
+from cyclekit.dataset import Dataset, Place
+from cyclekit.ingest import ingest
+from cyclekit.people import (
+    Track,
+    at_times,
+    find_spots,
+    find_stays,
+    goals_from_events,
+    goals_from_stays,
+    nearest_person,
+)
+
+if TYPE_CHECKING:
+    from conftest import Cells, SimulatedCell
+
+STANDING = [("stand", 4.0), ("move", 0.4), ("stand", 1.0)]
+
+
+def walk(t_s: np.ndarray, y_m: float = 0.0, person: str = "1") -> Track:
+    """Walk along x at 1 m/s."""
+    return Track(person, t_s, np.column_stack([t_s, np.full_like(t_s, y_m), np.full_like(t_s, 0.2)]))
+
+
+def with_holes(track: Track, holes: list[tuple[float, float]]) -> Track:
+    xyz = track.xyz_m.copy()
+    for begin, end in holes:
+        xyz[(track.t_s > begin) & (track.t_s < end)] = np.nan
+    return Track(track.person, track.t_s, xyz)
+
+
+def test_a_short_gap_is_bridged_in_a_straight_line_and_a_long_one_stays_unknown():
+    track = with_holes(walk(np.arange(0, 10, 0.02)), [(2.0, 2.2), (5.0, 6.0)])
+    t_s = np.arange(0.0, 9.9, 0.1)
+    found = at_times(track, t_s, bridge_s=0.3)
+    unknown = np.isnan(found[:, 0])
+    assert t_s[unknown] == pytest.approx(np.arange(5.1, 5.95, 0.1))
+    assert found[~unknown, 0] == pytest.approx(t_s[~unknown])
+
+
+def test_the_frames_of_a_slow_tracker_are_no_gaps():
+    found = at_times(walk(np.arange(0.0, 10.0, 1.0)), np.arange(0.0, 9.0, 0.25), bridge_s=0.3)
+    assert found[:, 0] == pytest.approx(np.arange(0.0, 9.0, 0.25))
+
+
+def test_before_and_after_the_recording_nobody_knows():
+    found = at_times(walk(np.arange(2.0, 5.0, 0.02)), np.array([1.9, 2.0, 4.9, 5.1]), bridge_s=0.3)
+    assert np.isnan(found[:, 0]).tolist() == [True, False, False, True]
+
+
+@pytest.mark.parametrize("frames", [0, 1])
+def test_a_tracker_that_never_saw_anybody_says_nothing(frames: int):
+    assert np.isnan(at_times(walk(np.arange(float(frames))), np.array([0.0, 1.0]), bridge_s=0.3)).all()
+
+
+def test_of_two_people_the_one_nearer_to_the_tool_counts_and_the_other_when_that_one_is_lost():
+    t_s = np.arange(0.0, 4.0, 0.1)
+    near = with_holes(walk(np.arange(0, 5, 0.02), y_m=1.0, person="a"), [(2.0, 3.0)])
+    far = walk(np.arange(0, 5, 0.02), y_m=-2.0, person="b")
+    tcp = np.column_stack([t_s, 0 * t_s, 0 * t_s])
+    found = nearest_person([far, near], t_s, tcp, bridge_s=0.3)
+    assert sorted(set(found[:, 1].round(6).tolist())) == [-2.0, 1.0]
+    assert found[(t_s > 2.05) & (t_s < 2.95), 1] == pytest.approx(-2.0)
+    assert found[t_s < 1.95, 1] == pytest.approx(1.0)
+
+
+def test_a_person_of_a_planar_tracker_counts_by_the_distance_on_the_floor():
+    t_s = np.arange(0.0, 1.0, 0.1)
+    flat = Track("1", t_s, np.column_stack([t_s * 0 + 1.0, t_s * 0, t_s * np.nan]))
+    found = nearest_person([flat], t_s, np.zeros((10, 3)), bridge_s=0.3)
+    assert found[:, 0] == pytest.approx(1.0)
+    assert np.isnan(found[:, 2]).all()
+
+
+def test_where_the_tool_is_unknown_whoever_is_seen_counts():
+    t_s = np.arange(0.0, 1.0, 0.1)
+    found = nearest_person([walk(t_s, 1.0), walk(t_s, 0.0)], t_s, np.full((10, 3), np.nan), bridge_s=0.3)
+    assert found[:, 1] == pytest.approx(1.0)
+
+
+def test_a_goal_is_in_force_from_its_button_on():
+    goals = goals_from_events(np.array([1.0, 2.0]), ["shelf", "desk"], np.array([0.5, 1.0, 1.9, 2.0, 9.0]))
+    assert goals == [None, "shelf", "shelf", "desk", "desk"]
+
+
+def staying() -> tuple[np.ndarray, np.ndarray]:
+    """Stand 3 s at x = 0, walk 2 s to x = 2, stand 3 s, walk back, stand 3 s."""
+    t_s = np.arange(0.0, 13.0, 0.1)
+    x = np.interp(t_s, [0, 3, 5, 8, 10, 13], [0, 0, 2, 2, 0, 0])
+    return t_s, np.column_stack([x, 0 * x, 0 * x + 0.2])
+
+
+def test_a_stay_is_found_where_the_operator_stands_and_not_where_they_walk_or_are_not_seen():
+    t_s, human = staying()
+    stays = find_stays(t_s, human)
+    assert [(t_s[a], t_s[b]) for a, b in stays] == pytest.approx([(0.0, 3.0), (5.0, 8.0), (10.0, 12.9)], abs=0.11)
+    human[60:] = np.nan
+    assert len(find_stays(t_s, human)) == 2
+
+
+def test_without_buttons_the_goal_is_the_spot_of_the_stay_that_runs_or_comes_next():
+    t_s, human = staying()
+    stays = find_stays(t_s, human)
+    spots = find_spots(np.array([np.median(human[a : b + 1], axis=0) for a, b in stays]))
+    assert list(spots) == ["spot_1"]  # a spot needs two stays, and x = 2 has one
+    assert spots["spot_1"].xyz_m == pytest.approx((0.0, 0.0, 0.2))
+    spots["spot_2"] = Place("spot_2", (2.0, 0.0, 0.2), 0.4, inferred=True)
+    goals = goals_from_stays(stays, human, spots)
+    assert [goals[int(10 * t)] for t in (1.0, 4.0, 6.0, 9.0, 12.0)] == ["spot_1", "spot_2", "spot_2", "spot_1", "spot_1"]
+    assert goals_from_stays(stays[:1], human, spots)[60] is None
+
+
+@pytest.fixture
+def two_people(tmp_path: Path, robot_log: Any, motive_log: Any) -> Path:
+    robot_log(tmp_path / "logs" / "robot.csv", STANDING)
+    motive_log(tmp_path / "logs" / "anna.csv", [(2.0, 0.0, 0.2)] * 100 + [None] * 100 + [(2.0, 0.0, 0.2)] * 100, name="A")
+    motive_log(tmp_path / "logs" / "bert.csv", [(4.0, 0.0, 0.2)] * 300, name="B")
+    return tmp_path / "logs"
+
+
+def test_two_trackers_of_one_session_give_the_nearer_person(two_people: Path, tmp_path: Path):
+    sources = tuple(Source(name, clock_offset_s=10.0) for name in ("anna.csv", "bert.csv"))
+    found = Dataset.open(ingest([two_people], tmp_path / "dataset", cell=Cell(sources=sources)).dataset)
+    x = found.samples().select("t_s", "human_x_m")
+    start = found.executions["start_s"][0]
+    assert x.filter(pl.col("t_s") - start < 0.1).height > 0
+    by_time = {round(t, 1): v for t, v in x.iter_rows()}
+    assert [by_time[t] for t in sorted(by_time) if 4.1 < t < 5.5] == pytest.approx(
+        [2.0] * sum(4.1 < t < 5.5 for t in by_time)
+    )
+
+
+def test_dropouts_leave_unknown_positions_never_invented_ones(cells: Cells):
+    cell = cells("laser-zones", 2, dropout=0.3)
+    found = cell.dataset.samples()
+    first = cell.executions["start_s"][0]
+    lost = found["human_x_m"].null_count() / found.height
+    assert 0.05 < lost < 0.35
+    seen = found.filter(pl.col("human_x_m").is_not_null())
+    t, truth = (cell.samples["t_s"] - first).to_numpy(), cell.samples.select("human_x_m", "human_y_m").to_numpy()
+    at = np.column_stack([np.interp(seen["t_s"].to_numpy(), t, truth[:, k]) for k in range(2)])
+    apart = np.linalg.norm(seen.select("human_x_m", "human_y_m").to_numpy() - at, axis=1)
+    assert apart.max() < 0.08  # bridged over at most 0.3 s of walking
+
+
+def test_the_operators_task_and_goal_are_those_of_the_buttons(boxes: SimulatedCell):
+    found, start = boxes.dataset.samples(), boxes.executions["start_s"][0]
+    truth = boxes.samples.select(t_s=pl.col("t_s") - start, true="human_task").sort("t_s")
+    both = found.sort("t_s").join_asof(truth, on="t_s", strategy="nearest", tolerance=0.06)
+    agree = (both["human_task"] == both["true"]).mean()
+    assert agree > 0.99  # type: ignore[operator]
+    goal = found.filter(pl.col("human_task") == "inbound").select("human_goal_x_m", "human_goal_y_m").unique()
+    assert goal.row(0) == pytest.approx((3.1, 0.0))
+
+
+def test_where_buttons_name_goals_and_no_file_places_them_they_lie_where_the_operator_stayed(
+    boxes: SimulatedCell, tmp_path: Path
+):
+    text = (boxes.logs / "cell.toml").read_text(encoding="utf-8")
+    cell = tmp_path / "cell.toml"
+    cell.write_text(text[: text.index("[human_places")], encoding="utf-8")
+    found = Dataset.open(ingest([boxes.logs], tmp_path / "dataset", cell=cell).dataset)
+    for name, place in boxes.dataset.human_places.items():
+        if name != "rest":  # few executions see the operator rest
+            assert found.human_places[name].inferred
+            assert found.human_places[name].xyz_m[:2] == pytest.approx(place.xyz_m[:2], abs=0.15)
+
+
+def test_without_buttons_and_places_the_spots_are_where_the_operator_works(boxes: SimulatedCell, tmp_path: Path):
+    logs = tmp_path / "logs" / "session_000"
+    logs.mkdir(parents=True)
+    for name in ("robot.csv", "operator.csv"):
+        (logs / name).write_bytes((boxes.logs / "session_000" / name).read_bytes())
+    text = (boxes.logs / "cell.toml").read_text(encoding="utf-8")
+    (tmp_path / "logs" / "cell.toml").write_text(text[: text.index("[human_places")], encoding="utf-8")
+    found = Dataset.open(ingest([tmp_path / "logs"], tmp_path / "dataset").dataset)
+    assert len(found.human_places) >= 5
+    stations = [np.array(place.xyz_m[:2]) for place in boxes.dataset.human_places.values()]
+    for spot in found.human_places.values():
+        assert min(np.linalg.norm(np.array(spot.xyz_m[:2]) - at) for at in stations) < 0.4
+    assert found.samples()["human_task"].null_count() < 0.3 * found.samples().height
+
+
+def test_nobody_in_the_cell_is_nobody_in_the_samples(cells: Cells):
+    cell = cells("laser-zones", 2, with_operator=False)
+    found = cell.dataset.samples()
+    assert found["human_x_m"].null_count() == found.height
+    assert found["scaling"].unique().to_list() == [1.0]
+    assert cell.dataset.tasks()["safety_loss_s"].abs().max() < 0.02

@@ -1,0 +1,129 @@
+"""The override of a log that did not record it, against what the simulated robot really did.
+
+What is measured: over all 10 Hz samples at which the simulator's robot is on its way and the scaling could be
+inferred, the mean absolute difference to the simulator's own s at that instant.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+import pytest
+from numpy.testing import assert_allclose
+
+from cyclekit.config import Cell
+from cyclekit.dataset import Dataset
+from cyclekit.ingest import ingest
+from cyclekit.override import infer_overrides, path_phase
+from cyclekit.segment import Execution, RobotRun, Visit, tcp_speed
+
+if TYPE_CHECKING:
+    from conftest import Cells, SimulatedCell
+
+
+
+@pytest.fixture(scope="module")
+def silent(cells: Cells) -> SimulatedCell:
+    """A packing cell whose controller does not log its override; the operator is often far away."""
+    return cells("pick-and-package", 6, log_override=False)
+
+
+@pytest.fixture(scope="module")
+def compared(silent: SimulatedCell) -> pl.DataFrame:
+    """Inferred and true scaling side by side: the sample and the truth nearest in time."""
+    found = silent.dataset.samples().select("t_s", "scaling", "scaling_origin", "robot_moving")
+    truth = silent.samples.select(t_s=pl.col("t_s") - silent.executions["start_s"][0], true="scaling")
+    return found.sort("t_s").join_asof(truth.sort("t_s"), on="t_s", strategy="nearest", tolerance=0.06)
+
+
+def test_the_inferred_override_is_near_the_true_one_while_the_robot_moves(compared: pl.DataFrame):
+    known = compared.filter(pl.col("robot_moving") & pl.col("scaling").is_not_null())
+    assert known.height > 0.75 * compared.filter("robot_moving").height
+    error = (known["scaling"] - known["true"]).abs()
+    assert error.mean() < 0.03  # type: ignore[operator]
+    assert (error < 0.05).mean() > 0.93  # type: ignore[operator]
+
+
+def test_an_inferred_override_says_so(silent: SimulatedCell, compared: pl.DataFrame):
+    known = compared.filter(pl.col("scaling").is_not_null())
+    assert known["scaling_origin"].unique().to_list() == ["inferred"]
+    assert compared.filter(pl.col("scaling").is_null())["scaling_origin"].null_count() == compared["scaling"].null_count()
+    assert silent.dataset.card["scaling_origin"] == "inferred"
+    assert "inferred from velocity ratios" in silent.dataset.card["warnings"][0]
+
+
+def test_where_the_robot_dwells_the_override_is_unknown_not_zero(compared: pl.DataFrame):
+    standing = compared.filter(~pl.col("robot_moving"))
+    assert standing.height > 100
+    assert standing["scaling"].null_count() > 0.97 * standing.height
+
+
+def test_the_levels_of_the_staircase_show_in_the_inferred_override(silent: SimulatedCell):
+    for level in (0.25, 0.5, 0.75, 1.0):
+        assert min(abs(level - found) for found in silent.dataset.levels) < 0.01
+
+
+def test_safety_loss_without_a_logged_override_is_near_the_truth(silent: SimulatedCell):
+    found = silent.dataset.tasks()["safety_loss_s"].sum()
+    assert found == pytest.approx(silent.tasks["safety_loss_s"].sum(), rel=0.08)
+
+
+def test_a_run_with_nobody_in_the_cell_is_the_reference_where_there_is_one(tmp_path: Path, robot_log: Any):
+    def round_trip(pause_s: float) -> list[tuple[str, float]]:
+        halt = [("halt", pause_s)] if pause_s else []
+        return [("stand", 1.0), ("move", 0.5), *halt, ("move", 1.0), ("stand", 0.6), ("move", 0.0), ("stand", 1.0)]
+
+    for number in range(4):
+        robot_log(tmp_path / "logs" / f"run_{number}.csv", round_trip(3.0), scaling=False)
+    alone = Dataset.open(ingest([tmp_path / "logs"], tmp_path / "alone").dataset)
+    robot_log(tmp_path / "logs" / "empty.csv", round_trip(0.0), scaling=False)
+    cell = Cell(reference=("empty.csv",))
+    with_reference = Dataset.open(ingest([tmp_path / "logs"], tmp_path / "with", cell=cell).dataset)
+    lost = with_reference.tasks().filter(pl.col("task") == "place_1->place_2")["safety_loss_s"]
+    assert sorted(lost.to_list()) == pytest.approx([0.0, 3.0, 3.0, 3.0, 3.0], abs=0.1)
+    assert "runs without the operator" in with_reference.card["warnings"][0]
+    # Without it, a halt that every repetition has cannot be told from the program.
+    assert alone.tasks()["safety_loss_s"].abs().max() < 0.1
+
+
+def test_a_motion_that_never_repeats_has_no_reference_and_that_is_said(tmp_path: Path, robot_log: Any):
+    log = robot_log(tmp_path / "run.csv", [("stand", 1.0), ("move", 1.0), ("stand", 1.0)], scaling=False)
+    found = Dataset.open(ingest([log], tmp_path / "dataset").dataset)
+    assert found.tasks()["nominal_s"].to_list() == [None]
+    assert found.tasks()["safety_loss_s"].to_list() == [None]
+    assert found.samples()["scaling"].null_count() == found.samples().height
+    assert found.card["scaling_origin"] is None
+    assert any("could not be inferred" in text for text in found.card["warnings"])
+
+
+def run_at(rate: float) -> RobotRun:
+    """A minimum-jerk motion over 1 m in 2 s, drawn out by a constant scaling."""
+    t_s = np.arange(0.0, 2.0 / rate + 1e-9, 0.008)
+    u = np.clip(t_s * rate / 2.0, 0, 1)
+    xyz = np.column_stack([10 * u**3 - 15 * u**4 + 6 * u**5, 0 * u, 0 * u])
+    return RobotRun(t_s, xyz, tcp_speed(t_s, xyz), np.full(len(t_s), np.nan))
+
+
+@pytest.mark.parametrize("rate", [0.2, 0.5, 0.75, 1.0])
+def test_a_motion_drawn_out_evenly_has_that_one_scaling_all_along(rate: float):
+    runs = [run_at(1.0), run_at(rate)]
+    executions = [
+        Execution(number, (Visit("a", 0, 0), Visit("b", len(run.t_s) - 1, len(run.t_s) - 1)), complete=True)
+        for number, run in enumerate(runs)
+    ]
+    inferred, references = infer_overrides(runs, executions)
+    assert set(references) == {"a->b"}
+    found = inferred[1].scaling
+    known = np.isfinite(found)
+    assert known.mean() > 0.85
+    assert_allclose(found[known], rate, atol=0.02)
+
+
+def test_the_phase_of_a_path_goes_from_nothing_to_the_whole_and_never_back():
+    phase = path_phase(run_at(0.5), 10, 300)
+    assert phase[0] == 0.0
+    assert phase[-1] == pytest.approx(1.0)
+    assert (np.diff(phase) >= 0).all()

@@ -1,0 +1,251 @@
+"""Executions, places and tasks found from motion, and where every second of them went, against the simulator's truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+import pytest
+from cyclekit_sim import SCENES, scene_places
+
+from cyclekit.config import Cell, Executions, NamedPlace, load_cell
+from cyclekit.dataset import Dataset
+from cyclekit.errors import UnknownName
+from cyclekit.ingest import ingest
+from cyclekit.segment import cluster, split_runs, tcp_speed
+
+if TYPE_CHECKING:
+    from conftest import Cells, SimulatedCell
+
+VARIANTS = [
+    *((scene, {}) for scene in SCENES),
+    ("box-picking", {"robot_rate_hz": 500}),
+    ("pick-and-package", {"robot_rate_hz": 500}),
+    ("laser-zones", {"robot_rate_hz": 500}),
+    ("box-picking", {"ramp_down_per_s": 2.0, "ramp_up_per_s": 1.0, "latency_s": 0.1, "hysteresis_m": 0.05}),
+]
+SHORT = {"pick-and-package": 1, "box-picking": 2, "laser-zones": 3}
+
+
+@pytest.fixture(params=VARIANTS, ids=lambda v: "-".join([v[0], *(f"{k}={x}" for k, x in v[1].items())]))
+def cell(request: pytest.FixtureRequest, cells: Cells) -> SimulatedCell:
+    scene, options = request.param
+    return cells(scene, SHORT[scene] if options else None, **options)
+
+
+def made_of(tmp_path: Path, logs: Path, cell: Cell | Path | None = None) -> Dataset:
+    return Dataset.open(ingest([logs], tmp_path / "dataset", cell=cell).dataset)
+
+
+def test_all_executions_and_tasks_are_found_in_order_and_none_is_invented(cell: SimulatedCell):
+    assert cell.routes_found == cell.routes
+    truth = (cell.tasks["start_place"] + "->" + cell.tasks["goal_place"]).to_list()
+    assert cell.dataset.tasks()["task"].to_list() == truth
+    assert cell.dataset.executions["complete"].all()
+
+
+def test_the_parts_of_a_task_add_up_to_its_duration_and_the_tasks_to_the_execution(cell: SimulatedCell):
+    tasks = cell.dataset.tasks()
+    parts = tasks.select(pl.sum_horizontal("nominal_s", "safety_loss_s", "dwell_s", "wait_s"))["nominal_s"]
+    assert (parts - (tasks["end_s"] - tasks["start_s"])).abs().max() < 1e-3
+    for _, rows in tasks.group_by("execution"):
+        assert (rows["start_s"][1:] - rows["end_s"][:-1]).abs().max() < 1e-9
+    assert tasks.select((pl.col("nominal_s", "safety_loss_s", "dwell_s", "wait_s") >= -1e-9).all()).row(0) == (True,) * 4
+
+
+def test_executions_last_as_long_as_they_really_did(cell: SimulatedCell):
+    late = cell.dataset.executions["duration_s"] - cell.executions["duration_s"]
+    # A robot that idles at home before it may leave does not show when it wanted to.
+    assert late.abs().max() < (0.7 if cell.scene == "pick-and-package" else 0.1)
+
+
+def test_nominal_time_and_safety_loss_of_every_task_are_those_of_the_truth(cell: SimulatedCell):
+    found = cell.dataset.tasks()
+    nominal = (found["nominal_s"] - cell.tasks["nominal_s"]).to_numpy()
+    loss = (found["safety_loss_s"] - cell.tasks["safety_loss_s"]).to_numpy()
+    assert np.abs(nominal).max() < 0.1
+    assert np.quantile(np.abs(loss), 0.97) < 0.07
+    assert found["nominal_s"].sum() == pytest.approx(cell.tasks["nominal_s"].sum(), rel=0.006)
+    assert found["safety_loss_s"].sum() == pytest.approx(cell.tasks["safety_loss_s"].sum(), rel=0.02)
+
+
+def test_stands_are_told_into_dwell_and_wait(cells: Cells):
+    boxes, packing = cells("box-picking"), cells("pick-and-package")
+    dwell = boxes.dataset.tasks()["dwell_s"] - boxes.tasks["dwell_s"]
+    assert dwell.abs().max() < 0.12
+    assert boxes.dataset.tasks()["wait_s"].sum() == 0.0  # its boxes are always there
+    found, true = packing.dataset.tasks(), packing.tasks
+    stands = found["dwell_s"] + found["wait_s"] - true["dwell_s"] - true["wait_s"]
+    assert stands.abs().quantile(0.97) < 0.12  # type: ignore[operator]
+    long = true["wait_s"] > 0.9
+    assert long.sum() >= 5
+    assert (found.filter(long)["wait_s"] > 0.7).all()
+    assert found.filter(true["goal_place"] != "conveyor")["wait_s"].sum() < 0.1
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_places_are_found_without_a_cell_file_from_motion_alone(cells: Cells, scene: str, tmp_path: Path):
+    cell = cells(scene)
+    found = made_of(tmp_path, cell.logs, Cell(ignore=("truth/*",)))
+    truth = scene_places(scene)
+    visited = {name for route in cell.routes for name in route}
+    named = {}
+    for name, place in found.places.items():
+        apart = {true: float(np.linalg.norm(np.subtract(place.xyz_m, xyz))) for true, xyz in truth.items()}
+        named[name] = min(apart, key=lambda true: apart[true])
+        assert apart[named[name]] < 1e-3, f"{name} is no place of the cell"
+        assert place.inferred
+    assert sorted(named.values()) == sorted(visited)
+    assert [[named[place] for place in entry["places"]] for entry in found.card["executions"]] == cell.routes
+
+
+def test_where_safety_halts_the_robot_on_its_way_is_no_place_however_often(tmp_path: Path, robot_log: Any):
+    doing: list[tuple[str, float]] = [("stand", 1.0)]
+    for _ in range(8):
+        doing += [("move", 0.4), ("halt", 2.0), ("move", 1.0), ("stand", 0.6), ("move", 0.0), ("stand", 0.6)]
+    found = made_of(tmp_path, robot_log(tmp_path / "run.csv", doing))
+    assert sorted(place.xyz_m[0] for place in found.places.values()) == pytest.approx([0.0, 1.0], abs=1e-3)
+    there = found.tasks().filter(pl.col("task") == "place_1->place_2")
+    assert there.height == 8
+    assert there["safety_loss_s"].to_list() == pytest.approx([2.0] * 8, abs=0.05)
+    assert there["nominal_s"].to_list() == pytest.approx([2.0] * 8, abs=0.05)
+
+
+def test_without_any_scaling_a_spot_it_often_passes_without_standing_is_no_place(tmp_path: Path, robot_log: Any):
+    doing: list[tuple[str, float]] = [("stand", 1.0)]
+    for number in range(8):
+        doing += [("move", 0.4), ("stand", 2.0)] if number % 3 == 0 else []
+        doing += [("move", 1.0), ("stand", 0.6), ("move", 0.0), ("stand", 0.6)]
+    found = made_of(tmp_path, robot_log(tmp_path / "run.csv", doing, scaling=False))
+    assert sorted(place.xyz_m[0] for place in found.places.values()) == pytest.approx([0.0, 1.0], abs=1e-3)
+
+
+def test_a_halt_a_hair_before_the_goal_is_loss_of_the_motion_that_it_stopped(tmp_path: Path, robot_log: Any):
+    doing: list[tuple[str, float]] = [("stand", 1.0)]
+    for number in range(5):
+        hair = [("move", 0.9998), ("halt", 3.0)] if number == 2 else []
+        doing += [*hair, ("move", 1.0), ("stand", 0.6), ("move", 0.0), ("stand", 0.6)]
+    tasks = made_of(tmp_path, robot_log(tmp_path / "run.csv", doing)).tasks()
+    assert tasks.height == 10
+    hindered = tasks.row(4, named=True)
+    assert hindered["task"] == "place_1->place_2"
+    assert hindered["safety_loss_s"] == pytest.approx(3.0, abs=0.1)
+    assert tasks["dwell_s"][::2].to_list() == pytest.approx([0.6] * 5, abs=0.05)
+    assert tasks["safety_loss_s"].sum() == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_robot_that_is_not_allowed_to_leave_loses_that_time_on_its_next_motion(tmp_path: Path, robot_log: Any):
+    doing: list[tuple[str, float]] = [("stand", 1.0)]
+    for number in range(5):
+        held = [("halt", 4.0)] if number == 2 else []
+        doing += [("move", 1.0), ("stand", 0.6), *held, ("move", 0.0), ("stand", 0.6)]
+    tasks = made_of(tmp_path, robot_log(tmp_path / "run.csv", doing)).tasks()
+    hindered = tasks.row(5, named=True)
+    assert hindered["task"] == "place_2->place_1"
+    assert hindered["safety_loss_s"] == pytest.approx(4.0, abs=0.1)
+    assert tasks["dwell_s"][::2].to_list() == pytest.approx([0.6] * 5, abs=0.05)
+
+
+def test_standing_free_for_longer_than_usual_is_waiting(tmp_path: Path, robot_log: Any):
+    doing: list[tuple[str, float]] = [("stand", 1.0)]
+    for number in range(5):
+        doing += [("move", 1.0), ("stand", 4.6 if number == 2 else 0.6), ("move", 0.0), ("stand", 0.6)]
+    tasks = made_of(tmp_path, robot_log(tmp_path / "run.csv", doing)).tasks()
+    assert tasks["wait_s"].to_list() == pytest.approx([0.0] * 4 + [4.0] + [0.0] * 5, abs=0.05)
+    assert tasks["safety_loss_s"].sum() == pytest.approx(0.0, abs=0.05)
+
+
+def test_the_spot_at_which_recordings_begin_and_end_is_home_though_the_robot_never_stands_there(
+    tmp_path: Path, robot_log: Any
+):
+    for number in range(3):
+        doing = [("move", 0.4), ("stand", 0.6), ("move", 1.0), ("stand", 0.6), ("move", 0.0)]
+        robot_log(tmp_path / "logs" / f"run_{number}.csv", doing)
+    found = made_of(tmp_path, tmp_path / "logs")
+    assert found.places["place_1"].xyz_m == pytest.approx((0.0, 0.0, 0.0), abs=0.01)
+    assert [entry["places"] for entry in found.card["executions"]] == [["place_1", "place_2", "place_3", "place_1"]] * 3
+
+
+def test_where_a_recorder_was_switched_off_is_no_place(tmp_path: Path, robot_log: Any):
+    doing: list[tuple[str, float]] = [("stand", 1.0)]
+    doing += [("move", 1.0), ("stand", 0.6), ("move", 0.0), ("stand", 0.6)] * 3
+    found = made_of(tmp_path, robot_log(tmp_path / "run.csv", [*doing, ("move", 0.5)]))
+    assert sorted(place.xyz_m[0] for place in found.places.values()) == pytest.approx([0.0, 1.0], abs=1e-3)
+    assert found.tasks().height == 6
+
+
+def test_executions_of_an_endless_recording_begin_at_home(tmp_path: Path, robot_log: Any):
+    doing = [("stand", 1.0), *[("move", 0.4), ("stand", 0.6), ("move", 1.0), ("stand", 0.6), ("move", 0.0), ("stand", 1)] * 3]
+    log = robot_log(tmp_path / "run.csv", doing)
+    places = {"rest": NamedPlace((0, 0, 0)), "pick": NamedPlace((0.4, 0, 0)), "put": NamedPlace((1.0, 0, 0))}
+    routes = {}
+    for how in (Executions(), Executions(home="pick"), Executions("file"), Executions("gap")):
+        found = Dataset.open(ingest([log], tmp_path / "dataset", cell=Cell(places=places, executions=how)).dataset)
+        routes[(how.begin, how.home)] = [entry["places"] for entry in found.card["executions"]]
+    assert routes["auto", None] == [["rest", "pick", "put", "rest"]] * 3
+    assert routes["auto", "pick"] == [["pick", "put", "rest", "pick"]] * 2 + [["pick", "put", "rest"]]
+    assert routes["file", None] == routes["gap", None] == [["rest", *["pick", "put", "rest"] * 3]]
+
+
+def test_the_last_execution_of_an_endless_recording_that_was_cut_is_not_complete(tmp_path: Path, robot_log: Any):
+    cycle = [("move", 0.4), ("stand", 0.6), ("move", 1.0), ("stand", 0.6), ("move", 0.0), ("stand", 1)]
+    log = robot_log(tmp_path / "run.csv", [("stand", 1.0), *cycle * 2, *cycle[:3]])
+    found = made_of(tmp_path, log)
+    assert found.executions["complete"].to_list() == [True, True, False]
+
+
+def test_a_silence_of_the_log_separates_executions(boxes: SimulatedCell, tmp_path: Path):
+    told = load_cell(boxes.logs / "cell.toml")
+    pauses = (boxes.executions["start_s"][1:] - boxes.executions["end_s"][:-1]).to_list()
+    assert min(pauses) > 5
+    in_one = Cell(told.name, told.sources, told.ignore, places=told.places, executions=Executions("file"))
+    found = made_of(tmp_path, boxes.logs, in_one)
+    assert found.executions.height == 1  # the whole file
+
+
+def test_executions_can_begin_by_the_register_that_counts_them(cells: Cells, tmp_path: Path):
+    cell = cells("pick-and-package")
+    told = load_cell(cell.logs / "cell.toml")
+    counted = Cell(told.name, told.sources, told.ignore, places=told.places, executions=Executions("register"))
+    found = made_of(tmp_path, cell.logs, counted)
+    assert [entry["places"] for entry in found.card["executions"]] == cell.routes
+
+
+def test_a_home_that_is_no_place_is_refused(tmp_path: Path, robot_log: Any):
+    log = robot_log(tmp_path / "run.csv", [("stand", 1.0), ("move", 1.0), ("stand", 1.0)])
+    with pytest.raises(UnknownName, match="unknown place 'hoem'"):
+        ingest([log], tmp_path / "dataset", cell=Cell(executions=Executions(home="hoem")))
+
+
+@pytest.mark.parametrize("doing", [[("stand", 3.0)], [("move", 0.4)], [("halt", 3.0)]])
+def test_a_robot_that_does_no_task_is_an_execution_to_look_at_all_the_same(
+    tmp_path: Path, robot_log: Any, doing: list[tuple[str, float]]
+):
+    found = made_of(tmp_path, robot_log(tmp_path / "run.csv", doing))
+    assert found.executions["complete"].to_list() == [False]
+    assert found.tasks().height == 0
+    assert found.samples()["robot_x_m"].null_count() == 0
+
+
+def test_a_clock_that_jumps_ahead_or_back_cuts_the_log():
+    t_s = np.array([0.0, 0.1, 0.2, 9.0, 9.1, 4.0, 4.1])
+    assert split_runs(t_s, gap_s=2.0) == [slice(0, 3), slice(3, 5), slice(5, 7)]
+    assert split_runs(t_s[:0], gap_s=2.0) == []
+
+
+@pytest.mark.parametrize("rate_hz", [125, 500])
+def test_the_speed_of_a_steady_motion_is_its_slope(rate_hz: int):
+    t_s = np.arange(0.0, 1.0, 1 / rate_hz)
+    xyz = np.column_stack([0.3 * t_s, 0.4 * t_s, 0.0 * t_s])
+    np.testing.assert_allclose(tcp_speed(t_s, xyz), 0.5, rtol=1e-9)
+
+
+def test_spots_nearer_than_the_radius_are_one_group_and_none_is_left_out():
+    rng = np.random.default_rng(1)
+    centres = np.array([[0.0, 0, 0], [0.05, 0, 0], [0, 0.5, 0]])
+    xyz = np.repeat(centres, [40, 20, 10], axis=0) + rng.uniform(-5e-4, 5e-4, (70, 3))
+    groups = cluster(xyz, np.arange(70), 0.01)
+    assert [len(group) for group in groups] == [40, 20, 10]
+    assert sorted(np.concatenate(groups).tolist()) == list(range(70))

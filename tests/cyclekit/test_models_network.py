@@ -1,0 +1,110 @@
+"""The networks of the paper: their layers, and that folding them changes nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+from torch import nn
+
+from cyclekit.errors import ConfigError, CyclekitError, UnknownName
+from cyclekit.models.network import build, fold
+from cyclekit.models.saved import TrainedModel
+from cyclekit.models.spec import NETWORKS, ModelSpec
+
+LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
+EVERY = [(problem, network) for problem, networks in NETWORKS.items() for network in networks]
+
+
+def widths(network: nn.Sequential) -> list[int]:
+    return [m.out_features for m in network if isinstance(m, nn.Linear)]
+
+
+def test_the_classifier_is_four_layers_of_64_with_batch_normalisation():
+    network = build(ModelSpec.of("now"), 6, LEVELS)
+    assert widths(network) == [64, 64, 64, 64, 5]
+    assert [type(m).__name__ for m in list(network)[:3]] == ["Linear", "BatchNorm1d", "ReLU"]
+
+
+def test_the_regressor_is_five_layers_of_64_that_end_between_0_and_1():
+    network = build(ModelSpec.of("now", "regressor"), 6, LEVELS)
+    assert widths(network) == [64] * 5 + [1]
+    assert isinstance(network[-1], nn.Hardtanh)
+
+
+def test_the_mixed_net_ends_in_memberships_of_the_levels_and_a_linear_value():
+    network = build(ModelSpec.of("average"), 12, LEVELS)
+    assert widths(network) == [64] * 5 + [5, 1]
+    assert [type(m).__name__ for m in list(network)[-3:]] == ["Linear", "Softmax", "Linear"]
+
+
+def test_without_normalisation_there_is_none():
+    network = build(ModelSpec.of("now", norm="none"), 6, LEVELS)
+    assert not any(isinstance(m, nn.BatchNorm1d) for m in network)
+
+
+@pytest.mark.parametrize("norm", ["batch", "none"])
+@pytest.mark.parametrize(("problem", "name"), EVERY)
+def test_a_folded_network_predicts_what_the_network_predicts(problem, name, norm):
+    rng = np.random.default_rng(0)
+    torch.manual_seed(0)
+    inputs = 6 if problem == "now" else 12
+    spec = ModelSpec.of(problem, name, norm=norm)
+    network = build(spec, inputs, LEVELS)
+    with torch.no_grad():
+        for m in network:
+            if isinstance(m, nn.BatchNorm1d):
+                m.running_mean.normal_(0, 0.1)
+                m.running_var.uniform_(0.5, 2)
+                m.weight.uniform_(0.5, 1.5)
+                m.bias.uniform_(-0.1, 0.1)
+    network.eval()
+    mean, scale = rng.normal(size=inputs), rng.uniform(0.5, 3, inputs)
+    X = rng.normal(size=(300, inputs))
+    with torch.no_grad():
+        out = network(torch.from_numpy(((X - mean) * scale).astype(np.float32)))
+        expected = torch.softmax(out, 1) @ torch.tensor(LEVELS) if name == "classifier" else out[:, 0].clamp(0, 1)
+    model = TrainedModel(problem, name, spec.horizon_s, LEVELS, fold(network, mean, scale))
+    assert_allclose(model.predict(X), expected.numpy(), atol=2e-6)
+    assert np.ptp(model.predict(X)) > 1e-3
+
+
+@pytest.mark.parametrize("name", ["lstm-1", "lstm-2"])
+def test_a_recurrent_network_is_refused_with_the_ones_there_are(name):
+    with pytest.raises(ConfigError, match="classifier, regressor"):
+        ModelSpec.of("ahead", name)
+
+
+@pytest.mark.parametrize(("problem", "network"), [("average", "classifier"), ("now", "mixed"), ("ahead", "mixed")])
+def test_a_network_that_does_not_solve_the_problem_is_refused(problem, network):
+    with pytest.raises(ConfigError, match="does not solve"):
+        ModelSpec.of(problem, network)
+
+
+def test_a_misspelt_name_is_answered_with_the_nearest():
+    with pytest.raises(UnknownName, match="nearest is 'classifier'"):
+        ModelSpec.of("now", "clasifier")
+    with pytest.raises(UnknownName, match="nearest is 'ahead'"):
+        ModelSpec.of("ahed")
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"problem": "now", "horizon_s": 2.0},
+        {"problem": "ahead", "horizon_s": 0.0},
+        {"problem": "average", "horizon_s": float("nan")},
+        {"epochs": -3},
+        {"hidden": (64, 0)},
+        {"batch": 1},
+        {"learning_rate": 0.0},
+        {"norm": "layer"},
+        {"test_fraction": 1.5},
+        {"freeze_norm_after": -1.0},
+        {"seed": -1},
+    ],
+)
+def test_settings_without_sense_are_refused_before_any_data_is_read(settings):
+    with pytest.raises(CyclekitError):
+        ModelSpec.of(**settings)

@@ -1,0 +1,176 @@
+"""Training on small fabricated cells: it learns, it repeats, and it says what bad data lack."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import polars as pl
+import pytest
+from fabricated import LEVELS, THRESHOLDS_M, fabricate_dataset
+
+from cyclekit.dataset import CARD, Dataset, write_parquet
+from cyclekit.errors import DatasetError, MissingExtra
+from cyclekit.models.saved import load_model, save_model
+from cyclekit.models.spec import ModelSpec
+from cyclekit.samples import build_samples
+from cyclekit.train import fingerprint, train
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory) -> Dataset:
+    return fabricate_dataset(tmp_path_factory.mktemp("cell") / "dataset", executions=16, seed=1)
+
+
+@pytest.fixture(scope="module")
+def model(cell):
+    return train(cell, ModelSpec.of(batch=256, epochs=60))
+
+
+def changed(dataset: Dataset, folder, *columns: pl.Expr, keep: int | None = None) -> Dataset:
+    """Write the dataset again with other samples and, if asked, only the first executions."""
+    card = dict(dataset.card)
+    card["executions"] = card["executions"][:keep]
+    for file in (dataset.path / "samples").glob("*.parquet"):
+        write_parquet(pl.read_parquet(file).with_columns(*columns), folder / "samples" / file.name)
+    (folder / CARD).write_text(json.dumps(card))
+    return Dataset.open(folder)
+
+
+def test_the_slow_down_is_learned_from_the_logs_alone(model):
+    metrics = model.card["metrics"]
+    assert metrics["mse_mean"] < 0.02  # guessing the mean: about 0.13
+    assert metrics["accuracy"] > 0.85
+
+
+def test_the_model_slows_down_where_the_operator_comes_near(model):
+    near, far = [0.6, 0, 0.4, 1.1, 0.5, 1.0], [0.6, 0, 0.4, 3.2, 0.3, 1.0]
+    scaling = model.predict(np.array([near, far]))
+    assert np.linalg.norm(np.subtract(near[:3], near[3:])) < THRESHOLDS_M[0]
+    assert scaling[0] < 0.2
+    assert scaling[1] > 0.8
+
+
+def test_the_levels_are_found_in_the_logs(model):
+    assert model.levels == LEVELS
+    assert sum(level["share"] for level in model.card["levels"]) == pytest.approx(1, abs=1e-3)
+
+
+def test_what_holds_without_operator_is_read_from_the_logs_and_kept_in_the_card(model):
+    assert model.card["scaling_without_operator"] == 1.0
+    assert model.card["dropped"]["operator absent or not seen"] > 0
+
+
+def test_no_execution_serves_two_purposes(model, cell):
+    parts = [set(part) for part in model.card["split"].values()]
+    assert set.union(*parts) == set(cell.executions["execution"])
+    assert sum(len(part) for part in parts) == cell.executions.height
+
+
+def test_the_card_says_where_the_model_comes_from(model, cell):
+    card = model.card
+    assert card["dataset_sha256"] == fingerprint(cell)
+    assert card["inputs"] == list(model.inputs)
+    assert card["spec"]["batch"] == 256
+    assert card["rows"]["train"] > card["rows"]["validation"] > 0
+    assert len(card["history"]) == 60
+
+
+def test_the_kept_weights_are_those_of_the_best_epoch(model, cell):
+    rows = cell.samples(model.card["split"]["validation"]).drop_nulls(["human_x_m", "scaling"])
+    X = rows.select(model.inputs).to_numpy()
+    mse = float(np.mean((model.predict(X) - rows["scaling"].to_numpy()) ** 2))
+    assert mse == pytest.approx(min(epoch["validation_mse"] for epoch in model.card["history"]), rel=1e-3)
+
+
+def test_a_trained_model_survives_the_disk(model, tmp_path):
+    save_model(tmp_path / "model", model)
+    assert load_model(tmp_path / "model").card == json.loads(json.dumps(model.card))
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(cell):
+    weights = [train(cell, ModelSpec.of(epochs=2, seed=seed)).layers[0][0] for seed in (3, 3, 4)]
+    assert np.array_equal(weights[0], weights[1])
+    assert not np.array_equal(weights[0], weights[2])
+
+
+@pytest.mark.parametrize(
+    ("problem", "network"),
+    [
+        ("now", "regressor"),
+        ("ahead", "classifier"),
+        ("ahead", "regressor"),
+        ("average", "mixed"),
+        ("average", "regressor"),
+    ],
+)
+def test_every_other_network_beats_the_constant_mean(cell, problem, network):
+    horizon_s = None if problem == "now" else 2.0
+    model = train(cell, ModelSpec.of(problem, network, horizon_s, batch=256, epochs=15))
+    assert model.card["history"][-1]["loss"] < model.card["history"][0]["loss"]
+    held_out = build_samples(cell.samples(model.card["split"]["test"]), problem, model.horizon_s, LEVELS)
+    assert model.card["metrics"]["mse_mean"] < 0.9 * held_out.scaling.var()
+    assert (model.card["metrics"]["accuracy"] is None) == (problem == "average")
+
+
+def test_progress_is_told_after_every_epoch(cell):
+    told = []
+    train(cell, ModelSpec.of(epochs=3), progress=lambda fraction, text: told.append((fraction, text)))
+    assert [round(fraction, 3) for fraction, _ in told] == [0.333, 0.667, 1.0]
+    assert "epoch 3 of 3" in told[-1][1]
+
+
+def test_an_input_that_never_varies_is_switched_off(cell, tmp_path):
+    flat = changed(cell, tmp_path, pl.when(pl.col("human_z_m").is_not_null()).then(pl.lit(1.3)).alias("human_z_m"))
+    model = train(flat, ModelSpec.of(epochs=2))
+    inputs = np.array([[0.5, 0.1, 0.3, 2.0, 0.2, z] for z in (1.3, 1.8)])
+    assert np.ptp(model.predict(inputs)) == 0
+
+
+def test_without_any_scaling_the_message_says_how_to_get_one(cell, tmp_path):
+    with pytest.raises(DatasetError, match=r"scaling is unknown in all[\s\S]*reference run"):
+        train(changed(cell, tmp_path, pl.lit(None, pl.Float64).alias("scaling")), ModelSpec.of())
+
+
+def test_with_one_level_only_there_is_nothing_to_learn(cell, tmp_path):
+    with pytest.raises(DatasetError, match=r"1\.00 throughout"):
+        train(changed(cell, tmp_path, pl.lit(1.0).alias("scaling")), ModelSpec.of())
+
+
+def test_without_an_operator_the_message_says_so(tmp_path):
+    alone = fabricate_dataset(tmp_path / "alone", executions=4, operator=False)
+    with pytest.raises(DatasetError, match="operator absent or not seen"):
+        train(alone, ModelSpec.of())
+
+
+def test_ten_samples_are_too_few(cell, tmp_path):
+    few = changed(cell, tmp_path, pl.when(pl.int_range(pl.len()) < 5).then(pl.col("scaling")).alias("scaling"))
+    with pytest.raises(DatasetError, match=r"only \d+ of \d+ samples can be learned from"):
+        train(few, ModelSpec.of())
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_or_two_executions_are_too_few(cell, tmp_path, count):
+    with pytest.raises(DatasetError, match=rf"{count} usable execution"):
+        train(changed(cell, tmp_path, keep=count), ModelSpec.of())
+
+
+def test_three_executions_are_just_enough(cell, tmp_path):
+    split = train(changed(cell, tmp_path, keep=3), ModelSpec.of(epochs=1)).card["split"]
+    assert [len(part) for part in split.values()] == [1, 1, 1]
+
+
+def test_a_scaling_without_steps_is_no_case_for_a_classifier_but_for_a_regressor(cell, tmp_path):
+    noise = np.random.default_rng(0)
+    jumpy = pl.col("scaling").map_batches(lambda s: pl.Series(noise.random(len(s))), return_dtype=pl.Float64)
+    continuous = changed(cell, tmp_path, jumpy.alias("scaling"))
+    with pytest.raises(DatasetError, match="--network regressor"):
+        train(continuous, ModelSpec.of())
+    assert train(continuous, ModelSpec.of("now", "regressor", epochs=1)).card["warnings"]
+
+
+def test_without_torch_the_message_names_the_extra(cell, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(MissingExtra, match=r"cyclekit\[train\]"):
+        train(cell, ModelSpec.of())

@@ -15,7 +15,6 @@ import time
 from pathlib import Path
 
 import polars as pl
-from cyclekit_sim import SimulationOptions, random_sequence, simulate, simulate_sequence
 from rich.console import Console
 from rich.table import Table
 
@@ -25,6 +24,7 @@ from cyclekit.ingest import ingest
 from cyclekit.models.spec import ModelSpec
 from cyclekit.sequences import TaskSequence
 from cyclekit.train import train
+from cyclekit_sim import SimulationOptions, random_sequence, simulate, simulate_sequence
 
 FRESH_SEED = 1_000_000
 """Seeds of the fresh executions start here, far from those of the logs."""

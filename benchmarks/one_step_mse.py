@@ -14,7 +14,6 @@ import tempfile
 import time
 from pathlib import Path
 
-from cyclekit_sim import SimulationOptions, simulate
 from rich.console import Console
 from rich.table import Table
 
@@ -23,6 +22,7 @@ from cyclekit.evaluate import Evaluation, evaluate
 from cyclekit.ingest import ingest
 from cyclekit.models.spec import ModelSpec
 from cyclekit.train import train
+from cyclekit_sim import SimulationOptions, simulate
 
 PAPER = {0.0: {"classifier": 3.32, "regressor": 2.59}, 0.02: {"classifier": 8.23, "regressor": 7.01}}
 PAPER[0.05] = {"classifier": 21.7, "regressor": 15.2}

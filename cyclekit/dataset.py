@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -195,7 +195,8 @@ def write_text(file: Path, text: str) -> None:
             os.fsync(handle.fileno())
         temporary.replace(file)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
         msg = f"{file}: cannot be written ({error.strerror})"
         raise CyclekitError(msg, cure="Check the folder, its permissions and the free space.") from error
 

@@ -68,9 +68,13 @@ def find_all(roots: Sequence[Path], cell: Cell) -> tuple[list[Log], list[tuple[s
     not_read: list[tuple[str, str]] = []
     unknown: LogError | None = None
     prefixes = _prefixes(roots)
+    seen: set[Path] = set()
     for root in roots:
         base = root if root.is_dir() else root.parent
         for path, registered in _candidates(root, base, cell):
+            if path.resolve() in seen:  # given as a file and once more by its folder
+                continue
+            seen.add(path.resolve())
             shown = path.relative_to(base).as_posix() if path != base else path.name
             source = next((s for s in cell.sources if matches(shown, path, s.path)), None)
             shown = prefixes[base] + shown

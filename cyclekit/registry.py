@@ -104,7 +104,8 @@ def why_unknown(path: Path) -> UnknownFormat:
         return UnknownFormat(
             path, "this is a Git LFS pointer, not the log itself", cure="Fetch the content first: git lfs pull"
         )
-    if len(head) < 4096 and b"\0" not in head and len(head.split()) > 1 and len(head.strip().splitlines()) == 1:
+    cells = max(head.count(separator) for separator in (b",", b";", b"\t")) + 1
+    if len(head) < 4096 and b"\0" not in head and cells > 3 and len(head.strip().splitlines()) == 1:
         return UnknownFormat(path, "a single line: a header and no rows", cure="Record again, or remove the file.")
     if b"\0" not in head and (b"," in head or b";" in head or b"\t" in head):
         cure += ' For a table of your own, map its columns in cell.toml with adapter = "csv".'

@@ -74,6 +74,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
     levels = tuple(round(float(level), 6) for level in staircase.levels)
     rows = rows.labelled(levels) if spec.problem != "average" else rows
     learn, check, held_out = (rows.of(part) for part in (split.train, split.validation, split.test))
+    _check_learnable(dataset, learn, spec)
     fitted = fit(spec, learn, check, levels, progress)
     model = TrainedModel(spec.problem, spec.network, spec.horizon_s, levels, fitted.layers)
     card = {
@@ -134,6 +135,15 @@ def _usable_rows(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Samp
             msg, cure=f"At least {MIN_ROWS} are needed. See what the logs lack: cyclekit inspect DATASET"
         )
     return rows
+
+
+def _check_learnable(dataset: Dataset, learn: Samples, spec: ModelSpec) -> None:
+    """Refuse when the split leaves too little to learn from: executions may be of very different length."""
+    count = int((learn.step >= 0).sum()) if spec.network == "classifier" else len(learn)
+    if count < MIN_ROWS // 2:
+        what = "samples on a level" if spec.network == "classifier" else "usable samples"
+        msg = f"{dataset.path}: the executions to learn from hold only {count} {what}"
+        raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
 
 
 def _split(dataset: Dataset, rows: Samples, spec: ModelSpec) -> Split:

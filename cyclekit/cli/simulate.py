@@ -93,10 +93,9 @@ def simulated(scene: str, out: Path, executions: int, seed: int, settings: dict[
     Raises:
         CyclekitError: The simulator refuses the settings, or the operator's recording.
     """
+    from cyclekit.errors import CyclekitError
     from cyclekit_sim import SimulationOptions, simulate
     from cyclekit_sim.errors import SimulationError
-
-    from cyclekit.errors import CyclekitError
 
     try:
         options = SimulationOptions(**settings)

@@ -34,6 +34,7 @@ class NominalTask:
         xyz_m: TCP along the motion at every STEP_S of nominal time, shape (K, 3), base frame.
         nominal_s: Duration of the motion at scaling 1: the median of its repetitions.
         dwell_s, wait_s: Mean process time and mean waiting at the goal.
+        stands_s: Every logged stand at the goal (dwell + wait), ascending, shape (repetitions,).
         repetitions: How often the task was logged.
     """
 
@@ -42,6 +43,7 @@ class NominalTask:
     nominal_s: float
     dwell_s: float
     wait_s: float
+    stands_s: Vector
     repetitions: int
 
 
@@ -54,6 +56,7 @@ def nominal_tasks(dataset: Dataset) -> dict[str, NominalTask]:
         nominal_s=pl.col("nominal_s").median(),
         dwell_s=pl.col("dwell_s").mean(),
         wait_s=pl.col("wait_s").mean(),
+        stands_s=(pl.col("dwell_s") + pl.col("wait_s")).sort(),
         repetitions=pl.len(),
     )
     best = tasks.sort("safety_loss_s", "execution", "index").group_by("task", maintain_order=True).first()
@@ -69,6 +72,7 @@ def nominal_tasks(dataset: Dataset) -> dict[str, NominalTask]:
                 nominal_s=row["nominal_s_all"],
                 dwell_s=row["dwell_s_all"],
                 wait_s=row["wait_s_all"],
+                stands_s=np.array(row["stands_s"]),
                 repetitions=row["repetitions"],
             )
     return found

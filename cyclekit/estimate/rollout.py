@@ -14,14 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.errors import EstimateError, ModelError, UnknownName
-from cyclekit.estimate.nominal import STEP_S, NominalTask, nominal_tasks
+from cyclekit.errors import EstimateError, ModelError
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.program import Program, draw_stands, lay_out
 from cyclekit.estimate.result import CycleEstimate, TaskShare
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -43,29 +44,12 @@ RESAMPLES = 1000
 
 
 @dataclass(frozen=True)
-class Program:
-    """A sequence laid out along nominal time, in K cells of about STEP_S.
-
-    Attributes:
-        length_s: Duration at scaling 1, stands included: the sum over the tasks, exactly.
-        xyz_m: TCP, shape (K, 3).
-        moving: On the way (advances at s) or standing (advances at 1), shape (K,).
-        leg: Index of the task, shape (K,).
-    """
-
-    tasks: tuple[NominalTask, ...]
-    length_s: float
-    xyz_m: NDArray[np.float64]
-    moving: NDArray[np.bool_]
-    leg: NDArray[np.int64]
-
-
-@dataclass(frozen=True)
 class Rolled:
     """K cycles of one program.
 
     Attributes:
         duration_s: Shape (K,).
+        stands_s: Stand at each task's goal per cycle, shape (K, tasks).
         safety_s: Safety loss per cycle and task, shape (K, tasks).
         by_activity_s: Safety loss per operator activity, mean over cycles, shape (activities + 1,), last = unknown.
         support: Part of the time in logged cells.
@@ -73,6 +57,7 @@ class Rolled:
     """
 
     duration_s: Vector
+    stands_s: NDArray[np.float64]
     safety_s: NDArray[np.float64]
     by_activity_s: Vector
     support: float
@@ -96,7 +81,7 @@ def estimate(
         dataset: Logs that hold the tasks and the operator's tracks.
         sequences: What is asked for.
         quantiles: Levels in (0, 1) of single cycles.
-        seed: Of the resampling behind the interval of the mean.
+        seed: Of the resampling behind the interval of the mean, and of the order in which logged stands are used.
         extrapolate: Answer although the support is below LEAST_SUPPORT; the number carries a warning.
         progress: Told fraction and text.
 
@@ -119,7 +104,7 @@ def estimate(
     found = []
     for number, (sequence, program) in enumerate(zip(sequences, programs, strict=True)):
         tell(number / len(sequences), f"rolling out {sequence.name}")
-        rolled, tracks = _with_enough_track(model, dataset, sequence, program, support)
+        rolled, tracks = _with_enough_track(model, dataset, sequence, program, support, seed)
         if rolled.support < LEAST_SUPPORT and not extrapolate:
             seen = f"sequence {sequence.name!r}: only {rolled.support:.0%} of it runs through positions ever logged"
             raise EstimateError(seen, cure="Log this part of the cell, or ask with --extrapolate and mark the number.")
@@ -128,52 +113,14 @@ def estimate(
     return sorted(found, key=lambda result: (result.expected_s, result.name))
 
 
-def lay_out(sequence: TaskSequence, nominal: Mapping[str, NominalTask], dataset: Dataset) -> Program:
-    """Return the program of a sequence.
-
-    Raises:
-        UnknownName: A place does not exist.
-        EstimateError: A task was never logged.
-    """
-    places = dataset.places
-    for place in sequence.places:
-        if place not in places:
-            raise UnknownName(f"sequence {sequence.name!r}", "place", place, places)
-    if missing := [task for task in sequence.tasks if task not in nominal]:
-        seen = f"sequence {sequence.name!r}: task {missing[0]!r} was never logged with a known speed scaling"
-        cure = f"Go by tasks that were: {_tasks_from(missing[0], nominal)}."
-        raise EstimateError(seen, cure=cure)
-    tasks = tuple(nominal[task] for task in sequence.tasks)
-    edges = np.cumsum([part for task in tasks for part in (task.nominal_s, task.dwell_s + task.wait_s)])
-    length_s = float(edges[-1])
-    cells = max(1, round(length_s / STEP_S))
-    middle = (np.arange(cells) + 0.5) * (length_s / cells)
-    part = np.minimum(np.searchsorted(edges, middle, side="right"), len(edges) - 1)
-    leg, moving = part // 2, part % 2 == 0
-    xyz = np.empty((cells, 3))
-    for index, task in enumerate(tasks):
-        mine = leg == index
-        begin = edges[2 * index] - task.nominal_s
-        phase = np.clip((middle[mine] - begin) / max(task.nominal_s, 1e-9), 0.0, 1.0)
-        at = np.linspace(0.0, 1.0, len(task.xyz_m))
-        xyz[mine] = np.column_stack([np.interp(phase, at, task.xyz_m[:, axis]) for axis in range(3)])
-    return Program(tasks, length_s, xyz, moving, leg)
-
-
-def _tasks_from(task: str, nominal: Mapping[str, NominalTask]) -> str:
-    start = task.partition("->")[0]
-    known = sorted(name for name in nominal if name.startswith(f"{start}->")) or sorted(nominal)
-    return ", ".join(known[:8]) + (" …" if len(known) > 8 else "")
-
-
 def _with_enough_track(
-    model: TrainedModel, dataset: Dataset, sequence: TaskSequence, program: Program, support: Support
+    model: TrainedModel, dataset: Dataset, sequence: TaskSequence, program: Program, support: Support, seed: int
 ) -> tuple[Rolled, OperatorTracks]:
     """Roll out with tracks long enough for the slowest cycle; a cell that halts for long needs a second try."""
     horizon = 2.5 * program.length_s
     for _ in range(4):
         tracks = operator_tracks(dataset, horizon_s=horizon, operator=sequence.operator)
-        rolled = roll_out(model, program, tracks, support)
+        rolled = roll_out(model, program, tracks, support, seed=seed)
         if np.isfinite(rolled.duration_s).all():
             return rolled, tracks
         horizon *= 2.0
@@ -182,10 +129,14 @@ def _with_enough_track(
     raise EstimateError(seen, cure="The operator's tracks leave the robot halted; check the tracker's frame and clock.")
 
 
-def roll_out(model: TrainedModel, program: Program, tracks: OperatorTracks, support: Support) -> Rolled:
+def roll_out(
+    model: TrainedModel, program: Program, tracks: OperatorTracks, support: Support, *, seed: int = 0
+) -> Rolled:
     """Walk every track beside the program once; a cycle that does not end within its track has duration inf."""
     count, samples = tracks.activity.shape
     position = np.zeros(count)
+    stands = draw_stands(program, count, seed)
+    stand_rate = np.array([task.dwell_s + task.wait_s for task in program.tasks]) / stands
     duration = np.full(count, np.inf)
     safety = np.zeros((count, len(program.tasks)))
     activity_s = np.zeros(len(tracks.activities) + 1)
@@ -202,21 +153,22 @@ def roll_out(model: TrainedModel, program: Program, tracks: OperatorTracks, supp
         human, sample = _human_at(tracks, going, number * TIME_STEP_S)
         robot = program.xyz_m[at]
         scaling = _scaling(model, robot, human, free)
-        rate = np.where(program.moving[at], scaling, 1.0)
+        leg, moving = program.leg[at], program.moving[at]
+        rate = np.where(moving, scaling, stand_rate[going, leg])
         to_go = (end - position[going]) / np.maximum(rate, 1e-12)
         arrives = to_go <= TIME_STEP_S
         spent = np.minimum(to_go, TIME_STEP_S)
         duration[going[arrives]] = number * TIME_STEP_S + spent[arrives]
         position[going] += rate * spent
-        lost = (1.0 - rate) * spent
-        safety[going, program.leg[at]] += lost
+        lost = np.where(moving, (1.0 - scaling) * spent, 0.0)
+        safety[going, leg] += lost
         np.add.at(activity_s, tracks.activity[going, sample], lost)
         spliced += float(np.count_nonzero(sample >= tracks.logged[going]))
         if number % SUPPORT_EVERY == 0:
             known += float(np.count_nonzero(support.near_logged(robot, human)))
             looked += len(going)
     steps = max(float(np.where(np.isfinite(duration), duration, 0.0).sum()) / TIME_STEP_S, 1.0)
-    return Rolled(duration, safety, activity_s / count, known / max(looked, 1.0), spliced / steps)
+    return Rolled(duration, stands, safety, activity_s / count, known / max(looked, 1.0), spliced / steps)
 
 
 def _human_at(tracks: OperatorTracks, rows: NDArray[np.int64], t_s: float) -> tuple[NDArray[np.float64], int]:
@@ -246,7 +198,7 @@ def _estimate(
     seed: int,
 ) -> CycleEstimate:
     durations = rolled.duration_s
-    shares = tuple(_share(task, float(lost)) for task, lost in zip(program.tasks, rolled.safety_s.mean(0), strict=True))
+    shares = tuple(_shares(program, rolled))
     low, high = _interval_of_mean(durations, seed)
     by_activity = dict(zip([*tracks.activities, "unknown"], rolled.by_activity_s.tolist(), strict=True))
     return CycleEstimate(
@@ -269,9 +221,16 @@ def _estimate(
     )
 
 
-def _share(task: NominalTask, safety_s: float) -> TaskShare:
-    total = task.nominal_s + safety_s + task.dwell_s + task.wait_s
-    return TaskShare(task.task, total, task.nominal_s, safety_s, task.dwell_s, task.wait_s)
+def _shares(program: Program, rolled: Rolled) -> Iterator[TaskShare]:
+    """Split the mean duration over the tasks; a step that crosses from one part to the next is shared out with it."""
+    safety, stands = rolled.safety_s.mean(axis=0), rolled.stands_s.mean(axis=0)
+    motion = sum(task.nominal_s for task in program.tasks) + float(safety.sum())
+    stands *= (float(rolled.duration_s.mean()) - motion) / float(stands.sum())
+    for task, lost, stand in zip(program.tasks, safety.tolist(), stands.tolist(), strict=True):
+        usual = task.dwell_s + task.wait_s
+        dwell = stand * task.dwell_s / usual if usual > 0.0 else stand
+        wait = stand - dwell
+        yield TaskShare(task.task, task.nominal_s + lost + stand, task.nominal_s, lost, dwell, wait)
 
 
 def _interval_of_mean(durations: Vector, seed: int) -> tuple[float, float]:

@@ -5,11 +5,11 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from cyclekit_adapters import mapped_csv
-from cyclekit_adapters.rosbag import roles
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import LogError
+from cyclekit_adapters import mapped_csv
+from cyclekit_adapters.rosbag import roles
 
 ROOT = Path(__file__).parents[2]
 DOCS = (ROOT / "docs/adapters.md").read_text(encoding="utf-8")

@@ -3,10 +3,10 @@
 import random
 
 import pytest
-from cyclekit_adapters import mapped_csv, motive, rosbag, ur_rtde, ur_split
 
 from cyclekit.adapter import ReadOptions, Recording
 from cyclekit.errors import LogError
+from cyclekit_adapters import mapped_csv, motive, rosbag, ur_rtde, ur_split
 
 CUTS, FLIPS = 40, 50
 

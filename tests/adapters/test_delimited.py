@@ -3,9 +3,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cyclekit_adapters.delimited import Layout, encoding_of, header_names, read_rows
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from cyclekit_adapters.delimited import Layout, encoding_of, header_names, read_rows
 
 LAYOUT = Layout(("a", "b", "c"), ",", header_lines=1)
 

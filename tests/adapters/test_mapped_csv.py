@@ -1,10 +1,10 @@
 import math
 
 import pytest
-from cyclekit_adapters.mapped_csv import ADAPTER
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import ConfigError, DamagedLog, MissingColumns, UnknownName
+from cyclekit_adapters.mapped_csv import ADAPTER
 
 
 def read(path, text, role=None, rate_hz=None, saved_as="utf-8", **mapping):

@@ -1,8 +1,8 @@
 import pytest
-from cyclekit_adapters.motive import ADAPTER
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError
+from cyclekit_adapters.motive import ADAPTER
 
 
 def read(path, text, **options):

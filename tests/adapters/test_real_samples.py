@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cyclekit_adapters import mapped_csv, rosbag
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError
 from cyclekit.registry import find_adapter
+from cyclekit_adapters import mapped_csv, rosbag
 
 FOLDER = Path(os.environ.get("CYCLEKIT_SAMPLES", "absent"))
 pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="CYCLEKIT_SAMPLES names no folder")

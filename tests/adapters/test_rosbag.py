@@ -2,11 +2,11 @@ import math
 
 import numpy as np
 import pytest
-from cyclekit_adapters.rosbag import ADAPTER
-from cyclekit_adapters.rosbag.container import opened
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import ConfigError, DamagedLog, LogError, UnknownName
+from cyclekit_adapters.rosbag import ADAPTER
+from cyclekit_adapters.rosbag.container import opened
 
 T0 = 1_700_000_000.0
 

@@ -1,9 +1,9 @@
 import pytest
-from cyclekit_adapters.ur_rtde import ADAPTER
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT
+from cyclekit_adapters.ur_rtde import ADAPTER
 
 
 def read(path, **options):

@@ -1,8 +1,8 @@
 import pytest
-from cyclekit_adapters.ur_split import ADAPTER
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog
+from cyclekit_adapters.ur_split import ADAPTER
 
 
 def write(folder, name, rows, end="\n"):

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
-from cyclekit_sim import SimulationOptions, simulate
 
 from cyclekit.cli import run
+from cyclekit_sim import SimulationOptions, simulate
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from cyclekit_sim import scene_places
 
 from cyclekit.cli.demo import SCENE, SEQUENCES, sequences_toml
 from cyclekit.sequences import load_sequences
+from cyclekit_sim import scene_places
 
 if TYPE_CHECKING:
     from .conftest import Shell

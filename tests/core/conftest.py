@@ -9,10 +9,10 @@ from typing import Any
 
 import polars as pl
 import pytest
-from cyclekit_sim import SimulationOptions, simulate
 
 from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
+from cyclekit_sim import SimulationOptions, simulate
 
 EXECUTIONS = {"box-picking": 4, "pick-and-package": 4, "laser-zones": 6}
 ROBOT_START_S = 152.512
@@ -124,7 +124,11 @@ def motive_log() -> Any:
         lines = [about + ",Coordinate Space,Global", "", ",Type" + ",Rigid Body" * 7, ",Name" + f",{name}" * 7]
         lines += [",ID" + ',"6D79"' * 7, "," + ",Rotation" * 4 + ",Position" * 3, "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z"]
         for frame, point in enumerate(points):
-            cells = ["0.0", "0.0", "0.0", "1.0", *(f"{v:.6f}" for v in (point[0], point[2], -point[1]))] if point else [""] * 7
+            cells = (
+                ["0.0", "0.0", "0.0", "1.0", *(f"{v:.6f}" for v in (point[0], point[2], -point[1]))]
+                if point
+                else [""] * 7
+            )
             lines.append(",".join([str(frame), f"{frame / 50:.6f}", *cells]))
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("\r\n".join(lines) + "\r\n", encoding="utf-8", newline="")

@@ -135,9 +135,13 @@ def test_what_is_built_takes_the_place_of_the_old_as_a_whole(copied: Path):
 
 
 def test_work_that_fails_leaves_the_old_dataset_and_nothing_else(copied: Path):
-    with pytest.raises(ValueError, match="in the middle"), staged(copied) as folder:
-        write_text(folder / "dataset.json", "{}")
-        raise ValueError("in the middle")
+    def fail() -> None:
+        with staged(copied) as folder:
+            write_text(folder / "dataset.json", "{}")
+            raise ValueError("in the middle")
+
+    with pytest.raises(ValueError, match="in the middle"):
+        fail()
     assert Dataset.open(copied).executions.height == 4
     assert [file.name for file in copied.parent.iterdir()] == ["dataset"]
 

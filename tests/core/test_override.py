@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from conftest import Cells, SimulatedCell
 
 
-
 @pytest.fixture(scope="module")
 def silent(cells: Cells) -> SimulatedCell:
     """A packing cell whose controller does not log its override; the operator is often far away."""
@@ -50,7 +49,9 @@ def test_the_inferred_override_is_near_the_true_one_while_the_robot_moves(compar
 def test_an_inferred_override_says_so(silent: SimulatedCell, compared: pl.DataFrame):
     known = compared.filter(pl.col("scaling").is_not_null())
     assert known["scaling_origin"].unique().to_list() == ["inferred"]
-    assert compared.filter(pl.col("scaling").is_null())["scaling_origin"].null_count() == compared["scaling"].null_count()
+    assert (
+        compared.filter(pl.col("scaling").is_null())["scaling_origin"].null_count() == compared["scaling"].null_count()
+    )
     assert silent.dataset.card["scaling_origin"] == "inferred"
     assert "inferred from velocity ratios" in silent.dataset.card["warnings"][0]
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 import pytest
-from cyclekit_sim import SCENES
 
 from cyclekit import schema
+from cyclekit_sim import SCENES
 
 if TYPE_CHECKING:
     from conftest import Cells, SimulatedCell

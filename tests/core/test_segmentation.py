@@ -1,4 +1,4 @@
-"""Executions, places and tasks found from motion, and where every second of them went, against the simulator's truth."""
+"""Executions, places and tasks found from motion, and where every second went, against the simulator's truth."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 import pytest
-from cyclekit_sim import SCENES, scene_places
 
 from cyclekit.config import Cell, Executions, NamedPlace, load_cell
 from cyclekit.dataset import Dataset
 from cyclekit.errors import UnknownName
 from cyclekit.ingest import ingest
 from cyclekit.segment import cluster, split_runs, tcp_speed
+from cyclekit_sim import SCENES, scene_places
 
 if TYPE_CHECKING:
     from conftest import Cells, SimulatedCell
@@ -52,7 +52,9 @@ def test_the_parts_of_a_task_add_up_to_its_duration_and_the_tasks_to_the_executi
     assert (parts - (tasks["end_s"] - tasks["start_s"])).abs().max() < 1e-3
     for _, rows in tasks.group_by("execution"):
         assert (rows["start_s"][1:] - rows["end_s"][:-1]).abs().max() < 1e-9
-    assert tasks.select((pl.col("nominal_s", "safety_loss_s", "dwell_s", "wait_s") >= -1e-9).all()).row(0) == (True,) * 4
+    assert (
+        tasks.select((pl.col("nominal_s", "safety_loss_s", "dwell_s", "wait_s") >= -1e-9).all()).row(0) == (True,) * 4
+    )
 
 
 def test_executions_last_as_long_as_they_really_did(cell: SimulatedCell):
@@ -177,7 +179,10 @@ def test_where_a_recorder_was_switched_off_is_no_place(tmp_path: Path, robot_log
 
 
 def test_executions_of_an_endless_recording_begin_at_home(tmp_path: Path, robot_log: Any):
-    doing = [("stand", 1.0), *[("move", 0.4), ("stand", 0.6), ("move", 1.0), ("stand", 0.6), ("move", 0.0), ("stand", 1)] * 3]
+    doing = [
+        ("stand", 1.0),
+        *[("move", 0.4), ("stand", 0.6), ("move", 1.0), ("stand", 0.6), ("move", 0.0), ("stand", 1)] * 3,
+    ]
     log = robot_log(tmp_path / "run.csv", doing)
     places = {"rest": NamedPlace((0, 0, 0)), "pick": NamedPlace((0.4, 0, 0)), "put": NamedPlace((1.0, 0, 0))}
     routes = {}

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from cyclekit_sim import SimulationError, scene_places
 from cyclekit_sim.arm import forward, jacobian, quaternion, reach, rotation_vector
 from cyclekit_sim.motion import ACCELERATION_RAD_S2, SPEED_RAD_S, plan_moves
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 JOINTS = st.lists(st.floats(-6.0, 6.0), min_size=6, max_size=6)
 

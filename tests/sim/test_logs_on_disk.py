@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from rosbags.highlevel import AnyReader
+
 from cyclekit_sim import SCENES, SimulationError, SimulationOptions, simulate
 from cyclekit_sim.arm import JOINT_NAMES, forward
-from rosbags.highlevel import AnyReader
 
 POSE = [f"actual_TCP_pose_{i}" for i in range(3)]
 

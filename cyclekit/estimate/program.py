@@ -1,0 +1,90 @@
+"""The program of a sequence: its motions and stands laid out along nominal time.
+
+How fast that time advances with an operator in the cell is the business of `rollout`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.errors import EstimateError, UnknownName
+from cyclekit.estimate.nominal import STEP_S, NominalTask
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset import Dataset
+    from cyclekit.sequences import TaskSequence
+
+
+@dataclass(frozen=True)
+class Program:
+    """A sequence laid out along nominal time, in K cells of about STEP_S.
+
+    Attributes:
+        length_s: Duration at scaling 1, stands included: the sum over the tasks, exactly.
+        xyz_m: TCP, shape (K, 3).
+        moving: On the way (advances at s) or standing (advances at 1), shape (K,).
+        leg: Index of the task, shape (K,).
+    """
+
+    tasks: tuple[NominalTask, ...]
+    length_s: float
+    xyz_m: NDArray[np.float64]
+    moving: NDArray[np.bool_]
+    leg: NDArray[np.int64]
+
+
+def lay_out(sequence: TaskSequence, nominal: Mapping[str, NominalTask], dataset: Dataset) -> Program:
+    """Return the program of a sequence.
+
+    Raises:
+        UnknownName: A place does not exist.
+        EstimateError: A task was never logged.
+    """
+    places = dataset.places
+    for place in sequence.places:
+        if place not in places:
+            raise UnknownName(f"sequence {sequence.name!r}", "place", place, places)
+    if missing := [task for task in sequence.tasks if task not in nominal]:
+        seen = f"sequence {sequence.name!r}: task {missing[0]!r} was never logged with a known speed scaling"
+        cure = f"Go by tasks that were: {_tasks_from(missing[0], nominal)}."
+        raise EstimateError(seen, cure=cure)
+    tasks = tuple(nominal[task] for task in sequence.tasks)
+    edges = np.cumsum([part for task in tasks for part in (task.nominal_s, task.dwell_s + task.wait_s)])
+    length_s = float(edges[-1])
+    cells = max(1, round(length_s / STEP_S))
+    middle = (np.arange(cells) + 0.5) * (length_s / cells)
+    part = np.minimum(np.searchsorted(edges, middle, side="right"), len(edges) - 1)
+    leg, moving = part // 2, part % 2 == 0
+    xyz = np.empty((cells, 3))
+    for index, task in enumerate(tasks):
+        mine = leg == index
+        begin = edges[2 * index] - task.nominal_s
+        phase = np.clip((middle[mine] - begin) / max(task.nominal_s, 1e-9), 0.0, 1.0)
+        at = np.linspace(0.0, 1.0, len(task.xyz_m))
+        xyz[mine] = np.column_stack([np.interp(phase, at, task.xyz_m[:, axis]) for axis in range(3)])
+    return Program(tasks, length_s, xyz, moving, leg)
+
+
+def _tasks_from(task: str, nominal: Mapping[str, NominalTask]) -> str:
+    start = task.partition("->")[0]
+    known = sorted(name for name in nominal if name.startswith(f"{start}->")) or sorted(nominal)
+    return ", ".join(known[:8]) + (" …" if len(known) > 8 else "")
+
+
+def draw_stands(program: Program, count: int, seed: int) -> NDArray[np.float64]:
+    """Return a stand per cycle and task, shape (count, tasks), seconds: the logged stands, spread evenly and shuffled.
+
+    A robot that is starved of parts now and then has cycles that differ by that alone; mean stands would hide it.
+    """
+    rng = np.random.default_rng(seed)
+    level = (np.arange(count) + 0.5) / count
+    drawn = [rng.permutation(np.quantile(task.stands_s, level)) for task in program.tasks]
+    stands: NDArray[np.float64] = np.maximum(np.column_stack(drawn), 1e-3)
+    return stands

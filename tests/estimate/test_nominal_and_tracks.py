@@ -1,0 +1,120 @@
+"""The nominal motions behind an estimate, and the operator tracks that it is rolled out against."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from cyclekit.errors import EstimateError
+from cyclekit.estimate.nominal import STEP_S, nominal_tasks
+from cyclekit.estimate.support import Support
+from cyclekit.estimate.tracks import operator_tracks
+
+if TYPE_CHECKING:
+    from cyclekit.dataset import Dataset
+
+
+def test_nominal_durations_are_those_that_the_program_asks_for(logged: Dataset, truth: pl.DataFrame):
+    found = nominal_tasks(logged)
+    true = truth.group_by(task=pl.col("start_place") + "->" + pl.col("goal_place")).agg(
+        pl.col("nominal_s", "dwell_s").median(), times=pl.len()
+    )
+    assert set(found) == set(true["task"])
+    for row in true.iter_rows(named=True):
+        task = found[row["task"]]
+        assert task.nominal_s == pytest.approx(row["nominal_s"], abs=0.025)
+        assert task.dwell_s == pytest.approx(row["dwell_s"], abs=0.05)
+        assert task.repetitions == row["times"]
+
+
+def test_a_nominal_motion_leads_from_place_to_place_at_the_speed_of_the_program(logged: Dataset):
+    for name, task in nominal_tasks(logged).items():
+        start, goal = (np.array(logged.places[place].xyz_m) for place in name.split("->"))
+        assert np.linalg.norm(task.xyz_m[0] - start) < 0.002
+        assert np.linalg.norm(task.xyz_m[-1] - goal) < 0.002
+        assert len(task.xyz_m) == round(task.nominal_s / STEP_S) + 1
+        speed = np.linalg.norm(np.diff(task.xyz_m, axis=0), axis=1) / STEP_S
+        assert 0.4 < speed.max() < 1.5
+        assert speed[len(speed) // 3 : -len(speed) // 3].min() > 0.1  # no halt is left in the middle of it
+
+
+def test_a_task_logged_without_scaling_has_no_nominal_motion(hand_made: Any):
+    found = hand_made({"a": ([0.0, 0.0], {0.0: (3.0, 0.0), 15.0: (3.0, 0.0)})})
+    assert set(nominal_tasks(found)) == {"place_1->place_2", "place_2->place_1"}
+    unknown = found.tasks().with_columns(nominal_s=pl.lit(None, pl.Float64))
+    unknown.write_parquet(found.path / "tasks.parquet")
+    assert nominal_tasks(found) == {}
+
+
+HALTED = {
+    # Each operator stays where one can tell them apart; `short` has no halt, the others take 6 s longer.
+    "short": ([0.0], {0.0: (2.0, 0.0), 7.0: (2.0, 0.0)}),
+    "near": ([6.0], {0.0: (2.2, 0.0), 6.0: (2.2, 0.0), 8.0: (4.0, 0.0), 11.0: (4.0, 0.0)}),
+    "far": ([6.0], {0.0: (9.0, 0.0), 11.0: (9.0, 0.0)}),
+}
+
+
+def test_a_track_is_the_logged_one_for_as_long_as_its_execution_was(hand_made: Any):
+    found = hand_made(HALTED)
+    tracks = operator_tracks(found, horizon_s=3.0)
+    samples = found.samples()
+    assert tracks.executions == tuple(found.executions["execution"])
+    for k, name in enumerate(tracks.executions):
+        x = samples.filter(pl.col("execution") == name)["human_x_m"].to_numpy()
+        count = min(len(x), tracks.xyz_m.shape[1])
+        np.testing.assert_allclose(tracks.xyz_m[k, :count, 0], x[:count])
+        assert tracks.logged[k] == len(x)
+
+
+def test_a_short_track_goes_on_as_another_that_was_near_did_and_not_by_standing_still(hand_made: Any):
+    found = hand_made(HALTED)
+    tracks = operator_tracks(found, horizon_s=9.0)
+    short, near = (
+        tracks.executions.index(next(n for n in tracks.executions if n.startswith(s))) for s in ("short", "near")
+    )
+    own = tracks.logged[short]
+    assert own < 60
+    np.testing.assert_allclose(tracks.xyz_m[short, own - 1], [2.0, 0.0, 0.2], atol=1e-6)
+    np.testing.assert_array_equal(tracks.xyz_m[short, own:], tracks.xyz_m[near, own:])
+    assert tracks.xyz_m[short, 88, 0] == pytest.approx(4.0)  # the donor had walked away by then
+
+
+def test_where_the_log_runs_on_the_track_is_what_the_operator_really_did_next(hand_made: Any):
+    found = hand_made({"a": ([0.0] * 4, {0.0: (2.0, 0.0), 25.0: (7.0, 0.0)})})
+    assert found.executions.height == 4
+    tracks = operator_tracks(found, horizon_s=8.0)
+    t_s = found.executions["start_s"][1] + np.arange(tracks.xyz_m.shape[1]) / 10
+    np.testing.assert_allclose(tracks.xyz_m[1, :80, 0], 2.0 + 5.0 * t_s[:80] / 25.0, atol=0.02)
+
+
+def test_tracks_can_be_those_of_an_operator_who_begins_in_a_certain_order(logged: Dataset):
+    every = operator_tracks(logged, horizon_s=50.0)
+    orders = {}
+    for k, name in enumerate(every.executions):
+        doing = every.activity[k, : every.logged[k]]
+        changes = np.flatnonzero(np.diff(doing, prepend=-2))
+        orders[name] = tuple(every.activities[i] for i in doing[changes] if i >= 0)
+    wanted = orders[every.executions[0]][:2]
+    some = operator_tracks(logged, horizon_s=50.0, operator=wanted)
+    assert set(some.executions) == {name for name, order in orders.items() if order[:2] == wanted}
+    assert 0 < len(some.executions) < len(every.executions)
+
+
+def test_an_order_that_no_operator_ever_followed_is_refused(logged: Dataset):
+    with pytest.raises(EstimateError, match="in no execution does the operator begin with rest, rest") as caught:
+        operator_tracks(logged, horizon_s=50.0, operator=("rest", "rest"))
+    assert "out_left_1" in str(caught.value.cure)
+
+
+def test_support_knows_the_pairs_of_positions_that_were_logged_and_no_others():
+    robot, human = np.array([[0.5, 0.0, 0.3], [0.0, 0.5, 0.3]]), np.array([[2.0, 0.0, 0.2], [0.0, 2.0, 0.2]])
+    support = Support(robot, human)
+    assert support.near_logged(robot, human).all()
+    assert support.near_logged(robot + 0.01, human + 0.01).all()
+    assert not support.near_logged(robot, human[::-1]).any()
+    assert not support.near_logged(robot + 2.0, human).any()
+    assert support.near_logged(robot, human * np.nan).all()  # nobody there: the robot runs free
+    assert not Support(robot * np.nan, human).near_logged(robot, human).any()

@@ -1,0 +1,212 @@
+"""Expected cycle times: right where the truth is known, exact where it can be, refused where nothing was logged."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from cyclekit.dataset import Dataset
+from cyclekit.errors import EstimateError, ModelError, UnknownName
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.rollout import estimate, lay_out, roll_out
+from cyclekit.estimate.support import Support
+from cyclekit.estimate.tracks import operator_tracks
+from cyclekit.sequences import TaskSequence
+from cyclekit_sim import random_sequence, simulate_sequence
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+SHORT = TaskSequence("short", ("home", "conveyor", "left_1", "home"))
+
+
+@pytest.fixture(scope="module")
+def routes(logged: Dataset) -> list[tuple[str, ...]]:
+    return [tuple(entry["places"]) for entry in logged.card["executions"]]
+
+
+def some_route(routes: Sequence[tuple[str, ...]], length: int) -> TaskSequence:
+    """A sequence of logged tasks: the first places of an execution, then the way home of another."""
+    head = routes[0][: length - 2]
+    last = next(route for route in routes if route[-2] != head[-1] and head[-1] == "conveyor")[-2:]
+    return TaskSequence("some", (*head, *last))
+
+
+def test_rolled_along_its_own_track_an_execution_takes_as_long_as_it_did(logged: Dataset, staircase: Any):
+    """The true safety function, every logged route against its own operator: nothing is left to chance."""
+    nominal, nowhere = nominal_tasks(logged), Support(np.zeros((1, 3)), np.zeros((1, 3)))
+    tracks = operator_tracks(logged, horizon_s=200.0)
+    late = []
+    for k, (name, entry) in enumerate(zip(tracks.executions, logged.card["executions"], strict=True)):
+        assert name == entry["execution"]
+        own = replace(
+            tracks, **{n: getattr(tracks, n)[k : k + 1] for n in ("xyz_m", "activity", "logged", "executions")}
+        )
+        program = lay_out(TaskSequence("own", tuple(entry["places"])), nominal, logged)
+        rolled = roll_out(staircase, program, own, nowhere)
+        late.append(rolled.duration_s[0] - (entry["end_s"] - entry["start_s"]))
+    assert abs(np.median(late)) < 0.15  # of about 95 s
+    assert abs(np.mean(late)) < 0.6  # a cycle on the edge of a threshold can take another turn
+    assert np.quantile(np.abs(late), 0.8) < 0.6
+
+
+def test_a_sequence_that_never_occurred_takes_as_long_as_fresh_simulations_of_it(logged: Dataset, staircase: Any):
+    route = random_sequence("box-picking", 77)
+    assert route not in [entry["places"] for entry in logged.card["executions"]]
+    (found,) = estimate(staircase, logged, [TaskSequence("new", tuple(route))])
+    fresh = simulate_sequence("box-picking", route, executions=32, seed=5)
+    error = np.hypot(np.std(found.durations_s) / np.sqrt(16), fresh["duration_s"].std() / np.sqrt(32))  # type: ignore[operator]
+    assert error < 2.0
+    assert abs(found.expected_s - fresh["duration_s"].mean()) < 3.5 * error  # type: ignore[operator]
+    assert found.nominal_s == pytest.approx(fresh["nominal_s"].mean(), rel=0.006)
+    assert found.dwell_s == pytest.approx(fresh["dwell_s"].mean(), rel=0.03)
+    assert abs(found.safety_loss_s - fresh["safety_loss_s"].mean()) < 3.5 * error  # type: ignore[operator]
+    assert found.expected_low_s < found.expected_s < found.expected_high_s
+    assert found.support > 0.8
+
+
+def test_without_slow_down_a_cycle_is_its_motion_and_its_dwells(logged: Dataset, constant: Any, routes: Any):
+    sequence = some_route(routes, 8)
+    (found,) = estimate(constant(1.0), logged, [sequence], extrapolate=True)
+    tasks = nominal_tasks(logged)
+    assert found.safety_loss_s == 0.0
+    assert found.nominal_s == pytest.approx(sum(tasks[task].nominal_s for task in sequence.tasks))
+    assert found.expected_s == pytest.approx(found.nominal_s + found.dwell_s + found.wait_s)
+    assert max(found.durations_s) - min(found.durations_s) < 0.5  # the dwells of the logs differ by some cycles
+
+
+@pytest.mark.parametrize("scaling", [0.5, 0.25, 0.8])
+def test_a_constant_scaling_stretches_the_motion_by_its_inverse_and_nothing_else(
+    logged: Dataset, constant: Any, routes: Any, scaling: float
+):
+    sequence = some_route(routes, 8)
+    (free,) = estimate(constant(1.0), logged, [sequence], extrapolate=True)
+    (slow,) = estimate(constant(scaling), logged, [sequence], extrapolate=True)
+    stretched = free.nominal_s / scaling + free.dwell_s + free.wait_s
+    a_step_s = 0.05 * (1 / scaling - 1) * len(sequence.tasks)  # a stand ends in the middle of a step of the rollout
+    assert slow.expected_s == pytest.approx(stretched, abs=a_step_s)
+    assert slow.safety_loss_s == pytest.approx(free.nominal_s * (1 / scaling - 1), abs=a_step_s)
+    assert slow.nominal_s == free.nominal_s
+    assert slow.dwell_s + slow.wait_s == pytest.approx(free.dwell_s + free.wait_s, abs=0.02 * len(sequence.tasks))
+
+
+def test_the_parts_add_up_to_the_whole_by_task_and_by_activity(logged: Dataset, staircase: Any, routes: Any):
+    (found,) = estimate(staircase, logged, [TaskSequence("own", routes[3])])
+    for task in found.tasks:
+        parts = task.nominal_s + task.safety_loss_s + task.dwell_s + task.wait_s
+        assert task.expected_s == pytest.approx(parts)
+    for name in ("nominal_s", "safety_loss_s", "dwell_s", "wait_s"):
+        assert getattr(found, name) == pytest.approx(sum(getattr(task, name) for task in found.tasks))
+    whole = found.nominal_s + found.safety_loss_s + found.dwell_s + found.wait_s
+    assert found.expected_s == pytest.approx(whole)
+    assert sum(found.safety_by_activity_s.values()) == pytest.approx(found.safety_loss_s)
+    assert set(found.safety_by_activity_s) <= {*logged.human_places, "unknown"}
+    assert found.expected_s == pytest.approx(np.mean(found.durations_s))
+    assert found.quantiles_s[0.05] <= found.quantiles_s[0.5] <= found.quantiles_s[0.95]
+
+
+def test_sequences_come_back_shortest_first(logged: Dataset, staircase: Any, routes: Any):
+    asked = [TaskSequence(f"{len(route)} places", route) for route in (routes[0], routes[0][:7], routes[0][:13])]
+    found = estimate(staircase, logged, asked)
+    assert [cycle.name for cycle in found] == ["7 places", "13 places", "22 places"]
+    assert [cycle.expected_s for cycle in found] == sorted(cycle.expected_s for cycle in found)
+
+
+def test_the_same_question_has_the_same_answer_and_the_seed_hardly_moves_it(
+    logged: Dataset, staircase: Any, routes: Any
+):
+    sequence = TaskSequence("q", routes[0][:7])
+    first, again, other = (estimate(staircase, logged, [sequence], seed=seed)[0] for seed in (0, 0, 1))
+    assert first == again
+    assert other.expected_low_s != first.expected_low_s
+    assert other.expected_s == pytest.approx(first.expected_s, rel=0.005)
+
+
+def test_an_estimate_is_plain_json_with_quantiles_by_name(logged: Dataset, staircase: Any, routes: Any):
+    import json
+
+    (found,) = estimate(staircase, logged, [TaskSequence("q", routes[0][:5])], quantiles=(0.05, 0.9))
+    read = json.loads(json.dumps(found.to_json()))
+    assert read["quantiles_s"] == {"0.05": found.quantiles_s[0.05], "0.9": found.quantiles_s[0.9]}
+    assert [task["task"] for task in read["tasks"]] == list(TaskSequence("q", routes[0][:5]).tasks)
+
+
+def test_a_place_that_does_not_exist_is_refused_with_the_nearest(logged: Dataset, staircase: Any):
+    with pytest.raises(UnknownName) as caught:
+        estimate(staircase, logged, [TaskSequence("A", ("home", "conveyer", "left_1"))])
+    assert caught.value.nearest == "conveyor"
+    assert "sequence 'A'" in caught.value.seen
+
+
+def test_a_task_that_was_never_logged_is_refused_with_those_that_were(logged: Dataset, staircase: Any):
+    with pytest.raises(EstimateError, match=r"task 'home->left_1' was never logged") as caught:
+        estimate(staircase, logged, [TaskSequence("A", ("home", "left_1", "conveyor"))])
+    assert caught.value.cure == "Go by tasks that were: home->conveyor."
+
+
+def test_a_model_of_another_problem_is_refused(logged: Dataset, constant: Any):
+    model = constant(1.0)
+    model.problem = "average"
+    with pytest.raises(ModelError, match="cyclekit train DATASET --problem now"):
+        estimate(model, logged, [SHORT])
+
+
+def test_logs_without_an_operator_are_refused(logged: Dataset, staircase: Any, routes: Any, tmp_path: Path):
+    copy = Path(shutil.copytree(logged.path, tmp_path / "copy"))
+    file = copy / "samples" / "session_000.parquet"
+    unknown = [pl.lit(None, pl.Float64).alias(f"human_{axis}_m") for axis in "xyz"]
+    pl.read_parquet(file).with_columns(unknown).write_parquet(file)
+    with pytest.raises(EstimateError, match="no complete execution has an operator track") as caught:
+        estimate(staircase, Dataset.open(copy), [TaskSequence("A", routes[0])])
+    assert "tracker" in str(caught.value.cure)
+
+
+def test_an_operator_who_never_lets_the_robot_go_on_is_told_and_not_waited_for(
+    logged: Dataset, constant: Any, routes: Any
+):
+    with pytest.raises(EstimateError, match="100% of the cycles do not end within"):
+        estimate(constant(0.0), logged, [TaskSequence("A", routes[0][:3])])
+
+
+@pytest.fixture
+def elsewhere(logged: Dataset, tmp_path: Path) -> Dataset:
+    """The same logs, but for the model the robot was somewhere else."""
+    copy = Path(shutil.copytree(logged.path, tmp_path / "copy"))
+    file = copy / "samples" / "session_000.parquet"
+    pl.read_parquet(file).with_columns(pl.col("robot_x_m") + 5.0).write_parquet(file)
+    return Dataset.open(copy)
+
+
+def test_a_sequence_through_positions_never_logged_is_refused_unless_asked_for(
+    elsewhere: Dataset, staircase: Any, routes: Any
+):
+    sequence = TaskSequence("A", routes[0][:5])
+    with pytest.raises(EstimateError, match="only 0% of it runs through positions ever logged"):
+        estimate(staircase, elsewhere, [sequence])
+    (found,) = estimate(staircase, elsewhere, [sequence], extrapolate=True)
+    assert found.support == 0.0
+    assert any("never logged" in text for text in found.warnings)
+
+
+def test_an_estimate_says_on_how_few_tracks_it_rests(logged: Dataset, staircase: Any, routes: Any):
+    (found,) = estimate(staircase, logged, [TaskSequence("A", routes[0])])
+    assert found.tracks == 16
+    assert any("16 operator tracks only" in text for text in found.warnings)
+
+
+def test_while_nobody_is_there_the_robot_runs_at_what_the_logs_showed_without_an_operator(
+    hand_made: Any, constant: Any
+):
+    found = hand_made({"a": ([0.0, 0.0, 0.0], {0.0: (3.0, 0.0), 1.0: (3.0, 0.0)})})  # the tracker stops after 1 s
+    places = tuple(found.card["executions"][0]["places"])
+    model = constant(0.1)
+    (free,) = estimate(model, found, [TaskSequence("A", places)], extrapolate=True)
+    model.card = {"scaling_without_operator": 0.5}
+    (half,) = estimate(model, found, [TaskSequence("A", places)], extrapolate=True)
+    assert free.expected_s + 2.0 < half.expected_s

@@ -61,7 +61,7 @@ def main() -> None:
     parser.add_argument("--delta", type=float, default=0.0, help="tracker noise, metres")
     parser.add_argument("--no-override", action="store_true", help="logs without the speed scaling")
     asked = parser.parse_args()
-    out = Console()
+    out = Console(width=140)
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         begin = time.perf_counter()
@@ -72,7 +72,8 @@ def main() -> None:
         out.print(f"simulated and ingested in {time.perf_counter() - begin:.0f} s")
         begin = time.perf_counter()
         model = train(dataset, ModelSpec.of(problem="now", seed=0))
-        out.print(f"trained in {time.perf_counter() - begin:.0f} s; held out: {model.card['metrics']}")
+        mse = model.card["metrics"]["mse_mean"]
+        out.print(f"trained in {time.perf_counter() - begin:.0f} s; one-step MSE held out {1e4 * mse:.2f}e-4")
         begin = time.perf_counter()
         results = estimate(model, dataset, unseen_sequences(dataset, asked.scene, asked.sequences))
         out.print(f"estimated in {time.perf_counter() - begin:.1f} s")
@@ -81,9 +82,9 @@ def main() -> None:
                        "5 % / 95 % fresh", "5 % / 95 % expected", "support"):  # fmt: skip
             table.add_column(column, justify="right")
         for number, result in enumerate(sorted(results, key=lambda r: r.name)):
-            fresh = simulate_sequence(
-                asked.scene, result.places, executions=asked.fresh, seed=FRESH_SEED + 1 + number
-            )["duration_s"]
+            fresh = simulate_sequence(asked.scene, result.places, executions=asked.fresh, seed=FRESH_SEED + 1 + number)[
+                "duration_s"
+            ]
             mean, spread = float(fresh.mean()), float(fresh.std())  # type: ignore[arg-type]
             sequence = TaskSequence(result.name, result.places)
             table.add_row(

@@ -63,17 +63,16 @@ class Dataset:
             DatasetError: There is no dataset, or it is of another schema version.
         """
         path = Path(path)
-        recover(path)
-        card_path = path / CARD
-        if not path.is_dir() or not card_path.is_file():
+        text = _card_text(path)
+        if text is None:
             seen = "no such folder" if not path.exists() else f"no {CARD} in it, so it is no cyclekit dataset"
             msg = f"{path}: {seen}"
             raise DatasetError(msg, cure=f"Make one: cyclekit ingest LOGS --out {path}")
         try:
-            card = json.loads(card_path.read_text(encoding="utf-8"))
+            card = json.loads(text)
             version = card["schema_version"]
         except (ValueError, KeyError, TypeError) as error:
-            msg = f"{card_path}: not a dataset card ({error})"
+            msg = f"{path / CARD}: not a dataset card ({error})"
             raise DatasetError(msg, cure="Ingest the logs again into a new folder.") from error
         if version != schema.SCHEMA_VERSION:
             msg = f"{path}: dataset of schema version {version}, this cyclekit reads version {schema.SCHEMA_VERSION}"
@@ -166,6 +165,15 @@ class Dataset:
         return dict(by_name[name])
 
 
+def _card_text(path: Path) -> str | None:
+    """Return the card of the dataset at `path`, None if there is none; looks again if it is just being replaced."""
+    for _ in range(3):
+        recover(path)
+        with suppress(OSError):
+            return (path / CARD).read_text(encoding="utf-8", errors="replace")
+    return None
+
+
 def _place(name: str, entry: dict[str, Any]) -> Place:
     x, y, z = entry["xyz_m"]
     return Place(name, (x, y, z), entry["radius_m"], entry["inferred"])
@@ -214,13 +222,13 @@ def staged(path: Path) -> Iterator[Path]:
     """Give a fresh folder to build in; on success it takes the place of `path`, on failure nothing changes.
 
     The swap is two renames. A process killed between them leaves the new folder complete under its staging name,
-    and `recover` finishes the work at the next opening.
+    and `recover` finishes the work at the next opening. One process at a time may build at one place.
 
     Raises:
         CyclekitError: The place cannot be written.
     """
     path = path.resolve()  # "." has no name to put a folder beside, and a link shall stay a link
-    recover(path)
+    settle(path)
     staging = _staging(path)
     try:
         shutil.rmtree(staging, ignore_errors=True)
@@ -237,22 +245,35 @@ def staged(path: Path) -> Iterator[Path]:
 
 
 def recover(path: Path) -> None:
-    """Finish or undo what a killed process left beside `path`: only complete folders ever take its place."""
+    """Finish the swap of a process killed between its two renames, at most once beside a process that still lives.
+
+    For readers: it acts only where nothing is at `path`, so that it cannot get into the way of a running ingest.
+    """
     path = path.resolve()
     staging, retired = _staging(path), _retired(path)
-    if (staging / ".complete").is_file():
+    with suppress(OSError):
+        if not path.exists() and (staging / ".complete").is_file():
+            staging.rename(path)
+        elif not path.exists() and retired.is_dir():
+            retired.rename(path)
+
+
+def settle(path: Path) -> None:
+    """Finish or undo whatever a killed process left beside `path`; for one who is about to replace it."""
+    path = path.resolve()
+    recover(path)
+    if (_staging(path) / ".complete").is_file():
         _swap(path)
-    elif retired.is_dir() and not path.exists():
-        retired.replace(path)
-    elif retired.is_dir():
-        shutil.rmtree(retired, ignore_errors=True)
+    shutil.rmtree(_staging(path), ignore_errors=True)
+    shutil.rmtree(_retired(path), ignore_errors=True)
 
 
 def _swap(path: Path) -> None:
     staging, retired = _staging(path), _retired(path)
     if path.exists():
         shutil.rmtree(retired, ignore_errors=True)
-        path.replace(retired)
-    staging.replace(path)
+        path.rename(retired)
+    with suppress(FileNotFoundError):  # a reader has seen the gap and closed it
+        staging.rename(path)
     (path / ".complete").unlink(missing_ok=True)
     shutil.rmtree(retired, ignore_errors=True)

@@ -25,7 +25,7 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.adapter import Recording
 from cyclekit.config import Cell, NamedPlace, Source
-from cyclekit.dataset import CARD, Dataset, recover, staged, write_parquet, write_text
+from cyclekit.dataset import CARD, Dataset, settle, staged, write_parquet, write_text
 from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, files_of, find_all, matches, options_of
 from cyclekit.errors import DatasetError, LogError
@@ -95,7 +95,7 @@ def ingest(
     settings = cell if isinstance(cell, Cell) else cell_for(roots, cell)
     found, not_read = find_all(roots, settings)
     fingerprint = _fingerprint(settings, found, not_read)
-    recover(out)
+    settle(out)
     old = _old(out)
     if old is not None and old.card.get("fingerprint") == fingerprint:
         return _report(out, old.card, new=0, kept=len(found), unchanged=True)

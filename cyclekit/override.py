@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.segment import RobotRun, find_stops
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.segment import Execution, RobotRun
+    from cyclekit.segment import Execution
 
     Vector = NDArray[np.float64]
 
@@ -87,7 +89,11 @@ def _reference(runs: Sequence[RobotRun], legs: list[tuple[int, int, int]], witho
 
 def path_phase(run: RobotRun, a: int, b: int) -> Vector:
     """Return the fraction of the path's length covered at rows a..b, shape (b - a + 1,), from 0 to 1."""
-    step = np.linalg.norm(np.diff(run.xyz_m[a : b + 1], axis=0), axis=1)
+    t, xyz, speed, scaling = (part[a : b + 1] for part in (run.t_s, run.xyz_m, run.speed_m_s, run.scaling))
+    step = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
+    for stop in find_stops(RobotRun(t, xyz, speed, scaling), 0):
+        if stop.first > 0 and stop.last < b - a:
+            step[stop.first : stop.last] = 0.0  # else the jitter of a halted robot adds up to a way
     length = np.concatenate([[0.0], np.cumsum(step)])
     return np.asarray(length / max(float(length[-1]), 1e-12))
 

@@ -31,6 +31,8 @@ MIN_STOP_S = 0.15
 """A standstill shorter than this is no stop: the reversal of a path takes one or two controller cycles."""
 MERGE_M = 0.01
 """Stops nearer than this to each other are one place (robots repeat to 0.1 mm; two fixtures are never this near)."""
+TWITCH_S, TWITCH_M = 0.1, 2e-4
+"""A motion that is over within this time and leads no farther than this is noise of the position."""
 EDGE_S = 0.03
 """Scaling at the edges of a standstill is not judged: speed follows the scaling a few controller cycles later."""
 
@@ -126,18 +128,25 @@ def standing(speed_m_s: Vector) -> NDArray[np.bool_]:
 
 def find_stops(run: RobotRun, number: int) -> list[Stop]:
     """Return the standstills of a run of at least MIN_STOP_S and its two edges, in order."""
-    still = standing(run.speed_m_s)
-    still[[0, -1]] = True
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     stops = []
-    for first, end in edges.reshape(-1, 2).tolist():
-        last = end - 1
+    for first, last in _stands(run).tolist():
         short = run.t_s[last] - run.t_s[first] < MIN_STOP_S
         if short and first != 0 and last != len(run.t_s) - 1:
             continue
         x, y, z = np.median(run.xyz_m[first : last + 1], axis=0)
         stops.append(Stop(number, first, last, (float(x), float(y), float(z)), _free(run, first, last), short))
     return stops
+
+
+def _stands(run: RobotRun) -> NDArray[np.int64]:
+    """Return the first and last row of every standstill, shape (S, 2); a twitch of the measurement does not end one."""
+    still = standing(run.speed_m_s)
+    still[[0, -1]] = True
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+    first, last = edges[::2], edges[1::2] - 1
+    brief = run.t_s[first[1:]] - run.t_s[last[:-1]] < TWITCH_S
+    twitch = brief & (np.linalg.norm(run.xyz_m[first[1:]] - run.xyz_m[last[:-1]], axis=1) < TWITCH_M)
+    return np.column_stack([first[np.concatenate([[True], ~twitch])], last[np.concatenate([~twitch, [True]])]])
 
 
 def _free(run: RobotRun, first: int, last: int) -> bool | None:

@@ -19,11 +19,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TaskSequence:
-    """What the robot shall do: ordered places, the start first; optionally what the operator does meanwhile."""
+    """What the robot shall do: ordered places, the start first; optionally what the operator does meanwhile.
+
+    `file` is where it was read from, for messages.
+    """
 
     name: str
     places: tuple[str, ...]
     operator: tuple[str, ...] | None = None
+    file: Path | None = None
+
+    @property
+    def shown(self) -> str:
+        """How a message names it: file and name."""
+        return f"{self.file}: sequence {self.name!r}" if self.file else f"sequence {self.name!r}"
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -45,7 +54,7 @@ def load_sequences(path: Path) -> list[TaskSequence]:
     if not entries:
         msg = f"{path}: no [[sequence]] in it"
         raise ConfigError(msg, cure='Add one: [[sequence]] name = "A" places = ["home", "conveyor", "left_1", "home"]')
-    found = [_sequence(f"{path} sequence[{i}]", entry, i) for i, entry in enumerate(entries)]
+    found = [_sequence(path, entry, i) for i, entry in enumerate(entries)]
     names = [sequence.name for sequence in found]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         msg = f"{path}: sequence name {twice[0]!r} is used twice"
@@ -53,7 +62,8 @@ def load_sequences(path: Path) -> list[TaskSequence]:
     return found
 
 
-def _sequence(where: str, entry: Mapping[str, Any], index: int) -> TaskSequence:
+def _sequence(path: Path, entry: Mapping[str, Any], index: int) -> TaskSequence:
+    where = f"{path} sequence[{index}]"
     if not isinstance(entry, Mapping):
         raise ConfigError(f"{where}: {entry!r} must be a table", cure="Begin each sequence with [[sequence]].")
     for key in entry:
@@ -68,7 +78,7 @@ def _sequence(where: str, entry: Mapping[str, Any], index: int) -> TaskSequence:
     if len(places) < 2:
         raise ConfigError(f"{where}: a sequence needs at least two places", cure="Name the start, then each goal.")
     operator = tuple(map(str, list_at(where, entry, "operator"))) if "operator" in entry else None
-    return TaskSequence(str(entry.get("name", f"sequence {index + 1}")), places, operator)
+    return TaskSequence(str(entry.get("name", f"sequence {index + 1}")), places, operator, path)
 
 
 def _joined(where: str, tasks: list[str]) -> tuple[str, ...]:

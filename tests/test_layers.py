@@ -11,6 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 FLOORS = [
+    {"__main__"},
     {"cli"},
     {"describe", "replay", "report"},
     {"estimate", "evaluate", "whatif"},

@@ -50,9 +50,9 @@ def lay_out(sequence: TaskSequence, nominal: Mapping[str, NominalTask], dataset:
     places = dataset.places
     for place in sequence.places:
         if place not in places:
-            raise UnknownName(f"sequence {sequence.name!r}", "place", place, places)
+            raise UnknownName(sequence.shown, "place", place, places)
     if missing := [task for task in sequence.tasks if task not in nominal]:
-        seen = f"sequence {sequence.name!r}: task {missing[0]!r} was never logged with a known speed scaling"
+        seen = f"{sequence.shown}: task {missing[0]!r} was never logged with a known speed scaling"
         cure = f"Go by tasks that were: {_tasks_from(missing[0], nominal)}."
         raise EstimateError(seen, cure=cure)
     tasks = tuple(nominal[task] for task in sequence.tasks)

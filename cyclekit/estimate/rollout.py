@@ -106,7 +106,7 @@ def estimate(
         tell(number / len(sequences), f"rolling out {sequence.name}")
         rolled, tracks = _with_enough_track(model, dataset, sequence, program, support, seed)
         if rolled.support < LEAST_SUPPORT and not extrapolate:
-            seen = f"sequence {sequence.name!r}: only {rolled.support:.0%} of it runs through positions ever logged"
+            seen = f"{sequence.shown}: only {rolled.support:.0%} of it runs through positions ever logged"
             raise EstimateError(seen, cure="Log this part of the cell, or ask with --extrapolate and mark the number.")
         found.append(_estimate(sequence, program, rolled, tracks, dataset, model, quantiles, seed))
     tell(1.0, "done")
@@ -125,7 +125,7 @@ def _with_enough_track(
             return rolled, tracks
         horizon *= 2.0
     stuck = float(np.mean(~np.isfinite(rolled.duration_s)))
-    seen = f"sequence {sequence.name!r}: {stuck:.0%} of the cycles do not end within {horizon / 2:.0f} s"
+    seen = f"{sequence.shown}: {stuck:.0%} of the cycles do not end within {horizon / 2:.0f} s"
     raise EstimateError(seen, cure="The operator's tracks leave the robot halted; check the tracker's frame and clock.")
 
 
@@ -134,41 +134,73 @@ def roll_out(
 ) -> Rolled:
     """Walk every track beside the program once; a cycle that does not end within its track has duration inf."""
     count, samples = tracks.activity.shape
-    position = np.zeros(count)
     stands = draw_stands(program, count, seed)
-    stand_rate = np.array([task.dwell_s + task.wait_s for task in program.tasks]) / stands
+    walk = _Walk(program, stands)
     duration = np.full(count, np.inf)
-    safety = np.zeros((count, len(program.tasks)))
     activity_s = np.zeros(len(tracks.activities) + 1)
     without = model.card.get("scaling_without_operator")
     free = 1.0 if without is None else float(without)
     known = looked = spliced = 0.0
     cells_per_s = len(program.leg) / program.length_s
-    end = program.length_s
     for number in range(int((samples - 2) * tracks.step_s / TIME_STEP_S)):
         going = np.flatnonzero(~np.isfinite(duration))
         if not len(going):
             break
-        at = np.minimum((position[going] * cells_per_s).astype(np.int64), len(program.leg) - 1)
+        at = np.minimum((walk.position[going] * cells_per_s).astype(np.int64), len(program.leg) - 1)
         human, sample = _human_at(tracks, going, number * TIME_STEP_S)
         robot = program.xyz_m[at]
         scaling = _scaling(model, robot, human, free)
-        leg, moving = program.leg[at], program.moving[at]
-        rate = np.where(moving, scaling, stand_rate[going, leg])
-        to_go = (end - position[going]) / np.maximum(rate, 1e-12)
-        arrives = to_go <= TIME_STEP_S
-        spent = np.minimum(to_go, TIME_STEP_S)
-        duration[going[arrives]] = number * TIME_STEP_S + spent[arrives]
-        position[going] += rate * spent
-        lost = np.where(moving, (1.0 - scaling) * spent, 0.0)
-        safety[going, leg] += lost
+        lost, left = walk.advance(going, scaling)
+        arrives = walk.arrived[going]
+        duration[going[arrives]] = (number + 1) * TIME_STEP_S - left[arrives]
         np.add.at(activity_s, tracks.activity[going, sample], lost)
         spliced += float(np.count_nonzero(sample >= tracks.logged[going]))
         if number % SUPPORT_EVERY == 0:
             known += float(np.count_nonzero(support.near_logged(robot, human)))
             looked += len(going)
     steps = max(float(np.where(np.isfinite(duration), duration, 0.0).sum()) / TIME_STEP_S, 1.0)
-    return Rolled(duration, stands, safety, activity_s / count, known / max(looked, 1.0), spliced / steps)
+    return Rolled(duration, stands, walk.safety_s, activity_s / count, known / max(looked, 1.0), spliced / steps)
+
+
+class _Walk:
+    """K cycles on their way through one program: where each is, and what it has lost to safety per task."""
+
+    def __init__(self, program: Program, stands_s: NDArray[np.float64]) -> None:
+        """Begin K cycles with their own stands, shape (K, tasks), seconds."""
+        parts = np.array([part for task in program.tasks for part in (task.nominal_s, task.dwell_s + task.wait_s)])
+        self._ends = np.cumsum(parts)
+        self._stand_rate = parts[1::2] / stands_s
+        self._part = np.zeros(len(stands_s), dtype=np.int64)  # even: a motion, odd: the stand after it
+        self.position = np.zeros(len(stands_s))
+        self.safety_s = np.zeros(stands_s.shape)
+
+    @property
+    def arrived(self) -> NDArray[np.bool_]:
+        """Which cycles are at their end, shape (K,)."""
+        return np.asarray(self._part == len(self._ends))
+
+    def advance(self, going: NDArray[np.int64], scaling: Vector) -> tuple[Vector, Vector]:
+        """Go on by TIME_STEP_S; return the safety loss in it and what is left of it at the end, shape (len(going),).
+
+        The step is divided where a motion or a stand ends in it: each has a rate of its own.
+        """
+        lost, left = np.zeros(len(going)), np.full(len(going), TIME_STEP_S)
+        rows = np.arange(len(going))
+        while len(rows):
+            k, part = going[rows], self._part[going[rows]]
+            moving, leg = part % 2 == 0, part // 2
+            rate = np.where(moving, scaling[rows], self._stand_rate[k, leg])
+            to_go = self._ends[part] - self.position[k]
+            needs = np.where(to_go <= 1e-9, 0.0, to_go / np.maximum(rate, 1e-12))
+            done, spent = needs <= left[rows], np.minimum(needs, left[rows])
+            self.position[k] = np.where(done, self._ends[part], self.position[k] + rate * spent)
+            self._part[k] += done
+            loss = np.where(moving, (1.0 - rate) * spent, 0.0)
+            self.safety_s[k, leg] += loss
+            lost[rows] += loss
+            left[rows] -= spent
+            rows = rows[done & (part + 1 < len(self._ends))]
+        return lost, left
 
 
 def _human_at(tracks: OperatorTracks, rows: NDArray[np.int64], t_s: float) -> tuple[NDArray[np.float64], int]:

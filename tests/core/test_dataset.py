@@ -18,7 +18,7 @@ import polars as pl
 import pytest
 
 from cyclekit import schema
-from cyclekit.dataset import Dataset, staged, write_text
+from cyclekit.dataset import Dataset, settle, staged, write_text
 from cyclekit.errors import CyclekitError, DatasetError, UnknownName
 from cyclekit.ingest import ingest
 
@@ -167,8 +167,42 @@ def test_a_process_killed_between_the_two_renames_has_finished_all_the_same(copi
     (finished / ".complete").touch()
     copied.rename(copied.with_name(".dataset.old"))
     assert Dataset.open(copied).card["name"] == "the new one"
+    assert not copied.with_name(".dataset.new").exists()
+    settle(copied)  # as the next ingest does
+    assert [file.name for file in copied.parent.iterdir()] == ["dataset"]
+
+
+def test_a_process_killed_before_the_first_rename_is_finished_by_the_next_ingest_not_by_a_reader(copied: Path):
+    finished = Path(shutil.copytree(copied, copied.with_name(".dataset.new")))
+    changed_card(finished, name="the new one")
+    (finished / ".complete").touch()
+    assert Dataset.open(copied).card["name"] == "box-picking"
+    settle(copied)
+    assert Dataset.open(copied).card["name"] == "the new one"
     assert [file.name for file in copied.parent.iterdir()] == ["dataset"]
     assert not (copied / ".complete").exists()
+
+
+REPLACE_FOREVER = """
+import sys
+from pathlib import Path
+from cyclekit.dataset import staged, write_text
+
+print("begun", flush=True)
+while True:
+    with staged(Path(sys.argv[1])) as folder:
+        write_text(folder / "dataset.json", '{"schema_version": 1, "executions": []}')
+"""
+
+
+def test_a_reader_beside_a_running_ingest_always_finds_a_dataset(copied: Path):
+    with subprocess.Popen([sys.executable, "-c", REPLACE_FOREVER, str(copied)], stdout=subprocess.PIPE) as writer:
+        assert writer.stdout is not None
+        writer.stdout.readline()
+        for _ in range(2000):
+            assert Dataset.open(copied).card["schema_version"] == 1
+        assert writer.poll() is None
+        writer.kill()
 
 
 def test_a_process_killed_before_it_was_done_leaves_the_old_dataset(copied: Path):

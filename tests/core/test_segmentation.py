@@ -254,3 +254,24 @@ def test_spots_nearer_than_the_radius_are_one_group_and_none_is_left_out():
     groups = cluster(xyz, np.arange(70), 0.01)
     assert [len(group) for group in groups] == [40, 20, 10]
     assert sorted(np.concatenate(groups).tolist()) == list(range(70))
+
+
+@pytest.mark.parametrize("speed_logged", [True, False])
+def test_tasks_are_found_in_spite_of_a_noisy_robot_log(cells: Cells, tmp_path: Path, speed_logged: bool):
+    """Twenty micrometres of jitter; without a logged speed it becomes millimetres per second of its slope."""
+    cell, rng = cells("laser-zones"), np.random.default_rng(5)
+    logs = tmp_path / "logs" / "session_000"
+    logs.mkdir(parents=True)
+    (tmp_path / "logs" / "cell.toml").write_bytes((cell.logs / "cell.toml").read_bytes())
+    table = pl.read_csv(cell.logs / "session_000" / "robot.csv", separator=" ")
+    noise = {f"actual_TCP_pose_{i}": 2e-5 for i in range(3)} | {f"actual_TCP_speed_{i}": 1e-3 for i in range(3)}
+    table = table.with_columns(pl.col(name) + rng.normal(0.0, sd, table.height) for name, sd in noise.items())
+    if not speed_logged:
+        table = table.drop([f"actual_TCP_speed_{i}" for i in range(6)])
+    table.write_csv(logs / "robot.csv", separator=" ", line_terminator="\r\n")
+    found = made_of(tmp_path, tmp_path / "logs")
+    assert [entry["places"] for entry in found.card["executions"]] == cell.routes
+    assert found.tasks()["nominal_s"].sum() == pytest.approx(cell.tasks["nominal_s"].sum(), rel=0.04)
+    assert found.tasks()["safety_loss_s"].sum() == pytest.approx(cell.tasks["safety_loss_s"].sum(), rel=0.05)
+    late = found.executions["duration_s"] - cell.executions["duration_s"]
+    assert late.abs().max() < 0.15

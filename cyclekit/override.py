@@ -15,14 +15,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.segment import RobotRun, find_stops
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.segment import Execution
+    from cyclekit.segment import Execution, RobotRun
 
     Vector = NDArray[np.float64]
 
@@ -30,6 +28,9 @@ WINDOW_S = 0.04
 """Nominal time is differenced over this window: five controller cycles at 125 Hz."""
 FLOOR_M_S = 0.02
 """Where the reference itself is slower than this, the ratio is noise over noise: unknown, not zero."""
+
+HALT_S, HALT_M = 0.2, 2e-4
+"""A robot that gets no farther than this in this time is halted; what its position does then is jitter."""
 
 
 @dataclass(frozen=True)
@@ -89,11 +90,12 @@ def _reference(runs: Sequence[RobotRun], legs: list[tuple[int, int, int]], witho
 
 def path_phase(run: RobotRun, a: int, b: int) -> Vector:
     """Return the fraction of the path's length covered at rows a..b, shape (b - a + 1,), from 0 to 1."""
-    t, xyz, speed, scaling = (part[a : b + 1] for part in (run.t_s, run.xyz_m, run.speed_m_s, run.scaling))
+    xyz = run.xyz_m[a : b + 1]
     step = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
-    for stop in find_stops(RobotRun(t, xyz, speed, scaling), 0):
-        if stop.first > 0 and stop.last < b - a:
-            step[stop.first : stop.last] = 0.0  # else the jitter of a halted robot adds up to a way
+    half = max(1, round(HALT_S / 2 / max(float(np.median(np.diff(run.t_s[a : b + 1]))), 1e-4))) if len(step) else 1
+    row = np.arange(len(step))
+    moved = xyz[np.minimum(row + half, len(step))] - xyz[np.maximum(row - half, 0)]
+    step[np.linalg.norm(moved, axis=1) < HALT_M] = 0.0  # else the jitter of a halted robot adds up to a way
     length = np.concatenate([[0.0], np.cumsum(step)])
     return np.asarray(length / max(float(length[-1]), 1e-12))
 

@@ -134,7 +134,7 @@ def _dataset(found: DatasetDescription) -> str:
 
 def _places(title: str, places: Mapping[str, Mapping[str, Any]]) -> str:
     rows = [
-        [name, *(f"{value:.2f}" for value in place["xyz_m"]), "found" if place["inferred"] else "named"]
+        [name, *(f"{round(value, 2) + 0.0:.2f}" for value in place["xyz_m"]), "found" if place["inferred"] else "named"]
         for name, place in places.items()
     ]
     return table([title, "x, m", "y, m", "z, m", "origin "], rows) if rows else ""

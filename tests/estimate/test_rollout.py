@@ -51,9 +51,9 @@ def test_rolled_along_its_own_track_an_execution_takes_as_long_as_it_did(logged:
         program = lay_out(TaskSequence("own", tuple(entry["places"])), nominal, logged)
         rolled = roll_out(staircase, program, own, nowhere)
         late.append(rolled.duration_s[0] - (entry["end_s"] - entry["start_s"]))
-    assert abs(np.median(late)) < 0.15  # of about 95 s
-    assert abs(np.mean(late)) < 0.6  # a cycle on the edge of a threshold can take another turn
-    assert np.quantile(np.abs(late), 0.8) < 0.6
+    assert abs(np.mean(late)) < 0.1  # of about 95 s
+    assert np.quantile(np.abs(late), 0.8) < 0.1
+    assert np.max(np.abs(late)) < 1.0  # on the edge of a threshold a cycle can take another turn
 
 
 def test_a_sequence_that_never_occurred_takes_as_long_as_fresh_simulations_of_it(logged: Dataset, staircase: Any):
@@ -82,18 +82,31 @@ def test_without_slow_down_a_cycle_is_its_motion_and_its_dwells(logged: Dataset,
 
 
 @pytest.mark.parametrize("scaling", [0.5, 0.25, 0.8])
-def test_a_constant_scaling_stretches_the_motion_by_its_inverse_and_nothing_else(
+def test_a_constant_scaling_stretches_the_motion_by_exactly_its_inverse_and_nothing_else(
     logged: Dataset, constant: Any, routes: Any, scaling: float
 ):
     sequence = some_route(routes, 8)
     (free,) = estimate(constant(1.0), logged, [sequence], extrapolate=True)
     (slow,) = estimate(constant(scaling), logged, [sequence], extrapolate=True)
-    stretched = free.nominal_s / scaling + free.dwell_s + free.wait_s
-    a_step_s = 0.05 * (1 / scaling - 1) * len(sequence.tasks)  # a stand ends in the middle of a step of the rollout
-    assert slow.expected_s == pytest.approx(stretched, abs=a_step_s)
-    assert slow.safety_loss_s == pytest.approx(free.nominal_s * (1 / scaling - 1), abs=a_step_s)
+    assert slow.safety_loss_s == pytest.approx(free.nominal_s * (1 / scaling - 1))
     assert slow.nominal_s == free.nominal_s
-    assert slow.dwell_s + slow.wait_s == pytest.approx(free.dwell_s + free.wait_s, abs=0.02 * len(sequence.tasks))
+    assert (slow.dwell_s, slow.wait_s) == pytest.approx((free.dwell_s, free.wait_s))
+    assert slow.expected_s == pytest.approx(free.nominal_s / scaling + free.dwell_s + free.wait_s)
+
+
+def test_a_logged_stand_of_no_length_makes_that_cycle_shorter_by_its_dwell_and_no_more(
+    logged: Dataset, constant: Any, routes: Any
+):
+    nominal = nominal_tasks(logged)
+    first = routes[0][0] + "->" + routes[0][1]
+    stands = nominal[first].stands_s.copy()
+    nominal[first] = replace(nominal[first], stands_s=np.concatenate([[0.0, 0.0], stands[2:]]))
+    program = lay_out(TaskSequence("A", routes[0][:6]), nominal, logged)
+    tracks, nowhere = operator_tracks(logged, horizon_s=60.0), Support(np.zeros((1, 3)), np.zeros((1, 3)))
+    rolled = roll_out(constant(1.0), program, tracks, nowhere)
+    motion = sum(task.nominal_s for task in program.tasks)
+    np.testing.assert_allclose(rolled.duration_s, motion + rolled.stands_s.sum(axis=1))
+    assert rolled.stands_s[:, 0].min() < 0.1
 
 
 def test_the_parts_add_up_to_the_whole_by_task_and_by_activity(logged: Dataset, staircase: Any, routes: Any):

@@ -138,9 +138,8 @@ def by_groups(path: Path) -> list[np.ndarray[Any, Any]]:
 def once(way: str, path: Path) -> None:
     """Read one bag in one way; print the seconds and a sum that tells whether the numbers are the same."""
     if way == "adapter":
-        from cyclekit_adapters.rosbag import ADAPTER
-
         from cyclekit.adapter import ReadOptions
+        from cyclekit_adapters.rosbag import ADAPTER
 
         begin = time.perf_counter()
         log = ADAPTER.read(path, ReadOptions())
@@ -183,7 +182,7 @@ def main() -> None:
             row = [f"{middle[way]:.3f}" for way in WAYS]
             row += [f"{middle['rosbags'] / middle[way]:.1f}" for way in WAYS[1:]]
             table.add_row(name, f"{size / 1e6:.0f}", *row, "yes" if same else "NO")
-    Console().print(table)
+    Console(width=140).print(table)
 
 
 if __name__ == "__main__":

@@ -9,11 +9,13 @@ Which places and executions there are is found by `segment`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from cyclekit.steps import find_staircase
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -28,6 +30,12 @@ BLOCKED = 1e-6
 """Scaling at or below this is a halt."""
 REST_M = 1e-5
 """Farther than this (or three times its jitter) from where it rests, a standing robot is still or again on its way."""
+
+LEAVING_S = 2.0
+"""How soon after a departure the scaling must be known to say whether the robot left slowed."""
+
+SPARSE = 10
+"""Levels are looked for in every tenth row: they are held for seconds."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +115,38 @@ def usual_dwells(runs: Sequence[RobotRun], executions: Sequence[Execution]) -> d
         unhindered = [stand for blocked, stand in seen if not blocked]
         dwells[place] = float(np.quantile(unhindered, 0.1)) if unhindered else min(stand for _, stand in seen)
     return dwells
+
+
+def with_halts_at_places(runs: Sequence[RobotRun], executions: Sequence[Execution]) -> list[RobotRun]:
+    """Return runs of inferred scaling with scaling 0 where a stand was prolonged by a halt rather than by waiting.
+
+    From motion alone both look alike. But who halted the robot is still near when it may leave, so it leaves at the
+    lowest speed there is; a robot that waited for a part leaves at whatever speed is allowed. A cell that knows only
+    halt and full speed cannot be told apart so: there the excess stays waiting.
+    """
+    slowest = _slowest_speed(runs)
+    usual = usual_dwells(runs, executions)
+    scaling = [run.scaling.copy() for run in runs]
+    for execution in executions:
+        run, values = runs[execution.run], scaling[execution.run]
+        for visit in execution.visits[1:-1]:
+            stand = float(run.t_s[visit.last] - run.t_s[visit.first])
+            if _dwell_and_wait(stand, usual[visit.place])[1] == 0.0:
+                continue
+            end = int(np.searchsorted(run.t_s, run.t_s[visit.last] + LEAVING_S))
+            leaving = values[visit.last : end]
+            known = leaving[np.isfinite(leaving)]
+            if len(known) and float(known[0]) < slowest:
+                begin = int(np.searchsorted(run.t_s, run.t_s[visit.first] + usual[visit.place]))
+                values[begin : visit.last + 1] = 0.0
+    return [replace(run, scaling=values) for run, values in zip(runs, scaling, strict=True)]
+
+
+def _slowest_speed(runs: Sequence[RobotRun]) -> float:
+    """Return a bound between the lowest and the next level above halt; 0 where there are not two of them."""
+    levels = find_staircase(np.concatenate([run.scaling[::SPARSE] for run in runs])).levels
+    moving = [float(level) for level in levels if level > 0.02]
+    return 0.5 * (moving[0] + moving[1]) if len(moving) > 1 else 0.0
 
 
 def account(run: RobotRun, execution: Execution, dwells: Mapping[str, float]) -> list[Leg]:

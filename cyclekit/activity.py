@@ -6,15 +6,26 @@ else from where the operator stays. How a single track is sampled is the busines
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
 
 from cyclekit.dataset import Place
 from cyclekit.frames import to_base
-from cyclekit.people import Track, find_spots, find_stays, goals_from_events, goals_from_stays, nearest_person
+from cyclekit.people import (
+    Track,
+    find_spots,
+    find_stays,
+    gap_reasons,
+    goals_from_events,
+    goals_from_stays,
+    ids_are_real,
+    link_by_motion,
+    nearest_person,
+    without_jumps,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -32,14 +43,30 @@ GOAL_SIGNAL = "goal"
 """An event whose signal name holds this word tells the operator's goal."""
 
 
+OPERATOR = "operator: "
+"""How a warning of a recording begins that was found here, and not when its log was read."""
+
+
+@dataclass(frozen=True)
+class _Log:
+    """The tracks that one recording saw, in session time and base frame."""
+
+    entry: dict[str, Any]
+    tracks: list[Track]
+
+
 def with_operator(
     grids: list[Grid], sources: Mapping[str, Source | None], read: Read, cell: Cell
 ) -> tuple[list[Grid], dict[str, Place]]:
-    """Fill in x_h, the operator's task and g_h."""
+    """Fill in x_h, the operator's task and g_h; say in the entries what was seen, and why nobody was."""
     tracks: dict[str, list[Track]] = {}
     events: dict[str, tuple[Vector, list[str]]] = {}
     for session in {grid.session.name: grid.session for grid in grids}.values():
-        tracks[session.name], events[session.name] = _operator_logs(session, sources, read)
+        logs, events[session.name] = _operator_logs(session, sources, read)
+        tracks[session.name] = [track for log in logs for track in log.tracks]
+        times = np.concatenate([grid.t_s for grid in grids if grid.session is session])
+        for log in logs:
+            _count_gaps(log, times, cell)
     grids = [replace(g, human_m=_human(g, tracks[g.session.name], cell)) for g in grids]
     stays = [find_stays(g.t_s, g.human_m) for g in grids]
     spots = {name: Place(name, p.xyz_m, p.radius_m, inferred=False) for name, p in cell.human_places.items()}
@@ -58,19 +85,14 @@ def with_operator(
 
 def _operator_logs(
     session: Session, sources: Mapping[str, Source | None], read: Read
-) -> tuple[list[Track], tuple[Vector, list[str]]]:
-    tracks: list[Track] = []
+) -> tuple[list[_Log], tuple[Vector, list[str]]]:
+    logs: list[_Log] = []
     times, values = [np.empty(0)], []
     for entry in session.entries:
         clock = entry["clock"]
         people = read(entry["id"], "people") if "people" in entry["tables"] else None
         if people is not None:
-            source = sources[entry["id"]]
-            frame = source.frame if source else None
-            for (person,), rows in people.sort("t_s").group_by(["person"], maintain_order=True):
-                xyz = to_base(rows.select("x_m", "y_m", "z_m").to_numpy(), frame, up=entry["up"])
-                t = rows["t_s"].to_numpy() * clock["rate"] + clock["offset_s"]
-                tracks.append(Track(str(person), t, xyz))
+            logs.append(_Log(entry, _tracks(entry, people, sources[entry["id"]])))
         said = read(entry["id"], "events") if "events" in entry["tables"] else None
         if said is not None:
             said = said.filter(pl.col("signal").str.contains(GOAL_SIGNAL, literal=True)).sort("t_s")
@@ -78,7 +100,49 @@ def _operator_logs(
             values += said["value"].to_list()
     t_event = np.concatenate(times)
     order = np.argsort(t_event, kind="stable")
-    return tracks, (t_event[order], [values[i] for i in order.tolist()])
+    return logs, (t_event[order], [values[i] for i in order.tolist()])
+
+
+def _tracks(entry: dict[str, Any], people: pl.DataFrame, source: Source | None) -> list[Track]:
+    """Return the tracks of the people in a recording, without what cannot have been.
+
+    A body on the robot's flange is nobody. Ids that do not last are replaced by tracks linked by motion.
+    """
+    entry["warnings"] = [text for text in entry["warnings"] if not text.startswith(OPERATOR)]
+    if source is not None and source.sees is not None:
+        rides = pl.col("person") == source.sees_as if source.sees_as is not None else pl.lit(value=True)
+        people = people.filter(~rides)
+    people = people.sort("t_s", maintain_order=True)
+    clock = entry["clock"]
+    xyz = to_base(people.select("x_m", "y_m", "z_m").to_numpy(), source.frame if source else None, up=entry["up"])
+    t = people["t_s"].to_numpy() * clock["rate"] + clock["offset_s"]
+    names = people["person"].fill_null("").cast(pl.String).to_list()
+    numbers = people["person"].fill_null("").rank("dense").cast(pl.Int64).to_numpy() - 1
+    if not ids_are_real(numbers):
+        count = len(set(names))
+        numbers = link_by_motion(t, xyz)
+        names = [f"linked_{number + 1}" for number in numbers.tolist()]
+        told = f"{count} track ids in {people['t_s'].n_unique()} frames last for no longer than a frame or two"
+        entry["warnings"].append(f"{OPERATOR}{told}: linked by motion into {int(numbers.max(initial=-1)) + 1} tracks")
+    tracks: list[Track] = []
+    disbelieved = 0
+    for number in [n for n in dict.fromkeys(numbers.tolist()) if n >= 0]:
+        rows = np.flatnonzero(numbers == number)
+        parts, dropped = without_jumps(Track(names[rows[0]], t[rows], xyz[rows]))
+        tracks += parts
+        disbelieved += dropped
+    if disbelieved:
+        told = f"{disbelieved} positions are not believed, since nobody moves at over 20 m/s"
+        entry["warnings"].append(f"{OPERATOR}{told}: unknown there")
+    entry["operator"] = {"not_believed": disbelieved}
+    return tracks
+
+
+def _count_gaps(log: _Log, times: Vector, cell: Cell) -> None:
+    """Note at how many samples the recording saw somebody, and why not at the others."""
+    clock = log.entry["clock"]
+    first, last = (log.entry[key] * clock["rate"] + clock["offset_s"] for key in ("first_s", "last_s"))
+    log.entry["operator"] |= gap_reasons(log.tracks, times, (first, last), bridge_s=cell.bridge_s)
 
 
 def _human(grid: Grid, tracks: Sequence[Track], cell: Cell) -> Points:

@@ -1,20 +1,18 @@
-"""The dataset: a folder of Parquet files with its provenance, opened here and replaced here as a whole.
+"""The dataset: a folder of Parquet files with its provenance, opened here for reading.
 
     DATASET/dataset.json                                  schema version, provenance, executions, places, levels
     DATASET/recordings/<id>/{robot,people,events}.parquet native rate, SI, each log's own clock
     DATASET/samples/<session>.parquet                     10 Hz, one clock, one base frame
     DATASET/tasks.parquet                                 one row per executed robot task
+    DATASET/quarantine.parquet                            every row that was set aside, with file, row and reason
 
-A dataset is built in a folder beside its final place and then swapped in, so that a reader sees the old one or the
-new one, never half. What goes into the tables is decided by `ingest`.
+A dataset is put in place as a whole (`atomic`). What goes into the tables is decided by `ingest`.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import shutil
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,10 +21,11 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.errors import CyclekitError, DatasetError, UnknownName
+from cyclekit.atomic import recover
+from cyclekit.errors import DatasetError, UnknownName
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
 CARD = "dataset.json"
 
@@ -127,6 +126,10 @@ class Dataset:
         """Return one row per executed robot task (table TASKS)."""
         return pl.read_parquet(self.path / "tasks.parquet", glob=False)
 
+    def quarantine(self) -> pl.DataFrame:
+        """Return every row that was set aside (table QUARANTINE), in order of recording."""
+        return pl.read_parquet(self.path / "quarantine.parquet", glob=False)
+
     def recorded(self, recording: str, table: str) -> pl.DataFrame | None:
         """Return one native-rate table (`robot`, `people` or `events`) of a recording, None if it has none."""
         file = self.path / "recordings" / recording / f"{table}.parquet"
@@ -177,103 +180,3 @@ def _card_text(path: Path) -> str | None:
 def _place(name: str, entry: dict[str, Any]) -> Place:
     x, y, z = entry["xyz_m"]
     return Place(name, (x, y, z), entry["radius_m"], entry["inferred"])
-
-
-def write_parquet(frame: pl.DataFrame, file: Path) -> None:
-    """Write one table (zstd) and see it on the disk before returning; same frame, same bytes."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with file.open("wb") as handle:
-        frame.write_parquet(handle, compression="zstd", statistics=True)
-        handle.flush()
-        os.fsync(handle.fileno())
-
-
-def write_text(file: Path, text: str) -> None:
-    """Write a text file atomically: temporary name, fsync, rename.
-
-    Raises:
-        CyclekitError: The target cannot be written; the old file is untouched.
-    """
-    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("w", encoding="utf-8", newline="\n") as handle:
-            handle.write(text)
-            handle.flush()
-            os.fsync(handle.fileno())
-        temporary.replace(file)
-    except OSError as error:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        msg = f"{file}: cannot be written ({error.strerror})"
-        raise CyclekitError(msg, cure="Check the folder, its permissions and the free space.") from error
-
-
-def _staging(path: Path) -> Path:
-    return path.with_name(f".{path.name}.new")
-
-
-def _retired(path: Path) -> Path:
-    return path.with_name(f".{path.name}.old")
-
-
-@contextmanager
-def staged(path: Path) -> Iterator[Path]:
-    """Give a fresh folder to build in; on success it takes the place of `path`, on failure nothing changes.
-
-    The swap is two renames. A process killed between them leaves the new folder complete under its staging name,
-    and `recover` finishes the work at the next opening. One process at a time may build at one place.
-
-    Raises:
-        CyclekitError: The place cannot be written.
-    """
-    path = path.resolve()  # "." has no name to put a folder beside, and a link shall stay a link
-    settle(path)
-    staging = _staging(path)
-    try:
-        shutil.rmtree(staging, ignore_errors=True)
-        staging.mkdir(parents=True)
-        yield staging
-        (staging / ".complete").touch()
-        _swap(path)
-    except OSError as error:
-        msg = f"{path}: cannot be written ({error.strerror or error})"
-        raise CyclekitError(msg, cure="Check the folder, its permissions and the free space.") from error
-    finally:
-        if not (staging / ".complete").exists():
-            shutil.rmtree(staging, ignore_errors=True)
-
-
-def recover(path: Path) -> None:
-    """Finish the swap of a process killed between its two renames, at most once beside a process that still lives.
-
-    For readers: it acts only where nothing is at `path`, so that it cannot get into the way of a running ingest.
-    """
-    path = path.resolve()
-    staging, retired = _staging(path), _retired(path)
-    with suppress(OSError):
-        if not path.exists() and (staging / ".complete").is_file():
-            staging.rename(path)
-        elif not path.exists() and retired.is_dir():
-            retired.rename(path)
-
-
-def settle(path: Path) -> None:
-    """Finish or undo whatever a killed process left beside `path`; for one who is about to replace it."""
-    path = path.resolve()
-    recover(path)
-    if (_staging(path) / ".complete").is_file():
-        _swap(path)
-    shutil.rmtree(_staging(path), ignore_errors=True)
-    shutil.rmtree(_retired(path), ignore_errors=True)
-
-
-def _swap(path: Path) -> None:
-    staging, retired = _staging(path), _retired(path)
-    if path.exists():
-        shutil.rmtree(retired, ignore_errors=True)
-        path.rename(retired)
-    with suppress(FileNotFoundError):  # a reader has seen the gap and closed it
-        staging.rename(path)
-    (path / ".complete").unlink(missing_ok=True)
-    shutil.rmtree(retired, ignore_errors=True)

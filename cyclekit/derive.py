@@ -13,9 +13,9 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.account import Leg, account, usual_dwells
+from cyclekit.account import Leg, account, usual_dwells, with_halts_at_places
 from cyclekit.activity import with_operator
-from cyclekit.clock import LogClock, fit_clock
+from cyclekit.align import place_in_time
 from cyclekit.dataset import Place
 from cyclekit.errors import ConfigError
 from cyclekit.override import infer_overrides
@@ -65,6 +65,8 @@ def derive(
     read: Read,
     cell: Cell,
     progress: Callable[[float, str], None],
+    *,
+    coarse: bool = False,
 ) -> Derived:
     """Compute samples and tasks.
 
@@ -74,13 +76,18 @@ def derive(
         read: Returns a native table of a recording (id, table), None if it has none.
         cell: Places, execution rule, rates.
         progress: Told fraction and text.
+        coarse: Where nothing says how a clock relates to the robot's, align on the operator being near while the
+            robot slows; hides the reaction delay.
 
     Raises:
         UnknownName: The cell file's home is no place that was found.
-        ConfigError: Executions are to begin by a register or output that was not logged.
+        ConfigError: Executions are to begin by a register or output that was not logged, or a clock or frame is to be
+            found in a way that these logs do not allow.
     """
     for session in sessions:
-        _place_in_time(session, sources)
+        place_in_time(session, sources, read, coarse_step_s=1.0 / cell.rate_hz if coarse else None)
+        spans = [_session_span(entry) for entry in session.entries]
+        session.span_s = (min(a for a, _ in spans), max(b for _, b in spans))
     runs = _load_runs(sessions, read, cell, progress)
     stops = [stop for number, run in enumerate(runs) for stop in find_stops(run, number)]
     places = find_places(runs, stops, cell.places)
@@ -104,20 +111,6 @@ def derive(
     levels = tuple(round(float(level), 6) for level in staircase.levels)
     tasks = pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.TASKS.items()}, orient="row")
     return Derived(samples, tasks, cards, places, human_places, levels, origin, [*warnings, *staircase.warnings])
-
-
-def _place_in_time(session: Session, sources: Mapping[str, Source | None]) -> None:
-    first = session.entries[0]
-    master = LogClock(first["clock"]["kind"], first["first_s"])
-    for entry in session.entries:
-        log = LogClock(entry["clock"]["kind"], entry["first_s"])
-        fit = fit_clock(log, master, sources[entry["id"]], same_log=entry is first)
-        method = "own" if entry is first else fit.method
-        entry["clock"] |= {"method": method, "offset_s": fit.offset_s, "rate": fit.rate}
-        if fit.warning and fit.warning not in entry["warnings"]:
-            entry["warnings"].append(fit.warning)
-    spans = [_session_span(entry) for entry in session.entries]
-    session.span_s = (min(a for a, _ in spans), max(b for _, b in spans))
 
 
 def _session_span(entry: Mapping[str, Any]) -> tuple[float, float]:
@@ -182,7 +175,7 @@ def _with_scaling(
         return runs, None, [missing] if runs else []
     how = "runs without the operator" if without else "the fastest repetition of each task"
     note = f"no log holds a valid speed scaling: inferred from velocity ratios against {how} ({len(references)} tasks)"
-    return inferred, "inferred", [note]
+    return with_halts_at_places(inferred, executions), "inferred", [note]
 
 
 def _session_executions(

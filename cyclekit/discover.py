@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -79,14 +79,17 @@ def find_all(roots: Sequence[Path], cell: Cell) -> tuple[list[Log], list[tuple[s
             source = next((s for s in cell.sources if matches(shown, path, s.path)), None)
             shown = prefixes[base] + shown
             reader = adapter_named(source.adapter) if source and source.adapter else registered
-            if reader is None:
-                unknown = why_unknown(path)
+            try:
+                log = _log(path, shown, reader, source, logs) if reader else None
+                unknown = why_unknown(path) if log is None else unknown
+            except OSError as error:  # it went away, or was never to be read, since its folder was listed
+                log, unknown = None, LogError(path, f"cannot be read ({error.strerror})", cure="Check the file.")
+            if log is not None:
+                logs[log.id] = log
+            elif unknown is not None:
                 if path in roots:
                     raise unknown
                 not_read.append((shown, unknown.cause))
-            else:
-                log = _log(path, shown, reader, source, logs)
-                logs[log.id] = log
     if not logs:
         cure = "Give files, or a folder that holds logs; `cyclekit adapters` lists what can be read."
         cause = "holds no file" if not not_read else f"holds no log that can be read ({len(not_read)} other files)"
@@ -125,10 +128,19 @@ def _log(path: Path, shown: str, reader: Registered, source: Source | None, take
     while name in taken:
         number += 1
         name = f"{slug}-{number}"
-    facts = [str(path.resolve()), reader.name, reader.version, repr(options_of(source)), schema.SCHEMA_VERSION]
-    stats = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files_of(path)]
-    key = hashlib.sha256(json.dumps([facts, stats]).encode()).hexdigest()
-    return Log(name, path, shown, reader.name, reader.package, reader.version, source, key)
+    log = Log(name, path, shown, reader.name, reader.package, reader.version, source, "")
+    return replace(log, key=key_of(log))
+
+
+def key_of(log: Log) -> str:
+    """Return what changes when the log, its reader or its options do.
+
+    Raises:
+        OSError: A file of the log has gone.
+    """
+    facts = [str(log.path.resolve()), log.adapter, log.version, repr(options_of(log.source)), schema.SCHEMA_VERSION]
+    stats = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files_of(log.path)]
+    return hashlib.sha256(json.dumps([facts, stats]).encode()).hexdigest()
 
 
 def files_of(path: Path) -> list[Path]:

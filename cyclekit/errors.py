@@ -11,6 +11,7 @@
     ├── ModelError          the model folder is not one, is foreign, or does not fit the dataset
     ├── EstimateError       the question cannot be answered from these logs
     ├── ShapeError          arrays that do not fit together (a mistake of the caller)
+    ├── BusyPlace           another process is writing where we were told to write
     └── MissingExtra        an optional dependency is not installed
 
 A message has three parts: what was seen and where, the nearest right thing if one is near, and the cure. The parts
@@ -111,6 +112,17 @@ class EstimateError(CyclekitError):
 
 class ShapeError(CyclekitError):
     """Arrays that do not fit together."""
+
+
+class BusyPlace(CyclekitError):
+    """Another process is writing at the same place."""
+
+    def __init__(self, path: Path, who: str) -> None:
+        """Name the place and, where it is known, the process."""
+        super().__init__(
+            f"{path}: another cyclekit{who} is writing there",
+            cure="Wait until it has finished, or write somewhere else.",
+        )
 
 
 class MissingExtra(CyclekitError):

@@ -1,21 +1,52 @@
 """One base frame: turn positions of a log's own frame into the robot base frame.
 
-Trackers stand somewhere in the cell and some count y upwards. Where a tracker stands is said by the cell file; fitting
-that from points touched by both is not done here.
+Trackers stand somewhere in the cell and some count y upwards. Where a tracker stands is said by the cell file, and can
+be fitted from points that robot and tracker both touched. Reading such points is the business of `calibrate`.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from cyclekit.errors import ShapeError
+from cyclekit.config import Frame
+from cyclekit.errors import ConfigError, ShapeError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cyclekit.config import Frame
+LEAST_SPREAD_M = 0.05
+"""Points that lie nearer to one line than this do not tell how the frame is turned about it."""
+MILLIMETRES = 1000.0
+SCALE_SLACK = 0.2
+
+
+@dataclass(frozen=True)
+class FrameFit:
+    """Where a tracker's frame stands, and how well the points agree.
+
+    Attributes:
+        frame: The rigid transform: p_base = rotation @ p + xyz_m, after turning up to z.
+        residual_m: Distance of each point from where the fit puts it, shape (N,).
+        rms_m: Their root mean square.
+        scale: Size of the base's figure over the tracker's; 1 but for noise where both are in metres.
+        warnings: What a person must know before trusting it.
+    """
+
+    frame: Frame
+    residual_m: NDArray[np.float64]
+    rms_m: float
+    scale: float
+    warnings: tuple[str, ...]
+
+
+def stood_up(points_m: NDArray[np.float64], up: Literal["y", "z"]) -> NDArray[np.float64]:
+    """Return points (N, 3) of a log whose `up` points upwards with z up: y up is turned by +90 deg about x."""
+    if up == "z":
+        return points_m
+    return np.column_stack([points_m[:, 0], -points_m[:, 2], points_m[:, 1]])
 
 
 def to_base(points_m: NDArray[np.float64], frame: Frame | None, *, up: Literal["y", "z"] = "z") -> NDArray[np.float64]:
@@ -36,8 +67,117 @@ def to_base(points_m: NDArray[np.float64], frame: Frame | None, *, up: Literal["
     if points_m.ndim != 2 or points_m.shape[1] != 3:
         msg = f"points_m {points_m.shape} must be (N, 3)"
         raise ShapeError(msg)
-    turned = np.column_stack([points_m[:, 0], -points_m[:, 2], points_m[:, 1]]) if up == "y" else points_m
+    turned = stood_up(points_m, up)
     if frame is None:
         return turned.copy()
-    placed: NDArray[np.float64] = turned @ np.asarray(frame.rotation).T + np.asarray(frame.xyz_m)
+    rotation = np.asarray(frame.rotation)
+    placed: NDArray[np.float64] = turned @ rotation.T + np.asarray(frame.xyz_m)
+    flat = np.isnan(turned[:, 2]) & np.isfinite(turned[:, :2]).all(axis=1)
+    if flat.any() and np.abs(rotation[:2, 2]).max() < 1e-6:  # a planar tracker's height is unknown, its floor is not
+        placed[flat, :2] = turned[flat, :2] @ rotation[:2, :2].T + np.asarray(frame.xyz_m)[:2]
     return placed
+
+
+def fit_frame(log_m: NDArray[np.float64], base_m: NDArray[np.float64], *, up: Literal["y", "z"] = "z") -> FrameFit:
+    """Return where a log's frame stands, from points known in both, by least squares (Kabsch; Umeyama without scale).
+
+    Args:
+        log_m: The points in the log's frame, shape (N, 3), N >= 3, metres, in its own axes.
+        base_m: The same points in the robot base frame, shape (N, 3), metres.
+        up: Axis that points up in the log, as for `to_base`.
+
+    Raises:
+        ShapeError: The arrays are not (N, 3) alike, or hold values that are not finite.
+        ConfigError: Fewer than three points, all near one line, in different units, or mirrored.
+    """
+    if log_m.shape != base_m.shape or log_m.ndim != 2 or log_m.shape[1] != 3:
+        raise ShapeError(f"log_m {log_m.shape} and base_m {base_m.shape} must be (N, 3)")
+    if not (np.isfinite(log_m).all() and np.isfinite(base_m).all()):
+        raise ShapeError("log_m and base_m must be finite")
+    if len(log_m) < 3:
+        raise ConfigError(f"{len(log_m)} points do not tell a frame", cure="Touch four or more, well apart.")
+    here = stood_up(log_m, up)
+    a, b = here - here.mean(axis=0), base_m - base_m.mean(axis=0)
+    scale = _scale(a, b)
+    _refuse_line(a, b)
+    turn, mirrored = _turn(a, b)
+    residual = np.linalg.norm(b - a @ turn.T, axis=1)
+    rms = float(np.sqrt(np.mean(residual**2)))
+    if mirrored and rms > 0.02:
+        raise ConfigError(
+            f"the points fit only mirrored (as they are, {1000 * rms:.0f} mm apart)",
+            cure="One axis has the wrong sign, or the tracker counts y upwards: try --up y.",
+        )
+    origin = base_m.mean(axis=0) - turn @ here.mean(axis=0)
+    x, y, z = ((float(row[0]), float(row[1]), float(row[2])) for row in turn)
+    frame = Frame((float(origin[0]), float(origin[1]), float(origin[2])), (x, y, z))
+    return FrameFit(frame, residual, rms, scale, tuple(_doubts(a, b, rms, scale)))
+
+
+def _turn(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
+    """Return the rotation that turns centred points `a` best onto `b`, and whether a mirror would do better."""
+    u, weight, vt = np.linalg.svd(a.T @ b)
+    mirrored = bool(np.linalg.det(vt.T @ u.T) < 0)
+    turn = vt.T @ np.diag([1.0, 1.0, -1.0 if mirrored else 1.0]) @ u.T
+    return turn, mirrored and bool(weight[2] > 0.01 * weight[0])  # points in one plane look alike in a mirror
+
+
+def _scale(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    size = np.sqrt(np.sum(a * a)), np.sqrt(np.sum(b * b))
+    if min(size) < 1e-9:
+        raise ConfigError("all points are one point", cure="Touch four or more, well apart.")
+    scale = float(size[1] / size[0])
+    for factor, whose in ((1 / MILLIMETRES, "the tracker's"), (MILLIMETRES, "the robot's")):
+        if abs(scale / factor - 1) < SCALE_SLACK:
+            raise ConfigError(
+                f"{whose} points are {MILLIMETRES:g} times as far apart as the other's: millimetres taken for metres",
+                cure=f"Name {whose} columns …_mm instead of …_m.",
+            )
+    if not 0.5 < scale < 2:
+        raise ConfigError(
+            f"the robot's points are {scale:.3g} times as far apart as the tracker's",
+            cure="Check the units of the columns, and that each row is one point.",
+        )
+    return scale
+
+
+def _refuse_line(a: NDArray[np.float64], b: NDArray[np.float64]) -> None:
+    for points, whose in ((a, "tracker"), (b, "robot")):
+        across = np.linalg.svd(points, compute_uv=False)[1] / np.sqrt(len(points))
+        if across < LEAST_SPREAD_M:
+            seen = f"the points of the {whose} lie within {1000 * across:.0f} mm of one line"
+            raise ConfigError(
+                f"{seen}, which does not tell how the frame is turned about it",
+                cure="Touch points off the line as well, half a metre or more.",
+            )
+
+
+def _doubts(a: NDArray[np.float64], b: NDArray[np.float64], rms: float, scale: float) -> list[str]:
+    found = []
+    if len(a) == 3:
+        found.append("three points fit nearly always: touch a fourth to check them")
+    if abs(scale - 1) > 0.02:
+        found.append(f"the robot's points are {100 * (scale - 1):+.1f} % farther apart than the tracker's: check both")
+    if rms <= 0.01:
+        return found
+    others, worst = _without_worst(a, b)
+    if others < 0.3 * rms:
+        found.append(
+            f"point {worst + 1} does not fit: without it the others agree within {1000 * others:.1f} mm (rms), "
+            f"with it within {1000 * rms:.0f} mm; touch it again or remove it"
+        )
+    elif rms > 0.02:
+        found.append(f"the points disagree by {1000 * rms:.0f} mm (rms): check that each row is one point")
+    return found
+
+
+def _without_worst(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, int]:
+    """Return the least rms that leaving out one point gives, and which one that is; four must be left."""
+    best, worst = np.inf, 0
+    for row in range(len(a) if 5 <= len(a) <= 100 else 0):
+        here, there = np.delete(a, row, axis=0), np.delete(b, row, axis=0)
+        here, there = here - here.mean(axis=0), there - there.mean(axis=0)
+        rms = float(np.sqrt(np.mean(np.sum((there - here @ _turn(here, there)[0].T) ** 2, axis=1))))
+        if rms < best:
+            best, worst = rms, row
+    return best, worst

@@ -1,7 +1,8 @@
 """The operator: one position per sample out of the tracks of a session, and the goal of what the operator does.
 
 Of several people the one nearest to the TCP is x_h. A gap in a track stays a gap, apart from short ones that are
-bridged. Goals come from a button log where there is one, else from where the operator stays for a while; the latter
+bridged; ids that a tracker gives anew with every frame are linked by motion, and a jump that nobody makes is not
+believed. Goals come from a button log where there is one, else from where the operator stays for a while; the latter
 are marked as inferred. Frames and clocks have been settled before.
 """
 
@@ -31,6 +32,19 @@ SPOT_M = 0.4
 """Stays nearer than this to each other are at one spot: people do not stand twice on the same tile."""
 
 
+LINK_M_S, LINK_M, FORGET_S = 5.0, 0.15, 1.0
+"""A body is the same one as in the last frame if it came no faster than this, beside this much noise; one that was not
+seen for FORGET_S is somebody new."""
+SHORT_ROWS = 3.0
+"""Where half of the rows have an id that lives for fewer frames than this, the ids are no tracks."""
+JUMP_M_S, JUMP_M = 20.0, 0.3
+"""Nobody moves faster; a step shorter than JUMP_M is no jump however short the time."""
+STRAY_S = 0.25
+"""What lasts shorter than this between two jumps is a false sighting."""
+OCCLUDED_S = 5.0
+"""A gap of a track up to this long is one behind something; after a longer one the person may have been away."""
+
+
 @dataclass(frozen=True)
 class Track:
     """One person's track in session time and base frame: `t_s` (T,), `xyz_m` (T, 3), NaN = not seen."""
@@ -57,6 +71,132 @@ def at_times(track: Track, t_s: Vector, *, bridge_s: float) -> Points:
     out = np.column_stack([np.interp(t_s, t, xyz[:, axis]) for axis in range(3)])
     out[~inside] = np.nan
     return out
+
+
+def ids_are_real(ids: NDArray[np.int64]) -> bool:
+    """Tell whether the ids of a log's rows (N,) last: a tracker may number each frame's bodies anew."""
+    counts = np.bincount(ids) if len(ids) else np.empty(0)
+    if np.count_nonzero(counts) < 4:
+        return True
+    return float(np.median(counts[ids])) >= SHORT_ROWS  # by rows: a lasting track among false sightings is one
+
+
+def link_by_motion(t_s: Vector, xyz_m: Points) -> NDArray[np.int64]:
+    """Return a track number for each row, joining each body to the nearest one of the last frame that it can be.
+
+    Where two people pass within a step of a frame they may be exchanged, which changes nothing about the distance to
+    the nearest of them.
+
+    Args:
+        t_s: Times, shape (N,), ascending; the bodies of one frame have the same time.
+        xyz_m: Positions, shape (N, 3), metres; rows without one belong to nobody (-1).
+    """
+    track = np.full(len(t_s), -1, np.int64)
+    seen = np.flatnonzero(np.isfinite(xyz_m[:, :2]).all(axis=1))
+    if len(seen) == 0:
+        return track
+    flat = np.nan_to_num(xyz_m)
+    frames = np.split(seen, np.flatnonzero(np.diff(t_s[seen])) + 1)
+    alive: list[tuple[int, int]] = []  # (track, its last row)
+    count = 0
+    for rows in frames:
+        now = float(t_s[rows[0]])
+        alive = [(name, row) for name, row in alive if now - t_s[row] <= FORGET_S]
+        chosen = _continuations(now, rows, alive, t_s, flat)
+        for row in rows.tolist():
+            if row not in chosen:
+                chosen[row] = count
+                count += 1
+            track[row] = chosen[row]
+        taken = set(chosen.values())
+        alive = [(name, row) for name, row in alive if name not in taken] + [(n, r) for r, n in chosen.items()]
+    return track
+
+
+def _continuations(
+    now: float, rows: NDArray[np.int64], alive: Sequence[tuple[int, int]], t_s: Vector, xyz: Points
+) -> dict[int, int]:
+    """Return the track of each row that continues one: nearest pairs first."""
+    if not alive:
+        return {}
+    last = np.array([row for _, row in alive])
+    apart = np.linalg.norm(xyz[rows][:, None, :] - xyz[last][None, :, :], axis=2)
+    apart[apart > LINK_M + LINK_M_S * (now - t_s[last])[None, :]] = np.inf
+    chosen: dict[int, int] = {}
+    while np.isfinite(low := apart.min()):
+        i, j = np.unravel_index(int(np.flatnonzero(apart.ravel() == low)[0]), apart.shape)
+        chosen[int(rows[i])] = alive[int(j)][0]
+        apart[i, :], apart[:, j] = np.inf, np.inf
+    return chosen
+
+
+def without_jumps(track: Track) -> tuple[list[Track], int]:
+    """Return the parts of a track between which nobody can have moved, and how many positions are not believed.
+
+    A false sighting is taken out and the track goes on; after a lasting jump (the tracker took somebody else for the
+    person) another part begins, so that nothing is interpolated across it.
+    """
+    seen = np.flatnonzero(np.isfinite(track.xyz_m[:, :2]).all(axis=1))
+    rows = seen
+    while len(rows) > 1 and (stray := _strays(track, rows)).any():
+        rows = rows[~stray]
+    dropped = np.setdiff1d(seen, rows)
+    xyz = track.xyz_m.copy()
+    xyz[dropped] = np.nan
+    starts = rows[_jumps(track, rows)] if len(rows) > 1 else rows[:0]
+    parts = np.split(np.arange(len(xyz)), starts)
+    return [Track(track.person, track.t_s[part], xyz[part]) for part in parts], len(dropped)
+
+
+def _strays(track: Track, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which rows belong to a part between jumps that is short, and shorter than the parts beside it."""
+    cuts = _jumps(track, rows)
+    starts, ends = np.concatenate([[0], cuts]), np.concatenate([cuts, [len(rows)]])
+    length = track.t_s[rows[ends - 1]] - track.t_s[rows[starts]]
+    if len(starts) == 1 or length.max() <= 0:
+        return np.zeros(len(rows), bool)
+    order = length + 1e-9 * np.modf(0.618 * np.arange(len(length)))[0]  # of parts equally short some go first
+    beside = np.concatenate([[np.inf], order, [np.inf]])
+    stray = (length < STRAY_S) & (order < beside[:-2]) & (order < beside[2:])
+    return np.repeat(stray, ends - starts)
+
+
+def _jumps(track: Track, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the indices into `rows` that nobody can have come to from the row before."""
+    step = np.linalg.norm(np.diff(track.xyz_m[rows, :2], axis=0), axis=1)
+    return np.flatnonzero(step > np.maximum(JUMP_M, JUMP_M_S * np.diff(track.t_s[rows]))) + 1
+
+
+def gap_reasons(
+    tracks: Sequence[Track], t_s: Vector, span_s: tuple[float, float], *, bridge_s: float
+) -> dict[str, int]:
+    """Return at how many of the times somebody is seen, and why nobody is at the others.
+
+    Args:
+        tracks: All that one log saw.
+        t_s: Times, shape (N,).
+        span_s: First and last time of the log.
+        bridge_s: Gaps up to this long are bridged.
+
+    Returns:
+        `seen`; `outside`: the log had not begun or was over; `occluded`: within a track that goes on within
+        OCCLUDED_S; `absent`: no such track.
+    """
+    seen, hidden = np.zeros(len(t_s), bool), np.zeros(len(t_s), bool)
+    for track in tracks:
+        seen |= np.isfinite(at_times(track, t_s, bridge_s=bridge_s)[:, 0])
+    for person in {track.person for track in tracks}:
+        known = [t.t_s[np.isfinite(t.xyz_m[:, :2]).all(axis=1)] for t in tracks if t.person == person]
+        times = np.sort(np.concatenate(known))
+        if len(times) > 1:
+            right = np.clip(np.searchsorted(times, t_s), 1, len(times) - 1)
+            between = (t_s >= times[0]) & (t_s <= times[-1])
+            hidden |= between & (times[right] - times[right - 1] <= OCCLUDED_S)
+    outside = ~seen & ((t_s < span_s[0]) | (t_s > span_s[1]))
+    occluded = ~seen & ~outside & hidden
+    absent = ~seen & ~outside & ~hidden
+    counts = {"seen": seen, "occluded": occluded, "absent": absent, "outside": outside}
+    return {name: int(mask.sum()) for name, mask in counts.items()}
 
 
 def nearest_person(tracks: Sequence[Track], t_s: Vector, tcp_m: Points, *, bridge_s: float) -> Points:

@@ -1,7 +1,7 @@
 """The canonical tables: every column, its type, its unit and what it means.
 
-Adapters fill ROBOT, PEOPLE and EVENTS; ingest makes SAMPLES and TASKS of them. A null always means "unknown", never
-zero. What is computed from the columns is the business of the rooms that use them.
+Adapters fill ROBOT, PEOPLE and EVENTS; ingest makes SAMPLES and TASKS of them, and QUARANTINE of what it sets aside. A
+null always means "unknown", never zero. What is computed from the columns is the business of the rooms that use them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cyclekit.errors import ShapeError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Version of the dataset layout; a dataset of another version is refused, never half-read."""
 
 
@@ -101,6 +101,15 @@ TASKS: Mapping[str, Column] = {
     "wait_s": Column(F64, "s", "standstill at the goal beyond dwell, not explained by safety"),
 }
 """One row per executed robot task: nominal + safety loss + dwell + wait = end - start."""
+
+
+QUARANTINE: Mapping[str, Column] = {
+    "recording": Column(TEXT, "", "id of the recording"),
+    "file": Column(TEXT, "", "the log, relative to the folder of logs"),
+    "source_row": Column(I64, "", "0-based data row or message index in it; null where damage has no row"),
+    "reason": Column(TEXT, "", "why it is not used"),
+}
+"""Rows (or messages, or damaged parts) of the logs that no other table holds."""
 
 
 def is_joint(name: str) -> bool:

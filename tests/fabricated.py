@@ -16,7 +16,8 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.dataset import CARD, Dataset, staged, write_parquet
+from cyclekit.atomic import staged, write_parquet
+from cyclekit.dataset import CARD, Dataset
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -168,6 +168,18 @@ def read_rows(
     return _without_unknown(rows, required)
 
 
+def rows_of(
+    lines: Iterable[bytes],
+    layout: Layout,
+    *,
+    numbers: Sequence[str],
+    texts: Sequence[str] = (),
+    required: Sequence[str] = (),
+) -> Rows:
+    """Read rows as `read_rows` does, out of lines with their line ends: a section of a file of several tables."""
+    return _without_unknown(_parse_by_line(lines, layout, numbers, texts), required)
+
+
 def _source(path: Path, layout: Layout) -> Path | bytes:
     if layout.encoding in ("utf-8", "utf-8-sig"):
         return path

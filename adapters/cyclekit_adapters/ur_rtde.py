@@ -1,6 +1,7 @@
-"""Universal Robots: CSV of RTDE fields, as UR's `record.py` and `ur_rtde` write it.
+"""Universal Robots: RTDE fields as UR's `record.py` (text or `--binary`) and `ur_rtde` write them.
 
 One row per controller sample; `record.py` separates by a space, `ur_rtde` by a comma, the column names are the same.
+A binary recording differs only in how its rows are packed (`rtde_binary`).
 Metres, radians, seconds since the controller was started. Two columns together are the override: the trajectory
 limiter (`speed_scaling`) times the slider (`target_speed_fraction`), and that product says something about speed only
 while the program plays (`runtime_state` 2). A pause writes the limiter as 0, which is no safety slow-down: there, and
@@ -15,16 +16,18 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.adapter import Adapter, ReadOptions, Recording
-from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
+from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, encoding_of, head_of, header_names, read_rows
+from cyclekit_adapters.controller_time import clock_warnings, once
+from cyclekit_adapters.delimited import Layout, head_of, read_rows
+from cyclekit_adapters.header_line import column_names, layout_below
+from cyclekit_adapters.rtde_binary import BinaryLayout, binary_layout, is_binary, read_binary_rows
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 _FIELD = re.compile(r"(actual|target)_(q|qd|qdd|current|moment|TCP_pose|TCP_speed|TCP_force)_[0-5]")
 _SCALARS = {"speed_scaling", "target_speed_fraction", "runtime_state", "safety_status", "safety_mode"}
-_TYPE_WORDS = ("DOUBLE", "VECTOR6D", "VECTOR3D", "INT32", "UINT32", "UINT64", "BOOL", "VECTOR6INT32", "UINT8")
 _STATES = {0: "stopped", 1: "stopped", 2: "playing", 3: "paused", 4: "paused", 5: "paused"}
 _PLAYING = 2
 _POSITION = [f"actual_TCP_pose_{axis}" for axis in range(3)]
@@ -37,8 +40,7 @@ _SLACK = 1e-3  # a fraction may exceed 1 by rounding; by more it is something el
 
 class _UrRtdeCsv:
     def recognises(self, path: Path) -> bool:
-        line, _, _ = head_of(path).partition("\n")
-        names = header_names(line.removeprefix("\ufeff"), delimiter_of(line))
+        names = column_names(path)
         return len(_SCALARS.intersection(names)) > 1 or any(_FIELD.fullmatch(name) for name in names)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
@@ -48,8 +50,11 @@ class _UrRtdeCsv:
         _require(path, layout.names, joints)
         wanted = ["timestamp", *_POSITION, *_SPEED, *_FRACTIONS, "runtime_state", _OUTPUTS, register, *joints]
         present = [name for name in wanted if name in layout.names]
-        rows = read_rows(path, layout, numbers=present, required=["timestamp"]).or_refuse(path)
-        rows, repeated = _once(rows)
+        if isinstance(layout, BinaryLayout):
+            rows = read_binary_rows(path, layout, numbers=present, time="timestamp")
+        else:
+            rows = read_rows(path, layout, numbers=present, required=["timestamp"])
+        rows, repeated = once(rows.or_refuse(path), "timestamp")
         return Recording(
             robot=_robot(rows.frame, register, joints),
             clock="uptime",
@@ -58,7 +63,7 @@ class _UrRtdeCsv:
             set_aside=rows.set_aside,
             warnings=tuple(_warnings(rows.frame, repeated)),
             facts={
-                "writer": "record.py (space)" if layout.delimiter == " " else f"delimiter {layout.delimiter!r}",
+                "writer": _writer(layout),
                 "register": register if register in present else "not recorded",
                 "repeated_rows": str(repeated),
                 "speed_scaling": "speed_scaling * target_speed_fraction while runtime_state is 2 (playing)",
@@ -66,21 +71,17 @@ class _UrRtdeCsv:
         )
 
 
-def _layout(path: Path) -> Layout:
-    lines = head_of(path).removeprefix("\ufeff").split("\n")
-    if not lines[0].strip():
-        raise DamagedLog(path, "the file is empty or not text", cure="Check the copy.")
-    delimiter = delimiter_of(lines[0])
-    types = [word.strip() for word in lines[1].split(delimiter)] if len(lines) > 1 else []
-    if types and types[0] in _TYPE_WORDS:
-        cause = "this is a binary recording (record.py --binary), which is not read"
-        raise DamagedLog(path, cure="Record without --binary, or convert it with UR's own reader.", cause=cause)
-    with path.open("rb") as log:
-        encoding = encoding_of(log.read(4096)) or "utf-8"
-    return Layout(header_names(lines[0], delimiter), delimiter, header_lines=1, encoding=encoding)
+def _layout(path: Path) -> Layout | BinaryLayout:
+    return binary_layout(path) if is_binary(head_of(path)) else layout_below(path)
 
 
-def _register(path: Path, layout: Layout, options: ReadOptions) -> str:
+def _writer(layout: Layout | BinaryLayout) -> str:
+    if isinstance(layout, BinaryLayout):
+        return "record.py --binary"
+    return "record.py (space)" if layout.delimiter == " " else f"delimiter {layout.delimiter!r}"
+
+
+def _register(path: Path, layout: Layout | BinaryLayout, options: ReadOptions) -> str:
     for key in options.map:
         if key != "register":
             raise UnknownName("[sources.map] of a UR RTDE log", "key", key, ["register"])
@@ -105,14 +106,6 @@ def _require(path: Path, names: tuple[str, ...], joints: dict[str, str]) -> None
         missing |= set(_POSITION).difference(names)
     if missing:
         raise MissingColumns(path, missing, names, _RECORD_IT)
-
-
-def _once(rows: Rows) -> tuple[Rows, int]:
-    """Keep each controller sample once: a writer on its own clock repeats the last one it has."""
-    again = rows.frame["timestamp"].eq(rows.frame["timestamp"].shift()).fill_null(value=False)
-    reason = pl.lit("repeats the controller sample before it").alias("reason")
-    aside = pl.concat([rows.set_aside, rows.frame.filter(again).select("source_row", reason)]).sort("source_row")
-    return Rows(rows.frame.filter(~again), rows.rows_read, aside), int(again.sum())
 
 
 def _robot(frame: pl.DataFrame, register: str, joints: dict[str, str]) -> pl.DataFrame:
@@ -143,12 +136,7 @@ def _fraction(value: pl.Expr) -> pl.Expr:
 
 
 def _warnings(frame: pl.DataFrame, repeated: int) -> list[str]:
-    said = []
-    back = int((frame["timestamp"].diff() < 0).sum())
-    if back:
-        said.append(f"the controller's clock steps back {back} time(s): it was restarted, each part is its own run")
-    if repeated:
-        said.append(f"{repeated} rows repeat the controller sample before them and are left out")
+    said = clock_warnings(frame["timestamp"], repeated)
     absent = [name for name in (*_FRACTIONS, "runtime_state") if name not in frame.columns]
     if absent:
         said.append(f"{', '.join(absent)} not recorded: the speed scaling is unknown")

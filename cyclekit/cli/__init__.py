@@ -64,6 +64,7 @@ def app() -> typer.Typer:
     """Return the command line with every command, in the order of the work."""
     from cyclekit.cli import (
         adapters,
+        calibrate,
         demo,
         estimate,
         evaluate,
@@ -77,7 +78,7 @@ def app() -> typer.Typer:
     from cyclekit.cli.options import new_app
 
     commands = new_app()
-    for module in (demo, simulate, ingest, inspect, train, evaluate, estimate, replay, report, adapters):
+    for module in (demo, simulate, calibrate, ingest, inspect, train, evaluate, estimate, replay, report, adapters):
         name = module.__name__.rpartition(".")[2]
         commands.command(name, epilog=f"\b\nExample:\n  {module.EXAMPLE}")(getattr(module, name))
     return commands

@@ -20,6 +20,12 @@ if TYPE_CHECKING:
         TableFacts,
     )
 
+GAP_REASONS = {
+    "seen": "somebody is seen",
+    "occluded": "lost, and seen again within 5 s",
+    "absent": "nobody there, or away for longer",
+    "outside": "the log had not begun, or was over",
+}
 SHOWN_GAPS, SHOWN_TASKS, SHOWN_FILES = 3, 12, 20
 
 
@@ -126,10 +132,50 @@ def _dataset(found: DatasetDescription) -> str:
     parts.append(table(["scaling level ", "of samples"], levels) if levels else "no staircase levels found")
     parts += [_places("robot place ", found.places), _places("operator place ", found.human_places)]
     parts.append(_tasks(found.tasks))
+    parts += [_clocks(found.clocks), _operator(found.operator)]
     silences = [f"gaps in {name}: {_gaps(gaps)}" for name, gaps in found.gaps.items()]
     parts.append(bullet(_some(silences, SHOWN_FILES)))
     parts.append(bullet(_some(found.warnings, SHOWN_FILES), mark="! "))
     return "\n\n".join(part for part in parts if part)
+
+
+def _clocks(clocks: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return how the clocks were related: one entry per recording that has not its session's own clock."""
+    told = [
+        f"clock of {name}: {_clock(clock)}"
+        for name, clock in clocks.items()
+        if clock.get("method") not in (None, "own", "same-log")
+    ]
+    return bullet(_some(told, SHOWN_FILES))
+
+
+def _clock(clock: Mapping[str, Any]) -> str:
+    parts = [str(clock["method"]), f"offset {clock.get('offset_s', 0.0):.3f} s"]
+    if abs(clock.get("rate", 1.0) - 1.0) > 1e-9:
+        parts.append(f"rate {1e6 * (clock['rate'] - 1.0):+.1f} ppm")
+    if "residual_s" in clock:
+        parts.append(f"residual {1000 * clock['residual_s']:.1f} ms")
+    if "events" in clock:
+        rejected = f" ({clock['events_rejected']} rejected)" if clock.get("events_rejected") else ""
+        parts.append(f"{clock['events']} events{rejected}")
+    if "correlation" in clock:
+        parts.append(f"correlation {clock['correlation']:.2f}")
+    if "second_best" in clock:
+        parts.append(f"second-best fit {percent(clock['second_best'])} at {clock['second_best_s']:+.2f} s")
+    if "same_as" in clock:
+        parts.append(f"that of {clock['same_as']}")
+    return ", ".join(parts)
+
+
+def _operator(seen: Mapping[str, Mapping[str, int]]) -> str:
+    """Return in how many samples somebody was seen, and why nobody was in the others, over all recordings."""
+    total = {name: sum(counts.get(name, 0) for counts in seen.values()) for name in GAP_REASONS}
+    if not any(total.values()):
+        return ""
+    lines = [f"  {name:<11} {count} samples: {GAP_REASONS[name]}" for name, count in total.items() if count]
+    disbelieved = sum(counts.get("not_believed", 0) for counts in seen.values())
+    lines += [f"  not believed {disbelieved} positions: nobody moves that fast"] if disbelieved else []
+    return "\n".join(["operator, by the logs of people", *lines])
 
 
 def _places(title: str, places: Mapping[str, Mapping[str, Any]]) -> str:

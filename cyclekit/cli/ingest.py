@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -21,6 +21,13 @@ def ingest(
     out: Annotated[Path, typer.Option(help="Folder of the dataset.", metavar="DATASET")],
     cell: Annotated[Path | None, typer.Option(help="Cell file; default: cell.toml in the folder of logs.")] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Logs read at the same time.")] = 1,
+    pseudonymise: Annotated[
+        bool, typer.Option("--pseudonymise", help="Keep no track ids and no wall-clock time (docs/privacy.md).")
+    ] = False,
+    align_clocks: Annotated[
+        Literal["coarse"] | None,
+        typer.Option(help="Last resort for unrelated clocks; hides the reaction delay (docs/clocks.md)."),
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -32,7 +39,15 @@ def ingest(
 
     terminal = Terminal(json=json, quiet=quiet)
     with terminal.progress("ingesting") as progress:
-        report = ingest_logs(logs, out, cell=cell, jobs=jobs, progress=progress)
+        report = ingest_logs(
+            logs,
+            out,
+            cell=cell,
+            jobs=jobs,
+            pseudonymise=pseudonymise,
+            align_clocks=align_clocks,
+            progress=progress,
+        )
     for path, reason in report.not_read:
         terminal.remark(f"not read: {path}: {reason}")
     terminal.warnings(report.warnings)

@@ -102,3 +102,6 @@ def simulated(scene: str, out: Path, executions: int, seed: int, settings: dict[
         return simulate(scene, out, executions=executions, seed=seed, options=options, progress=progress)
     except SimulationError as error:
         raise CyclekitError(str(error)) from error
+    except OSError as error:
+        msg = f"{out}: cannot be written ({error.strerror or error})"
+        raise CyclekitError(msg, cure="Check the folder, its permissions and the free space.") from error

@@ -228,6 +228,6 @@ def write_out(file: Path, content: str | Mapping[str, Any]) -> None:
     Raises:
         CyclekitError: The file cannot be written.
     """
-    from cyclekit.dataset import write_text
+    from cyclekit.atomic import write_text
 
     write_text(file, content if isinstance(content, str) else _as_json(content) + "\n")

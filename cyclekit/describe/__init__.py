@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from cyclekit.dataset import CARD, Dataset, recover
+from cyclekit.atomic import recover
+from cyclekit.dataset import CARD, Dataset
 from cyclekit.describe.facts import (
     DatasetDescription,
     Description,
@@ -25,6 +26,7 @@ from cyclekit.discover import cell_for, find_all, options_of
 from cyclekit.errors import LogError
 from cyclekit.models.saved import CARD as MODEL_CARD
 from cyclekit.models.saved import load_model
+from cyclekit.plausible import examined
 from cyclekit.registry import adapter_named
 from cyclekit.steps import find_staircase
 
@@ -96,7 +98,7 @@ def _describe_logs(path: Path, progress: Progress | None) -> LogsDescription:
 
 
 def _describe_log(path: Path, entry: Registered, options: ReadOptions) -> LogFacts:
-    recording = entry.adapter.read(path, options)
+    recording = examined(entry.adapter.read(path, options))
     tables = {"robot": recording.robot, "people": recording.people, "events": recording.events}
     levels, share = _levels(recording.robot)
     return LogFacts(
@@ -180,6 +182,8 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
         operator_seen=1 - samples["human_x_m"].null_count() / rows,
         gaps=_recording_gaps(dataset, progress),
         warnings=tuple(_warnings(dataset)),
+        clocks={str(record["id"]): dict(record["clock"]) for record in records},
+        operator={str(record["id"]): dict(record["operator"]) for record in records if "operator" in record},
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -93,6 +93,9 @@ class DatasetDescription:
         scaling_known: Fraction of the samples whose scaling is known; `scaling_inferred`: of those, not logged.
         operator_seen: Fraction of the samples in which the operator's position is known.
         gaps: Silences per recording and table (`id/robot`), where there are any.
+        clocks: How each recording's clock was related to its session's, by recording: method, offset_s, rate, and
+            what is known of how good that is (docs/clocks.md).
+        operator: Samples in which each recording of people saw somebody, and why nobody in the others.
     """
 
     path: Path
@@ -114,6 +117,8 @@ class DatasetDescription:
     operator_seen: float
     gaps: Mapping[str, tuple[Gap, ...]]
     warnings: tuple[str, ...]
+    clocks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    operator: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     kind: str = "dataset"
 
     def to_json(self) -> dict[str, Any]:

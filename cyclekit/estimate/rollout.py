@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from threadpoolctl import threadpool_limits
 
 from cyclekit.errors import EstimateError, ModelError
 from cyclekit.estimate.nominal import nominal_tasks
@@ -120,7 +121,8 @@ def _with_enough_track(
     horizon = 2.5 * program.length_s
     for _ in range(4):
         tracks = operator_tracks(dataset, horizon_s=horizon, operator=sequence.operator)
-        rolled = roll_out(model, program, tracks, support, seed=seed)
+        with threadpool_limits(limits=1, user_api="blas"):  # thousands of tiny products: more threads only wait
+            rolled = roll_out(model, program, tracks, support, seed=seed)
         if np.isfinite(rolled.duration_s).all():
             return rolled, tracks
         horizon *= 2.0
@@ -287,4 +289,6 @@ def _warnings(rolled: Rolled, tracks: OperatorTracks, dataset: Dataset, model: T
         found.append("the speed scaling was not logged but inferred from velocity ratios")
     if any(record["clock"]["method"] == "assumed-common-start" for record in dataset.recordings):
         found.append("the clocks of robot and tracker are only assumed to start together")
+    if any(record["clock"]["method"] in ("coarse", "start-text") for record in dataset.recordings):
+        found.append("the clocks of robot and tracker are aligned roughly: the reaction delay is hidden or unknown")
     return found

@@ -85,7 +85,7 @@ def fit_thresholds(
 
 def _boosted(learn: Samples, judge: Samples) -> Row:
     from sklearn.ensemble import HistGradientBoostingRegressor  # slow to import
-    from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+    from threadpoolctl import threadpool_limits
 
     rows = np.arange(len(learn))
     if rows.size > _BOOSTED_ROWS:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit import schema
-from cyclekit.dataset import recover, staged
+from cyclekit.atomic import recover, staged
 from cyclekit.errors import ModelError, ShapeError
 from cyclekit.models.layout import Layout, NotAModel, parse_model, parse_weights, to_safetensors
 from cyclekit.samples import INPUTS

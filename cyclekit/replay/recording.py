@@ -5,15 +5,13 @@ Rerun's file is built by column from the arrays of `execution`; what is drawn is
 
 from __future__ import annotations
 
-import os
 import uuid
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import rerun as rr
 
-from cyclekit.errors import CyclekitError
+from cyclekit.atomic import replaced
 from cyclekit.replay.curves import log_curves
 from cyclekit.replay.execution import load_execution
 from cyclekit.replay.layout import EXECUTION, SESSION, blueprint
@@ -77,18 +75,9 @@ def write_replay(
     say = progress or (lambda _text: None)
     say("reading the execution")
     run = load_execution(dataset, execution, model)
-    temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
+    with replaced(out) as temporary:
         say("drawing scene and plots")
         rows = _fill(run, temporary)
-        temporary.replace(out)
-    except OSError as error:
-        msg = f"{out}: the replay cannot be written ({error.strerror or error})"
-        raise CyclekitError(msg, cure="Check the folder, its permissions and the free space.") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
     return ReplayFacts(out, run.name, run.duration_s, rows, out.stat().st_size, len(run.gaps), run.notes)
 
 
@@ -96,7 +85,8 @@ def _fill(run: Execution, file: Path) -> int:
     """Write one execution into `file` and close it; same execution, same recording id."""
     identity = uuid.uuid5(uuid.NAMESPACE_URL, f"cyclekit:{run.cell}:{run.name}")
     stream = rr.RecordingStream("cyclekit", recording_id=identity, send_properties=False)
-    stream.save(file, default_blueprint=blueprint(run))
+    memory = stream.memory_recording()  # rerun's own file sink waits for ever when the disk is full
+    stream.send_blueprint(blueprint(run))
     stream.send_recording_name(f"{run.cell}, {run.name}")
 
     def times(t_s: NDArray[np.float64]) -> list[rr.TimeColumn]:
@@ -104,5 +94,6 @@ def _fill(run: Execution, file: Path) -> int:
 
     rows = log_scene(stream, run, times) + log_curves(stream, run, times)
     stream.flush()
+    file.write_bytes(memory.drain_as_bytes())
     stream.disconnect()
     return rows

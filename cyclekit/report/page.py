@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import jinja2
 
-from cyclekit.dataset import write_text
+from cyclekit.atomic import write_text
 from cyclekit.report import answer, trust, where, why
 from cyclekit.report.findings import overview
 from cyclekit.report.texts import load_texts

@@ -104,12 +104,32 @@ def _kind(record: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _clock(clock: Mapping[str, Any]) -> str:
-    """The kind of clock and how it was related; the offset itself differs per recording and stays in the card."""
-    parts = [str(clock[key]) for key in ("kind", "method") if clock.get(key)]
-    rate = float(clock.get("rate", 1.0))
-    if abs(rate - 1.0) > 1e-9:
-        parts.append(f"rate {rate:.6f}")
-    return ", ".join(parts) or "not stated"
+    """The kind of clock and how it was related; what differs per recording follows from all of them together."""
+    return ", ".join(str(clock[key]) for key in ("kind", "method") if clock.get(key)) or "not stated"
+
+
+def _clock_fits(records: Iterable[Mapping[str, Any]]) -> str:
+    """How good the fits of like clocks are: offset where they share it, range of rates, worst residual, doubts."""
+    clocks = [record.get("clock", {}) for record in records]
+    parts = []
+    offsets = [float(clock["offset_s"]) for clock in clocks if clock.get("offset_s") is not None]
+    if len(offsets) == 1 and clocks[0].get("method") not in ("own", "same-log"):
+        parts.append(f"offset {offsets[0]:.3f} s")
+    rates = [float(clock.get("rate", 1.0)) for clock in clocks]
+    low, high = min(rates, default=1.0), max(rates, default=1.0)
+    if max(abs(low - 1.0), abs(high - 1.0)) > 1e-9:
+        parts.append(f"rate {low:.6f}" if high - low < 5e-7 else f"rate {low:.6f} to {high:.6f}")
+    residuals = [float(clock["residual_s"]) for clock in clocks if clock.get("residual_s") is not None]
+    if residuals:
+        parts.append(f"residual {'up to ' if len(residuals) > 1 else ''}{1000 * max(residuals):.1f} ms")
+    events = [int(clock["events"]) for clock in clocks if clock.get("events") is not None]
+    if events:
+        parts.append(f"{min(events)} events" + (" or more" if len(events) > 1 else ""))
+    doubts = [clock for clock in clocks if clock.get("second_best") is not None]
+    if doubts:
+        worst = max(doubts, key=lambda clock: float(clock["second_best"]))
+        parts.append(f"second-best fit {100 * worst['second_best']:.0f} % at {float(worst['second_best_s']):+.2f} s")
+    return ", ".join(parts)
 
 
 def _frame(frame: Mapping[str, Any]) -> str:
@@ -134,7 +154,7 @@ def _source(kind: tuple[str, ...], records: Iterable[Mapping[str, Any]]) -> Sour
         set_aside=sum(int(e.get("count", 1)) for r in records for e in _set_aside(r)),
         rate_hz=sum(rates) / len(rates) if rates else None,
         hours=sum(float(r.get("duration_s") or 0.0) for r in records) / 3600,
-        clock=kind[2],
+        clock=", ".join(part for part in (kind[2], _clock_fits(records)) if part),
         frame=kind[3],
     )
 

@@ -7,6 +7,7 @@ nothing that looks like logs. Same seed, same bytes.
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
 import shutil
 from collections.abc import Callable, Sequence
@@ -68,15 +69,23 @@ def simulate(
 
     Raises:
         SimulationError: Unknown scene, unusable options, a folder with other content, or a robot that gets stuck.
+        OSError: The folder cannot be written; what was there stays.
     """
     work = prepare(_scene(scene), seed, options, executions=executions)
     _refuse_foreign(out)
-    partial = out.with_name(f".{out.name}.partial")
+    partial, retired = (out.with_name(f".{out.name}.{kind}") for kind in ("partial", "retired"))
+    if retired.exists() and not out.exists():  # killed between the two renames below
+        retired.replace(out)
     shutil.rmtree(partial, ignore_errors=True)
     try:
         _write(partial, work, progress or (lambda _done, _what: None))
-        shutil.rmtree(out, ignore_errors=True)
+        shutil.rmtree(retired, ignore_errors=True)
+        if out.exists():
+            out.replace(retired)
         partial.replace(out)
+        shutil.rmtree(retired, ignore_errors=True)
+    except pl.exceptions.PolarsError as error:  # what polars makes of a full disk
+        raise OSError(errno.EIO, str(error).rpartition("error: ")[2], str(out)) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return out

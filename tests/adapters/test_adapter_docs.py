@@ -12,6 +12,7 @@ from cyclekit_adapters import mapped_csv
 from cyclekit_adapters.rosbag import roles
 
 ROOT = Path(__file__).parents[2]
+PROJECT = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
 DOCS = (ROOT / "docs/adapters.md").read_text(encoding="utf-8")
 
 
@@ -51,6 +52,23 @@ def test_the_cell_file_of_the_documentation_reads_a_kuka_table(tmp_path):
     assert robot["scaling"].to_list() == [0.5, 1.0]
 
 
-@pytest.mark.parametrize("name", ["ur-rtde", "ur-split", "motive", "rosbag", "csv"])
-def test_every_adapter_has_its_section(name):
-    assert f"## {name}" in DOCS
+@pytest.mark.parametrize("name", tomllib.loads(PROJECT)["project"]["entry-points"]["cyclekit.adapters"])
+def test_every_adapter_has_its_section_and_its_rows(name):
+    assert f"## {name}:" in DOCS
+    assert f"| `{name}` |" in DOCS
+    assert f"| `{name}` |" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("name", "keys"),
+    [
+        ("qualisys", ["markers", "up"]),
+        ("vicon", ["markers", "up"]),
+        ("c3d", ["markers", "up"]),
+        ("zed", ["unit", "axes"]),
+        ("pedestrian", ["columns", "unit"]),
+    ],
+)
+def test_every_key_of_a_tracker_is_documented(name, keys):
+    section = DOCS.partition(f"## {name}:")[2].partition("\n## ")[0]
+    assert [key for key in keys if f"`{key}" not in section] == []

@@ -197,8 +197,8 @@ def test_a_bag_of_nothing_we_need_is_refused_with_the_topics_found(tmp_path, bag
         read(tmp_path / "run")
 
 
-@pytest.mark.parametrize("kind", ["mcap", "bag", "db3"])
-def test_a_bag_cut_in_half_is_refused_with_a_cure(tmp_path, bag, kind):
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_a_bag_cut_within_its_first_chunk_is_refused_with_a_cure(tmp_path, bag, kind):
     path = tmp_path / ("run.bag" if kind == "bag" else "run")
     writer = bag(path, kind)
     for i in range(300):

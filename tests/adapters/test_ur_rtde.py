@@ -147,14 +147,6 @@ def test_a_header_without_rows_is_refused_with_that_reason(tmp_path, ur):
         read(write(tmp_path / "run.csv", ur.text([])))
 
 
-def test_a_binary_recording_is_recognised_and_refused(tmp_path):
-    path = tmp_path / "run.csv"
-    path.write_bytes(b"timestamp actual_q_0\nDOUBLE DOUBLE\n" + bytes(range(256)))
-    assert ADAPTER.recognises(path) or b"\0" in path.read_bytes()
-    with pytest.raises(DamagedLog, match="binary recording"):
-        read(path)
-
-
 def test_the_register_is_the_one_the_cell_names(tmp_path, ur):
     path = write(tmp_path / "run.csv", ur.text([ur.row(1.0, output_int_register_0=4, output_int_register_3=7)]))
     assert read(path).robot["register"].to_list() == [4]

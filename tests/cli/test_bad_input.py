@@ -32,7 +32,7 @@ def lfs_pointer(path: Path) -> None:
 
 
 def csv_without_a_time_column(path: Path) -> None:
-    path.write_text("x;y;z\n1;2;3\n1;2;4\n", encoding="utf-8")
+    path.write_text("x;y;z;grip\n1;2;3;0\n1;2;4;0\n", encoding="utf-8")
 
 
 BAD_LOGS: list[tuple[Callable[[Path], None], str, str]] = [
@@ -76,16 +76,22 @@ def test_a_mapped_csv_without_its_time_column_is_refused_by_the_name_of_the_colu
     assert not (tmp_path / "dataset").exists()
 
 
-def test_a_bag_cut_in_half_is_refused_with_the_command_that_recovers_it(cyclekit: Shell, tmp_path: Path) -> None:
+def test_of_a_bag_cut_in_half_the_whole_chunks_are_kept_and_the_loss_is_said(cyclekit: Shell, tmp_path: Path) -> None:
     made = cyclekit("simulate", "box-picking", "--out", tmp_path / "logs", "--executions", "1", "--logs", "mcap")
     assert made.code == 0, made.err
     (bag,) = (tmp_path / "logs").rglob("*.mcap")
-    bag.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
-    failed = cyclekit("ingest", bag, "--out", tmp_path / "dataset")
-    assert failed.code == 1
-    assert failed.err.startswith(f"error: {bag}: the bag is cut")
-    assert "mcap recover" in failed.err
-    assert [path.name for path in tmp_path.iterdir()] == ["logs"]
+    whole = bag.read_bytes()
+    bag.write_bytes(whole[: len(whole) // 2])
+    kept = cyclekit("ingest", bag, "--out", tmp_path / "dataset")
+    assert kept.code == 0, kept.err
+    assert kept.err.count("the bag is cut") == 1
+    assert bag.name in kept.err
+    assert "copy the bag again" in kept.err
+    bag.write_bytes(whole[:2000])
+    refused = cyclekit("ingest", bag, "--out", tmp_path / "other")
+    assert refused.code == 1
+    assert refused.err.startswith(f"error: {bag}: ")
+    assert not (tmp_path / "other").exists()
 
 
 def test_a_model_of_another_schema_version_is_refused(

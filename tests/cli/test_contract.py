@@ -20,13 +20,14 @@ if TYPE_CHECKING:
 COMMANDS = typer.main.get_command(app()).commands  # type: ignore[attr-defined]
 CONTRACT = {
     "simulate": (["scene"], ["--out", "--executions", "--seed", "--operator-log"]),
-    "ingest": (["logs"], ["--out", "--cell", "--jobs"]),
+    "ingest": (["logs"], ["--out", "--cell", "--jobs", "--align-clocks"]),
     "inspect": (["path"], ["--write-cell"]),
     "train": (["dataset"], ["--out", "--problem", "--network", "--horizon", "--seed"]),
     "evaluate": (["model", "dataset"], []),
     "estimate": (["model", "sequences"], ["--dataset", "--out"]),
     "replay": (["dataset"], ["--execution", "--out", "--model", "--open"]),
     "report": (["dataset"], ["--model", "--sequences", "--out"]),
+    "calibrate": (["points"], ["--up"]),
     "adapters": ([], []),
     "demo": ([], ["--out", "--operator-log"]),
 }

@@ -126,7 +126,7 @@ def test_a_killed_ingest_leaves_the_old_dataset_whole(
     words = ["ingest", str(logs), "--out", str(target), "--quiet"]
     started = subprocess.Popen([sys.executable, "-c", f"from cyclekit.cli import main; main({words!r})"])
     limit_s = time.monotonic() + 20
-    while not (tmp_path / ".dataset.new").exists() and started.poll() is None and time.monotonic() < limit_s:
+    while not list(tmp_path.glob(".dataset.new-*")) and started.poll() is None and time.monotonic() < limit_s:
         time.sleep(0.005)
     started.send_signal(signal.SIGKILL)
     started.wait(timeout=20)

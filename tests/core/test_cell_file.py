@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import string
+from datetime import UTC
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cyclekit.config import Cell, Executions, Frame, NamedPlace, Source, cell_to_toml, load_cell
+from cyclekit.config import Cell, Executions, Frame, NamedPlace, Source, Sync, cell_to_toml, load_cell
 from cyclekit.errors import ConfigError, UnknownName
 
 EVERYTHING = """
@@ -68,6 +69,39 @@ def test_every_key_of_a_cell_file_arrives(tmp_path: Path):
     assert cell.executions == Executions("digital-output", 5.0, "conveyor", 3)
 
 
+CLOCKS = """
+[[sources]]
+path = "gripper.csv"
+sync = { robot = "digital-output 3", other = "sync_in=1" }
+
+[[sources]]
+path = "flange.csv"
+sees = "tcp"
+sees_as = "Flange"
+
+[[sources]]
+path = "operator.csv"
+same_clock_as = "flange.csv"
+
+[[sources]]
+path = "kinect.json"
+sync_events = [[1.5, 101.5], [61, 161.003]]
+
+[[sources]]
+path = "qualisys.tsv"
+start = 2026-03-02T14:03:11+01:00
+"""
+
+
+def test_every_way_to_relate_a_clock_arrives(tmp_path: Path):
+    events, flange, operator, kinect, qualisys = load_cell(written(tmp_path, CLOCKS)).sources
+    assert events.sync == Sync("digital-output 3", "sync_in=1")
+    assert (flange.sees, flange.sees_as) == ("tcp", "Flange")
+    assert operator.same_clock_as == "flange.csv"
+    assert kinect.sync_events == ((1.5, 101.5), (61.0, 161.003))
+    assert qualisys.start == "2026-03-02T14:03:11+01:00"
+
+
 def test_an_empty_cell_file_is_a_cell_with_the_defaults_named_after_its_folder(tmp_path: Path):
     assert load_cell(written(tmp_path, "")) == Cell(name=tmp_path.name)
 
@@ -101,6 +135,8 @@ def test_yaw_and_rotation_say_the_same_frame(tmp_path: Path, yaw_deg: float):
         ("[human_places.home]\nxyzm = [0, 0, 0]", "xyz_m"),
         ("[executions]\ngap = 2", "gap_s"),
         ('[executions]\nbegin = "registers"', "register"),
+        ('sources = [{ path = "a", sees = "tpc" }]', "tcp"),
+        ('sources = [{ path = "a", sync = { robot = "register", others = "b" } }]', "other"),
     ],
 )
 def test_a_name_that_is_not_known_is_refused_with_the_nearest(tmp_path: Path, text: str, near: str):
@@ -131,6 +167,20 @@ def test_a_name_that_is_not_known_is_refused_with_the_nearest(tmp_path: Path, te
         'sources = [{ path = "a", clock_offset_s = "12" }]',
         'sources = [{ path = "a", clock_offset_s = inf }]',
         'sources = [{ path = "a", map = "t" }]',
+        'sources = [{ path = "a", sync = "register" }]',
+        'sources = [{ path = "a", sync = { robot = "register" } }]',
+        'sources = [{ path = "a", sync = { robot = 3, other = "b" } }]',
+        'sources = [{ path = "a", sync_events = [[1, 2, 3]] }]',
+        'sources = [{ path = "a", sync_events = [["1", 2]] }]',
+        'sources = [{ path = "a", sync_events = 3 }]',
+        'sources = [{ path = "a", same_clock_as = 3 }]',
+        'sources = [{ path = "a", sees_as = "Flange" }]',
+        'sources = [{ path = "a", sees = "tcp", clock_offset_s = 3 }]',
+        'sources = [{ path = "a", sees = "tcp", clock_rate = 1.1 }]',
+        'sources = [{ path = "a", same_clock_as = "b", sync_events = [[1, 2]] }]',
+        'sources = [{ path = "a", start = "2026-03-02T14:03:11" }]',
+        'sources = [{ path = "a", start = "yesterday" }]',
+        'sources = [{ path = "a", start = 3 }]',
         'sources = [{ path = "a", frame = 3 }]',
         'sources = [{ path = "a", frame = { yaw_deg = "north" } }]',
         'sources = [{ path = "a", frame = { xyz_m = [0, 0] } }]',
@@ -172,13 +222,20 @@ YAW = st.floats(-math.pi, math.pi).map(
     lambda a: ((math.cos(a), -math.sin(a), 0.0), (math.sin(a), math.cos(a), 0.0), (0.0, 0.0, 1.0))
 )
 PLACES = st.dictionaries(TEXT, st.builds(NamedPlace, POINT, POSITIVE), max_size=3)
+INSTANT = st.datetimes(timezones=st.just(UTC)).map(lambda when: when.isoformat())
+CLOCK = st.one_of(
+    st.fixed_dictionaries({}, optional={"clock_offset_s": NUMBER, "clock_rate": POSITIVE}),
+    st.fixed_dictionaries({"sync": st.builds(Sync, TEXT, TEXT)}),
+    st.fixed_dictionaries({"sync_events": st.lists(st.tuples(NUMBER, NUMBER), min_size=1, max_size=3).map(tuple)}),
+    st.fixed_dictionaries({"sees": st.just("tcp")}, optional={"sees_as": TEXT}),
+    st.fixed_dictionaries({"same_clock_as": TEXT}, optional={"start": INSTANT}),
+)
 SOURCE = st.builds(
-    Source,
+    lambda clock, **others: Source(**clock, **others),
+    CLOCK,
     path=TEXT,
     adapter=st.none() | TEXT,
     role=st.sampled_from([None, "robot", "people", "events"]),
-    clock_offset_s=st.none() | NUMBER,
-    clock_rate=POSITIVE,
     frame=st.none() | st.builds(Frame, POINT, YAW),
     body=st.none() | TEXT,
     rate_hz=st.none() | POSITIVE,

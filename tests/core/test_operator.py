@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Source
 from cyclekit.dataset import Dataset, Place
@@ -17,9 +19,13 @@ from cyclekit.people import (
     at_times,
     find_spots,
     find_stays,
+    gap_reasons,
     goals_from_events,
     goals_from_stays,
+    ids_are_real,
+    link_by_motion,
     nearest_person,
+    without_jumps,
 )
 
 if TYPE_CHECKING:
@@ -85,6 +91,124 @@ def test_where_the_tool_is_unknown_whoever_is_seen_counts():
     t_s = np.arange(0.0, 1.0, 0.1)
     found = nearest_person([walk(t_s, 1.0), walk(t_s, 0.0)], t_s, np.full((10, 3), np.nan), bridge_s=0.3)
     assert found[:, 1] == pytest.approx(1.0)
+
+
+def circling(frames: int = 900) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Two people at 30 Hz, walking in circles that come within 0.2 m; times, positions and who it is."""
+    t = np.arange(frames) / 30
+    first = np.column_stack([1.5 * np.cos(t), 1.5 * np.sin(t), 0 * t + 1.0])
+    second = np.column_stack([3.2 + 1.5 * np.cos(1.3 * t), 1.5 * np.sin(1.3 * t), 0 * t + 1.0])
+    both = np.stack([first, second], axis=1).reshape(-1, 3)
+    return np.repeat(t, 2), both, np.tile([0, 1], frames)
+
+
+def test_people_whose_ids_change_every_frame_are_linked_again_by_motion():
+    t, xyz, who = circling()
+    mixed = np.random.default_rng(1).permuted(np.arange(len(t)).reshape(-1, 2), axis=1).ravel()  # in any order
+    found = link_by_motion(t[mixed], xyz[mixed])
+    assert len(np.unique(found)) == 2
+    same = found == who[mixed]
+    assert same.all() or (~same).all()
+
+
+def test_somebody_who_was_away_is_somebody_new_and_nobody_is_linked_across_the_cell():
+    t, xyz, _ = circling()
+    away = (t > 10) & (t < 12)
+    linked = link_by_motion(t[~away], xyz[~away])
+    assert len(np.unique(linked)) == 4
+    near, far = np.array([[0.0, 0, 0], [6.0, 0, 0]])
+    assert link_by_motion(np.array([0.0, 0.05]), np.array([near, far])).tolist() == [0, 1]
+    assert link_by_motion(np.array([0.0, 0.05]), np.array([near, near + 0.2])).tolist() == [0, 0]
+
+
+def test_rows_without_a_position_belong_to_nobody():
+    assert link_by_motion(np.arange(3.0), np.full((3, 3), np.nan)).tolist() == [-1, -1, -1]
+    assert link_by_motion(np.empty(0), np.empty((0, 3))).tolist() == []
+
+
+def test_ids_that_last_are_kept_and_ids_of_a_frame_or_two_are_none():
+    assert ids_are_real(np.repeat([0, 1, 2, 3, 4], 50))
+    assert not ids_are_real(np.arange(200))
+    assert not ids_are_real(np.repeat(np.arange(100), 2))
+    assert ids_are_real(np.array([0, 0, 1]))  # too few to say
+    assert ids_are_real(np.concatenate([np.zeros(500, int), np.arange(1, 100)]))  # one person, and false sightings
+
+
+def test_a_false_sighting_at_the_other_end_of_the_hall_is_not_believed_and_the_track_goes_on():
+    track = walk(np.arange(0, 10, 0.02))
+    track.xyz_m[200:205, 1] += 12.0
+    parts, dropped = without_jumps(track)
+    assert dropped == 5
+    assert len(parts) == 1
+    found = at_times(parts[0], np.arange(0.05, 9.9, 0.1), bridge_s=0.3)
+    assert np.abs(found[:, 1]).max() == 0.0
+
+
+def test_a_track_that_flickers_keeps_the_place_where_it_mostly_is():
+    track = walk(np.arange(0, 100, 0.02))
+    wrong = np.random.default_rng(1).random(5000) < 0.3
+    track.xyz_m[wrong, 1] += 15.0
+    parts, dropped = without_jumps(track)
+    assert dropped >= 0.95 * wrong.sum()
+    kept = np.vstack([part.xyz_m for part in parts])
+    assert np.nanmean(np.abs(kept[:, 1]) > 1) < 0.05
+
+
+def test_a_false_start_does_not_cost_the_track():
+    track = walk(np.arange(0, 10, 0.02))
+    track.xyz_m[0, 0] -= 30.0
+    parts, dropped = without_jumps(track)
+    assert (len(parts), dropped) == (1, 1)
+
+
+def test_nothing_is_interpolated_across_a_lasting_jump():
+    track = walk(np.arange(0, 10, 0.1))
+    track.xyz_m[50:, 0] += 20.0
+    parts, dropped = without_jumps(track)
+    assert (len(parts), dropped) == (2, 0)
+    between = np.array([4.95])
+    assert all(np.isnan(at_times(part, between, bridge_s=0.3)).all() for part in parts)
+
+
+@given(st.integers(0, 1000), st.floats(0.2, 3.0), st.sampled_from([10.0, 30.0, 120.0]))
+def test_no_position_of_somebody_who_walks_is_disbelieved(seed: int, speed_m_s: float, rate_hz: float):
+    rng = np.random.default_rng(seed)
+    t = np.sort(rng.uniform(0, 20, int(20 * rate_hz)))
+    heading = np.cumsum(rng.normal(0.0, 0.1, len(t)))
+    step = np.diff(t, prepend=0.0)[:, None] * speed_m_s * np.column_stack([np.cos(heading), np.sin(heading), 0 * t])
+    xyz = np.cumsum(step, axis=0) + rng.normal(0.0, 0.01, (len(t), 3))
+    parts, dropped = without_jumps(Track("1", t, xyz))
+    assert (len(parts), dropped) == (1, 0)
+
+
+def test_the_reason_of_a_gap_is_what_the_log_shows_around_it():
+    track = with_holes(walk(np.arange(0, 60, 0.02)), [(10.0, 12.0), (20.0, 40.0)])
+    counts = gap_reasons([track], np.arange(-5.0, 65.0, 0.1), (0.0, 59.98), bridge_s=0.3)
+    assert counts["occluded"] == pytest.approx(20, abs=1)
+    assert counts["absent"] == pytest.approx(200, abs=1)
+    assert counts["outside"] == pytest.approx(100, abs=2)
+    assert sum(counts.values()) == 700
+
+
+def test_ids_that_change_every_frame_still_make_one_operator_in_the_samples(tmp_path: Path, robot_log: Any):
+    doing = [("move", 0.5), ("move", 0.0)] * 8
+    robot_log(tmp_path / "logs" / "robot.csv", [("stand", 1.0), *doing, ("stand", 1.0)])
+    t = np.arange(0.0, 18.0, 0.05)
+    near, far = np.column_stack([0 * t + 1.0, np.sin(t)]), np.column_stack([0 * t - 4.0, np.cos(t)])
+    lines = ["frame,id,x,y"]
+    for number in range(len(t)):
+        places = [far[number], near[number]] if number % 3 else [near[number], far[number]]
+        lines += [f"{t[number]:.3f},{2 * number + k},{p[0]:.4f},{p[1]:.4f}" for k, p in enumerate(places)]
+    (tmp_path / "logs" / "people.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    columns = {"time": "frame", "time_unit": "s", "person": "id", "x": "x", "y": "y", "length_unit": "m"}
+    people = Source("people.csv", adapter="csv", role="people", clock_offset_s=10.0, map=columns)
+    ingest([tmp_path / "logs"], tmp_path / "d", cell=Cell(sources=(people,)))
+    dataset = Dataset.open(tmp_path / "d")
+    (entry,) = [record for record in dataset.recordings if "people" in record["tables"]]
+    assert any("linked by motion into 2 tracks" in text for text in entry["warnings"])
+    seen = dataset.samples().filter(pl.col("human_x_m").is_not_null())
+    assert seen.height > 100
+    assert seen["human_x_m"].to_numpy() == pytest.approx(1.0, abs=1e-6)  # the nearer one, never a mix of both
 
 
 def test_a_goal_is_in_force_from_its_button_on():

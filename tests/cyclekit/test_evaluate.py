@@ -11,7 +11,7 @@ from fabricated import LEVELS, THRESHOLDS_M, fabricate_dataset
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit.dataset import write_parquet
+from cyclekit.atomic import write_parquet
 from cyclekit.errors import DatasetError
 from cyclekit.evaluate import evaluate
 from cyclekit.evaluate.baselines import fit_thresholds

@@ -18,7 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit import colours
-from cyclekit.dataset import CARD, Dataset, write_parquet
+from cyclekit.atomic import write_parquet
+from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError
 from cyclekit.estimate.result import CycleEstimate, TaskShare
 from cyclekit.labels import place_labels

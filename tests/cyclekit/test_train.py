@@ -10,7 +10,8 @@ import polars as pl
 import pytest
 from fabricated import LEVELS, THRESHOLDS_M, fabricate_dataset
 
-from cyclekit.dataset import CARD, Dataset, write_parquet
+from cyclekit.atomic import write_parquet
+from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, MissingExtra
 from cyclekit.models.saved import load_model, save_model
 from cyclekit.models.spec import ModelSpec

@@ -17,7 +17,8 @@ from cyclekit.adapter import Adapter, ClockKind, ReadOptions, Recording
 from cyclekit.errors import DamagedLog
 from cyclekit_adapters.rosbag.container import Bag, is_bag, opened
 from cyclekit_adapters.rosbag.roles import Factor, Roles, roles_in
-from cyclekit_adapters.rosbag.tables import Contents, collect, events_table, people_table, robot_table
+from cyclekit_adapters.rosbag.tables import events_table, people_table, robot_table
+from cyclekit_adapters.rosbag.tracks import Contents, collect
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -44,7 +45,7 @@ class _RosBag:
                 events=events,
                 clock=_clock(robot, people, events),
                 joint_names=contents.joint_names,
-                rows_read=bag.messages_read + len(bag.undecodable),
+                rows_read=bag.messages_read,
                 set_aside=_set_aside(bag),
                 warnings=tuple(contents.warnings),
                 facts=_facts(bag, roles, contents),
@@ -74,7 +75,10 @@ def _clock(*tables: pl.DataFrame | None) -> ClockKind:
 
 
 def _set_aside(bag: Bag) -> pl.DataFrame:
-    rows = [(index, reason) for _, index, reason in bag.undecodable]
+    rows: list[tuple[int | None, str]] = []
+    order = {topic: bag.order(topic) for topic, _, _ in bag.undecodable}
+    rows += [(int(order[topic][number]), reason) for topic, number, reason in bag.undecodable]
+    rows += [(None, reason) for reason in bag.set_aside()]  # a damaged chunk has no row
     return pl.DataFrame(rows, schema={"source_row": pl.Int64(), "reason": pl.String()}, orient="row")
 
 
@@ -91,7 +95,7 @@ def _facts(bag: Bag, roles: Roles, contents: Contents) -> dict[str, str]:
         "program_running": roles.running or "not recorded",
         "people": ", ".join(roles.people) or "none",
         "events": ", ".join(roles.events) or "none",
-        "frames": ", ".join(f"{topic}: {frame}" for topic, frame in contents.frames.items()) or "none",
+        "frames": ", ".join(f"{topic}: {frame}" for topic, frame in sorted(contents.frames.items())) or "none",
         "skipped_topics": ", ".join(unused) or "none",
     }
 

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from cyclekit_adapters.rosbag.container import Message
+    from cyclekit_adapters.rosbag.decode import Group
 
 Array = npt.NDArray[np.float64]
 _TOOLS = ("tool0_controller", "tool0", "tcp", "flange", "ee_link")
@@ -23,31 +23,52 @@ _BASES = ("base", "base_link")
 
 @dataclass
 class Link:
-    """The transforms of one frame in its parent, in the order of the bag."""
+    """The transforms of one frame in its parent, in the order of time.
+
+    Attributes:
+        parent: Name of the parent frame.
+        receive_s, stamp_s: When received and stamped, shape (N,), s.
+        pose: x, y, z in m and the rotation as x, y, z, w, shape (N, 7).
+    """
 
     parent: str
-    receive_s: list[float] = field(default_factory=list)
-    stamp_s: list[float] = field(default_factory=list)
-    pose: list[tuple[float, ...]] = field(default_factory=list)
+    receive_s: Array = field(default_factory=lambda: np.zeros(0))
+    stamp_s: Array = field(default_factory=lambda: np.zeros(0))
+    pose: Array = field(default_factory=lambda: np.zeros((0, 7)))
 
 
 class Transforms:
-    """All links of a bag, by the name of the child frame."""
+    """All links of a bag, by the name of the child frame; complete once `finish` was called."""
 
     def __init__(self) -> None:
         self.links: dict[str, Link] = {}
+        self._parts: dict[str, list[tuple[Array, Array, Array]]] = {}
 
-    def add(self, message: Message, receive_s: float) -> None:
-        """Take in one TFMessage."""
-        for item in message.transforms:
+    def add(self, group: Group) -> None:
+        """Take in a group of TFMessages."""
+        found = []
+        for number, item in enumerate(group.first("transforms")):
             child, parent = item.child_frame_id.strip("/"), item.header.frame_id.strip("/")
-            move, turn = item.transform.translation, item.transform.rotation
-            pose = tuple(map(float, (move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w)))
-            stamp_s = float(item.header.stamp.sec + item.header.stamp.nanosec * 1e-9)
-            link = self.links.setdefault(child, Link(parent))
-            link.receive_s.append(receive_s)
-            link.stamp_s.append(stamp_s)
-            link.pose.append(pose)
+            here = ("transforms", number, "transform")
+            moves = [group.numbers(*here, "translation", axis) for axis in "xyz"]
+            turns = [group.numbers(*here, "rotation", axis) for axis in "xyzw"]
+            stamp = [group.numbers("transforms", number, "header", "stamp", part) for part in ("sec", "nanosec")]
+            stamp_s: Array = np.add(stamp[0], stamp[1] * 1e-9, dtype=np.float64)
+            pose: Array = np.stack([*moves, *turns], axis=1).astype(np.float64)
+            found.append((child, parent, stamp_s, pose))
+        receive_s = group.receive_ns.astype(np.float64) * 1e-9
+        for child, parent, stamp_s, pose in found:
+            self.links.setdefault(child, Link(parent))
+            self._parts.setdefault(child, []).append((receive_s, stamp_s, pose))
+
+    def finish(self) -> None:
+        """Put what was taken in into the order of time."""
+        for child, link in self.links.items():
+            link.receive_s, link.stamp_s, link.pose = (
+                np.concatenate(part) for part in zip(*self._parts[child], strict=True)
+            )
+            order = np.argsort(link.receive_s, kind="stable")
+            link.receive_s, link.stamp_s, link.pose = link.receive_s[order], link.stamp_s[order], link.pose[order]
 
     def chain(self, base: str | None, tool: str | None) -> list[Link]:
         """Return the links from base to tool, empty if there is no such chain.
@@ -89,11 +110,11 @@ def tool_path(chain: list[Link], *, stamped: bool) -> tuple[Array, Array]:
     Returns:
         Times, shape (T,), s; positions in the base frame, shape (T, 3), m.
     """
-    times = [np.asarray(link.stamp_s if stamped else link.receive_s) for link in chain]
+    times = [link.stamp_s if stamped else link.receive_s for link in chain]
     t_s = np.unique(max(times, key=len))
     place, turn = np.zeros((t_s.size, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (t_s.size, 1))
     for link, own in zip(chain, times, strict=True):
-        pose = np.asarray(link.pose)[_nearest(own, t_s)]
+        pose = link.pose[_nearest(own, t_s)]
         place = place + _rotate(turn, pose[:, :3])
         turn = _multiply(turn, pose[:, 3:])
     return t_s, place

@@ -11,14 +11,17 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from cyclekit_adapters.rosbag.inflate import inflate
-from cyclekit_adapters.rosbag.payloads import BLOCK_BYTES, Bytes, Channel, Damage, Ints, Payloads
+from cyclekit_adapters.rosbag.inflate import STORED, check_size, inflate
+from cyclekit_adapters.rosbag.payloads import BLOCK_BYTES, Bytes, Channel, Damage, Ints, Payloads, distinct
 
+MAX_RECORDS = 4_000_000
+"""A chunk of more records than this was not written by a logger; it is read up to there."""
 _MAX_STEP = 64  # gaps between indexed records are few (connections); more, and the plain walk is faster
 
 
@@ -53,11 +56,15 @@ class Messages:
     size: Ints
     other: Sequence[int] = ()
 
+    def by_channel(self) -> dict[int, int]:
+        """Return how many messages each channel has."""
+        return {number: int(np.count_nonzero(self.channel == number)) for number in distinct(self.channel).tolist()}
+
 
 class Format(Protocol):
     """How records look inside a chunk."""
 
-    def walk(self, raw: bytes, begin: int, end: int) -> tuple[list[int], int]:
+    def walk(self, raw: Bytes, begin: int, end: int) -> tuple[list[int], int]:
         """Return the starts of the whole records from `begin`, and where the last of them ends."""
         ...
 
@@ -87,17 +94,34 @@ class ChunkedFile:
     chunks: list[Chunk] = field(default_factory=list)
     last_ns: int | None = None
 
-    def unpacked(self, log: BinaryIO, chunk: Chunk) -> bytes:
-        """Return the bytes of a chunk.
+    def refuse_bombs(self) -> None:
+        """Set aside the chunks that announce more than any logger writes; call it before any chunk is opened."""
+        kept = []
+        for chunk in self.chunks:
+            try:
+                check_size(chunk.stored, chunk.size)
+            except Damage as damage:
+                self.drop(chunk, damage)
+            else:
+                kept.append(chunk)
+        self.chunks = kept
+
+    def unpacked(self, log: BufferedReader, chunk: Chunk, into: Bytes | None = None) -> Bytes:
+        """Return the bytes of a chunk, shape (size,), in `into` where that is given.
 
         Raises:
             Damage: The chunk is broken.
         """
         log.seek(chunk.place)
-        raw = inflate(log.read(chunk.stored), chunk.compression, chunk.size)
-        if chunk.crc and zlib.crc32(raw) != chunk.crc:
+        into = np.empty(chunk.size, np.uint8) if into is None else into
+        if chunk.compression in STORED:
+            if chunk.stored != chunk.size or log.readinto(into.data) != chunk.size:
+                raise Damage(f"it holds less than the {chunk.size} bytes it announces")
+        else:
+            inflate(log.read(chunk.stored), chunk.compression, into)
+        if chunk.crc and zlib.crc32(into.data) != chunk.crc:
             raise Damage("its checksum does not match")
-        return raw
+        return into
 
     def drop(self, chunk: Chunk, reason: object) -> None:
         """Say once that a chunk, or its rest, is not used."""
@@ -111,30 +135,29 @@ class ChunkedFile:
             for group in _in_blocks(self.chunks):
                 yield self._block(log, group, wanted)
 
-    def _block(self, log: BinaryIO, chunks: list[Chunk], wanted: set[int]) -> dict[int, Payloads]:
+    def _block(self, log: BufferedReader, chunks: list[Chunk], wanted: set[int]) -> dict[int, Payloads]:
         buffer = np.empty(sum(chunk.size for chunk in chunks), np.uint8)
         found, base = [], 0
         for chunk in chunks:
+            end = base + chunk.size
             try:
-                raw = self.unpacked(log, chunk)
+                raw = self.unpacked(log, chunk, buffer[base:end])
             except Damage as damage:
                 self.drop(chunk, damage)
-                continue
-            end = base + chunk.size
-            buffer[base:end] = np.frombuffer(raw, np.uint8)
-            start, reached = records(self.form, raw, self._indexed(log, chunk))
-            if reached != chunk.size:
-                self.drop(chunk, f"its records break off at byte {reached} of {chunk.size}")
-            found.append(start + base)
+            else:
+                start, reached = records(self.form, raw, self._indexed(log, chunk))
+                if reached != chunk.size:
+                    self.drop(chunk, f"its records break off at byte {reached} of {chunk.size}")
+                found.append(start + base)
             base = end
         messages = self.form.messages(buffer, np.concatenate(found) if found else np.zeros(0, np.int64))
         block = {}
-        for channel in sorted(wanted & set(np.unique(messages.channel).tolist())):
+        for channel in sorted(wanted & set(distinct(messages.channel).tolist())):
             rows = np.flatnonzero(messages.channel == channel)
             block[channel] = Payloads(buffer, messages.start[rows], messages.size[rows], messages.receive_ns[rows])
         return block
 
-    def _indexed(self, log: BinaryIO, chunk: Chunk) -> Ints:
+    def _indexed(self, log: BufferedReader, chunk: Chunk) -> Ints:
         parts = []
         for _, place, size in chunk.index:
             log.seek(place)
@@ -142,7 +165,7 @@ class ChunkedFile:
         return np.concatenate(parts) if parts else np.zeros(0, np.int64)
 
 
-def records(form: Format, raw: bytes, indexed: Ints) -> tuple[Ints, int]:
+def records(form: Format, raw: Bytes, indexed: Ints) -> tuple[Ints, int]:
     """Return the starts of all records of a chunk, shape (N,), and the byte up to which they were found.
 
     Args:
@@ -159,9 +182,9 @@ def records(form: Format, raw: bytes, indexed: Ints) -> tuple[Ints, int]:
     return np.asarray(walked, np.int64), reached
 
 
-def _filled(form: Format, raw: bytes, start: Ints) -> Ints | None:
+def _filled(form: Format, raw: Bytes, start: Ints) -> Ints | None:
     """Return the starts with those of the gaps between them; None if they do not fill the chunk end to end."""
-    ends = form.ends(np.frombuffer(raw, np.uint8), start, len(raw))
+    ends = form.ends(raw, start, len(raw))
     if ends is None:
         return None
     begins, stops = np.append(0, ends), np.append(start, len(raw))

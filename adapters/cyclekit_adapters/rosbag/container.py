@@ -1,35 +1,39 @@
-"""Open a bag, whatever wrote it, and walk through the messages of chosen topics.
+"""Open a bag, whatever wrote it, and hand out the messages of chosen topics in groups.
 
-The rosbags library reads the container; what it raises on a damaged file is its own business (a KeyError as well as a
-failed assertion), so everything that goes wrong in it comes out of here as one error that names cause and cure. One
-message that cannot be decoded is counted and left out; a container that cannot be walked is refused.
+Whatever goes wrong in a damaged file (a KeyError as well as a failed assertion) comes out of here as one error that
+names cause and cure, unless something can be recovered: then the bag is read as far as it is whole, and what is lost
+is said. One message that cannot be decoded is counted and left out.
 """
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag1 import Reader as Reader1
-from rosbags.rosbag2 import Reader as Reader2
-from rosbags.typesys import Stores, get_typestore
+import numpy as np
 
 from cyclekit.errors import DamagedLog, LogError
+from cyclekit_adapters.rosbag import library_file, mcap_file, ros1_file, sqlite_file
+from cyclekit_adapters.rosbag.decode import Decoder, Group
+from cyclekit_adapters.rosbag.definitions import is_known
+from cyclekit_adapters.rosbag.folder import Folder, folder_of
+from cyclekit_adapters.rosbag.payloads import BagFile, Damage, Ints
 
-if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
-
-ROS1, MCAP, SQLITE = b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _LFS = b"version https://git-lfs.github.com/spec/"
 _AGAIN = "Copy it again from where it was recorded"
 
-# A message of a bag has whatever fields its recorded definition has.
-Message = Any
+
+@dataclass
+class Arrived:
+    """A group and the arrival numbers of its messages within their topic, shape (N,)."""
+
+    topic: str
+    kind: str
+    number: Ints
+    group: Group
 
 
 @dataclass
@@ -40,44 +44,65 @@ class Bag:
         path: The file or folder.
         topics: Message type of every topic, as `package/msg/Type`, in ROS 1 bags too.
         counts: Messages per topic.
-        messages_read: Messages decoded so far.
-        undecodable: (topic, index within the topic, reason) of every message that could not be decoded.
+        warnings: What is not whole in the bag, one sentence each.
+        messages_read: Messages of wanted topics met so far, decoded or not.
+        undecodable: (topic, arrival number within the topic, reason) of every message that cannot be used.
     """
 
     path: Path
-    topics: dict[str, str]
-    counts: dict[str, int]
-    _connections: list[Connection]
-    _messages: Callable[[list[Connection]], Iterator[tuple[Connection, int, bytes]]]
-    _decode: Callable[[bytes, str], object]
+    files: list[BagFile]
+    topics: dict[str, str] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
     messages_read: int = 0
     undecodable: list[tuple[str, int, str]] = field(default_factory=list)
+    _received: dict[str, list[Ints]] = field(default_factory=dict)
 
-    def messages(self, wanted: set[str]) -> Iterator[tuple[str, int, float, Message]]:
-        """Yield (topic, index within the topic, receive time in s, message) of the `wanted` topics in bag order.
+    def messages(self, wanted: set[str]) -> Iterator[Arrived]:
+        """Yield the messages of the `wanted` topics, grouped, in the order of the files.
 
         Raises:
-            DamagedLog: The container is broken somewhere in the middle.
+            DamagedLog: The container is broken and nothing of it can be recovered.
         """
-        connections = [connection for connection in self._connections if connection.topic in wanted]
-        if not connections:  # to the library, none means all
-            return
-        index = dict.fromkeys(wanted, -1)
         try:
-            for connection, receive_ns, raw in self._messages(connections):
-                topic = connection.topic
-                index[topic] += 1
-                try:
-                    message = self._decode(raw, connection.msgtype)
-                except Exception as error:  # a broken payload raises anything
-                    self.undecodable.append(
-                        (topic, index[topic], f"{topic}: message cannot be decoded ({error!r:.80})")
-                    )
-                    continue
-                self.messages_read += 1
-                yield topic, index[topic], receive_ns * 1e-9, message
+            for file in self.files:
+                yield from self._of_file(file, wanted)
+        except (LogError, GeneratorExit):
+            raise
         except Exception as error:
-            raise _damaged(self.path, error) from error
+            raise damaged(self.path, error) from error
+
+    def _of_file(self, file: BagFile, wanted: set[str]) -> Iterator[Arrived]:
+        decoders = {number: Decoder(one) for number, one in file.channels.items() if one.topic in wanted}
+        if not decoders:
+            return
+        for block in file.blocks(set(decoders)):
+            for number, payloads in block.items():
+                decoder = decoders[number]
+                topic, kind = decoder.channel.topic, decoder.channel.kind
+                received = self._received.setdefault(topic, [])
+                before = sum(part.size for part in received)
+                received.append(payloads.receive_ns)
+                self.messages_read += payloads.size.size
+                for group in decoder.groups(payloads):
+                    yield Arrived(topic, kind, group.rows + before, group)
+                self.undecodable += [(topic, before + row, reason) for row, reason in decoder.broken]
+
+    def order(self, topic: str) -> Ints:
+        """Return for each arrival number of a topic its index in time; complete once all messages were taken."""
+        received = np.concatenate(self._received[topic])
+        index = np.empty(received.size, np.int64)
+        index[np.argsort(received, kind="stable")] = np.arange(received.size)
+        return index
+
+    def undefined(self, kinds: set[str]) -> list[str]:
+        """Return the topics of these message types that cannot be decoded, for no definition of the type is known."""
+        channels = [channel for file in self.files for channel in file.channels.values()]
+        return sorted({one.topic for one in channels if one.kind in kinds and not is_known(one)})
+
+    def set_aside(self) -> list[str]:
+        """Return the reason for every part of the container that cannot be used."""
+        return [reason for file in self.files for reason in file.set_aside]
 
 
 @contextmanager
@@ -86,17 +111,30 @@ def opened(path: Path) -> Iterator[Bag]:
 
     Raises:
         LogError: There is no such file, or it cannot be read.
-        DamagedLog: It is no bag, or a broken one.
+        DamagedLog: It is no bag, or one of which nothing can be recovered.
     """
-    _check(path)
-    with ExitStack() as stack:
-        reader, decode = _open(path, stack)
-        connections = list(reader.connections)
-        counts: dict[str, int] = {}
-        for connection in connections:
-            counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
-        topics = {connection.topic: connection.msgtype for connection in connections}
-        yield Bag(path, topics, counts, connections, reader.messages, decode)
+    if not path.exists():
+        raise LogError(path, "there is no such file or folder", cure="Check the path.")
+    folder = folder_of(path) if path.is_dir() else Folder([path])
+    for file in folder.files:
+        _check(file)
+    try:
+        files = [library_file.look(path)] if folder.compressed else [_look(file) for file in folder.files]
+    except LogError:
+        raise
+    except Exception as error:
+        raise damaged(path, error) from error
+    bag = Bag(path, list(files), warnings=list(folder.warnings))
+    for found, file in zip(files, folder.files, strict=False):
+        named = f"{file.name}: " if len(folder.files) > 1 else ""
+        bag.warnings += [named + said for said in found.warnings]
+        for number, channel in sorted(found.channels.items()):
+            bag.topics[channel.topic] = channel.kind
+            bag.counts[channel.topic] = bag.counts.get(channel.topic, 0) + found.counts.get(number, 0)
+    if not any(bag.counts.values()) and (bag.warnings or bag.set_aside()):
+        why = "; ".join([*bag.warnings, *bag.set_aside()][:3])
+        raise DamagedLog(path, f"nothing can be recovered from it: {why}", cure=f"{_AGAIN}.")
+    yield bag
 
 
 def is_bag(path: Path) -> bool:
@@ -104,7 +142,9 @@ def is_bag(path: Path) -> bool:
     if path.is_dir():
         return b"rosbag2_bagfile_information" in head(path / "metadata.yaml", 4096)
     first = head(path, 65536)
-    return first.startswith((ROS1, MCAP)) or (first.startswith(SQLITE) and b"serialization_format" in first)
+    return first.startswith((ros1_file.MAGIC, mcap_file.MAGIC)) or (
+        first.startswith(sqlite_file.MAGIC) and b"serialization_format" in first
+    )
 
 
 def head(path: Path, size: int) -> bytes:
@@ -118,72 +158,32 @@ def head(path: Path, size: int) -> bytes:
         return b""
 
 
-def _check(path: Path) -> None:
-    """Refuse what can be named better than by the library's error."""
-    if not path.exists():
-        raise LogError(path, "there is no such file or folder", cure="Check the path.")
-    for file in _files(path):
-        first = head(file, 64)
-        if first.startswith(_LFS):
-            raise DamagedLog(
-                file, "this is a Git LFS pointer, not the bag itself", cure="Fetch the content: git lfs pull"
-            )
-        if not first:
-            raise DamagedLog(file, "the file is empty or cannot be read", cure=f"{_AGAIN}.")
-        if not first.startswith((ROS1, MCAP, SQLITE)) and file.suffix not in (".zstd", ".yaml"):
-            raise DamagedLog(file, "not a ROS 1 bag, an mcap or a sqlite3 bag by its content", cure=f"{_AGAIN}.")
-        if first.startswith(MCAP) and not _ends_with(file, MCAP):
-            cure = f"{_AGAIN}, or recover what there is: mcap recover {file.name} -o recovered.mcap"
-            raise DamagedLog(file, "the bag is cut: its footer is missing", cure=cure)
+def _check(file: Path) -> None:
+    """Refuse what can be named at once."""
+    first = head(file, 64)
+    if first.startswith(_LFS):
+        raise DamagedLog(file, "this is a Git LFS pointer, not the bag itself", cure="Fetch the content: git lfs pull")
+    if not first:
+        raise DamagedLog(file, "the file is empty or cannot be read", cure=f"{_AGAIN}.")
+    if not first.startswith((ros1_file.MAGIC, mcap_file.MAGIC, sqlite_file.MAGIC)) and file.suffix != ".zstd":
+        raise DamagedLog(file, "not a ROS 1 bag, an mcap or a sqlite3 bag by its content", cure=f"{_AGAIN}.")
 
 
-def _files(path: Path) -> list[Path]:
-    if not path.is_dir():
-        return [path]
-    return sorted(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
+def _look(file: Path) -> BagFile:
+    first = head(file, 64)
+    if first.startswith(ros1_file.MAGIC):
+        return ros1_file.look(file)
+    if first.startswith(mcap_file.MAGIC):
+        return mcap_file.look(file)
+    return sqlite_file.look(file)
 
 
-def _ends_with(path: Path, ending: bytes) -> bool:
-    with path.open("rb") as log:
-        log.seek(-min(len(ending), path.stat().st_size), 2)
-        return log.read() == ending
-
-
-def _open(path: Path, stack: ExitStack) -> tuple[Any, Callable[[bytes, str], object]]:
-    """Open by the definitions in the bag; where they contradict themselves, by the well-known ones."""
-    ros1 = head(path, 16).startswith(ROS1)
-    try:
-        if not ros1 or path.suffix == ".bag":  # AnyReader tells ROS 1 by the name alone
-            reader = stack.enter_context(AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)))
-            return reader, reader.deserialize
-    except Exception as error:
-        return _open_known(path, stack, ros1=ros1, because=error)
-    return _open_known(path, stack, ros1=ros1, because=None)
-
-
-def _open_known(
-    path: Path, stack: ExitStack, *, ros1: bool, because: Exception | None
-) -> tuple[Any, Callable[[bytes, str], object]]:
-    try:
-        if ros1:
-            store = get_typestore(Stores.ROS1_NOETIC)
-            return stack.enter_context(Reader1(path)), store.deserialize_ros1
-        store = get_typestore(Stores.ROS2_HUMBLE)
-        return stack.enter_context(Reader2(path)), store.deserialize_cdr
-    except Exception as error:
-        raise _damaged(path, because or error) from error
-
-
-def _damaged(path: Path, error: Exception) -> DamagedLog:
-    """Put what the library said into cause and cure."""
-    said = " ".join(str(part) for part in error.args) or repr(error)
+def damaged(path: Path, error: Exception) -> DamagedLog:
+    """Put what went wrong into cause and cure."""
+    if isinstance(error, Damage):
+        return DamagedLog(path, str(error), cure="Record it again without encryption, or convert it: rosbag migrate.")
     cure = f"{_AGAIN}."
-    if "Profile is not ros2" in said:
-        return DamagedLog(path, "a ROS 1 recording in an mcap, which is not read", cure="Give the .bag it came from.")
-    if "index" in said and head(path, 16).startswith(ROS1):
-        return DamagedLog(
-            path, "the bag is cut or was never closed: it has no index", cure=f"Run: rosbag reindex {path.name}"
-        )
     if isinstance(error, sqlite3.Error):
         cure = f"{_AGAIN}, or recover what there is: sqlite3 {path.name} .recover"
+    said = " ".join(str(part) for part in error.args) or repr(error)
     return DamagedLog(path, f"the bag is damaged ({type(error).__name__}: {said[:120]})", cure=cure)

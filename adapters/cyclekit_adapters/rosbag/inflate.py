@@ -1,7 +1,7 @@
 """Unpack one compressed chunk, but never more than was announced, and never a bomb.
 
-A chunk says how large it will be. The decompressors here are stopped one byte after that, so a lying chunk costs no
-more memory than an honest one, and what announces more than any logger writes is refused before it is unpacked.
+A chunk says how large it will be. Unpacking goes piece by piece and stops one byte after that, so a lying chunk costs
+no more memory than an honest one, and what announces more than any logger writes is refused before it is unpacked.
 """
 
 from __future__ import annotations
@@ -10,44 +10,50 @@ import bz2
 import sys
 from typing import Any
 
-from cyclekit_adapters.rosbag.payloads import Damage
+import numpy as np
+
+from cyclekit_adapters.rosbag.payloads import Bytes, Damage
 
 if sys.version_info >= (3, 14):
     from compression import zstd
 else:
     from backports import zstd
 
+STORED = ("", "none")
+"""What a chunk is called that is not compressed."""
 MAX_BYTES = 1 << 30
 """No logger writes chunks of a gigabyte."""
+_STEP = 4 << 20  # bytes unpacked at once
 MAX_RATIO = 1000
 """Messages of a robot do not compress a thousandfold; zeros do."""
 
 
-def inflate(stored: bytes, compression: str, size: int) -> bytes:
-    """Return the `size` bytes that a chunk holds.
+def inflate(stored: bytes, compression: str, into: Bytes) -> None:
+    """Unpack a chunk piece by piece into an array of the size that the chunk announces.
 
     Args:
         stored: The chunk as it is in the file.
-        compression: Empty or `none`, `lz4` (frames), `zstd`, `bz2`.
-        size: Bytes that the chunk says it holds.
+        compression: `lz4` (frames), `zstd`, `bz2`.
+        into: Where its bytes go, shape (announced size,).
 
     Raises:
         Damage: It announces too much, holds less or more than it announces, or cannot be unpacked.
     """
-    if compression in ("", "none"):
-        unpacked = stored
-    else:
-        check_size(len(stored), size)
+    check_size(len(stored), into.size)
+    decompressor, filled, rest = _decompressor(compression), 0, stored
+    while True:
         try:
-            unpacked = _decompressor(compression).decompress(stored, max_length=size + 1)
-        except Damage:
-            raise
+            part = decompressor.decompress(rest, max_length=min(_STEP, into.size - filled + 1))
         except Exception as error:  # each of the three libraries has errors of its own
             raise Damage(f"it cannot be unpacked ({compression}: {str(error)[:60]})") from error
-    if len(unpacked) != size:
-        than = "more" if len(unpacked) > size else "less"
-        raise Damage(f"it holds {than} than the {size} bytes it announces")
-    return unpacked
+        if filled + len(part) > into.size:
+            raise Damage(f"it holds more than the {into.size} bytes it announces")
+        into[filled : filled + len(part)] = np.frombuffer(part, np.uint8)
+        filled, rest = filled + len(part), b""
+        if decompressor.eof or decompressor.needs_input or not part:
+            break
+    if filled < into.size:
+        raise Damage(f"it holds less than the {into.size} bytes it announces")
 
 
 def check_size(stored: int, size: int) -> None:

@@ -10,18 +10,18 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import dataclass, field, replace
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
-from cyclekit_adapters.rosbag.chunks import Chunk, ChunkedFile, Messages, moment, records
-from cyclekit_adapters.rosbag.inflate import check_size
+from cyclekit_adapters.rosbag.chunks import MAX_RECORDS, Chunk, ChunkedFile, Messages, moment, records
 from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Damage, Ints, column, gather
 
 MAGIC = b"\x89MCAP0\r\n"
-_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX, _DATA_END = 3, 4, 5, 6, 7, 15
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX, _DATA_END = 2, 3, 4, 5, 6, 7, 15
+_STATISTICS, _CHUNK_COUNT = 11, 22  # its number, and where in it the number of chunks stands
 _RECORD = struct.Struct("<BQ")
 _HEAD = 31  # bytes of a message record before its payload
 _WINDOW = 4 << 20  # bytes of messages outside chunks that make one chunk of our own
@@ -31,10 +31,12 @@ _NOTATIONS = {"ros2msg": "msg", "ros1msg": "msg", "ros2idl": "idl", "omgidl": "i
 class _Records:
     """Records of an mcap: opcode, length, content."""
 
-    def walk(self, raw: bytes, begin: int, end: int) -> tuple[list[int], int]:
-        starts, position, unpack = [], begin, _RECORD.unpack_from
-        while position + 9 <= end:
-            after = position + 9 + unpack(raw, position)[1]
+    def walk(self, raw: Bytes, begin: int, end: int) -> tuple[list[int], int]:
+        starts, position, unpack, data = [], begin, _RECORD.unpack_from, raw.data
+        for _ in range(MAX_RECORDS):
+            if position + 9 > end:
+                break
+            after = position + 9 + unpack(data, position)[1]
             if after > end:
                 break
             starts.append(position)
@@ -71,6 +73,9 @@ class _Survey:
     loose: bool = False
     data_crc: int = 0
     data_end: int = 0
+    summary: int = 0
+    promised: int = 0
+    before_summary: tuple[dict[int, Channel], dict[int, tuple[str, str, str]]] | None = None
 
     def schema(self, body: bytes) -> None:
         (number,) = struct.unpack_from("<H", body)
@@ -94,6 +99,16 @@ class _Survey:
             coding=coding,
         )
 
+    def end_of_data(self, position: int, after: int, crc: int) -> None:
+        """Remember what is known without the summary, in case the summary is damaged."""
+        self.data_end, self.summary, self.data_crc = position, after, crc
+        self.before_summary = dict(self.found.channels), dict(self.schemas)
+
+    def forget_summary(self) -> None:
+        if self.before_summary is not None:
+            self.found.channels, self.schemas = self.before_summary
+            self.found.warnings.append("the summary of the bag is damaged and is not used")
+
     def take(self, op: int, body: bytes) -> None:
         if op == _SCHEMA:
             self.schema(body)
@@ -112,17 +127,20 @@ def look(path: Path) -> ChunkedFile:
     with path.open("rb") as log:
         end = log.seek(0, 2)
         cut = _heads(log, survey, end)
+        if cut is None and not survey.loose and survey.promised > (there := len(survey.found.chunks)):
+            survey.found.warnings.append(f"the bag is damaged: {there} of {survey.promised} chunks are there")
+        survey.found.refuse_bombs()
         for chunk in survey.found.chunks:
             if not chunk.index or any(number not in survey.found.channels for number, _, _ in chunk.index):
                 _open(log, survey, chunk)
         if cut is not None:
             survey.found.warnings.append(_how_much(survey.found, log, cut, end))
-        elif survey.loose and survey.data_crc and _crc(log, survey.data_end) != survey.data_crc:
+        elif survey.loose and survey.data_crc and _crc(log, 0, survey.data_end) != survey.data_crc:
             survey.found.warnings.append("the checksum of the bag does not match: some of its values are wrong")
     return survey.found
 
 
-def _heads(log: BinaryIO, survey: _Survey, end: int) -> int | None:
+def _heads(log: BufferedReader, survey: _Survey, end: int) -> int | None:
     """Read the heads of all records; return where the file stops making sense, None if it is whole."""
     position, chunks = len(MAGIC), survey.found.chunks
     while True:
@@ -141,7 +159,7 @@ def _heads(log: BinaryIO, survey: _Survey, end: int) -> int | None:
         elif op in (_SCHEMA, _CHANNEL):
             survey.take(op, log.read(length))
         elif op == _CHUNK:
-            chunks.append(_chunk(log, survey.found, position))
+            chunks.append(_chunk(log, survey.found, position, after))
         elif op == _INDEX and chunks:
             number, size = struct.unpack("<HI", log.read(6))
             count = survey.found.counts.get(number, 0) + size // 16
@@ -149,22 +167,31 @@ def _heads(log: BinaryIO, survey: _Survey, end: int) -> int | None:
             entry = (number, position + 15, min(size, length - 6))
             chunks[-1] = replace(chunks[-1], index=(*chunks[-1].index, entry))
         elif op == _DATA_END:
-            survey.data_end, survey.data_crc = position, struct.unpack("<I", log.read(4))[0]
+            survey.end_of_data(position, after, struct.unpack("<I", log.read(4))[0])
+        elif op == _STATISTICS and length >= _CHUNK_COUNT + 4:
+            log.seek(_CHUNK_COUNT, 1)
+            (survey.promised,) = struct.unpack("<I", log.read(4))
+        elif op == _FOOTER and length == 20:
+            log.seek(16, 1)
+            (crc,) = struct.unpack("<I", log.read(4))
+            if crc and _crc(log, survey.summary, after - 4) != crc:
+                survey.forget_summary()
         position = after
 
 
-def _chunk(log: BinaryIO, found: ChunkedFile, position: int) -> Chunk:
+def _chunk(log: BufferedReader, found: ChunkedFile, position: int, after: int) -> Chunk:
     _, until_ns, size, crc, letters = struct.unpack("<QQQII", log.read(32))
     compression = log.read(letters).decode()
     (stored,) = struct.unpack("<Q", log.read(8))
     found.last_ns = max(found.last_ns or 0, until_ns)
-    return Chunk(position + 9 + 40 + letters, stored, size, compression, crc)
+    place = position + 9 + 40 + letters
+    return Chunk(place, min(stored, after - place), size, compression, crc)
 
 
-def _loose(log: BinaryIO, survey: _Survey, position: int, first: int) -> int:
+def _loose(log: BufferedReader, survey: _Survey, position: int, first: int) -> int:
     """Make a chunk of messages that stand outside of chunks; return where it ends."""
     log.seek(position)
-    raw = log.read(max(_WINDOW, first))
+    raw = np.frombuffer(log.read(max(_WINDOW, first)), np.uint8)
     starts, reached = _Records().walk(raw, 0, len(raw))
     foreign = (start for start in starts if raw[start] not in (_SCHEMA, _CHANNEL, _MESSAGE))
     reached = next(foreign, reached)
@@ -173,28 +200,27 @@ def _loose(log: BinaryIO, survey: _Survey, position: int, first: int) -> int:
     return position + reached
 
 
-def _open(log: BinaryIO, survey: _Survey, chunk: Chunk) -> None:
+def _open(log: BufferedReader, survey: _Survey, chunk: Chunk) -> None:
     """Look into a chunk for what its index does not tell."""
     found = survey.found
     try:
-        check_size(chunk.stored, chunk.size)
         raw = found.unpacked(log, chunk)
     except Damage as damage:
         found.drop(chunk, damage)
         return
     start, _ = records(found.form, raw, np.zeros(0, np.int64))
-    messages = found.form.messages(np.frombuffer(raw, np.uint8), start)
+    messages = found.form.messages(raw, start)
     for begin in messages.other:
-        op, length = _RECORD.unpack_from(raw, begin)
-        survey.take(op, raw[begin + 9 : begin + 9 + length])
+        op, length = _RECORD.unpack_from(raw.data, begin)
+        survey.take(op, raw[begin + 9 : begin + 9 + length].tobytes())
     if messages.receive_ns.size:
         found.last_ns = max(found.last_ns or 0, int(messages.receive_ns.max()))
     if not chunk.index:
-        for number, count in zip(*np.unique(messages.channel, return_counts=True), strict=True):
-            found.counts[int(number)] = found.counts.get(int(number), 0) + int(count)
+        for number, count in messages.by_channel().items():
+            found.counts[number] = found.counts.get(number, 0) + count
 
 
-def _how_much(found: ChunkedFile, log: BinaryIO, cut: int, end: int) -> str:
+def _how_much(found: ChunkedFile, log: BufferedReader, cut: int, end: int) -> str:
     """Say what a cut bag has lost, as far as it can be known."""
     said = f"the bag is cut: its last {end - cut} of {end} bytes cannot be read"
     if found.last_ns is None:
@@ -206,12 +232,12 @@ def _how_much(found: ChunkedFile, log: BinaryIO, cut: int, end: int) -> str:
         lost_ns = struct.unpack_from("<Q", head, 17)[0] - found.last_ns
         if 0 < lost_ns < 10**13:
             said += f" (at least {lost_ns / 1e9:.1f} s)"
-    return said
+    return f"{said}; copy the bag again if the original is whole"
 
 
-def _crc(log: BinaryIO, end: int) -> int:
-    crc, left = 0, end
-    log.seek(0)
+def _crc(log: BufferedReader, begin: int, end: int) -> int:
+    crc, left = 0, end - begin
+    log.seek(begin)
     while left > 0 and (part := log.read(min(left, 1 << 20))):
         crc, left = zlib.crc32(part, crc), left - len(part)
     return crc

@@ -16,8 +16,8 @@ import numpy.typing as npt
 Bytes = npt.NDArray[np.uint8]
 Ints = npt.NDArray[np.int64]
 
-BLOCK_BYTES = 64 << 20
-"""About as much of a bag as is held in memory at once."""
+BLOCK_BYTES = 8 << 20
+"""About as much of a bag as is held in memory at once; larger blocks do not fit the cache and are slower."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class BagFile(Protocol):
 
     Attributes:
         channels: By their number.
-        counts: Messages by channel number; 0 or absent is none.
+        counts: Messages by channel number, or some of them where counting all would mean reading all; absent is none.
         warnings: What is not whole, one sentence each.
         set_aside: The reason for every part that cannot be used; complete once all blocks were read.
     """
@@ -83,7 +83,7 @@ class BagFile(Protocol):
 
 
 @dataclass
-class Damage(Exception):  # noqa: N818 - it never leaves this package
+class Damage(Exception):
     """A part of a file cannot be used."""
 
     reason: str = field(default="")
@@ -103,3 +103,12 @@ def column(rows: Bytes, offset: int, dtype: str) -> Ints:
     """Return the integer at `offset` of each row, shape (N,)."""
     width = np.dtype(dtype).itemsize
     return rows[:, offset : offset + width].copy().view(dtype)[:, 0].astype(np.int64)
+
+
+def distinct(values: Ints) -> Ints:
+    """Return the different values, ascending; `numpy.unique` would import a part of numpy that nothing here needs."""
+    if not values.size or (values == values[0]).all():
+        return values[:1]
+    ordered = np.sort(values)
+    different: Ints = ordered[np.append(True, ordered[1:] != ordered[:-1])]
+    return different

@@ -10,14 +10,14 @@ from __future__ import annotations
 import re
 import struct
 from dataclasses import replace
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
-from cyclekit_adapters.rosbag.chunks import Chunk, ChunkedFile, Messages, moment, records
-from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Damage, Ints, column, gather
+from cyclekit_adapters.rosbag.chunks import MAX_RECORDS, Chunk, ChunkedFile, Messages, moment, records
+from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Damage, Ints, column, distinct, gather
 
 MAGIC = b"#ROSBAG V"
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CONNECTION = b"\x02", b"\x03", b"\x04", b"\x05", b"\x07"
@@ -28,13 +28,15 @@ _SIZE = struct.Struct("<I")
 class _Records:
     """Records of a ROS 1 bag: length and fields of a header, length and bytes of the data."""
 
-    def walk(self, raw: bytes, begin: int, end: int) -> tuple[list[int], int]:
-        starts, position, unpack = [], begin, _SIZE.unpack_from
-        while position + 8 <= end:
-            data = position + 4 + unpack(raw, position)[0]
+    def walk(self, raw: Bytes, begin: int, end: int) -> tuple[list[int], int]:
+        starts, position, unpack, text = [], begin, _SIZE.unpack_from, raw.data
+        for _ in range(MAX_RECORDS):
+            if position + 8 > end:
+                break
+            data = position + 4 + unpack(text, position)[0]
             if data + 4 > end:
                 break
-            after = data + 4 + unpack(raw, data)[0]
+            after = data + 4 + unpack(text, data)[0]
             if after > end:
                 break
             starts.append(position)
@@ -56,16 +58,20 @@ class _Records:
     def messages(self, buffer: Bytes, start: Ints) -> Messages:
         lengths = column(gather(buffer, start, 4), 0, "<u4")
         parts, other = [], []
-        for length in np.unique(lengths).tolist():
+        for length in distinct(lengths).tolist():
             same, left = _alike(buffer, start[lengths == length], length)
             other += left
             if same is not None:
                 parts.append(same)
         if not parts:
-            return Messages(*(np.zeros(0, np.int64) for _ in range(4)), other)
+            none = np.zeros(0, np.int64)
+            return Messages(none, none, none, none, other)
         joined = [np.concatenate(part) for part in zip(*parts, strict=True)]
-        order = np.argsort(joined[2], kind="stable")
-        return Messages(*(part[order] for part in joined), sorted(other))
+        if len(parts) > 1:
+            order = np.argsort(joined[2], kind="stable")
+            joined = [part[order] for part in joined]
+        channel, receive_ns, begin, size = joined
+        return Messages(channel, receive_ns, begin, size, sorted(other))
 
 
 def _alike(buffer: Bytes, start: Ints, length: int) -> tuple[tuple[Ints, Ints, Ints, Ints] | None, list[int]]:
@@ -82,12 +88,14 @@ def _alike(buffer: Bytes, start: Ints, length: int) -> tuple[tuple[Ints, Ints, I
         other.append(int(start[row]))
     else:
         return None, other
-    fixed = np.ones(length + 4, bool)
-    for name, size in (("conn", 4), ("time", 8)):
-        fixed[places[name] + 4 : places[name] + 4 + size] = False
-    alike = (heads[:, : length + 4][:, fixed] == heads[row, : length + 4][fixed]).all(1)
+    values = sorted((places[name] + 4, places[name] + 4 + size) for name, size in (("conn", 4), ("time", 8)))
+    bounds = [0, *(bound for value in values for bound in value), length + 4]
+    alike = np.ones(start.size, bool)
+    for begin, end in zip(bounds[::2], bounds[1::2], strict=True):
+        alike &= (heads[:, begin:end] == heads[row, begin:end]).all(1)
     other += [int(begin) for begin in start[row:][~alike[row:]]]
-    heads, start = heads[alike], start[alike]
+    if not alike.all():
+        heads, start = heads[alike], start[alike]
     seconds, nanos = (column(heads, places["time"] + 4 + 4 * half, "<u4") for half in (0, 1))
     size = column(heads, length + 4, "<u4")
     return (column(heads, places["conn"] + 4, "<u4"), seconds * 10**9 + nanos, start + length + 8, size), other
@@ -126,18 +134,23 @@ def look(path: Path) -> ChunkedFile:
         if version is None or version[1] != b"2.0":
             raise Damage("only format 2.0 of ROS 1 bags is read")
         cut, about = _heads(log, found, end)
+        written = len(found.chunks)
+        found.refuse_bombs()
         for chunk in found.chunks:
             if not chunk.index or any(number not in found.channels for number, _, _ in chunk.index):
                 _open(log, found, chunk)
         promised = _number(about, b"chunk_count")
         unclosed = _number(about, b"index_pos") == 0
-        if cut is not None or unclosed or promised > len(found.chunks):
+        if cut is not None or unclosed or promised > written:
             _last(log, found)
-            found.warnings.append(_how_much(found, end - (end if cut is None else cut), promised, unclosed=unclosed))
+            there = f"{written} of {promised} chunks are there"
+            if unclosed:
+                there = f"its last {end - (end if cut is None else cut)} bytes cannot be read"
+            found.warnings.append(_how_much(found, there, unclosed=unclosed))
     return found
 
 
-def _heads(log: BinaryIO, found: ChunkedFile, end: int) -> tuple[int | None, dict[bytes, bytes]]:
+def _heads(log: BufferedReader, found: ChunkedFile, end: int) -> tuple[int | None, dict[bytes, bytes]]:
     """Read the heads of all records; return where the file stops making sense (None if it is whole) and the bag's."""
     position, about = log.tell(), dict[bytes, bytes]()
     while position < end:
@@ -169,7 +182,7 @@ def _heads(log: BinaryIO, found: ChunkedFile, end: int) -> tuple[int | None, dic
     return None, about
 
 
-def _header(log: BinaryIO) -> dict[bytes, bytes] | None:
+def _header(log: BufferedReader) -> dict[bytes, bytes] | None:
     size = log.read(4)
     if len(size) < 4 or (length := _SIZE.unpack(size)[0]) > _MAX_HEADER:
         return None
@@ -209,7 +222,7 @@ def _connect(found: ChunkedFile, fields: dict[bytes, bytes], data: bytes) -> Non
     )
 
 
-def _open(log: BinaryIO, found: ChunkedFile, chunk: Chunk) -> Messages | None:
+def _open(log: BufferedReader, found: ChunkedFile, chunk: Chunk) -> Messages | None:
     """Look into a chunk for what its index does not tell."""
     try:
         raw = found.unpacked(log, chunk)
@@ -217,19 +230,19 @@ def _open(log: BinaryIO, found: ChunkedFile, chunk: Chunk) -> Messages | None:
         found.drop(chunk, damage)
         return None
     start, _ = records(found.form, raw, np.zeros(0, np.int64))
-    messages = found.form.messages(np.frombuffer(raw, np.uint8), start)
+    messages = found.form.messages(raw, start)
     for begin in messages.other:
-        data = begin + 4 + _SIZE.unpack_from(raw, begin)[0]
-        fields = _fields(raw[begin + 4 : data])
+        data = begin + 4 + _SIZE.unpack_from(raw.data, begin)[0]
+        fields = _fields(raw[begin + 4 : data].tobytes())
         if fields and fields.get(b"op") == _CONNECTION and _number(fields, b"conn") not in found.channels:
-            _connect(found, fields, raw[data + 4 : data + 4 + _SIZE.unpack_from(raw, data)[0]])
+            _connect(found, fields, raw[data + 4 : data + 4 + _SIZE.unpack_from(raw.data, data)[0]].tobytes())
     if not chunk.index:
-        for number, count in zip(*np.unique(messages.channel, return_counts=True), strict=True):
-            found.counts[int(number)] = found.counts.get(int(number), 0) + int(count)
+        for number, count in messages.by_channel().items():
+            found.counts[number] = found.counts.get(number, 0) + count
     return messages
 
 
-def _last(log: BinaryIO, found: ChunkedFile) -> None:
+def _last(log: BufferedReader, found: ChunkedFile) -> None:
     """Find the last time recovered: in the last chunk that can be read."""
     for chunk in reversed(found.chunks):
         messages = _open(log, found, replace(chunk, index=chunk.index or ((-1, 0, 0),)))
@@ -238,12 +251,9 @@ def _last(log: BinaryIO, found: ChunkedFile) -> None:
             return
 
 
-def _how_much(found: ChunkedFile, lost: int, promised: int, *, unclosed: bool) -> str:
+def _how_much(found: ChunkedFile, there: str, *, unclosed: bool) -> str:
     """Say what a cut bag has lost, as far as it can be known."""
-    if unclosed:
-        said = f"the bag was never closed; its last {lost} bytes cannot be read"
-    else:
-        said = f"the bag is cut: {len(found.chunks)} of {promised} chunks are there"
+    said = f"the bag was never closed: {there}" if unclosed else f"the bag is cut: {there}"
     if found.last_ns is not None:
         said += f"; messages up to {moment(found.last_ns)} are recovered, what came after is lost"
-    return said
+    return f"{said}; copy the bag again if the original is whole"

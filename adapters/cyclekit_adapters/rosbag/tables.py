@@ -8,7 +8,6 @@ What was not recorded, or not yet, stays unknown.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,121 +15,15 @@ import numpy.typing as npt
 import polars as pl
 
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
-from cyclekit_adapters.rosbag.chain import Array, Transforms, tool_path
-from cyclekit_adapters.rosbag.container import Message
-from cyclekit_adapters.rosbag.roles import FLAG, JOINTS, POINT, POSE, POSES, TEXT
+from cyclekit_adapters.rosbag.chain import Array, tool_path
+from cyclekit_adapters.rosbag.tracks import Joints
 
 if TYPE_CHECKING:
-    from cyclekit_adapters.rosbag.container import Bag
     from cyclekit_adapters.rosbag.roles import Factor, Roles
+    from cyclekit_adapters.rosbag.tracks import Contents
 
-_BACK_S = 1.0  # a header clock that jumps back by more than this is no clock
 _NEAR_PERIODS = 2.0  # a position further away in time than this many of its periods is unknown
 _SLACK = 1e-3
-
-
-@dataclass
-class Track:
-    """The messages of one topic: when received, when stamped (None: no header or an unset one), and what."""
-
-    receive_s: list[float] = field(default_factory=list)
-    stamp_s: list[float | None] = field(default_factory=list)
-    index: list[int] = field(default_factory=list)
-    value: list[Message] = field(default_factory=list)
-
-    def add(self, receive_s: float, stamp_s: float | None, index: int, value: Message) -> None:
-        """Take in one message."""
-        self.receive_s.append(receive_s)
-        self.stamp_s.append(stamp_s)
-        self.index.append(index)
-        self.value.append(value)
-
-
-@dataclass
-class Contents:
-    """What was collected from a bag, and what is to be said about it."""
-
-    tracks: dict[str, Track]
-    transforms: Transforms
-    stamped: bool = False
-    frames: dict[str, str] = field(default_factory=dict)
-    joint_names: tuple[str, ...] = ()
-    tool_chain: str = ""
-    warnings: list[str] = field(default_factory=list)
-
-    def times(self, topic: str) -> Array:
-        """Return the times of a topic's messages, shape (N,), s, in the clock chosen for this bag."""
-        track = self.tracks[topic]
-        return np.asarray(track.stamp_s if self.stamped else track.receive_s, dtype=np.float64)
-
-
-def collect(bag: Bag, roles: Roles) -> Contents:
-    """Decode every topic in use."""
-    contents = Contents({}, Transforms())
-    factors = {factor.topic: factor for factor in roles.scaling}
-    for topic, index, receive_s, message in bag.messages(roles.topics()):
-        try:
-            if topic in roles.transforms:
-                contents.transforms.add(message, receive_s)
-                continue
-            value = _value(bag.topics[topic], message, factors.get(topic))
-            stamp_s = _stamp(contents, topic, message)
-        except (AttributeError, TypeError, ValueError) as error:  # the definition in the bag is not the one we know
-            bag.undecodable.append((topic, index, f"{topic}: message has other fields ({error})"))
-            continue
-        if value is not None:
-            contents.tracks.setdefault(topic, Track()).add(receive_s, stamp_s, index, value)
-    contents.stamped = _all_stamped(contents)
-    if bag.undecodable:
-        contents.warnings.append(f"{len(bag.undecodable)} messages cannot be decoded and are left out")
-    return contents
-
-
-def _value(kind: str, message: Message, factor: Factor | None) -> object:
-    """Return the part of a message that is used, None if it has no such part."""
-    if factor is not None:
-        number = getattr(message, factor.attribute, None)
-        return None if number is None else float(number)
-    if kind == JOINTS:
-        angles, speeds = (np.asarray(part, dtype=np.float64) for part in (message.position, message.velocity))
-        return tuple(map(str, message.name)), angles, speeds
-    if kind == POSE:
-        return _xyz(message.pose.position)
-    if kind == POINT:
-        return _xyz(message.point)
-    if kind == POSES:
-        return [_xyz(pose.position) for pose in message.poses]
-    if kind == TEXT:
-        return str(message.data)
-    if kind == FLAG:
-        return bool(message.data)
-    return None
-
-
-def _xyz(point: Message) -> tuple[float, float, float]:
-    return float(point.x), float(point.y), float(point.z)
-
-
-def _stamp(contents: Contents, topic: str, message: Message) -> float | None:
-    header = getattr(message, "header", None)
-    if header is None:
-        return None
-    contents.frames.setdefault(topic, header.frame_id)
-    stamp_s = float(header.stamp.sec + header.stamp.nanosec * 1e-9)
-    return stamp_s if stamp_s > 0.0 else None
-
-
-def _all_stamped(contents: Contents) -> bool:
-    """Tell whether every message in use has a header time, and those times go forward."""
-    tracks = [track.stamp_s for track in contents.tracks.values()]
-    tracks += [list(link.stamp_s) for link in contents.transforms.links.values() if len(link.stamp_s) > 1]
-    if not tracks or any(stamp is None for stamps in tracks for stamp in stamps):
-        return False
-    for stamps in tracks:
-        if (np.diff(np.asarray(stamps, dtype=np.float64)) < -_BACK_S).any():
-            contents.warnings.append("the header times jump back: the moments of recording are used instead")
-            return False
-    return True
 
 
 def robot_table(contents: Contents, roles: Roles) -> pl.DataFrame | None:
@@ -155,8 +48,7 @@ def robot_table(contents: Contents, roles: Roles) -> pl.DataFrame | None:
 def _tcp(contents: Contents, roles: Roles) -> pl.DataFrame | None:
     if roles.tcp in contents.tracks:
         track = contents.tracks[str(roles.tcp)]
-        times, place = contents.times(str(roles.tcp)), np.asarray(track.value, dtype=np.float64)
-        return _in_order(_placed(times, place, np.asarray(track.index, dtype=np.int64)))
+        return _in_order(_placed(contents.times(str(roles.tcp)), track.joined(), track.index))
     chain = contents.transforms.chain(roles.base_frame, roles.tool_frame)
     if not chain:
         return None
@@ -178,34 +70,34 @@ def _in_order(table: pl.DataFrame) -> pl.DataFrame:
 def _joints(contents: Contents, topic: str | None) -> pl.DataFrame | None:
     """Return joint angles by name; messages of other joints (a gripper on the same topic) are left out."""
     track = contents.tracks[str(topic)]
-    messages = [value for value in track.value if isinstance(value, tuple)]
-    written = Counter(names for names, _, _ in messages)
+    parts = [(rows, said) for rows, said in track.parts if isinstance(said, Joints)]
+    written: Counter[tuple[str, ...]] = Counter()
+    for rows, said in parts:
+        written[said.names] += rows.size
     written.pop((), None)
     if not written:
         return None
     order = max(written, key=lambda names: (written[names] * len(names), names))
-    times = contents.times(str(topic))
-    rows, angles, speeds = [], [], []
-    for row, (names, position, velocity) in enumerate(messages):
-        if len(names) != len(order) or set(names) != set(order):
-            continue
-        pick = None if names == order else [names.index(name) for name in order]
-        rows.append(row)
-        angles.append(_ordered(position, pick, len(order)))
-        speeds.append(_ordered(velocity, pick, len(order)))
-    if others := len(messages) - len(rows):
+    ours = [part for part in parts if len(part[1].names) == len(order) and set(part[1].names) == set(order)]
+    rows = np.concatenate([rows for rows, _ in ours])
+    angles = np.concatenate([_ordered(said.angles, said.names, order) for _, said in ours])
+    speeds = np.concatenate([_ordered(said.speeds, said.names, order) for _, said in ours])
+    if others := track.index.size - rows.size:
         contents.warnings.append(f"{others} messages of {topic} are about other joints and are left out")
     contents.joint_names = order
-    columns = {f"q{i}_rad": np.asarray(angles)[:, i] for i in range(len(order))}
-    columns |= {f"qd{i}_rad_s": np.asarray(speeds)[:, i] for i in range(len(order))}
-    index = np.asarray(track.index, dtype=np.int64)[rows]
-    return _in_order(pl.DataFrame({"t_s": times[rows], "source_row": index, **columns}))
+    by_time = np.argsort(rows)
+    rows, angles, speeds = rows[by_time], angles[by_time], speeds[by_time]
+    columns = {f"q{i}_rad": angles[:, i] for i in range(len(order))}
+    columns |= {f"qd{i}_rad_s": speeds[:, i] for i in range(len(order))}
+    times = contents.times(str(topic))[rows]
+    return _in_order(pl.DataFrame({"t_s": times, "source_row": track.index[rows], **columns}))
 
 
-def _ordered(values: Array, pick: list[int] | None, width: int) -> Array:
-    if len(values) != width:  # a driver may leave out what it does not measure
-        return np.full(width, np.nan)
-    return values if pick is None else values[pick]
+def _ordered(values: Array, names: tuple[str, ...], order: tuple[str, ...]) -> Array:
+    """Return the columns in `order`, shape (N, J); NaN where the driver left them out."""
+    if values.shape[1] != len(order):
+        return np.full((len(values), len(order)), np.nan)
+    return values if names == order else values[:, [names.index(name) for name in order]]
 
 
 def _nearest(table: pl.DataFrame, other: pl.DataFrame) -> pl.DataFrame:
@@ -215,7 +107,7 @@ def _nearest(table: pl.DataFrame, other: pl.DataFrame) -> pl.DataFrame:
 
 
 def _series(contents: Contents, topic: str) -> pl.DataFrame:
-    values = np.asarray(contents.tracks[topic].value, dtype=np.float64)
+    values = contents.tracks[topic].joined()
     return pl.DataFrame({"t_s": contents.times(topic), "value": values}).sort("t_s", maintain_order=True)
 
 
@@ -256,23 +148,41 @@ def _clamped(value: pl.Expr, factor: Factor) -> pl.Expr:
 
 def people_table(contents: Contents, roles: Roles) -> pl.DataFrame:
     """Return table PEOPLE; of an array the index is the person, and one with fewer entries has people not seen."""
-    rows: list[tuple[float, str, float | None, float | None, float | None, int]] = []
+    columns: dict[str, list[npt.NDArray[np.generic]]] = {"t_s": [], "person": [], "source_row": [], "place": []}
     for topic in roles.people:
         if topic not in contents.tracks:
             continue
         track = contents.tracks[topic]
-        prefix = f"{topic} " if len(roles.people) > 1 else ""
-        most = max((len(seen) for seen in track.value if isinstance(seen, list)), default=1)
+        seen = [(rows, _several(value)) for rows, value in track.parts if isinstance(value, np.ndarray)]
+        most = max((places.shape[1] for _, places in seen), default=1)
         if most > 1:
             contents.warnings.append(f"{topic} holds up to {most} places without identity: each index is one person")
-        for t_s, index, value in zip(contents.times(topic).tolist(), track.index, track.value, strict=True):
-            places = value if isinstance(value, list) else [value]
-            for person in range(most):
-                place = places[person] if person < len(places) else (None, None, None)
-                rows.append((t_s, f"{prefix}{person}", place[0], place[1], place[2], index))
-    schema = {name: column.dtype for name, column in PEOPLE.items()}
-    table = pl.DataFrame(rows, schema=schema, orient="row").fill_nan(None)
-    return conform(table.sort("t_s", "person", maintain_order=True), PEOPLE)
+        place = np.full((track.index.size, most, 3), np.nan)
+        for rows, places in seen:
+            place[rows, : places.shape[1]] = places
+        prefix = f"{topic} " if len(roles.people) > 1 else ""
+        names = np.array([f"{prefix}{person}" for person in range(most)])
+        columns["t_s"].append(np.repeat(contents.times(topic), most))
+        columns["person"].append(np.tile(names, track.index.size))
+        columns["source_row"].append(np.repeat(track.index, most))
+        columns["place"].append(place.reshape(-1, 3))
+    return _people(columns)
+
+
+def _several(value: Array | npt.NDArray[np.bool_]) -> Array:
+    """Return places as (N, K, 3), those of one person too."""
+    places = np.asarray(value, dtype=np.float64)
+    return places[:, None, :] if places.ndim == 2 else places
+
+
+def _people(columns: dict[str, list[npt.NDArray[np.generic]]]) -> pl.DataFrame:
+    schema = pl.Schema({name: column.dtype for name, column in PEOPLE.items()})
+    if not columns["t_s"]:
+        return conform(pl.DataFrame(schema=schema), PEOPLE)
+    joined = {name: np.concatenate(parts) for name, parts in columns.items()}
+    place = joined.pop("place")
+    table = pl.DataFrame({**joined, **{f"{axis}_m": place[:, i] for i, axis in enumerate("xyz")}}).fill_nan(None)
+    return conform(table.select(list(schema)).cast(schema).sort("t_s", "person", maintain_order=True), PEOPLE)
 
 
 def events_table(contents: Contents, roles: Roles) -> pl.DataFrame:
@@ -283,8 +193,8 @@ def events_table(contents: Contents, roles: Roles) -> pl.DataFrame:
             continue
         track = contents.tracks[topic]
         last: object = None
-        for t_s, index, value in zip(contents.times(topic).tolist(), track.index, track.value, strict=True):
-            if isinstance(value, bool):
+        for t_s, index, value in zip(contents.times(topic).tolist(), track.index.tolist(), track.each(), strict=True):
+            if isinstance(value, bool | np.bool_):
                 if value != last:
                     rows.append((t_s, topic, "true" if value else "false", index))
                 last = value

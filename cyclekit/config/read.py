@@ -1,115 +1,19 @@
-"""The cell file (cell.toml): read, checked, and kept as frozen dataclasses.
-
-A cell file tells what the logs cannot: which file plays which role, where the tracker stands, how the clocks relate,
-what the places are called. Every key has a default that works; an unknown key is refused with the nearest known one.
-What the settings do is the business of the rooms that get them.
-"""
+"""The text of a cell file -> a `Cell`, every value checked, every slip named with file, key and cure."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from dataclasses import MISSING, fields
+from datetime import datetime
+from typing import TYPE_CHECKING, Any, get_args
 
+from cyclekit.config.cells import CLOCK_KEYS, Begin, Cell, Executions, Frame, Matrix, NamedPlace, Point, Source, Sync
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.toml_file import list_at, read_toml
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-Begin = Literal["auto", "file", "gap", "home", "register", "digital-output"]
-Point = tuple[float, float, float]
-Matrix = tuple[Point, Point, Point]
-IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
-
-@dataclass(frozen=True)
-class Frame:
-    """Where a log's frame stands in the robot base frame: p_base = rotation @ p + xyz_m, after turning up to z.
-
-    Attributes:
-        xyz_m: Origin of the log's frame, base frame, metres.
-        rotation: Row-major rotation matrix; from `yaw_deg` (about base z) where the file gives that.
-    """
-
-    xyz_m: Point = (0.0, 0.0, 0.0)
-    rotation: Matrix = IDENTITY
-
-
-@dataclass(frozen=True)
-class Source:
-    """One kind of log in the folder.
-
-    Attributes:
-        path: File, folder or glob, relative to the folder of logs.
-        adapter: Adapter to use; None = found by content.
-        role: robot, people or events; None = all that the log holds.
-        clock_offset_s: Added to this log's time to get the robot log's time; None = not known.
-        clock_rate: Seconds of the robot log per second of this log.
-        frame: Where the log's frame stands; None = not known (taken as the base frame, with a warning).
-        body: Which rigid body, marker or topic is the operator.
-        rate_hz: Rate of a log that has no clock.
-        map: Columns, units or topics, as the adapter understands them.
-    """
-
-    path: str
-    adapter: str | None = None
-    role: Literal["robot", "people", "events"] | None = None
-    clock_offset_s: float | None = None
-    clock_rate: float = 1.0
-    frame: Frame | None = None
-    body: str | None = None
-    rate_hz: float | None = None
-    map: Mapping[str, object] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class NamedPlace:
-    """A place that the integrator named: positions within `radius_m` of `xyz_m` (base frame) are there."""
-
-    xyz_m: Point
-    radius_m: float = 0.05
-
-
-@dataclass(frozen=True)
-class Executions:
-    """How executions of the process begin.
-
-    Attributes:
-        begin: `auto` splits at gaps and, where the log stays continuous, at departures from home.
-        gap_s: A silence of the robot log longer than this separates executions.
-        home: Place that an execution starts from; None = where the recording starts, if it returns there.
-        bit: Digital output whose rising edge begins an execution (begin = "digital-output").
-    """
-
-    begin: Begin = "auto"
-    gap_s: float = 2.0
-    home: str | None = None
-    bit: int = 0
-
-
-@dataclass(frozen=True)
-class Cell:
-    """A cell: its sources, places and conventions.
-
-    Attributes:
-        ignore: Globs of files that are no logs.
-        reference: Globs of robot logs recorded with nobody in the cell.
-        rate_hz: Rate of the samples.
-        bridge_s: A gap in the operator's track up to this long is bridged linearly; longer ones stay unknown.
-    """
-
-    name: str = "cell"
-    sources: tuple[Source, ...] = ()
-    ignore: tuple[str, ...] = ()
-    reference: tuple[str, ...] = ()
-    places: Mapping[str, NamedPlace] = field(default_factory=dict)
-    human_places: Mapping[str, NamedPlace] = field(default_factory=dict)
-    executions: Executions = field(default_factory=Executions)
-    rate_hz: float = 10.0
-    bridge_s: float = 0.3
 
 
 def load_cell(path: Path) -> Cell:
@@ -194,17 +98,66 @@ def _source(where: str, entry: Mapping[str, Any]) -> Source:
     role = entry.get("role")
     if role not in (None, "robot", "people", "events"):
         raise UnknownName(where, "role", str(role), ["robot", "people", "events"])
+    if entry.get("sees") not in (None, "tcp"):
+        raise UnknownName(where, "value of sees", str(entry["sees"]), ["tcp"])
+    _one_clock(where, entry)
     return Source(
         path=_text(where, entry, "path") or "",
         adapter=_text(where, entry, "adapter"),
         role=role,
         clock_offset_s=_number(where, entry, "clock_offset_s", 0.0) if "clock_offset_s" in entry else None,
         clock_rate=_positive(where, entry, "clock_rate", 1.0),
+        sync=_sync(f"{where} sync", entry["sync"]) if "sync" in entry else None,
+        sync_events=_pairs(where, entry),
+        sees=entry.get("sees"),
+        sees_as=_text(where, entry, "sees_as"),
+        same_clock_as=_text(where, entry, "same_clock_as"),
+        start=_start(where, entry),
         frame=_frame(f"{where} frame", entry["frame"]) if "frame" in entry else None,
         body=_text(where, entry, "body"),
         rate_hz=_positive(where, entry, "rate_hz", 100.0) if "rate_hz" in entry else None,
         map=dict(_table(f"{where} map", entry.get("map", {}))),
     )
+
+
+def _one_clock(where: str, entry: Mapping[str, Any]) -> None:
+    said = [key for key in CLOCK_KEYS if key in entry and entry[key] != []]
+    if len(said) > 1:
+        raise ConfigError(f"{where}: both {said[0]} and {said[1]} say how its clock runs", cure="Keep one of them.")
+    if "clock_rate" in entry and said and "clock_offset_s" not in entry:
+        raise ConfigError(f"{where}: clock_rate beside {said[0]}, which finds it", cure="Remove clock_rate.")
+    if "sees_as" in entry and "sees" not in entry:
+        raise ConfigError(f"{where}: sees_as without sees", cure='Add sees = "tcp".')
+
+
+def _sync(where: str, raw: object) -> Sync:
+    raw = _table(where, raw)
+    _only(where, raw, Sync)
+    robot, other = _text(where, raw, "robot"), _text(where, raw, "other")
+    return Sync(robot or "", other or "")
+
+
+def _pairs(where: str, entry: Mapping[str, Any]) -> tuple[tuple[float, float], ...]:
+    pairs = list_at(where, entry, "sync_events")
+    for pair in pairs:
+        if not isinstance(pair, list) or len(pair) != 2 or not all(map(_is_number, pair)):
+            cure = "Give [this log's time, the robot log's time], seconds."
+            raise ConfigError(f"{where}: sync_events has {pair!r}", cure=cure)
+    return tuple((float(mine), float(robots)) for mine, robots in pairs)
+
+
+def _start(where: str, entry: Mapping[str, Any]) -> str | None:
+    value = entry.get("start")
+    if value is None:
+        return None
+    try:
+        when = value if isinstance(value, datetime) else datetime.fromisoformat(value)
+    except (TypeError, ValueError):
+        when = None
+    if when is None or when.tzinfo is None:
+        cure = 'Write it with its time zone: start = "2026-03-02T14:03:11+01:00"'
+        raise ConfigError(f"{where}: start = {value!r} is no instant", cure=cure)
+    return when.isoformat()
 
 
 def _frame(where: str, raw: object) -> Frame:
@@ -249,54 +202,3 @@ def _places(where: str, raw: object) -> dict[str, NamedPlace]:
         radius = _positive(f"{where[:-1]}.{name}]", entry, "radius_m", 0.05)
         found[name] = NamedPlace(_point(f"{where} {name} xyz_m", entry["xyz_m"]), radius)
     return found
-
-
-def cell_to_toml(cell: Cell) -> str:
-    """Return the cell file that would give this cell; comments say what a person may want to fill in."""
-    lines = [f"name = {_toml(cell.name)}"]
-    lines += [f"ignore = {_toml(list(cell.ignore))}"] if cell.ignore else []
-    lines += [f"reference = {_toml(list(cell.reference))}  # logs with nobody in the cell"] if cell.reference else []
-    lines += [f"rate_hz = {_toml(cell.rate_hz)}"] if cell.rate_hz != Cell.rate_hz else []
-    lines += [f"bridge_s = {_toml(cell.bridge_s)}"] if cell.bridge_s != Cell.bridge_s else []
-    for source in cell.sources:
-        lines += ["", "[[sources]]"]
-        for key, value in vars(source).items():
-            if value is not None and value != {} and (key, value) != ("clock_rate", 1.0):
-                lines.append(f"{key} = {_toml(value)}")
-        if source.role == "people" and source.frame is None:
-            lines.append("# frame = { xyz_m = [0.0, 0.0, 0.0], yaw_deg = 0.0 }  # where the tracker stands")
-        if source.role in {"people", "events"} and source.clock_offset_s is None:
-            lines.append("# clock_offset_s = 0.0  # add to this log's time to get the robot log's time")
-    for title, places in (("places", cell.places), ("human_places", cell.human_places)):
-        for name, place in places.items():
-            xyz, radius = _toml(list(place.xyz_m)), _toml(place.radius_m)
-            lines += ["", f"[{title}.{_key(name)}]", f"xyz_m = {xyz}", f"radius_m = {radius}"]
-    begin = cell.executions
-    lines += [
-        "",
-        "[executions]",
-        f'begin = "{begin.begin}"  # {", ".join(get_args(Begin))}',
-        f"gap_s = {_toml(begin.gap_s)}",
-    ]
-    lines += [f"home = {_toml(begin.home)}"] if begin.home else []
-    lines += [f"bit = {begin.bit}"] if begin.bit else []
-    return "\n".join(lines) + "\n"
-
-
-def _key(name: str) -> str:
-    return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else _toml(name)
-
-
-def _toml(value: object) -> str:
-    if isinstance(value, Frame):
-        rotation = [list(row) for row in value.rotation]
-        return f"{{ xyz_m = {_toml(list(value.xyz_m))}, rotation = {_toml(rotation)} }}"
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(str(k))} = {_toml(v)}" for k, v in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML's escapes are those of JSON
-    return repr(value)

@@ -1,0 +1,74 @@
+"""C3D, the binary file of motion capture that Vicon, Qualisys, Motive and others write.
+
+A person is the middle of the pelvis markers seen, by subject (`Subject:Marker`); a residual below zero or a NaN is a
+marker that was not seen. Lengths are in `POINT:UNITS`; up is the axis that `POINT:Y_SCREEN` names, else Z. The clock is
+the trial's: frame over `POINT:RATE`, with the first frame of the capture at (first - 1) / rate. No time of day is in
+the file. Analog channels are passed over.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, cast
+
+import numpy as np
+import polars as pl
+
+from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.errors import DamagedLog, nearest
+from cyclekit.schema import PEOPLE, conform
+from cyclekit_adapters.c3d_file import C3dFile, is_c3d, read_c3d
+from cyclekit_adapters.markers import choose_people, marker_facts, marker_warnings, marker_words, people_table
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_METRES = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254}
+_WORDS = {"millimeters": "mm", "millimetres": "mm", "centimeters": "cm", "meters": "m", "metres": "m", "inches": "in"}
+
+
+class _C3d:
+    def recognises(self, path: Path) -> bool:
+        return is_c3d(path)
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        up = marker_words(options, "C3D")
+        log = read_c3d(path)
+        metres, unit = _metres(path, log)
+        people = choose_people(path, log.labels, options, "C3D")
+        rows = np.arange(len(log.points), dtype=np.int64)
+        t_s = (log.first_frame - 1 + rows) / log.rate_hz
+        table = people_table(people, log.points * metres, t_s, rows)
+        said = marker_warnings(people, table, options)
+        cut = log.frames_stated - len(log.points)
+        if cut:
+            said.append(f"the file is cut: {cut} of {log.frames_stated} frames are missing at its end")
+        shown = {"+Z": "z", "+Y": "y"}.get(log.text("POINT", "Y_SCREEN").upper().replace(" ", ""))
+        told = f"{shown}, by POINT:Y_SCREEN" if shown else "z, as most systems have it; not in the file"
+        return Recording(
+            people=conform(table, PEOPLE),
+            clock="relative",
+            up=cast('Literal["y", "z"]', up or shown or "z"),
+            rows_read=len(rows),
+            set_aside=pl.DataFrame(schema={"source_row": pl.Int64(), "reason": pl.String()}),
+            warnings=tuple(said),
+            facts={
+                "rate_hz": f"{log.rate_hz:g}",
+                "unit": unit,
+                "up": f"{up}, by the cell file" if up else told,
+                "software": log.text("MANUFACTURER", "SOFTWARE") or "not stated",
+                **marker_facts(people, log.labels),
+            },
+        )
+
+
+def _metres(path: Path, log: C3dFile) -> tuple[float, str]:
+    stated = log.text("POINT", "UNITS")
+    unit = _WORDS.get(stated.lower(), stated.lower())
+    if unit not in _METRES:
+        cause = f"unknown length unit {stated[:20]!r} in POINT:UNITS" if stated else "no length unit in POINT:UNITS"
+        cure = f"Known: {', '.join(_METRES)}. Write the file again with one of them."
+        raise DamagedLog(path, cause, nearest=nearest(unit, _METRES), cure=cure)
+    return _METRES[unit], f"{unit}, by POINT:UNITS"
+
+
+ADAPTER: Adapter = _C3d()

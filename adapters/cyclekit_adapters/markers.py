@@ -1,0 +1,157 @@
+"""Which markers of an optical tracker are the person, and where that person is.
+
+A person's point is the middle of the pelvis markers that were seen; without any known pelvis marker, the middle of all
+markers of the subject. A subject is what stands before the colon of a marker's name. Where some subject wears pelvis
+markers, subjects without them are things. The cell file may name a subject, one marker, or the markers that count.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.errors import LogError, nearest
+from cyclekit_adapters.source_map import split_names, words
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from cyclekit.adapter import ReadOptions
+
+# Anterior and posterior superior iliac spines (LASI, RPSI, ASISr, L_PSIS, ...), sacrum, waist, pelvis, mid-hip.
+_PELVIS = re.compile(
+    r"^([lr]_?)?(asis?|psis?)(_?[lr])?$|^(sacr(um)?|s1)$|^(waist|pelvis|hips?)(_?[lr])?(_?(front|back|[fb]))?$",
+    re.IGNORECASE,
+)
+_ALONE = "person"
+_EARTH_M = 1e7  # farther away a marker is a garbled number
+
+
+@dataclass(frozen=True)
+class People:
+    """The people among the markers: `tracks` person -> marker indices, what `point` each is, what is no person."""
+
+    tracks: dict[str, list[int]]
+    point: str
+    things: tuple[str, ...]
+
+
+def marker_words(options: ReadOptions, adapter: str) -> str | None:
+    """Return what `[sources.map]` says about the axis that is up, having checked its keys (`up` and `markers`).
+
+    Raises:
+        ConfigError: A key or a word is not known.
+    """
+    _, rest = split_names(options, adapter, "markers")
+    return words(replace(options, map=rest), adapter, {"up": ("y", "z"), "markers": ()}).get("up")
+
+
+def choose_people(path: Path, names: Sequence[str], options: ReadOptions, adapter: str) -> People:
+    """Find the people among markers called `names`.
+
+    Raises:
+        LogError: `options` names a body or marker that is not there, or there is no marker at all.
+        ConfigError: `markers` of the map is no list of names.
+    """
+    wanted, _ = split_names(options, adapter, "markers")
+    subjects = _subjects(names)
+    if wanted:
+        return People({options.body or _ALONE: [_find(path, names, name) for name in wanted]}, "markers named", ())
+    if options.body is not None:
+        if options.body in subjects:
+            members = subjects[options.body]
+            pelvis = [index for index in members if _is_pelvis(names[index])]
+            return People({options.body: pelvis or members}, _point(bool(pelvis)), ())
+        return People({options.body: [_find(path, (*names, *subjects), options.body)]}, "the marker named", ())
+    if not subjects:
+        raise LogError(path, "no positions: it has no markers", cure="Export the trajectories of the markers.")
+    hips = {who: [i for i in members if _is_pelvis(names[i])] for who, members in subjects.items()}
+    worn = {who: members for who, members in hips.items() if members}
+    things = tuple(who for who in subjects if worn and who not in worn)
+    return People(worn or subjects, _point(bool(worn)), things)
+
+
+def _point(hips: bool) -> str:
+    return "middle of the pelvis markers seen" if hips else "middle of all markers seen"
+
+
+def _is_pelvis(name: str) -> bool:
+    return _PELVIS.match(name.rpartition(":")[2].strip()) is not None
+
+
+def _subjects(names: Sequence[str]) -> dict[str, list[int]]:
+    found: dict[str, list[int]] = {}
+    for index, name in enumerate(names):
+        subject, colon, _ = name.rpartition(":")
+        found.setdefault(subject.strip() if colon else _ALONE, []).append(index)
+    labelled = {who: members for who, members in found.items() if who != _ALONE}
+    loose = [i for i in found.get(_ALONE, []) if not names[i].startswith("*")]
+    if labelled and not any(_is_pelvis(names[i]) for i in loose):
+        return labelled  # markers of nobody beside those of named subjects
+    return found
+
+
+def _find(path: Path, names: Sequence[str], name: str) -> int:
+    if name in names:
+        return list(names).index(name)
+    short = [index for index, known in enumerate(names) if known.rpartition(":")[2] == name]
+    if len(short) == 1:
+        return short[0]
+    cure = f"In the file: {', '.join(names[:40])}{', ...' if len(names) > 40 else ''}."
+    raise LogError(path, f"no body or marker {name!r}", nearest=nearest(name, names), cure=cure)
+
+
+def people_table(
+    people: People, points_m: NDArray[np.float64], t_s: NDArray[np.float64], source_row: NDArray[np.int64]
+) -> pl.DataFrame:
+    """Return the rows of PEOPLE, ordered by time: the middle of what was seen, null where nothing was.
+
+    Args:
+        people: Who wears which markers.
+        points_m: (T, M, 3), NaN = not seen.
+        t_s: (T,).
+        source_row: (T,).
+    """
+    tracks = []
+    for person, members in people.tracks.items():
+        seen: NDArray[np.bool_] = np.all(np.abs(points_m[:, members]) < _EARTH_M, axis=2)  # NaN compares false
+        count = seen.sum(axis=1)
+        total = np.where(seen[:, :, None], points_m[:, members], 0.0).sum(axis=1)
+        middle = np.full((len(t_s), 3), np.nan)
+        middle[count > 0] = total[count > 0] / count[count > 0, None]
+        axes = {f"{axis}_m": pl.Series(middle[:, i]).fill_nan(None) for i, axis in enumerate("xyz")}
+        tracks.append(pl.DataFrame({"t_s": t_s, "person": [person] * len(t_s), **axes, "source_row": source_row}))
+    return pl.concat(tracks).sort("source_row", maintain_order=True)
+
+
+def marker_warnings(people: People, table: pl.DataFrame, options: ReadOptions) -> list[str]:
+    """Say what a person must know about the choice of markers."""
+    said = []
+    if len(people.tracks) > 1:
+        said.append(f"{len(people.tracks)} bodies tracked ({', '.join(people.tracks)}): name the operator with `body`")
+    if "all markers" in people.point:
+        said.append("no pelvis marker known by name: the person is the middle of all markers; see `body` and `markers`")
+    if any(len(members) > 1 for members in people.tracks.values()):
+        said.append("the person is the middle of the markers seen, which shifts when one is hidden")
+    for person in people.tracks:
+        seen = table.filter(pl.col("person") == person)["x_m"]
+        if seen.has_nulls():
+            said.append(f"{person!r} is not seen in {seen.null_count()} of {len(seen)} frames")
+    return said
+
+
+def marker_facts(people: People, names: Sequence[str]) -> dict[str, str]:
+    """Return what was tracked, for people to read."""
+    facts = {"tracked": ", ".join(people.tracks), "point": people.point}
+    facts["markers_used"] = ", ".join(names[i] for members in people.tracks.values() for i in members)
+    if people.things:
+        facts["not_people"] = ", ".join(people.things)
+    facts["names_in_file"] = ", ".join(names)
+    return facts

@@ -1,0 +1,62 @@
+"""What a UR driver says of the robot's mode, in words: latched, one message at each change.
+
+The numbers are the controller's. RUNNING means that the brakes are released and says nothing of the program; in any
+other mode no program moves the arm. Numbers that newer software adds stay numbers.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cyclekit_adapters.rosbag.decode import Group
+
+ROBOT_MODE, SAFETY_MODE = "ur_dashboard_msgs/msg/RobotMode", "ur_dashboard_msgs/msg/SafetyMode"
+RUNNING = "RUNNING"
+
+DEFINITIONS = {ROBOT_MODE: "int8 mode\n", SAFETY_MODE: "int8 mode\n"}
+"""For bags that carry none: a single field, whose values all fit one byte, which stands first."""
+
+_ROBOT = dict(
+    enumerate(
+        (
+            "NO_CONTROLLER",
+            "DISCONNECTED",
+            "CONFIRM_SAFETY",
+            "BOOTING",
+            "POWER_OFF",
+            "POWER_ON",
+            "IDLE",
+            "BACKDRIVE",
+            RUNNING,
+            "UPDATING_FIRMWARE",
+        ),
+        start=-1,
+    )
+)
+_SAFETY = dict(
+    enumerate(
+        (
+            "NORMAL",
+            "REDUCED",
+            "PROTECTIVE_STOP",
+            "RECOVERY",
+            "SAFEGUARD_STOP",
+            "SYSTEM_EMERGENCY_STOP",
+            "ROBOT_EMERGENCY_STOP",
+            "VIOLATION",
+            "FAULT",
+            "VALIDATE_JOINT_ID",
+            "UNDEFINED_SAFETY_MODE",
+            "AUTOMATIC_MODE_SAFEGUARD_STOP",
+            "SYSTEM_THREE_POSITION_ENABLING_STOP",
+        ),
+        start=1,
+    )
+)
+
+
+def mode_names(kind: str, group: Group) -> list[str]:
+    """Return the mode of each message, in words."""
+    words = _ROBOT if kind == ROBOT_MODE else _SAFETY
+    return [words.get(int(mode), str(int(mode))) for mode in group.numbers("mode")]

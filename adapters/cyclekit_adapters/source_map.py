@@ -1,0 +1,47 @@
+"""The few keys that an adapter of a self-describing log takes from `[sources.map]`, checked.
+
+A key nobody knows or a word nobody knows is refused with the nearest one; what a key means is the adapters' business.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from cyclekit.errors import ConfigError, UnknownName
+
+if TYPE_CHECKING:
+    from cyclekit.adapter import ReadOptions
+
+
+def words(options: ReadOptions, adapter: str, known: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Return the keys given, each with one of the words that `known` lists for it.
+
+    Raises:
+        ConfigError: A key or a word is not known.
+    """
+    where = f"[sources.map] of a {adapter} log"
+    found = {}
+    for key, value in options.map.items():
+        if key not in known:
+            raise UnknownName(where, "key", key, known)
+        if not isinstance(value, str):
+            raise ConfigError(f"{where}: {key} = {value!r} is not a text", cure=f"One of: {', '.join(known[key])}.")
+        if value not in known[key]:
+            raise UnknownName(where, key, value, known[key])
+        found[key] = value
+    return found
+
+
+def split_names(options: ReadOptions, adapter: str, key: str) -> tuple[tuple[str, ...], dict[str, object]]:
+    """Return the names listed under `key` (an array of texts), and the other keys.
+
+    Raises:
+        ConfigError: `key` is something else.
+    """
+    rest = dict(options.map)
+    value = rest.pop(key, ())
+    if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(item, str) for item in value):
+        where = f"[sources.map] of a {adapter} log"
+        raise ConfigError(f"{where}: {key} = {value!r} is not a list of names", cure=f'For example {key} = ["A", "B"].')
+    return tuple(str(item) for item in value), rest

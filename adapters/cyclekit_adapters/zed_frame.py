@@ -1,0 +1,91 @@
+"""In which unit and along which axes a ZED skeleton is written, told by the skeletons themselves.
+
+The SDK lets its user choose both and writes neither. Metres and millimetres lie a factor of 1000 apart and people do
+not, so the size of the bodies decides; people stand and sit upright, so the way from pelvis to neck shows which axis is
+up. Left and right do not show in it: the SDK's exporters write right-handed axes, and anything else must be said.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from cyclekit.errors import LogError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    Numbers = NDArray[np.float64]
+
+UNITS = {"m": 1.0, "mm": 1e-3}
+SIZE_M = (0.25, 3.0)
+"""Longest edge of the box around a body's seen keypoints: a crouching half to a man with raised arms."""
+
+Up = Literal["y", "z"]
+_SAME = np.eye(3)
+_FLIP = np.diag([1.0, -1.0, -1.0])
+_MIRROR = np.diag([1.0, 1.0, -1.0])
+AXES: dict[str, tuple[Numbers, Up]] = {
+    "right_handed_y_up": (_SAME, "y"),
+    "right_handed_z_up": (_SAME, "z"),
+    "right_handed_z_up_x_fwd": (_SAME, "z"),
+    "image": (_FLIP, "y"),
+    "left_handed_y_up": (_MIRROR, "y"),
+    "left_handed_z_up": (np.diag([1.0, -1.0, 1.0]), "z"),
+}
+"""The SDK's coordinate systems: the turn (or mirror) into right-handed axes, and which of those is up."""
+
+_CLEAR = 0.6
+
+
+def metres_of(path: Path, sizes: Numbers, unit: str | None) -> tuple[float, str]:
+    """Return metres per unit of the file, and how that is known.
+
+    Args:
+        path: The log.
+        sizes: (N,) size of each body in the file's unit.
+        unit: What the cell file says, if it does.
+
+    Raises:
+        LogError: The bodies fit neither unit.
+    """
+    if unit is not None:
+        return UNITS[unit], f"{unit}, by the cell file"
+    typical = float(np.median(sizes)) if len(sizes) else float("nan")
+    for name, metres in UNITS.items():
+        if SIZE_M[0] <= typical * metres <= SIZE_M[1]:
+            return metres, f"{name}, since bodies are {typical:.4g} {name} from end to end"
+    seen = "no body shows its size" if not len(sizes) else f"bodies are {typical:.4g} from end to end"
+    cause = f"the unit cannot be decided between metres and millimetres: {seen}"
+    raise LogError(path, cause, cure='Say it in cell.toml: unit = "m" or unit = "mm" in [sources.map].')
+
+
+def axes_of(path: Path, upward: Numbers, axes: str | None) -> tuple[Numbers, Up, str]:
+    """Return the turn into right-handed axes (3, 3), which of those is up, and how that is known.
+
+    Args:
+        path: The log.
+        upward: (N, 3) from pelvis to neck of each body.
+        axes: What the cell file says, if it does.
+
+    Raises:
+        LogError: The bodies point neither up nor down along one axis.
+    """
+    if axes is not None:
+        return *AXES[axes], f"{axes}, by the cell file"
+    length = np.linalg.norm(upward, axis=1, keepdims=True)
+    usable = (length > 0.0) & np.isfinite(length)
+    if not usable.any():
+        return *AXES["right_handed_y_up"], "right_handed_y_up, as the SDK's exporters write; no body shows it"
+    mean = (upward[usable[:, 0]] / length[usable[:, 0]]).mean(axis=0)
+    shown = {"right_handed_y_up": mean[1], "image": -mean[1], "right_handed_z_up": mean[2]}
+    best = max(shown, key=lambda name: float(shown[name]))
+    if shown[best] < _CLEAR:
+        way = ", ".join(f"{value:.2f}" for value in mean)
+        cause = f"the bodies do not show which axis is up: pelvis to neck is ({way}) on average"
+        raise LogError(path, cause, cure=f"Say it in cell.toml, in [sources.map]: axes = one of {', '.join(AXES)}.")
+    turned = "; turned to y up, z towards the camera" if best == "image" else ""
+    return *AXES[best], f"{best}, since bodies stand along it; taken as right-handed{turned}"

@@ -1,0 +1,230 @@
+"""kill -9 at random moments of every command that writes: afterwards the old result is there, or the new one.
+
+Each command writes over an earlier result again and again; each time it is killed at a moment spread evenly over how
+long it takes when left alone. After each kill the result is read: it must be one of the two whole ones. At the end the
+command runs once to its end without help, and nothing else may lie beside its result.
+
+    python benchmarks/kill_nine.py --times 200
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import multiprocessing
+import os
+import random
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+PRELOAD = ["cyclekit.ingest", "cyclekit.train", "cyclekit.estimate.rollout", "cyclekit.replay", "cyclekit.report",
+           "cyclekit.evaluate", "cyclekit.cli", "cyclekit_sim"]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Victim:
+    """A command to be killed: its words without and with a difference, and what it writes.
+
+    Attributes:
+        name: Of the command.
+        words: Two command lines for the same target, whose results differ.
+        target: What both write.
+    """
+
+    name: str
+    words: tuple[list[str], list[str]]
+    target: Path
+
+
+@dataclass
+class Count:
+    """What came of the kills of one command."""
+
+    name: str
+    took_s: float
+    killed: int = 0
+    ended_first: int = 0
+    old: int = 0
+    new: int = 0
+    broken: list[str] = field(default_factory=list)
+
+
+def _type(words: list[str]) -> None:
+    from cyclekit.cli import main
+
+    with Path(os.devnull).open("w", encoding="utf-8") as silence:
+        os.dup2(silence.fileno(), 1)
+        os.dup2(silence.fileno(), 2)
+        main(words)
+
+
+class Terminal:
+    """Starts command lines in fresh processes that can be killed."""
+
+    def __init__(self) -> None:
+        """Where processes can be forked, from one that has imported everything and done nothing: cheap."""
+        forks = "forkserver" in multiprocessing.get_all_start_methods()
+        self._context = multiprocessing.get_context("forkserver" if forks else "spawn")
+        if forks:
+            self._context.set_forkserver_preload(PRELOAD)
+
+    def start(self, words: list[str]) -> multiprocessing.process.BaseProcess:
+        """Start a command line."""
+        process = self._context.Process(target=_type, args=(words,))  # type: ignore[attr-defined]
+        process.start()
+        return process  # type: ignore[no-any-return]
+
+    def run(self, words: list[str]) -> float:
+        """Run a command line to its end; return how long that took, s.
+
+        Raises:
+            RuntimeError: It failed.
+        """
+        begin = time.perf_counter()
+        process = self.start(words)
+        process.join()
+        if process.exitcode != 0:
+            raise RuntimeError(f"{words} ended with {process.exitcode}")
+        return time.perf_counter() - begin
+
+
+def state_of(target: Path) -> str:
+    """Return a digest of a file or of a folder with all that is seen in it; empty if there is nothing."""
+    files = sorted(f for f in target.rglob("[!.]*") if f.is_file()) if target.is_dir() else [target][: target.exists()]
+    if not files:
+        return ""
+    if target.suffix == ".rrd":  # rerun gives the parts of a file other names every time
+        return _content(target)
+    whole = hashlib.sha256()
+    for file in files:
+        whole.update(file.relative_to(target.parent).as_posix().encode())
+        whole.update(file.read_bytes())
+    return whole.hexdigest()
+
+
+def _content(replay: Path) -> str:
+    from rerun.chunk import RrdReader
+
+    try:
+        parts = [(str(c.entity_path), c.num_rows, c.num_columns) for c in RrdReader(replay).stream()]
+    except Exception as error:  # whatever rerun says of a broken file
+        return f"broken: {error}"
+    return hashlib.sha256(repr(sorted(parts)).encode()).hexdigest()
+
+
+def _beside(target: Path) -> list[str]:
+    return sorted(entry.name for entry in target.parent.iterdir() if entry != target)
+
+
+def kill(victim: Victim, times: int, terminal: Terminal, settle: Callable[[Path], None], seed: int = 0) -> Count:
+    """Kill a command `times` times and look at what it left.
+
+    Args:
+        victim: The command.
+        times: How often.
+        terminal: Where to type.
+        settle: What a reader of the result does first (`recover` for folders).
+        seed: Of the moments.
+    """
+    chance = random.Random(seed)
+    terminal.run(victim.words[1])
+    other = state_of(victim.target)
+    took_s = terminal.run(victim.words[0])
+    first = state_of(victim.target)
+    whole = {first: victim.words[0], other: victim.words[1]}
+    count = Count(victim.name, took_s)
+    now = first
+    for number in range(times):
+        words = victim.words[1] if now == first else victim.words[0]
+        process = terminal.start(words)
+        process.join(chance.uniform(0.0, took_s * 1.05))
+        if process.exitcode is None:
+            count.killed += 1
+        else:
+            count.ended_first += 1
+        process.kill()
+        process.join()
+        settle(victim.target)
+        left = state_of(victim.target)
+        if left not in whole:
+            count.broken.append(f"kill {number}: {left[:8] or 'nothing'}")
+            terminal.run(victim.words[0])
+            left = first
+        elif left == now:
+            count.old += 1
+        else:
+            count.new += 1
+        now = left
+    terminal.run(victim.words[1] if now == first else victim.words[0])
+    if state_of(victim.target) not in whole or _beside(victim.target):
+        count.broken.append(f"the next run left {_beside(victim.target)}")
+    return count
+
+
+@contextlib.contextmanager
+def victims(root: Path, terminal: Terminal, *, executions: int = 3) -> Iterator[list[Victim]]:
+    """Make a small cell under `root` and yield every command that writes, each with a folder of its own."""
+    from cyclekit.dataset import Dataset
+
+    logs, data, model = root / "logs", root / "dataset", root / "model"
+    quiet = "--quiet"
+    simulate = ["simulate", "box-picking", "--executions", str(executions), quiet]
+    terminal.run([*simulate, "--out", str(logs)])
+    terminal.run(["ingest", str(logs), "--out", str(data), quiet])
+    train = ["train", str(data), "--problem", "now", quiet]
+    terminal.run([*train, "--out", str(model)])
+    tasks = Dataset.open(data).tasks()["task"].to_list()
+    there = next(task for task in tasks if task.startswith("conveyor->")).partition("->")[2]
+    sequence = root / "sequences.toml"
+    sequence.write_text(f'[[sequence]]\nname = "one"\nplaces = ["conveyor", "{there}"]\n', encoding="utf-8")
+    names = Dataset.open(data).executions["execution"].to_list()
+
+    def place(name: str) -> Path:
+        (root / name).mkdir()
+        return root / name / "result"
+
+    def victim(name: str, one: list[str], two: list[str], suffix: str = "") -> Victim:
+        target = place(name).with_suffix(suffix)
+        out = ["--out", str(target), quiet]
+        return Victim(name, ([name, *one, *out], [name, *two, *out]), target)
+
+    estimate = [str(model), str(sequence), "--dataset", str(data), "--extrapolate"]
+    report = [str(data), "--model", str(model)]
+    yield [
+        victim("simulate", ["box-picking", "--executions", "2"], ["box-picking", "--executions", "2", "--seed", "5"]),
+        victim("ingest", [str(logs)], [str(logs / "session_000" / "robot.csv")]),
+        victim("train", train[1:-1], [*train[1:-1], "--seed", "1"]),
+        victim("estimate", estimate, [*estimate, "--seed", "1"], ".json"),
+        victim("replay", [str(data), "--execution", names[0]], [str(data), "--execution", names[1]], ".rrd"),
+        victim("report", report, [*report, "--sequences", str(sequence)], ".html"),
+    ]
+
+
+def main() -> None:
+    """Kill each command and print the count."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--times", type=int, default=200, help="kills per command")
+    parser.add_argument("--only", help="one command")
+    times, only = parser.parse_args().times, parser.parse_args().only
+    from cyclekit.atomic import recover
+
+    terminal = Terminal()
+    table = Table("command", "runs for", "killed", "ended before", "old", "new", "broken")
+    with tempfile.TemporaryDirectory() as folder, victims(Path(folder), terminal) as found:
+        for victim in found:
+            if only in (None, victim.name):
+                count = kill(victim, times, terminal, recover)
+                table.add_row(count.name, f"{count.took_s:.2f} s", str(count.killed), str(count.ended_first),
+                              str(count.old), str(count.new), ", ".join(count.broken) or "0")  # fmt: skip
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

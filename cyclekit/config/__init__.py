@@ -1,0 +1,14 @@
+"""The cell file (cell.toml): read, checked, kept as frozen dataclasses, and written.
+
+A cell file tells what the logs cannot: which file plays which role, where the tracker stands, how the clocks relate,
+what the places are called. Every key has a default that works; an unknown key is refused with the nearest known one.
+What the settings do is the business of the rooms that get them.
+"""
+
+from __future__ import annotations
+
+from cyclekit.config.cells import Cell, Executions, Frame, NamedPlace, Source, Sync
+from cyclekit.config.read import load_cell
+from cyclekit.config.write import cell_to_toml
+
+__all__ = ["Cell", "Executions", "Frame", "NamedPlace", "Source", "Sync", "cell_to_toml", "load_cell"]

@@ -1,0 +1,127 @@
+"""What a cell file says, as frozen dataclasses; the defaults here are those of the file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Begin = Literal["auto", "file", "gap", "home", "register", "digital-output"]
+Point = tuple[float, float, float]
+Matrix = tuple[Point, Point, Point]
+IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+CLOCK_KEYS = ("clock_offset_s", "sync", "sync_events", "sees", "same_clock_as")
+"""Keys of a source that each say how its clock relates to the robot's."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where a log's frame stands in the robot base frame: p_base = rotation @ p + xyz_m, after turning up to z.
+
+    Attributes:
+        xyz_m: Origin of the log's frame, base frame, metres.
+        rotation: Row-major rotation matrix; from `yaw_deg` (about base z) where the file gives that.
+    """
+
+    xyz_m: Point = (0.0, 0.0, 0.0)
+    rotation: Matrix = IDENTITY
+
+
+@dataclass(frozen=True)
+class Sync:
+    """Two signals that change at the same instants.
+
+    Attributes:
+        robot: In the robot's log: "digital-output 3", "register", or a signal of its events ("signal=value" takes
+            only the changes to that value).
+        other: Likewise in the log to be placed.
+    """
+
+    robot: str
+    other: str
+
+
+@dataclass(frozen=True)
+class Source:
+    """One kind of log in the folder.
+
+    Attributes:
+        path: File, folder or glob, relative to the folder of logs.
+        adapter: Adapter to use; None = found by content.
+        role: robot, people or events; None = all that the log holds.
+        clock_offset_s: Added to this log's time to get the robot log's time; None = not known.
+        clock_rate: Seconds of the robot log per second of this log.
+        sync: Signals that change at the same instants in this log and the robot's; the clock is fitted to them.
+        sync_events: Instead, the times of such events: (this log's, the robot log's), seconds.
+        sees: "tcp" = a body of this log rides on the robot's flange; the clock is fitted to its motion.
+        sees_as: That body's name; None = all that the log holds is that body, and no person.
+        same_clock_as: Path of another source whose clock this log shares.
+        start: When this log began by the calendar, ISO 8601 with time zone; seconds at best, the last resort.
+        frame: Where the log's frame stands; None = not known (taken as the base frame, with a warning).
+        body: Which rigid body, marker or topic is the operator.
+        rate_hz: Rate of a log that has no clock.
+        map: Columns, units or topics, as the adapter understands them.
+    """
+
+    path: str
+    adapter: str | None = None
+    role: Literal["robot", "people", "events"] | None = None
+    clock_offset_s: float | None = None
+    clock_rate: float = 1.0
+    sync: Sync | None = None
+    sync_events: tuple[tuple[float, float], ...] = ()
+    sees: Literal["tcp"] | None = None
+    sees_as: str | None = None
+    same_clock_as: str | None = None
+    start: str | None = None
+    frame: Frame | None = None
+    body: str | None = None
+    rate_hz: float | None = None
+    map: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class NamedPlace:
+    """A place that the integrator named: positions within `radius_m` of `xyz_m` (base frame) are there."""
+
+    xyz_m: Point
+    radius_m: float = 0.05
+
+
+@dataclass(frozen=True)
+class Executions:
+    """How executions of the process begin.
+
+    Attributes:
+        begin: `auto` splits at gaps and, where the log stays continuous, at departures from home.
+        gap_s: A silence of the robot log longer than this separates executions.
+        home: Place that an execution starts from; None = where the recording starts, if it returns there.
+        bit: Digital output whose rising edge begins an execution (begin = "digital-output").
+    """
+
+    begin: Begin = "auto"
+    gap_s: float = 2.0
+    home: str | None = None
+    bit: int = 0
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell: its sources, places and conventions.
+
+    Attributes:
+        ignore: Globs of files that are no logs.
+        reference: Globs of robot logs recorded with nobody in the cell.
+        rate_hz: Rate of the samples.
+        bridge_s: A gap in the operator's track up to this long is bridged linearly; longer ones stay unknown.
+    """
+
+    name: str = "cell"
+    sources: tuple[Source, ...] = ()
+    ignore: tuple[str, ...] = ()
+    reference: tuple[str, ...] = ()
+    places: Mapping[str, NamedPlace] = field(default_factory=dict)
+    human_places: Mapping[str, NamedPlace] = field(default_factory=dict)
+    executions: Executions = field(default_factory=Executions)
+    rate_hz: float = 10.0
+    bridge_s: float = 0.3

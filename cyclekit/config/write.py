@@ -1,0 +1,62 @@
+"""A `Cell` -> the text of a cell file that reads back as the same one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import get_args
+
+from cyclekit.config.cells import CLOCK_KEYS, Begin, Cell, Frame, Sync
+
+
+def cell_to_toml(cell: Cell) -> str:
+    """Return the cell file that would give this cell; comments say what a person may want to fill in."""
+    lines = [f"name = {_toml(cell.name)}"]
+    lines += [f"ignore = {_toml(list(cell.ignore))}"] if cell.ignore else []
+    lines += [f"reference = {_toml(list(cell.reference))}  # logs with nobody in the cell"] if cell.reference else []
+    lines += [f"rate_hz = {_toml(cell.rate_hz)}"] if cell.rate_hz != Cell.rate_hz else []
+    lines += [f"bridge_s = {_toml(cell.bridge_s)}"] if cell.bridge_s != Cell.bridge_s else []
+    for source in cell.sources:
+        lines += ["", "[[sources]]"]
+        for key, value in vars(source).items():
+            if value is not None and value not in ({}, ()) and (key, value) != ("clock_rate", 1.0):
+                lines.append(f"{key} = {_toml(value)}")
+        if source.role == "people" and source.frame is None:
+            lines.append("# frame = { xyz_m = [0.0, 0.0, 0.0], yaw_deg = 0.0 }  # where the tracker stands")
+        if source.role in {"people", "events"} and all(getattr(source, key) in (None, ()) for key in CLOCK_KEYS):
+            lines.append("# clock_offset_s = 0.0  # add to this log's time to get the robot log's time")
+    for title, places in (("places", cell.places), ("human_places", cell.human_places)):
+        for name, place in places.items():
+            xyz, radius = _toml(list(place.xyz_m)), _toml(place.radius_m)
+            lines += ["", f"[{title}.{_key(name)}]", f"xyz_m = {xyz}", f"radius_m = {radius}"]
+    begin = cell.executions
+    lines += [
+        "",
+        "[executions]",
+        f'begin = "{begin.begin}"  # {", ".join(get_args(Begin))}',
+        f"gap_s = {_toml(begin.gap_s)}",
+    ]
+    lines += [f"home = {_toml(begin.home)}"] if begin.home else []
+    lines += [f"bit = {begin.bit}"] if begin.bit else []
+    return "\n".join(lines) + "\n"
+
+
+def _key(name: str) -> str:
+    return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else _toml(name)
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, Frame):
+        rotation = [list(row) for row in value.rotation]
+        return f"{{ xyz_m = {_toml(list(value.xyz_m))}, rotation = {_toml(rotation)} }}"
+    if isinstance(value, Sync):
+        value = vars(value)
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(str(k))} = {_toml(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")  # TOML's escapes are those of JSON
+    return repr(value)

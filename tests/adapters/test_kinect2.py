@@ -1,0 +1,90 @@
+import pytest
+from damage import damaged, read_or_refuse
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cyclekit.adapter import ReadOptions
+from cyclekit.errors import DamagedLog, LogError
+from cyclekit.registry import adapters
+from cyclekit_adapters.kinect2 import ADAPTER
+
+
+def row(ticks, x, y=-0.5, z=2.0, state=2, end=","):
+    """Return ticks and 25 joints, the base of the spine first, with the recorder's comma at the end."""
+    rest = [f"{0.1 * i:g},{0.01 * i:g},2.5,{i % 3}" for i in range(1, 25)]
+    return ",".join([str(ticks), f"{x},{y},{z},{state}", *rest]) + end
+
+
+def read(path, rows, **options):
+    path.write_text("\n".join(rows) + "\n")
+    assert [name for name, entry in adapters().items() if entry.adapter.recognises(path)] == ["kinect2"]
+    return ADAPTER.read(path, ReadOptions(**options))
+
+
+@pytest.mark.parametrize("end", [",", ""])
+def test_the_base_of_the_spine_in_metres_at_ticks_of_100_ns(tmp_path, end):
+    log = read(tmp_path / "joints.csv", [row(31867373716, 0.25, end=end), row(31867714704, 0.5, end=end)])
+    assert log.people.rows() == [
+        (pytest.approx(3186.7373716), "1", 0.25, -0.5, 2.0, 0),
+        (pytest.approx(3186.7714704), "1", 0.5, -0.5, 2.0, 1),
+    ]
+    assert (log.up, log.clock) == ("y", "uptime")
+
+
+def test_an_untracked_joint_is_unknown_and_an_inferred_one_is_used_and_counted(tmp_path):
+    log = read(tmp_path / "joints.csv", [row(10, 0.25, state=0), row(20, 0.5, state=1), row(30, 0.75)])
+    assert log.people["x_m"].to_list() == [None, 0.5, 0.75]
+    assert any("inferred, not seen, in 1 of 3 rows" in said for said in log.warnings)
+    assert any("not tracked in 1 of 3 rows" in said for said in log.warnings)
+
+
+def test_bodies_that_share_a_time_are_linked_by_motion(tmp_path):
+    rows = [row(i * 333_333, x) for i in range(3) for x in ((0.0, 2.0) if i != 1 else (2.0, 0.0))]
+    log = read(tmp_path / "joints.csv", rows)
+    tracks = sorted(part["x_m"].to_list() for _, part in log.people.group_by("person"))
+    assert tracks == [[0.0] * 3, [2.0] * 3]
+    assert any("linked by motion" in said for said in log.warnings)
+    assert read(tmp_path / "joints.csv", rows, body="1").people.height == 3
+    with pytest.raises(LogError, match="no body '7'"):
+        read(tmp_path / "joints.csv", rows, body="7")
+
+
+@pytest.mark.parametrize(
+    "other", ["1,2,3,4", row(10, 0.5, state=3), row("time", 0.5), row(10, "left"), ",".join(["1"] * 77)]
+)
+def test_other_tables_are_not_recognised(tmp_path, other):
+    path = tmp_path / "a.csv"
+    path.write_text(other + "\n")
+    assert not ADAPTER.recognises(path)
+
+
+def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path):
+    path = tmp_path / "joints.csv"
+    path.write_text(row(10, 0.25) + "\n" + row(20, 0.5)[:-30])
+    log = ADAPTER.read(path, ReadOptions())
+    assert log.people["x_m"].to_list() == [0.25]
+    assert log.set_aside["source_row"].to_list() == [1]
+
+
+def test_rows_that_cannot_be_used_at_all_are_refused(tmp_path):
+    path = tmp_path / "joints.csv"
+    path.write_text(row("ten", 0.25) + "\n")
+    with pytest.raises(DamagedLog, match="none of its first rows"):
+        ADAPTER.read(path, ReadOptions())
+    path.write_text(row(10, 0.25))
+    with pytest.raises(DamagedLog, match="none of its"):
+        ADAPTER.read(path, ReadOptions())
+
+
+def test_damage_gives_what_is_whole_or_a_refusal(tmp_path):
+    path = tmp_path / "joints.csv"
+    for whole in damaged("\n".join([row(10, 0.25), row(20, 0.5), row(20, 0.75), ""]).encode(), seed=6):
+        path.write_bytes(whole)
+        read_or_refuse(ADAPTER, path)
+
+
+@given(cells=st.lists(st.sampled_from(["0", "1", "2", "1e308", "-1", "nan", "x", ""]), min_size=95, max_size=105))
+def test_any_cells_are_read_or_refused(tmp_path_factory, cells):
+    path = tmp_path_factory.getbasetemp() / "any_kinect2.csv"
+    path.write_text((",".join(cells) + "\n") * 3)
+    read_or_refuse(ADAPTER, path)

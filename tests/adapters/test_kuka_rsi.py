@@ -1,0 +1,132 @@
+import pytest
+from damage import damaged, read_or_refuse
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cyclekit.adapter import ReadOptions
+from cyclekit.errors import DamagedLog, LogError, MissingColumns, UnknownName
+from cyclekit.registry import find_adapter
+from cyclekit.schema import ROBOT
+from cyclekit_adapters.kuka_rsi import ADAPTER
+
+COLUMNS = (
+    "Timestamp,X_RIst,Y_RIst,Z_RIst,A_RIst,B_RIst,C_RIst,X_RSol,Y_RSol,Z_RSol,A_RSol,B_RSol,C_RSol,Delay,IPOC,ErrorNum"
+)
+
+
+def row(ipoc, x="1279.5", y="192.4", z="977.3", *, delay="0"):
+    return f"2024-05-06 14:05:15,{x},{y},{z},80.4,60.3,116.8,9,9,9,80.5,60.3,116.8,{delay},{ipoc},0"
+
+
+def write(path, *rows, columns=COLUMNS, end="\n"):
+    path.write_bytes((end.join([columns, *rows]) + end).encode())
+    return path
+
+
+def read(path, **options):
+    return ADAPTER.read(path, ReadOptions(**options))
+
+
+def test_millimetres_and_the_milliseconds_of_the_controller_become_metres_and_seconds(tmp_path):
+    path = write(tmp_path / "robot.csv", row(1210441551), row(1210441563, y="-200.1"))
+    assert find_adapter(path).name == "kuka-rsi"
+    log = read(path)
+    assert log.robot["t_s"].to_list() == pytest.approx([1210441.551, 1210441.563])
+    assert log.robot["tcp_x_m"].to_list() == pytest.approx([1.2795, 1.2795])
+    assert log.robot["tcp_y_m"].to_list() == pytest.approx([0.1924, -0.2001])
+    assert log.robot["tcp_z_m"].to_list() == pytest.approx([0.9773, 0.9773])
+    assert log.clock == "uptime"
+    assert log.facts["cycle"] == "12 ms"
+    assert log.robot.columns == list(ROBOT)
+
+
+def test_the_set_point_is_not_the_place_and_the_override_is_unknown(tmp_path):
+    log = read(write(tmp_path / "robot.csv", row(12), row(24)))
+    assert log.robot["tcp_x_m"].to_list() == pytest.approx([1.2795] * 2)
+    assert log.robot["scaling"].null_count() == 2
+    assert any("speed scaling" in said for said in log.warnings)
+
+
+def test_an_override_column_of_the_client_is_pointed_at_and_not_guessed(tmp_path):
+    path = write(tmp_path / "robot.csv", row(12) + ",50", columns=COLUMNS + ",OV_PRO")
+    log = read(path)
+    assert log.robot["scaling"].to_list() == [None]
+    assert any("'OV_PRO'" in said and "scaling_max = 100" in said for said in log.warnings)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r\n\r\n"])
+def test_a_client_on_windows_writes_the_same_log(tmp_path, end):
+    log = read(write(tmp_path / "robot.csv", row(12), row(24), end=end))
+    assert log.robot["t_s"].to_list() == pytest.approx([0.012, 0.024])
+    assert log.set_aside.is_empty()
+
+
+def test_a_cycle_that_is_written_twice_counts_once(tmp_path):
+    log = read(write(tmp_path / "robot.csv", row(12), row(12), row(24)))
+    assert log.robot["source_row"].to_list() == [0, 2]
+    assert log.set_aside.rows() == [(1, "repeats the controller sample before it")]
+    assert log.rows_read == 3
+
+
+def test_late_packets_and_a_restarted_controller_are_said(tmp_path):
+    log = read(write(tmp_path / "robot.csv", row(120), row(132, delay="3"), row(12)))
+    assert any("3 late packets" in said for said in log.warnings)
+    assert any("steps back 1 time" in said for said in log.warnings)
+    assert log.robot.height == 3
+
+
+def test_a_row_cut_while_being_written_is_set_aside(tmp_path):
+    path = write(tmp_path / "robot.csv", row(12), row(24))
+    path.write_bytes(path.read_bytes()[:-8])
+    log = read(path)
+    assert log.robot["source_row"].to_list() == [0]
+    assert "cut" in log.set_aside["reason"][0]
+
+
+def test_numbers_with_a_decimal_comma_are_refused_and_not_taken_for_something_else(tmp_path):
+    path = tmp_path / "robot.csv"
+    path.write_text("IPOC;X_RIst;Y_RIst;Z_RIst\n12;1279,5;0,1;0,2\n", encoding="utf-8")
+    with pytest.raises(DamagedLog, match="'1279,5' in column 'X_RIst' is not a number"):
+        read(path)
+
+
+def test_a_log_without_one_axis_names_it(tmp_path):
+    path = write(tmp_path / "robot.csv", "12,1,2", columns="IPOC,X_RIst,Z_RIst")
+    assert ADAPTER.recognises(path)
+    with pytest.raises(MissingColumns, match="Y_RIst"):
+        read(path)
+
+
+def test_a_header_without_rows_and_an_unknown_key_are_refused(tmp_path):
+    path = write(tmp_path / "robot.csv")
+    with pytest.raises(DamagedLog, match="a header and no rows"):
+        read(path)
+    with pytest.raises(UnknownName, match="scaling"):
+        read(path, map={"scaling": "OV_PRO"})
+
+
+def test_other_tables_and_folders_are_not_mine(tmp_path):
+    assert not ADAPTER.recognises(tmp_path)
+    assert not ADAPTER.recognises(write(tmp_path / "a.csv", "1,2", columns="IPOC,speed"))
+    with pytest.raises(LogError):
+        read(tmp_path / "absent.csv")
+
+
+def test_a_damaged_log_is_read_in_part_or_refused(tmp_path):
+    path = write(tmp_path / "robot.csv", *(row(12 * i, x=str(i)) for i in range(6)))
+    for whole in damaged(path.read_bytes(), seed=21):
+        path.write_bytes(whole)
+        read_or_refuse(ADAPTER, path)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(st.integers(-(10**6), 10**6), st.integers(1, 500)), min_size=1, max_size=20))
+def test_any_log_of_whole_rows_comes_back_as_it_was_written(tmp_path_factory, cycles):
+    ipoc, rows = 0, []
+    for tenths, step in cycles:
+        ipoc += step
+        rows.append((ipoc, tenths / 10))
+    path = write(tmp_path_factory.mktemp("rsi") / "robot.csv", *(row(t, x=f"{x:.1f}") for t, x in rows))
+    robot = read(path).robot
+    assert robot["t_s"].to_list() == pytest.approx([t / 1000 for t, _ in rows])
+    assert robot["tcp_x_m"].to_list() == pytest.approx([x / 1000 for _, x in rows])

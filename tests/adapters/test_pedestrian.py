@@ -1,0 +1,143 @@
+import pytest
+from damage import damaged, read_or_refuse
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cyclekit.adapter import ReadOptions
+from cyclekit.errors import LogError
+from cyclekit.registry import adapters
+from cyclekit_adapters.pedestrian import ADAPTER
+
+PLAIN = "0 1 1.5 2.5\n0 2 4.0 5.0\n10 1 1.75 2.5\n10 2 4.0 5.25\n"
+PETRACK = (
+    "# PeTrack project: cell.pet\n# framerate: 25 fps\n# id frame x/m y/m z/m\n"
+    "1 0 13.7271 1.028 1.58\n1 1 13.7288 1.0285 1.58\n2 1 4.0 5.0 1.7\n"
+)
+JUPEDSIM = "#framerate: 16\n#X,Y,Z: the agents coordinates in meters\n#ID\tFR\tX\tY\tZ\n1\t0\t8.21\t131.57\t0.00\n"
+
+
+def read(path, text, **options):
+    path.write_text(text)
+    assert [name for name, entry in adapters().items() if entry.adapter.recognises(path)] == ["pedestrian"]
+    return ADAPTER.read(path, ReadOptions(**options))
+
+
+def test_frames_become_seconds_by_the_rate_that_was_given(tmp_path):
+    log = read(tmp_path / "crowd.txt", PLAIN, rate_hz=25.0)
+    assert log.people.rows() == [
+        (0.0, "1", 1.5, 2.5, None, 0),
+        (0.0, "2", 4.0, 5.0, None, 1),
+        (0.4, "1", 1.75, 2.5, None, 2),
+        (0.4, "2", 4.0, 5.25, None, 3),
+    ]
+    assert (log.up, log.clock) == ("z", "relative")
+    assert any("no names" in said for said in log.warnings)
+
+
+def test_a_rate_is_never_invented(tmp_path):
+    with pytest.raises(LogError, match="no rate is stated") as refusal:
+        read(tmp_path / "crowd.txt", PLAIN)
+    assert "rate_hz" in refusal.value.cure
+
+
+@pytest.mark.parametrize("mark", ["\t", ",", ";", "   "])
+def test_any_delimiter_is_found_from_the_first_row(tmp_path, mark):
+    log = read(tmp_path / "crowd.txt", PLAIN.replace(" ", mark), rate_hz=25.0)
+    assert log.people["x_m"].to_list() == [1.5, 4.0, 1.75, 4.0]
+
+
+def test_numbers_in_scientific_notation_are_ids_and_frames_all_the_same(tmp_path):
+    text = "   7.8000000e+02   1.0000000e+00   8.4568443e+00   3.5\n   7.9500000e+02   1.0000000e+00   9.0   3.5\n"
+    log = read(tmp_path / "crowd.txt", text, rate_hz=15.0)
+    assert log.people.select("t_s", "person", "x_m").rows() == [(52.0, "1", 8.4568443), (53.0, "1", 9.0)]
+
+
+def test_a_petrack_export_says_its_rate_columns_and_unit_in_comments(tmp_path):
+    log = read(tmp_path / "crowd.txt", PETRACK)
+    assert log.people.select("t_s", "person", "x_m", "z_m").rows() == [
+        (0.0, "1", 13.7271, 1.58),
+        (0.04, "1", 13.7288, 1.58),
+        (0.04, "2", 4.0, 1.7),
+    ]
+    assert log.facts["rate_hz"] == "25, by the header"
+    assert log.warnings == ()
+    centimetres = read(tmp_path / "crowd.txt", PETRACK.replace("/m", "/cm"))
+    assert centimetres.people["x_m"][0] == pytest.approx(0.137271)
+
+
+def test_a_jupedsim_export_says_its_columns_in_a_comment(tmp_path):
+    log = read(tmp_path / "crowd.txt", JUPEDSIM)
+    assert log.people.select("person", "x_m", "y_m", "z_m").rows() == [("1", 8.21, 131.57, 0.0)]
+    assert log.facts["unit"] == "m, by the header"
+
+
+@pytest.mark.parametrize("head", ["frame,id,x,y", "Frame_ID,ped_id,pos_x,pos_y", "frame_id,track_id,x [m],y [m]"])
+def test_a_header_of_names_says_which_column_is_which(tmp_path, head):
+    text = f"{head}\n3,a,1.5,2.5\n".replace(" [", "[")
+    log = read(tmp_path / "crowd.csv", text, rate_hz=10.0)
+    assert log.people.rows() == [(pytest.approx(0.3), "a", 1.5, 2.5, None, 0)]
+
+
+def test_nameless_columns_in_the_other_order_are_seen_or_said(tmp_path):
+    doubled = "1 0 1.5 2.5\n1 0 1.6 2.5\n"
+    path = tmp_path / "crowd.txt"
+    path.write_text(doubled)
+    with pytest.raises(LogError, match="one id twice in a frame"):
+        ADAPTER.read(path, ReadOptions(rate_hz=1.0))
+    other = read(path, "7 0 1.5 2.5\n7 1 1.6 2.5\n", rate_hz=2.0, map={"columns": "id frame x y"})
+    assert other.people.select("t_s", "person").rows() == [(0.0, "7"), (0.5, "7")]
+
+
+def test_places_too_far_apart_for_metres_are_named(tmp_path):
+    log = read(tmp_path / "crowd.txt", PLAIN.replace("4.0", "1400.5"), rate_hz=25.0)
+    assert any("reach 1400 m" in said for said in log.warnings)
+    log = read(tmp_path / "crowd.txt", PLAIN.replace("4.0", "1400.5"), rate_hz=25.0, map={"unit": "cm"})
+    assert log.people["x_m"][1] == pytest.approx(14.005)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        "0.008 0.1 0.2 0.3\n0.016 0.1 0.2 0.3\n",
+        "1 2 3 4\n5 6 7 8\n",
+        "a b c d\n",
+        "time,frame,id,x,y\n0,1,2,3,4\n",
+        "",
+        "#\n",
+    ],
+)
+def test_other_tables_are_not_recognised(tmp_path, other):
+    path = tmp_path / "a.txt"
+    path.write_text(other)
+    assert not ADAPTER.recognises(path)
+
+
+def test_a_line_of_a_hundred_thousand_names_is_turned_down_at_once(tmp_path):
+    path = tmp_path / "wide.txt"
+    path.write_text("a," * 500_000 + "\n1\n")
+    with pytest.raises(LogError, match="no table"):
+        ADAPTER.read(path, ReadOptions(rate_hz=1.0))
+
+
+def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path):
+    log = read(tmp_path / "crowd.txt", PLAIN[:-2], rate_hz=25.0)
+    assert log.people.height == 3
+    assert log.set_aside["source_row"].to_list() == [3]
+
+
+@pytest.mark.parametrize("text", [PLAIN, PETRACK])
+def test_damage_gives_what_is_whole_or_a_refusal(tmp_path, text):
+    path = tmp_path / "crowd.txt"
+    for whole in damaged(text.encode(), seed=8):
+        path.write_bytes(whole)
+        read_or_refuse(ADAPTER, path, ReadOptions(rate_hz=25.0))
+
+
+_LINE = st.sampled_from([*PLAIN.splitlines(), *PETRACK.splitlines(), *JUPEDSIM.splitlines(), "frame,id,x,y", ""])
+
+
+@given(lines=st.lists(_LINE | st.text(alphabet=" \t,019.-e#frameidxy/m", max_size=12), max_size=12))
+def test_any_order_of_lines_is_read_or_refused(tmp_path_factory, lines):
+    path = tmp_path_factory.getbasetemp() / "any_crowd.txt"
+    path.write_text("\n".join(lines) + "\n")
+    read_or_refuse(ADAPTER, path, ReadOptions(rate_hz=25.0))

@@ -1,0 +1,119 @@
+import pytest
+from damage import damaged, read_or_refuse
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cyclekit.adapter import ReadOptions
+from cyclekit.errors import DamagedLog, LogError
+from cyclekit.registry import adapters
+from cyclekit_adapters.qualisys import ADAPTER
+
+HIPS = {"WaistL": [(1000.0, 200.0, 950.0), (1010.0, 200.0, 950.0)], "WaistR": [(1000.0, 400.0, 950.0)] * 2}
+
+
+def tsv(markers, *, rate="100", clock=True, titles=True, types=None, version=None, included="3D", seconds=None):
+    """Return what QTM writes: the row of names ends with a tab, the data rows do not."""
+    frames = len(next(iter(markers.values())))
+    head = [f"FILE_VERSION\t{version}"] if version else []
+    head += [f"NO_OF_FRAMES\t{frames}", "NO_OF_CAMERAS\t8", f"NO_OF_MARKERS\t{len(markers)}", f"FREQUENCY\t{rate}"]
+    head += ["NO_OF_ANALOG\t0", "ANALOG_FREQUENCY\t0", "DESCRIPTION\t--"]
+    head += ["TIME_STAMP\t2026-01-19, 10:19:43.755\t2063631.96175450", f"DATA_INCLUDED\t{included}"]
+    head += ["\t".join(["MARKER_NAMES", *markers])]
+    head += ["\t".join(["TRAJECTORY_TYPES", *(types or ["Measured"] * len(markers))])]
+    if titles:
+        lead = ["Frame", "Time"] if clock else []
+        head.append("\t".join([*lead, *(f"{name} {axis}" for name in markers for axis in "XYZ")]) + "\t")
+    for i in range(frames):
+        lead = [str(i + 1), f"{(seconds[i] if seconds else i / 100):.5f}"] if clock else []
+        cells = [("" if v is None else v if isinstance(v, str) else f"{v:.3f}") for t in markers.values() for v in t[i]]
+        head.append("\t".join([*lead, *cells]))
+    return "\r\n".join(head) + "\r\n"
+
+
+def read(path, text, **options):
+    path.write_bytes(text.encode())
+    assert [name for name, entry in adapters().items() if entry.adapter.recognises(path)] == ["qualisys"]
+    return ADAPTER.read(path, ReadOptions(**options))
+
+
+@pytest.mark.parametrize("titles", [True, False])
+@pytest.mark.parametrize("clock", [True, False])
+@pytest.mark.parametrize("version", [None, "2.0.0"])
+def test_the_person_is_the_middle_of_the_pelvis_markers(tmp_path, titles, clock, version):
+    log = read(tmp_path / "walk.tsv", tsv(HIPS, titles=titles, clock=clock, version=version))
+    assert log.people.select("t_s", "x_m", "y_m", "z_m", "source_row").rows() == [
+        pytest.approx((0.0, 1.0, 0.3, 0.95, 0)),
+        pytest.approx((0.01, 1.005, 0.3, 0.95, 1)),
+    ]
+    assert (log.up, log.clock) == ("z", "relative")
+    assert log.set_aside.is_empty()
+
+
+@pytest.mark.parametrize("missing", [(0.0, 0.0, 0.0), ("", "", ""), ("NULL", "NULL", "NULL")])
+def test_a_marker_that_was_not_seen_is_unknown_and_not_the_origin(tmp_path, missing):
+    log = read(tmp_path / "walk.tsv", tsv({"Pelvis": [missing, (0.0, 10.0, 900.0)]}))
+    assert log.people["x_m"].to_list() == [None, 0.0]
+    assert any("not seen in 1 of 2 frames" in said for said in log.warnings)
+
+
+def test_an_external_timebase_has_no_rate_so_the_time_column_is_the_clock(tmp_path):
+    log = read(tmp_path / "walk.tsv", tsv(HIPS, rate="EXT", seconds=[0.0, 0.04]))
+    assert log.people["t_s"].to_list() == [0.0, 0.04]
+    with pytest.raises(LogError, match="neither a frequency") as refusal:
+        read(tmp_path / "walk.tsv", tsv(HIPS, rate="EXT", clock=False))
+    assert "rate_hz" in refusal.value.cure
+    given_rate = read(tmp_path / "walk.tsv", tsv(HIPS, rate="EXT", clock=False), rate_hz=50.0)
+    assert given_rate.people["t_s"].to_list() == [0.0, 0.02]
+
+
+def test_a_time_column_that_contradicts_the_frequency_wins_and_is_said(tmp_path):
+    log = read(tmp_path / "walk.tsv", tsv(HIPS, seconds=[0.0, 0.5]))
+    assert log.people["t_s"].to_list() == [0.0, 0.5]
+    assert "the Time column is used" in log.warnings[0]
+
+
+def test_nameless_markers_are_taken_together_and_that_is_said(tmp_path):
+    log = read(tmp_path / "walk.tsv", tsv({"New 0000": [(0.0, 1.0, 2.0)], "New 0001": [(4.0, 5.0, 6.0)]}))
+    assert log.people.select("x_m", "y_m", "z_m").rows() == [pytest.approx((0.002, 0.003, 0.004))]
+    assert any("no pelvis marker" in said for said in log.warnings)
+    one = ADAPTER.read(tmp_path / "walk.tsv", ReadOptions(body="New 0001"))
+    assert one.people["x_m"].to_list() == [0.004]
+
+
+def test_filled_trajectories_are_no_measurement_and_that_is_said(tmp_path):
+    log = read(tmp_path / "walk.tsv", tsv(HIPS, types=["Measured", "Mixed"]))
+    assert any("not measured: WaistR" in said for said in log.warnings)
+
+
+def test_bodies_of_six_degrees_of_freedom_are_refused(tmp_path):
+    with pytest.raises(DamagedLog, match="6D"):
+        read(tmp_path / "walk.tsv", tsv(HIPS, included="6D"))
+
+
+def test_rows_that_do_not_fit_the_markers_are_refused_where_no_names_tell_the_columns(tmp_path):
+    text = tsv(HIPS, titles=False, clock=False).replace("\r\n1000.000\t", "\r\n7\t1000.000\t")
+    with pytest.raises(DamagedLog, match="rows of 7 fields"):
+        read(tmp_path / "walk.tsv", text)
+
+
+def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path):
+    log = read(tmp_path / "walk.tsv", tsv(HIPS)[:-5])
+    assert log.people.height == 1
+    assert log.set_aside["source_row"].to_list() == [1]
+
+
+def test_damage_gives_what_is_whole_or_a_refusal(tmp_path):
+    path = tmp_path / "walk.tsv"
+    for whole in damaged(tsv(HIPS).encode(), seed=3):
+        path.write_bytes(whole)
+        read_or_refuse(ADAPTER, path)
+
+
+_LINE = st.sampled_from(tsv(HIPS).splitlines())
+
+
+@given(lines=st.lists(_LINE | st.text(alphabet="\t019.-eXNFrame", max_size=12), max_size=15))
+def test_any_order_of_lines_is_read_or_refused(tmp_path_factory, lines):
+    path = tmp_path_factory.getbasetemp() / "any_qtm.tsv"
+    path.write_text("\n".join(lines) + "\n")
+    read_or_refuse(ADAPTER, path)

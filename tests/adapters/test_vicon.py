@@ -1,0 +1,122 @@
+import pytest
+from damage import damaged, read_or_refuse
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cyclekit.adapter import ReadOptions
+from cyclekit.errors import ConfigError, DamagedLog, LogError
+from cyclekit.registry import adapters
+from cyclekit_adapters.vicon import ADAPTER
+
+HIPS = {"Ann:LASI": [(0, 100, 900), (10, 100, 900)], "Ann:RASI": [(200, 100, 1000), None]}
+
+
+def section(markers, *, title="Trajectories", rate=100, unit="mm", first=1, mark=",", decimal="."):
+    """Return the lines of one section, as Nexus writes them."""
+    frames = len(next(iter(markers.values())))
+    lines = [title, str(rate)]
+    lines.append(mark * 2 + mark.join(f"{name}{mark}{mark}" for name in markers))
+    lines.append(mark.join(["Frame", "Sub Frame", *("X", "Y", "Z") * len(markers)]))
+    lines.append(mark * 2 + mark.join([unit] * 3 * len(markers)))
+    for i in range(frames):
+        cells = [str(first + i), "0"]
+        for track in markers.values():
+            cells += [str(v).replace(".", decimal) for v in track[i]] if track[i] else [""] * 3
+        lines.append(mark.join(cells))
+    return lines
+
+
+def read(path, lines, **options):
+    path.write_bytes(("\r\n".join(lines) + "\r\n").encode())
+    assert [name for name, entry in adapters().items() if entry.adapter.recognises(path)] == ["vicon"]
+    return ADAPTER.read(path, ReadOptions(**options))
+
+
+def test_the_person_is_the_middle_of_the_pelvis_markers_that_were_seen(tmp_path):
+    log = read(tmp_path / "trial.csv", section(HIPS | {"Ann:HEAD": [(9, 9, 9)] * 2, "box:1": [(5, 5, 5)] * 2}))
+    assert log.people.select("person", "x_m", "y_m", "z_m").rows() == [
+        ("Ann", pytest.approx(0.1), pytest.approx(0.1), pytest.approx(0.95)),
+        ("Ann", pytest.approx(0.01), pytest.approx(0.1), pytest.approx(0.9)),
+    ]
+    assert (log.up, log.clock) == ("z", "relative")
+    assert log.facts["not_people"] == "box"
+    assert log.facts["markers_used"] == "Ann:LASI, Ann:RASI"
+
+
+def test_time_is_the_frame_over_the_rate_of_line_two(tmp_path):
+    log = read(tmp_path / "trial.csv", section(HIPS, rate=250, first=501))
+    assert log.people["t_s"].to_list() == pytest.approx([2.0, 2.004])
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)])
+def test_lengths_come_in_the_unit_of_the_units_row(tmp_path, unit, metres):
+    log = read(tmp_path / "trial.csv", section({"a:PELVIS": [(100, 0, 0)]}, unit=unit))
+    assert log.people["x_m"].to_list() == [pytest.approx(100 * metres)]
+    with pytest.raises(DamagedLog, match="'V'"):
+        read(tmp_path / "trial.csv", section({"a:PELVIS": [(1, 0, 0)]}, unit="V"))
+
+
+def test_german_locales_separate_by_semicolon_and_write_a_decimal_comma(tmp_path):
+    log = read(tmp_path / "trial.csv", section({"a:PELVIS": [(100.5, 0, 0)]}, mark=";", decimal=","))
+    assert log.people["x_m"].to_list() == [0.1005]
+
+
+@pytest.mark.parametrize("blank", ["", ",,,,"])
+def test_the_trajectories_are_found_among_other_sections(tmp_path, blank):
+    devices = section({"EMG": [(1, 2, 3)] * 9}, title="Devices", rate=2000, unit="V")
+    lines = [*devices, blank, *section(HIPS), blank, *section({"LHip": [(7, 7, 7)]}, title="Model Outputs"), ""]
+    log = read(tmp_path / "trial.csv", lines)
+    assert log.people["x_m"].to_list() == pytest.approx([0.1, 0.01])
+    assert log.facts["sections"] == "Devices, Trajectories, Model Outputs"
+    assert log.set_aside.is_empty()
+
+
+def test_a_file_of_devices_alone_has_no_positions(tmp_path):
+    with pytest.raises(DamagedLog, match=r"no positions.*Devices") as refusal:
+        read(tmp_path / "trial.csv", section({"EMG": [(1, 2, 3)]}, title="Devices", unit="V"))
+    assert "with trajectories" in refusal.value.cure
+
+
+def test_the_cell_file_names_a_subject_a_marker_or_the_markers_that_count(tmp_path):
+    lines = section(HIPS | {"box:1": [(500, 0, 0), (600, 0, 0)]})
+    path = tmp_path / "trial.csv"
+    assert read(path, lines, body="box").people["x_m"].to_list() == [0.5, 0.6]
+    assert read(path, lines, body="RASI").people["x_m"].to_list() == [0.2, None]
+    named = read(path, lines, map={"markers": ["Ann:LASI", "box:1"], "up": "y"})
+    assert named.people["x_m"].to_list() == pytest.approx([0.25, 0.305])
+    assert named.up == "y"
+    with pytest.raises(LogError, match="'Anna'") as refusal:
+        read(path, lines, body="Anna")
+    assert refusal.value.nearest == "Ann"
+    with pytest.raises(ConfigError, match="list of names"):
+        read(path, lines, map={"markers": "LASI"})
+
+
+def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path):
+    path = tmp_path / "trial.csv"
+    path.write_bytes("\r\n".join(section(HIPS))[:-1].encode())
+    log = ADAPTER.read(path, ReadOptions())
+    assert log.people.height == 1
+    assert log.set_aside["source_row"].to_list() == [1]
+
+
+def test_numbers_beyond_the_earth_are_not_seen_and_do_not_overflow(tmp_path):
+    log = read(tmp_path / "trial.csv", section({"a:PELVIS": [("1e308", 1, 1), (1, 1, 1)]}))
+    assert log.people["x_m"].to_list() == [None, 0.001]
+
+
+def test_damage_gives_what_is_whole_or_a_refusal(tmp_path):
+    path = tmp_path / "trial.csv"
+    for whole in damaged("\r\n".join([*section(HIPS), "", *section(HIPS, title="Joints")]).encode(), seed=2):
+        path.write_bytes(whole)
+        read_or_refuse(ADAPTER, path)
+
+
+_LINE = st.sampled_from(["", "Trajectories", "100", ",,a:LASI,,", "Frame,Sub Frame,X,Y,Z", ",,mm,mm,mm", "1,0,1,2,3"])
+
+
+@given(lines=st.lists(_LINE | st.text(alphabet=',;XYZ019.-e\t"', max_size=12), max_size=12))
+def test_any_order_of_lines_is_read_or_refused(tmp_path_factory, lines):
+    path = tmp_path_factory.getbasetemp() / "any_vicon.csv"
+    path.write_text("\n".join(lines) + "\n")
+    read_or_refuse(ADAPTER, path)

@@ -1,0 +1,31 @@
+"""A command killed at any moment leaves its old result or its new one, and the next run goes on without help."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from cyclekit.atomic import recover
+
+
+@pytest.mark.parametrize(
+    ("command", "times"),
+    [("ingest", 8), ("estimate", 8), ("simulate", 6), ("replay", 6), ("train", 2), ("report", 2)],
+)
+def test_a_command_killed_at_any_moment_leaves_the_old_result_or_the_new_one(
+    command: str, times: int, kill_nine: Any, terminal: Any, victims: dict[str, Any]
+):
+    count = kill_nine.kill(victims[command], times, terminal, recover, seed=11)
+    assert count.broken == []
+    assert count.killed > 0
+    assert count.old + count.new == times
+
+
+def test_a_half_written_result_would_be_noticed(kill_nine: Any, terminal: Any, victims: dict[str, Any]):
+    estimate = victims["estimate"]
+
+    def harm(target: Any) -> None:
+        target.write_bytes(target.read_bytes()[:-5])
+
+    assert len(kill_nine.kill(estimate, 2, terminal, harm).broken) == 2

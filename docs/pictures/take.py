@@ -68,7 +68,7 @@ def page_picture(page: Path, picture: Path, *, size: str = "1180,980") -> None:
 def main() -> None:
     """Take all pictures."""
     parser = argparse.ArgumentParser(description="Take the pictures of the documentation anew.")
-    parser.add_argument("--recorded", type=Path, help="a tracker recording that walks instead of the simulated operator")
+    parser.add_argument("--recorded", type=Path, help="a tracker recording that walks in the operator's place")
     parser.add_argument("--at", type=float, default=19.0, help="second of the execution that the replays show")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

@@ -12,7 +12,7 @@ from cyclekit.errors import DamagedLog
 from cyclekit_adapters.c3d import ADAPTER
 from cyclekit_adapters.c3d_file import read_c3d
 
-LABELS = ["Ann:LASI", "Ann:RASI", "Ann:HEAD", "box:1"]
+LABELS = ["Subject:LASI", "Subject:RASI", "Subject:HEAD", "box:1"]
 
 
 def write(path, points, *, labels=LABELS, unit="mm", rate=100.0, screen=None, analogs=0):
@@ -86,8 +86,8 @@ def test_the_person_is_the_middle_of_the_pelvis_markers_seen(tmp_path):
     assert ADAPTER.recognises(path)
     log = ADAPTER.read(path, ReadOptions())
     assert log.people.select("t_s", "person", "x_m", "y_m", "z_m").rows() == [
-        (0.0, "Ann", 0.1, 0.1, pytest.approx(0.95)),
-        (0.01, "Ann", 0.0, 0.1, 0.9),
+        (0.0, "Subject", 0.1, 0.1, pytest.approx(0.95)),
+        (0.01, "Subject", 0.0, 0.1, 0.9),
     ]
     assert log.facts["not_people"] == "box"
     assert (log.clock, log.up) == ("relative", "z")

@@ -8,7 +8,7 @@ from cyclekit.errors import ConfigError, DamagedLog, LogError
 from cyclekit.registry import adapters
 from cyclekit_adapters.vicon import ADAPTER
 
-HIPS = {"Ann:LASI": [(0, 100, 900), (10, 100, 900)], "Ann:RASI": [(200, 100, 1000), None]}
+HIPS = {"Subject:LASI": [(0, 100, 900), (10, 100, 900)], "Subject:RASI": [(200, 100, 1000), None]}
 
 
 def section(markers, *, title="Trajectories", rate=100, unit="mm", first=1, mark=",", decimal="."):
@@ -33,14 +33,14 @@ def read(path, lines, **options):
 
 
 def test_the_person_is_the_middle_of_the_pelvis_markers_that_were_seen(tmp_path):
-    log = read(tmp_path / "trial.csv", section(HIPS | {"Ann:HEAD": [(9, 9, 9)] * 2, "box:1": [(5, 5, 5)] * 2}))
+    log = read(tmp_path / "trial.csv", section(HIPS | {"Subject:HEAD": [(9, 9, 9)] * 2, "box:1": [(5, 5, 5)] * 2}))
     assert log.people.select("person", "x_m", "y_m", "z_m").rows() == [
-        ("Ann", pytest.approx(0.1), pytest.approx(0.1), pytest.approx(0.95)),
-        ("Ann", pytest.approx(0.01), pytest.approx(0.1), pytest.approx(0.9)),
+        ("Subject", pytest.approx(0.1), pytest.approx(0.1), pytest.approx(0.95)),
+        ("Subject", pytest.approx(0.01), pytest.approx(0.1), pytest.approx(0.9)),
     ]
     assert (log.up, log.clock) == ("z", "relative")
     assert log.facts["not_people"] == "box"
-    assert log.facts["markers_used"] == "Ann:LASI, Ann:RASI"
+    assert log.facts["markers_used"] == "Subject:LASI, Subject:RASI"
 
 
 def test_time_is_the_frame_over_the_rate_of_line_two(tmp_path):
@@ -82,12 +82,12 @@ def test_the_cell_file_names_a_subject_a_marker_or_the_markers_that_count(tmp_pa
     path = tmp_path / "trial.csv"
     assert read(path, lines, body="box").people["x_m"].to_list() == [0.5, 0.6]
     assert read(path, lines, body="RASI").people["x_m"].to_list() == [0.2, None]
-    named = read(path, lines, map={"markers": ["Ann:LASI", "box:1"], "up": "y"})
+    named = read(path, lines, map={"markers": ["Subject:LASI", "box:1"], "up": "y"})
     assert named.people["x_m"].to_list() == pytest.approx([0.25, 0.305])
     assert named.up == "y"
-    with pytest.raises(LogError, match="'Anna'") as refusal:
-        read(path, lines, body="Anna")
-    assert refusal.value.nearest == "Ann"
+    with pytest.raises(LogError, match="'Subjekt'") as refusal:
+        read(path, lines, body="Subjekt")
+    assert refusal.value.nearest == "Subject"
     with pytest.raises(ConfigError, match="list of names"):
         read(path, lines, map={"markers": "LASI"})
 

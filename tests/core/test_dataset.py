@@ -247,15 +247,17 @@ def test_an_ingest_killed_at_any_moment_leaves_the_old_dataset_or_the_new_one(tm
     for name in "ab":
         for number in range(3 if name == "a" else 2):
             robot_log(tmp_path / name / f"run_{number}.csv", round_trip)
+    begin = time.perf_counter()
     ingest([tmp_path / "a"], tmp_path / "dataset")
+    longest_s = max(0.3, 2 * (time.perf_counter() - begin))  # a busy machine takes its time
     when, seen, caught_at_work = random.Random(7), [], 0
-    for _ in range(20):
+    while len(seen) < 20 or (caught_at_work < 3 and len(seen) < 80):
         with subprocess.Popen([sys.executable, "-c", INGEST_FOREVER, str(tmp_path)], stdout=subprocess.PIPE) as child:
             assert child.stdout is not None
             seen.append(child.stdout.readline().decode().strip())
-            time.sleep(when.uniform(0.0, 0.3))
+            time.sleep(when.uniform(0.0, longest_s))
             child.kill()
         caught_at_work += any(tmp_path.glob(".dataset.*-*"))
     seen.append(Dataset.open(tmp_path / "dataset").card["name"])
     assert set(seen) == {"a", "b"}  # every child found a whole dataset, of the one kind or the other
-    assert caught_at_work > 5  # and the kills did hit ingests that were under way
+    assert caught_at_work >= 3  # and the kills did hit ingests that were under way

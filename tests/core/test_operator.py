@@ -254,14 +254,14 @@ def test_without_buttons_the_goal_is_the_spot_of_the_stay_that_runs_or_comes_nex
 def two_people(tmp_path: Path, robot_log: Any, motive_log: Any) -> Path:
     robot_log(tmp_path / "logs" / "robot.csv", [("stand", 5.9)])
     motive_log(
-        tmp_path / "logs" / "anna.csv", [(2.0, 0.0, 0.2)] * 100 + [None] * 100 + [(2.0, 0.0, 0.2)] * 100, name="A"
+        tmp_path / "logs" / "first.csv", [(2.0, 0.0, 0.2)] * 100 + [None] * 100 + [(2.0, 0.0, 0.2)] * 100, name="A"
     )
-    motive_log(tmp_path / "logs" / "bert.csv", [(4.0, 0.0, 0.2)] * 300, name="B")
+    motive_log(tmp_path / "logs" / "second.csv", [(4.0, 0.0, 0.2)] * 300, name="B")
     return tmp_path / "logs"
 
 
 def test_two_trackers_of_one_session_give_the_nearer_person(two_people: Path, tmp_path: Path):
-    sources = tuple(Source(name, clock_offset_s=10.0) for name in ("anna.csv", "bert.csv"))
+    sources = tuple(Source(name, clock_offset_s=10.0) for name in ("first.csv", "second.csv"))
     found = Dataset.open(ingest([two_people], tmp_path / "dataset", cell=Cell(sources=sources)).dataset)
     t_s, x_m = found.samples()["t_s"].to_numpy(), found.samples()["human_x_m"].to_numpy()
     assert x_m[(t_s > 2.01) & (t_s < 3.97)] == pytest.approx(4.0)

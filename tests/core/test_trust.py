@@ -22,6 +22,7 @@ from cyclekit.errors import BusyPlace, CyclekitError
 from cyclekit.ingest import ingest
 from cyclekit.plausible import examined
 from cyclekit.schema import PEOPLE, QUARANTINE, ROBOT, conform
+from cyclekit_sim import SimulationOptions, simulate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -322,9 +323,14 @@ def test_two_processes_are_never_inside_together(tmp_path: Path):
 def test_a_page_that_fails_in_the_middle_leaves_the_old_one(tmp_path: Path):
     page = tmp_path / "page.html"
     write_text(page, "old")
-    with pytest.raises(CyclekitError, match=r"page\.html: cannot be written"), replaced(page) as temporary:
-        temporary.write_text("half", encoding="utf-8")
-        raise OSError(28, "No space left on device")
+
+    def fail() -> None:
+        with replaced(page) as temporary:
+            temporary.write_text("half", encoding="utf-8")
+            raise OSError(28, "No space left on device")
+
+    with pytest.raises(CyclekitError, match=r"page\.html: cannot be written"):
+        fail()
     assert [entry.name for entry in tmp_path.iterdir()] == ["page.html"]
     assert page.read_text(encoding="utf-8") == "old"
 
@@ -370,7 +376,7 @@ def mapped(tmp_path: Path) -> Path:
     epoch = 1_700_000_000.0
     x = [0.0 if int(s) % 4 < 2 else 0.3 for s in t]
     pl.DataFrame({"t": epoch + t, "x": x, "y": 0.0 * t}).write_csv(folder / "robot.csv")
-    people = pl.DataFrame({"t": epoch + 0.5 + t, "id": ["Ann"] * 400, "x": 1 + 0.01 * t, "y": 0.0 * t})
+    people = pl.DataFrame({"t": epoch + 0.5 + t, "id": ["Subject"] * 400, "x": 1 + 0.01 * t, "y": 0.0 * t})
     people.write_csv(folder / "people_2023-11-14.csv")
     (folder / "cell.toml").write_text(
         '[[sources]]\npath = "robot.csv"\nadapter = "csv"\nrole = "robot"\n'
@@ -396,10 +402,10 @@ def test_a_pseudonymised_dataset_holds_neither_names_nor_the_date_and_the_same_s
             assert frame["t_s"].min() == 0.0
             assert "person" not in frame.columns or set(frame["person"]) == {"person_1"}
     card = (hidden.path / "dataset.json").read_text(encoding="utf-8")
-    assert "Ann" not in card
+    assert "Subject" not in card
     assert "17000000" not in card
     assert any("holds a date" in text for text in report.warnings)
-    assert set(plain.recorded("people_2023-11-14", "people")["person"]) == {"Ann"}
+    assert set(plain.recorded("people_2023-11-14", "people")["person"]) == {"Subject"}
 
 
 def test_native_rows_of_a_pseudonymised_execution_lie_in_its_time(mapped: Path, tmp_path: Path):
@@ -424,3 +430,12 @@ def test_a_table_that_polars_cannot_write_is_an_error_of_the_system(tmp_path: Pa
     (tmp_path / "a").mkdir()
     with pytest.raises(OSError, match="directory"):
         write_parquet(pl.DataFrame({"x": [1.0]}), tmp_path / "a")
+
+
+def test_a_bag_with_checksums_says_so_and_a_csv_says_that_it_has_none(tmp_path: Path):
+    bag = simulate("box-picking", tmp_path / "bag", executions=1, seed=1, options=SimulationOptions(logs="mcap"))
+    ingest([bag], tmp_path / "from_bag")
+    (protected,) = Dataset.open(tmp_path / "from_bag").recordings
+    assert protected["facts"]["checksum"].startswith("CRC-32")
+    ingest([simulate("box-picking", tmp_path / "csv", executions=1, seed=1)], tmp_path / "from_csv")
+    assert all(r["facts"]["checksum"].startswith("none") for r in Dataset.open(tmp_path / "from_csv").recordings)

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 import pytest
+from fabricated import fabricate_dataset
 
 from cyclekit.cli import run
-from fabricated import fabricate_dataset
 
 if TYPE_CHECKING:
     from collections.abc import Callable

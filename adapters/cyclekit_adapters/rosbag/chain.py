@@ -84,6 +84,30 @@ class Transforms:
                     return found
         return []
 
+    def bodies(self, base: str | None) -> dict[str, tuple[list[Link], bool]]:
+        """Return the links to each person's body (ROS4HRI), by id, and whether they begin at the base.
+
+        A `person_<id>` is not the same point: it is the face.
+
+        Args:
+            base: Frame of the base; by default `base`, then `base_link`, with any prefix.
+        """
+        found = {}
+        for child in sorted(self.links):
+            name = child.rpartition("/")[2]
+            if name.startswith("body_"):
+                chains = [self._up(child, end) for end in ([base] if base else _BASES)]
+                chain = next((chain for chain in chains if chain), [])
+                found[name.removeprefix("body_")] = (chain or self._to_root(child), bool(chain))
+        return found
+
+    def _to_root(self, frame: str) -> list[Link]:
+        found: list[Link] = []
+        while frame in self.links and len(found) <= len(self.links):
+            found.insert(0, self.links[frame])
+            frame = self.links[frame].parent
+        return found
+
     def _up(self, tool: str, base: str) -> list[Link]:
         found: list[Link] = []
         frame = tool
@@ -100,18 +124,20 @@ def _is(frame: str, name: str) -> bool:
     return frame == name or frame.endswith(f"/{name}") or (name not in _BASES and frame.endswith(f"_{name}"))
 
 
-def tool_path(chain: list[Link], *, stamped: bool) -> tuple[Array, Array]:
-    """Return when and where the tool was.
+def chain_path(chain: list[Link], *, stamped: bool, own_times: bool = False) -> tuple[Array, Array]:
+    """Return when and where the end of a chain was.
 
     Args:
-        chain: Links from base to tool, not empty.
+        chain: Links from base to tool or person, not empty.
         stamped: Use the time in the message, else the time the bag received it.
+        own_times: Tell only the moments of the last link (a person who is not tracked is nowhere), else those of
+            the link that is written most often.
 
     Returns:
         Times, shape (T,), s; positions in the base frame, shape (T, 3), m.
     """
     times = [link.stamp_s if stamped else link.receive_s for link in chain]
-    t_s = np.unique(max(times, key=len))
+    t_s = np.unique(times[-1] if own_times else max(times, key=len))
     place, turn = np.zeros((t_s.size, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (t_s.size, 1))
     for link, own in zip(chain, times, strict=True):
         pose = link.pose[_nearest(own, t_s)]

@@ -17,6 +17,7 @@ import numpy as np
 
 from cyclekit.errors import DamagedLog, LogError
 from cyclekit_adapters.rosbag import library_file, mcap_file, ros1_file, sqlite_file
+from cyclekit_adapters.rosbag.chunks import ChunkedFile
 from cyclekit_adapters.rosbag.decode import Decoder, Group
 from cyclekit_adapters.rosbag.definitions import is_known
 from cyclekit_adapters.rosbag.folder import Folder, folder_of
@@ -57,6 +58,12 @@ class Bag:
     messages_read: int = 0
     undecodable: list[tuple[str, int, str]] = field(default_factory=list)
     _received: dict[str, list[Ints]] = field(default_factory=dict)
+
+    def has_checksums(self) -> bool:
+        """Tell whether every chunk of the bag carries a checksum, so that a flipped bit cannot pass unnoticed."""
+        chunked = [file for file in self.files if isinstance(file, ChunkedFile)]
+        chunks = [chunk for file in chunked for chunk in file.chunks]
+        return len(chunked) == len(self.files) and bool(chunks) and all(chunk.crc for chunk in chunks)
 
     def messages(self, wanted: set[str]) -> Iterator[Arrived]:
         """Yield the messages of the `wanted` topics, grouped, in the order of the files.

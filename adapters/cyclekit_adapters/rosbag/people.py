@@ -19,7 +19,9 @@ Array = npt.NDArray[np.float64]
 Step = str | int
 
 MARKERS, TRACKED = "visualization_msgs/msg/MarkerArray", "spencer_tracking_msgs/msg/TrackedPersons"
-PEOPLE, LEG, LEGS = (f"people_msgs/msg/{kind}" for kind in ("People", "PositionMeasurement", "PositionMeasurementArray"))
+PEOPLE, LEG, LEGS = (
+    f"people_msgs/msg/{kind}" for kind in ("People", "PositionMeasurement", "PositionMeasurementArray")
+)
 ZED, ZED_EARLIER = "zed_msgs/msg/ObjectsStamped", "zed_interfaces/msg/ObjectsStamped"
 TRACKERS = {TRACKED, PEOPLE, LEG, LEGS, ZED, ZED_EARLIER}
 """Types that speak of people whatever their topic is called; markers do so only from a body tracker."""
@@ -55,13 +57,13 @@ def persons(kind: str, group: Group) -> Persons:
     return _joined(group, found, said.get(ZED if kind == ZED_EARLIER else kind, ""))
 
 
-def first_header(group: Group) -> tuple[Step, ...] | None:
-    """Return where the header of these messages is: their own, else that of their first entry; None without any."""
-    if hasattr(group.message, "header"):
-        return ("header",)
+def headers(group: Group) -> list[tuple[Step, ...]]:
+    """Return where these messages have headers: their own, then that of their first entry."""
+    found: list[tuple[Step, ...]] = [("header",)] if hasattr(group.message, "header") else []
     field = _list(group)
-    has_one = field and len(group.first(field)) and hasattr(group.first(field, 0), "header")
-    return (field, 0, "header") if has_one else None
+    if field and len(group.first(field)) and hasattr(group.first(field, 0), "header"):
+        found.append((field, 0, "header"))
+    return found
 
 
 def _list(group: Group) -> str:

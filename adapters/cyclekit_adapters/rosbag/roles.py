@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import ConfigError, LogError, UnknownName, nearest
+from cyclekit_adapters.rosbag.modes import ROBOT_MODE, SAFETY_MODE
+from cyclekit_adapters.rosbag.people import MARKERS, TRACKERS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -20,6 +22,9 @@ JOINTS, POSE, POSES = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamp
 POINT = "geometry_msgs/msg/PointStamped"
 TRANSFORMS, TEXT, FLAG = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String", "std_msgs/msg/Bool"
 _TF1 = "tf/msg/tfMessage"
+CONTROLLER, CLOCK = "control_msgs/msg/JointTrajectoryControllerState", "rosgraph_msgs/msg/Clock"
+CUSTOM = {*TRACKERS, CONTROLLER, "control_msgs/msg/SpeedScalingFactor", ROBOT_MODE, SAFETY_MODE}
+"""Types with a use here that no ROS distribution brings along: without a definition in the bag they are not read."""
 _NUMBERS = {f"std_msgs/msg/{kind}" for kind in ("Float64", "Float32", "Int64", "Int32", "Int16", "UInt8")}
 _PEOPLE_WORDS = {"poses", "people", "persons", "humans", "bodies", "human", "person", "operator"}
 _KEYS = ("tcp", "joints", "scaling", "scaling_max", "running", "people", "events", "base_frame", "tool_frame")
@@ -47,6 +52,8 @@ class Roles:
     running: str | None = None
     people: tuple[str, ...] = ()
     events: tuple[str, ...] = ()
+    modes: tuple[str, ...] = ()
+    bodies: bool = False  # the transforms hold people
     base_frame: str | None = None
     tool_frame: str | None = None
 
@@ -54,7 +61,8 @@ class Roles:
         """Return every topic in use."""
         single = [topic for topic in (self.tcp, self.joints, self.running) if topic]
         factors = [factor.topic for factor in self.scaling]
-        return {*single, *self.transforms, *factors, *self.people, *self.events}
+        transforms = self.transforms if self.bodies or not self.tcp else ()
+        return {*single, *transforms, *factors, *self.people, *self.events, *self.modes}
 
 
 def roles_in(
@@ -79,19 +87,26 @@ def roles_in(
             raise UnknownName(_WHERE, "key", key, _KEYS)
     named = {key: _named(path, types, chosen[key]) for key in _KEYS[:2] + _KEYS[2:3] + _KEYS[4:7] if key in chosen}
     live = {topic: kind for topic, kind in types.items() if counts.get(topic, 0) > 0}
-    people = tuple(_named(path, types, body)) if body else tuple(named.get("people", _people(live)))
+    people = _named(path, types, body) if body else named.get("people", _people(live))
+    transforms = tuple(topic for topic, kind in live.items() if kind in (TRANSFORMS, _TF1))
+    bodies = not {*people}.isdisjoint(transforms) or (not body and "people" not in named and _has_humans(types))
     running = named.get("running", _ending(live, {FLAG}, "robot_program_running"))
     tcp = named.get("tcp", _ending(live, {POSE}, "tcp_pose_broadcaster/pose", "tcp_pose"))
     frames = {key: str(chosen[key]) for key in ("base_frame", "tool_frame") if key in chosen}
-    events = [t for t, kind in live.items() if kind in (TEXT, FLAG) and t not in running and not _is_description(t)]
+    scaling = _chosen_factor(named["scaling"], chosen, live) if "scaling" in named else _factors(live)
+    used = {*running, *(factor.topic for factor in scaling)}
+    modes = _ending_of_type(live, ROBOT_MODE) + _ending_of_type(live, SAFETY_MODE)
+    events = [t for t, kind in live.items() if kind in (TEXT, FLAG) and t not in used and not _is_description(t)]
     return Roles(
         tcp=next(iter(tcp), None),
         joints=next(iter(named.get("joints", _joints(live))), None),
-        transforms=() if tcp else tuple(topic for topic, kind in live.items() if kind in (TRANSFORMS, _TF1)),
-        scaling=_chosen_factor(named["scaling"], chosen, live) if "scaling" in named else _factors(live),
+        transforms=transforms,
+        scaling=scaling,
         running=next(iter(running), None),
-        people=people,
-        events=tuple(named.get("events", events)),
+        people=tuple(topic for topic in people if topic not in transforms),
+        events=tuple(named.get("events", events + modes)),
+        modes=tuple(modes),
+        bodies=bodies and bool(transforms),
         base_frame=frames.get("base_frame"),
         tool_frame=frames.get("tool_frame"),
     )
@@ -125,9 +140,11 @@ def _is_description(topic: str) -> bool:
 
 
 def _joints(types: Mapping[str, str]) -> list[str]:
-    """Return joint topics, best first; set points are no measurement."""
+    """Return joint topics, best first; set points are no measurement. A controller's state is the last resort."""
     measured = [t for t in _ending_of_type(types, JOINTS) if "target" not in t and "command" not in t]
-    return sorted(measured, key=lambda topic: (topic.strip("/") != "joint_states", not _ends(topic, "joint_states")))
+    return sorted(
+        measured, key=lambda topic: (topic.strip("/") != "joint_states", not _ends(topic, "joint_states"))
+    ) + (_ending_of_type(types, CONTROLLER))
 
 
 def _ending_of_type(types: Mapping[str, str], kind: str) -> list[str]:
@@ -136,7 +153,14 @@ def _ending_of_type(types: Mapping[str, str], kind: str) -> list[str]:
 
 def _people(types: Mapping[str, str]) -> list[str]:
     kinds = {POSES, POSE, POINT}
-    return [t for t, kind in types.items() if kind in kinds and _speaks_of_people(t, kind)]
+    named = [t for t, kind in types.items() if kind in kinds and _speaks_of_people(t, kind)]
+    tracked = [t for t, kind in types.items() if kind in TRACKERS]
+    return named + tracked + _ending(types, {MARKERS}, "body_tracking_data")
+
+
+def _has_humans(types: Mapping[str, str]) -> bool:
+    """Tell whether someone speaks ROS4HRI: its lists and bodies are below `humans`, the bodies' places in TF."""
+    return any("/humans/" in f"/{topic.strip('/')}/" for topic in types)
 
 
 def _speaks_of_people(topic: str, kind: str) -> bool:
@@ -153,8 +177,10 @@ def _factors(types: Mapping[str, str]) -> tuple[Factor, ...]:
     if "ur-2" in families:
         found = [factor for factor in found if factor.family != "ur-1"]
     state = [factor for factor in found if factor.family in ("ur-1", "ur-2", "cnr")]
-    if not state:
-        state = [factor for factor in found if factor.family == "controller"][:1] or found[:1]
+    if not state:  # a controller's state has a factor from Jazzy on: the command stands in where it has none
+        state = [factor for factor in found if factor.family == "controller"][:1]
+        state += [factor for factor in found if factor.family == "command"][:1]
+        state += [factor for factor in found if factor.family == "clamp"]
     return tuple(_once_per_override(state))
 
 
@@ -165,9 +191,11 @@ def _factor(topic: str, kind: str) -> Factor | None:
         return Factor(topic, "ur-1", full=1.0)
     if _ends(topic, "speed_scaling_factor") and kind == "std_msgs/msg/Int32":
         return Factor(topic, "command", full=100.0)
+    if _ends(topic, "collaborative_speed_scaling") and kind in {FLAG, *_NUMBERS}:
+        return Factor(topic, "clamp", full=1.0)
     if kind == "control_msgs/msg/SpeedScalingFactor":
         return Factor(topic, "command", full=1.0, attribute="factor")
-    if kind == "control_msgs/msg/JointTrajectoryControllerState":
+    if kind == CONTROLLER:
         return Factor(topic, "controller", full=1.0, attribute="speed_scaling_factor")
     if kind in _NUMBERS and _override_of(topic) is not None:
         return Factor(topic, "cnr", full=100.0)

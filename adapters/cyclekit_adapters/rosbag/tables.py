@@ -15,7 +15,9 @@ import numpy.typing as npt
 import polars as pl
 
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
-from cyclekit_adapters.rosbag.chain import Array, tool_path
+from cyclekit_adapters.rosbag.chain import Array, chain_path
+from cyclekit_adapters.rosbag.modes import ROBOT_MODE, RUNNING
+from cyclekit_adapters.rosbag.people import Persons
 from cyclekit_adapters.rosbag.tracks import Joints
 
 if TYPE_CHECKING:
@@ -41,6 +43,7 @@ def robot_table(contents: Contents, roles: Roles) -> pl.DataFrame | None:
             "t_s", state=pl.when(pl.col("value") > 0.5).then(pl.lit("playing")).otherwise(pl.lit("stopped"))
         )
         table = table.join_asof(running, on="t_s", strategy="backward")
+    table = _with_modes(contents, roles, table)
     table = _with_scaling(contents, roles, table)
     return conform(table, ROBOT)
 
@@ -52,7 +55,7 @@ def _tcp(contents: Contents, roles: Roles) -> pl.DataFrame | None:
     chain = contents.transforms.chain(roles.base_frame, roles.tool_frame)
     if not chain:
         return None
-    times, place = tool_path(chain, stamped=contents.stamped)
+    times, place = chain_path(chain, stamped=contents.stamped)
     contents.tool_chain = f"transforms from {chain[0].parent} over {len(chain)} link(s)"
     return _in_order(_placed(times, place, np.arange(times.size, dtype=np.int64)))
 
@@ -108,12 +111,35 @@ def _nearest(table: pl.DataFrame, other: pl.DataFrame) -> pl.DataFrame:
 
 def _series(contents: Contents, topic: str) -> pl.DataFrame:
     values = contents.tracks[topic].joined()
-    return pl.DataFrame({"t_s": contents.times(topic), "value": values}).sort("t_s", maintain_order=True)
+    series = pl.DataFrame({"t_s": contents.times(topic), "value": values}).fill_nan(None)
+    return series.sort("t_s", maintain_order=True)
+
+
+def _with_modes(contents: Contents, roles: Roles, table: pl.DataFrame) -> pl.DataFrame:
+    """Mark the program as stopped while the robot is in a mode in which none moves it; a mode holds until the next."""
+    for topic in roles.modes:
+        if topic not in contents.tracks or contents.kinds[topic] != ROBOT_MODE:
+            continue
+        held = pl.DataFrame({"t_s": contents.times(topic), "_mode": [str(m) for m in contents.tracks[topic].each()]})
+        table = table.join_asof(held.sort("t_s", maintain_order=True), on="t_s", strategy="backward")
+        known = pl.col("state") if "state" in table.columns else pl.lit(None, pl.String())
+        state = pl.when(pl.col("_mode") != RUNNING).then(pl.lit("stopped")).otherwise(known)
+        table = table.with_columns(state=state).drop("_mode")
+    return table
+
+
+def _factors(contents: Contents, roles: Roles) -> list[Factor]:
+    """Return the factors that were recorded; what the controller used beats what was commanded."""
+    found = [factor for factor in roles.scaling if factor.topic in contents.tracks]
+    silent = {one.topic for one in found if np.isnan(contents.tracks[one.topic].joined()).all()}
+    found = [factor for factor in found if factor.topic not in silent]
+    used = [factor for factor in found if factor.family == "controller"]
+    return used or found
 
 
 def _with_scaling(contents: Contents, roles: Roles, table: pl.DataFrame) -> pl.DataFrame:
     """Add the product of all factors in force; unknown before the first message and while the program is stopped."""
-    factors = [factor for factor in roles.scaling if factor.topic in contents.tracks]
+    factors = _factors(contents, roles)
     if not factors:
         contents.warnings.append("no speed scaling in the bag: it stays unknown")
         return table
@@ -153,20 +179,60 @@ def people_table(contents: Contents, roles: Roles) -> pl.DataFrame:
         if topic not in contents.tracks:
             continue
         track = contents.tracks[topic]
+        prefix = f"{topic} " if len(roles.people) > 1 else ""
+        if any(isinstance(value, Persons) for _, value in track.parts):
+            _add_named(contents, topic, prefix, columns)
+            continue
         seen = [(rows, _several(value)) for rows, value in track.parts if isinstance(value, np.ndarray)]
         most = max((places.shape[1] for _, places in seen), default=1)
         if most > 1:
             contents.warnings.append(f"{topic} holds up to {most} places without identity: each index is one person")
-        place = np.full((track.index.size, most, 3), np.nan)
+        place: Array = np.full((track.index.size, most, 3), np.nan)
         for rows, places in seen:
             place[rows, : places.shape[1]] = places
-        prefix = f"{topic} " if len(roles.people) > 1 else ""
         names = np.array([f"{prefix}{person}" for person in range(most)])
         columns["t_s"].append(np.repeat(contents.times(topic), most))
         columns["person"].append(np.tile(names, track.index.size))
         columns["source_row"].append(np.repeat(track.index, most))
         columns["place"].append(place.reshape(-1, 3))
+    if roles.bodies:
+        _add_bodies(contents, roles, columns)
     return _people(columns)
+
+
+def _add_named(contents: Contents, topic: str, prefix: str, columns: dict[str, list[npt.NDArray[np.generic]]]) -> None:
+    """Add the people of a topic whose messages name them; who is not named is not there."""
+    track, times = contents.tracks[topic], contents.times(topic)
+    hidden, why = 0, ""
+    for rows, value in track.parts:
+        if not isinstance(value, Persons):
+            continue
+        message, entry = np.nonzero(value.names != "")
+        place = value.places[message, entry]
+        columns["t_s"].append(times[rows[message]])
+        columns["person"].append(np.char.add(prefix, value.names[message, entry]))
+        columns["source_row"].append(track.index[rows[message]])
+        columns["place"].append(place)
+        if unseen := np.count_nonzero(np.isnan(place[:, 0])):
+            hidden, why = hidden + int(unseen), value.said or "no position"
+    if hidden:
+        contents.warnings.append(f"{hidden} places on {topic} are left unknown: {why}")
+
+
+def _add_bodies(contents: Contents, roles: Roles, columns: dict[str, list[npt.NDArray[np.generic]]]) -> None:
+    """Add the bodies among the transforms, each at the moments it was tracked."""
+    adrift = set()
+    for name, (chain, from_base) in contents.transforms.bodies(roles.base_frame).items():
+        times, place = chain_path(chain, stamped=contents.stamped, own_times=True)
+        columns["t_s"].append(times)
+        columns["person"].append(np.full(times.size, f"transforms {name}" if roles.people else name))
+        columns["source_row"].append(np.arange(times.size))
+        columns["place"].append(place)
+        if not from_base:
+            adrift.add(chain[0].parent)
+    if adrift:
+        frames = ", ".join(sorted(adrift))
+        contents.warnings.append(f"no transforms from the robot's base to the bodies: they are in frame {frames}")
 
 
 def _several(value: Array | npt.NDArray[np.bool_]) -> Array:
@@ -198,7 +264,8 @@ def events_table(contents: Contents, roles: Roles) -> pl.DataFrame:
                 if value != last:
                     rows.append((t_s, topic, "true" if value else "false", index))
                 last = value
-            else:
+            elif topic not in roles.modes or value != last:  # a latched mode is said again to each listener
                 rows.append((t_s, topic, str(value), index))
+                last = value
     schema = {name: column.dtype for name, column in EVENTS.items()}
     return conform(pl.DataFrame(rows, schema=schema, orient="row").sort("t_s", maintain_order=True), EVENTS)

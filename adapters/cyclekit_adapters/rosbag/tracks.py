@@ -15,8 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from cyclekit_adapters.rosbag.chain import Array, Transforms
+from cyclekit_adapters.rosbag.modes import ROBOT_MODE, SAFETY_MODE, mode_names
 from cyclekit_adapters.rosbag.payloads import Ints
-from cyclekit_adapters.rosbag.roles import FLAG, JOINTS, POINT, POSE, POSES, TEXT
+from cyclekit_adapters.rosbag.people import MARKERS, TRACKERS, Persons, headers, persons
+from cyclekit_adapters.rosbag.roles import CONTROLLER, FLAG, JOINTS, POINT, POSE, POSES, TEXT
 
 if TYPE_CHECKING:
     from cyclekit_adapters.rosbag.container import Arrived, Bag
@@ -28,14 +30,18 @@ _BACK_S = 1.0  # a header clock that jumps back by more than this is no clock
 
 @dataclass(frozen=True)
 class Joints:
-    """N messages about the same joints: names (J), angles (N, A) and speeds (N, S); a driver may leave out either."""
+    """N messages about the same joints: names (J), angles (N, A) and speeds (N, S); a driver may leave out either.
+
+    A controller's state may tell the speed scaling besides, shape (N,); NaN where it does not.
+    """
 
     names: tuple[str, ...]
     angles: Array
     speeds: Array
+    scaling: Array | None = None
 
 
-Value = Array | Joints | list[str] | npt.NDArray[np.bool_]
+Value = Array | Joints | Persons | list[str] | npt.NDArray[np.bool_]
 
 
 @dataclass
@@ -46,7 +52,7 @@ class Track:
         receive_s, stamp_s: When received and stamped (NaN: no header or an unset one), shape (N,), s.
         index: Index within the topic, shape (N,).
         parts: Rows of this track, shape (M,), and what those messages say: places (M, 3), places of several
-            (M, K, 3), numbers (M,), flags (M,), texts, or joints.
+            (M, K, 3), numbers (M,), flags (M,), texts, joints, or people by name.
     """
 
     receive_s: Array = field(default_factory=lambda: np.zeros(0))
@@ -55,9 +61,10 @@ class Track:
     parts: list[tuple[Ints, Value]] = field(default_factory=list)
 
     def joined(self) -> Array:
-        """Return places or numbers of all messages in order, shape (N, 3) or (N,)."""
+        """Return places or numbers of all messages in order, shape (N, 3) or (N,); of joints the scaling."""
         rows = np.concatenate([rows for rows, _ in self.parts])
-        values = np.concatenate([np.asarray(value, dtype=np.float64) for _, value in self.parts])
+        said = [value.scaling if isinstance(value, Joints) else value for _, value in self.parts]
+        values = np.concatenate([np.asarray(value, dtype=np.float64) for value in said])
         ordered = np.empty_like(values)
         ordered[rows] = values
         return ordered
@@ -79,6 +86,8 @@ class Contents:
     tracks: dict[str, Track]
     transforms: Transforms
     stamped: bool = False
+    why_time: str = ""
+    kinds: dict[str, str] = field(default_factory=dict)
     frames: dict[str, str] = field(default_factory=dict)
     joint_names: tuple[str, ...] = ()
     tool_chain: str = ""
@@ -100,7 +109,7 @@ class _Piece:
 
 def collect(bag: Bag, roles: Roles) -> Contents:
     """Decode every topic in use."""
-    contents = Contents({}, Transforms())
+    contents = Contents({}, Transforms(), kinds=dict(bag.topics))
     factors = {factor.topic: factor for factor in roles.scaling}
     pieces: dict[str, list[_Piece]] = {}
     for arrived in bag.messages(roles.topics()):
@@ -115,11 +124,14 @@ def collect(bag: Bag, roles: Roles) -> Contents:
             said = f"{topic}: message has other fields ({error})"
             bag.undecodable += [(topic, number, said) for number in arrived.number.tolist()]
             continue
+        if isinstance(value, Persons) and not value.places.shape[1]:
+            continue  # nobody there, and with nobody there may be no header either
         if value is not None:
             pieces.setdefault(topic, []).append(_Piece(arrived.number, group.receive_ns, stamp_s, value))
     contents.tracks = {topic: _track(parts, bag.order(topic)) for topic, parts in pieces.items()}
     contents.transforms.finish()
-    contents.stamped = _all_stamped(contents)
+    contents.why_time = _why_received(contents)
+    contents.stamped = not contents.why_time
     contents.warnings += bag.warnings
     if lost := bag.set_aside():
         contents.warnings.append(f"{len(lost)} parts of the bag are damaged and are left out: {lost[0]}")
@@ -146,12 +158,18 @@ def _track(pieces: list[_Piece], order: Ints) -> Track:
 
 def _value(kind: str, group: Group, factor: Factor | None) -> Value | None:
     """Return the part of the messages that is used, None if they have no such part."""
+    if kind == CONTROLLER:
+        return _controller(group)
     if factor is not None:
         return _scalars(group, factor.attribute) if hasattr(group.message, factor.attribute) else None
     if kind == JOINTS:
         names = tuple(map(str, group.first("name")))
         angles, speeds = (group.numbers(part).astype(np.float64) for part in ("position", "velocity"))
         return Joints(names, angles, speeds)
+    if kind == MARKERS or kind in TRACKERS:
+        return persons(kind, group)
+    if kind in (ROBOT_MODE, SAFETY_MODE):
+        return mode_names(kind, group)
     if kind == POSE:
         return _xyz(group, "pose", "position")
     if kind == POINT:
@@ -164,6 +182,16 @@ def _value(kind: str, group: Group, factor: Factor | None) -> Value | None:
     if kind == FLAG:
         return _scalars(group, "data").astype(bool)
     return None
+
+
+def _controller(group: Group) -> Joints:
+    """Read a controller's state by the fields it has: where the arm is was called `actual`, later `feedback`."""
+    measured = [name for name in ("feedback", "actual") if hasattr(group.message, name)]
+    name = next((name for name in measured if len(group.first(name, "positions"))), measured[0])
+    angles, speeds = (group.numbers(name, part).astype(np.float64) for part in ("positions", "velocities"))
+    has_scaling = hasattr(group.message, "speed_scaling_factor")
+    scaling = _scalars(group, "speed_scaling_factor") if has_scaling else np.full(group.rows.size, np.nan)
+    return Joints(tuple(map(str, group.first("joint_names"))), angles, speeds, scaling)
 
 
 def _scalars(group: Group, *path: str | int) -> Array:
@@ -179,12 +207,12 @@ def _xyz(group: Group, *path: str | int) -> Array:
 
 def _stamps(contents: Contents, arrived: Arrived) -> Array:
     group = arrived.group
-    header = getattr(group.message, "header", None)
-    if header is None:
-        return np.full(group.rows.size, np.nan)
-    contents.frames.setdefault(arrived.topic, header.frame_id)
-    stamp_s = stamps(group, "header")
-    return np.where(stamp_s > 0.0, stamp_s, np.nan)
+    found = np.full(group.rows.size, np.nan)
+    for path in headers(group):
+        contents.frames.setdefault(arrived.topic, group.first(*path, "frame_id"))
+        stamp_s = stamps(group, *path)
+        found = np.where(np.isnan(found) & (stamp_s > 0.0), stamp_s, found)
+    return found
 
 
 def stamps(group: Group, *path: str | int) -> Array:
@@ -192,13 +220,16 @@ def stamps(group: Group, *path: str | int) -> Array:
     return _scalars(group, *path, "stamp", "sec") + _scalars(group, *path, "stamp", "nanosec") * 1e-9
 
 
-def _all_stamped(contents: Contents) -> bool:
-    """Tell whether every message in use has a header time, and those times go forward."""
-    tracks = [track.stamp_s for track in contents.tracks.values()]
-    tracks += [link.stamp_s for link in contents.transforms.links.values() if link.stamp_s.size > 1]
-    if not tracks or any(np.isnan(stamp_s).any() for stamp_s in tracks):
-        return False
-    if any((np.diff(stamp_s) < -_BACK_S).any() for stamp_s in tracks):
+def _why_received(contents: Contents) -> str:
+    """Return why the header times do not serve; empty if every message in use has one, and they go forward."""
+    tracks = {topic: track.stamp_s for topic, track in contents.tracks.items()}
+    links = contents.transforms.links.items()
+    tracks |= {f"transforms of {child}": link.stamp_s for child, link in links if link.stamp_s.size > 1}
+    if not tracks:
+        return "no message in use"
+    if bare := [topic for topic, stamp_s in tracks.items() if np.isnan(stamp_s).any()]:
+        return f"no header time on {', '.join(sorted(bare))}"
+    if any((np.diff(stamp_s) < -_BACK_S).any() for stamp_s in tracks.values()):
         contents.warnings.append("the header times jump back: the moments of recording are used instead")
-        return False
-    return True
+        return "the header times jump back"
+    return ""

@@ -210,7 +210,7 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3) -> Iterator[
 def main() -> None:
     """Kill each command and print the count."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--times", type=int, default=200, help="kills per command")
+    parser.add_argument("--times", type=int, default=20, help="kills per command")
     parser.add_argument("--only", help="one command")
     times, only = parser.parse_args().times, parser.parse_args().only
     from cyclekit.atomic import recover

@@ -92,9 +92,16 @@ def find_all(roots: Sequence[Path], cell: Cell) -> tuple[list[Log], list[tuple[s
                 not_read.append((shown, unknown.cause))
     if not logs:
         cure = "Give files, or a folder that holds logs; `cyclekit adapters` lists what can be read."
-        cause = "holds no file" if not not_read else f"holds no log that can be read ({len(not_read)} other files)"
+        cause = f"holds no log that can be read ({_some(not_read)})" if not_read else "holds no file"
         raise unknown if unknown and len(not_read) == 1 else LogError(roots[0], cause, cure=cure)
     return list(logs.values()), not_read
+
+
+def _some(not_read: Sequence[tuple[str, str]], count: int = 3) -> str:
+    """Name the first few files that nobody reads, with the reason."""
+    shown = "; ".join(f"{name}: {reason}" for name, reason in not_read[:count])
+    more = len(not_read) - count
+    return f"{shown}; and {more} more" if more > 0 else shown
 
 
 def _prefixes(roots: Sequence[Path]) -> dict[Path, str]:

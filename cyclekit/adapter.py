@@ -7,9 +7,9 @@ Putting logs together in one clock and one frame is ingest's business.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, Protocol
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 Role = Literal["robot", "people", "events"]
 ClockKind = Literal["epoch", "uptime", "relative"]
+RowKind = Literal["line", "row", "message", "frame"]
+TABLES = ("robot", "people", "events", "skeletons", "stamps")
+"""The fields of a `Recording` that are tables; each is kept by ingest under its name."""
 
 
 @dataclass(frozen=True)
@@ -29,12 +32,14 @@ class ReadOptions:
         map: Column mapping and units of a generic CSV, and topic names of a bag (`[sources.map]` in cell.toml).
         body: Name of the rigid body, marker or topic that is the person, where a log has several.
         rate_hz: Rate of a log without any clock; must be given, is never invented.
+        skeletons: Fill `Recording.skeletons` too, where the log has them. Personal data: only on request.
     """
 
     role: Role | None = None
     map: Mapping[str, object] = field(default_factory=dict)
     body: str | None = None
     rate_hz: float | None = None
+    skeletons: bool = False
 
 
 @dataclass(frozen=True)
@@ -45,10 +50,14 @@ class Recording:
         robot: Table ROBOT of `cyclekit.schema`, or None.
         people: Table PEOPLE, or None. An empty table means "recorded, and nobody was there".
         events: Table EVENTS, or None.
+        skeletons: Table SKELETONS, or None; only where `ReadOptions.skeletons` asks for it.
+        stamps: Table STAMPS, or None: where the log holds a device's time and its host's, what each said.
         clock: `epoch` (s since 1970), `uptime` (since a controller or PC started) or `relative` (since the
-            recording began). Times of one log share it, also across its three tables.
+            recording began). Times of one log share it, also across its tables.
         up: Axis that points up in the people's frame: trackers differ ("y" for Motive).
         joint_names: Names of the joints behind `q0_rad`, `q1_rad`, ... in that order.
+        rows_are: What `source_row` counts: a `line` of a text file (from 1, as editors do), a `row` of a binary
+            table, a `message` of its topic, a `frame` of a take (from 0).
         rows_read: Data rows or messages looked at.
         set_aside: Rows not used: columns `source_row` (Int64), `reason` (String).
         warnings: What a person must know before trusting the log, one sentence each.
@@ -58,13 +67,21 @@ class Recording:
     robot: pl.DataFrame | None = None
     people: pl.DataFrame | None = None
     events: pl.DataFrame | None = None
+    skeletons: pl.DataFrame | None = None
+    stamps: pl.DataFrame | None = None
     clock: ClockKind = "relative"
     up: Literal["y", "z"] = "z"
     joint_names: tuple[str, ...] = ()
+    rows_are: RowKind = "row"
     rows_read: int = 0
     set_aside: pl.DataFrame | None = None
     warnings: tuple[str, ...] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
+
+    def tables(self) -> dict[str, pl.DataFrame]:
+        """Return the tables that there are, by name."""
+        named = {name: getattr(self, name) for name in TABLES}
+        return {name: table for name, table in named.items() if table is not None}
 
 
 class Adapter(Protocol):
@@ -88,3 +105,38 @@ class Adapter(Protocol):
             cyclekit.errors.ConfigError: `options` says something that this adapter cannot follow.
         """
         ...
+
+
+@runtime_checkable
+class StreamingAdapter(Adapter, Protocol):
+    """A format whose logs may be larger than memory: one method more, which ingest then uses instead of `read`."""
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        """Yield the log in consecutive parts; `whole` of them is what `read` returns.
+
+        Clock, axes, joint names and the set of tables are those of every part. What is only known at the end is in the
+        last part's warnings and facts.
+
+        Raises:
+            cyclekit.errors.LogError, cyclekit.errors.ConfigError: As `read`; while the parts are taken, too.
+        """
+        ...
+
+
+def whole(parts: Iterable[Recording]) -> Recording:
+    """Put the parts of a log together: tables and rows set aside end to end, warnings each once, the last facts."""
+    import polars as pl
+
+    every = list(parts)
+    if len(every) == 1:
+        return every[0]
+    last = every[-1]
+    together = {name: pl.concat([part.tables()[name] for part in every]) for name in last.tables()}
+    aside = [part.set_aside for part in every if part.set_aside is not None]
+    return replace(
+        last,
+        **together,  # type: ignore[arg-type]  # the names are those of the fields
+        rows_read=sum(part.rows_read for part in every),
+        set_aside=pl.concat(aside) if aside else None,
+        warnings=tuple(dict.fromkeys(text for part in every for text in part.warnings)),
+    )

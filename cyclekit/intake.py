@@ -36,7 +36,13 @@ if TYPE_CHECKING:
     from cyclekit.config import Source
     from cyclekit.dataset import Dataset
 
-TABLES = {"robot": schema.ROBOT, "people": schema.PEOPLE, "events": schema.EVENTS}
+TABLES = {
+    "robot": schema.ROBOT,
+    "people": schema.PEOPLE,
+    "events": schema.EVENTS,
+    "skeletons": schema.SKELETONS,
+    "stamps": schema.STAMPS,
+}
 QUARANTINE = "quarantine.parquet"
 UNPROTECTED = "none: a flipped bit passes unnoticed unless it makes a value impossible"
 """What a recording's fact `checksum` says where its adapter knows of none."""
@@ -134,8 +140,8 @@ def _read_or_error(log: Log, *, staging: Path, pseudonymise: bool) -> dict[str, 
 
 def _keep(log: Log, recording: Recording, sources: list[dict[str, Any]], staging: Path) -> dict[str, Any]:
     """Write the tables of a recording; return its entry."""
-    frames = {name: frame for name, frame in _tables(recording).items() if frame is not None}
-    if not frames:
+    frames = recording.tables()
+    if not frames.keys() & {"robot", "people", "events"}:
         raise LogError(log.path, "holds neither robot, people nor events", cure="Check what was recorded.")
     main = next((frame for frame in frames.values() if frame.height), None)
     if main is None:
@@ -158,6 +164,7 @@ def _keep(log: Log, recording: Recording, sources: list[dict[str, Any]], staging
         "up": recording.up,
         "joint_names": list(recording.joint_names),
         "rows": {name: frame.height for name, frame in frames.items()},
+        "rows_are": recording.rows_are,
         "rows_read": recording.rows_read,
         "rows_set_aside": _quarantined(recording, log, folder),
         "first_s": first,
@@ -168,10 +175,6 @@ def _keep(log: Log, recording: Recording, sources: list[dict[str, Any]], staging
         "facts": {"checksum": UNPROTECTED, **recording.facts},
         "key": log.key,
     }
-
-
-def _tables(recording: Recording) -> dict[str, pl.DataFrame | None]:
-    return {"robot": recording.robot, "people": recording.people, "events": recording.events}
 
 
 def _provenance(log: Log) -> list[dict[str, Any]]:
@@ -204,7 +207,7 @@ def _quarantined(recording: Recording, log: Log, folder: Path) -> list[dict[str,
     rows = recording.set_aside
     if rows is None or rows.height == 0:
         return []
-    rows = rows.with_columns(recording=pl.lit(log.id), file=pl.lit(log.shown))
+    rows = rows.with_columns(recording=pl.lit(log.id), file=pl.lit(log.shown), row_is=pl.lit(recording.rows_are))
     write_parquet(schema.conform(rows, schema.QUARANTINE), folder / QUARANTINE)
     return rows.group_by("reason", maintain_order=True).agg(count=pl.len()).to_dicts()
 

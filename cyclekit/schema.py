@@ -1,7 +1,8 @@
 """The canonical tables: every column, its type, its unit and what it means.
 
-Adapters fill ROBOT, PEOPLE and EVENTS; ingest makes SAMPLES and TASKS of them, and QUARANTINE of what it sets aside. A
-null always means "unknown", never zero. What is computed from the columns is the business of the rooms that use them.
+Adapters fill ROBOT, PEOPLE and EVENTS (SKELETONS and STAMPS where there are any); ingest makes SAMPLES and TASKS of
+them, and QUARANTINE of what it sets aside. A null always means "unknown", never zero. What is computed from the columns
+is the business of the rooms that use them.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from cyclekit.errors import ShapeError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Version of the dataset layout; a dataset of another version is refused, never half-read."""
 
 
@@ -42,7 +43,7 @@ ROBOT: Mapping[str, Column] = {
     "state": Column(TEXT, "", "program state: playing, paused, stopped; null = not logged"),
     "digital_out_bits": Column(I64, "", "digital outputs as a bit field, where logged"),
     "register": Column(I64, "", "the integer register chosen for the cell, where logged"),
-    "source_row": Column(I64, "", "0-based data row (or message index) in the source file"),
+    "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
 }
 """Robot recording at its native rate. Joint columns `q<i>_rad` and `qd<i>_rad_s` may follow (see `is_joint`)."""
 
@@ -52,15 +53,32 @@ PEOPLE: Mapping[str, Column] = {
     "x_m": Column(F64, "m", "position of the person's tracked point, the log's own frame; null = not seen"),
     "y_m": Column(F64, "m", "as x_m"),
     "z_m": Column(F64, "m", "as x_m; null for a planar tracker"),
-    "source_row": Column(I64, "", "0-based data row (or message index) in the source file"),
+    "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
 }
 
 EVENTS: Mapping[str, Column] = {
     "t_s": Column(F64, "s", "time in the log's own clock"),
     "signal": Column(TEXT, "", "which signal: a button, a PLC tag, a digital input"),
     "value": Column(TEXT, "", "its new value, as text"),
-    "source_row": Column(I64, "", "0-based data row (or message index) in the source file"),
+    "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
 }
+
+SKELETONS: Mapping[str, Column] = {
+    "t_s": Column(F64, "s", "time in the log's own clock"),
+    "person": Column(TEXT, "", "track id, as in PEOPLE"),
+    "joint": Column(TEXT, "", "name of the joint, lower case, as the tracker's documentation names it"),
+    "x_m": Column(F64, "m", "position of the joint, the log's own frame; null = not seen"),
+    "y_m": Column(F64, "m", "as x_m"),
+    "z_m": Column(F64, "m", "as x_m"),
+    "source_row": Column(I64, "", "where in the log, as in PEOPLE"),
+}
+"""Every joint of every person: personal data, kept only on request (`--keep-skeletons`); no estimate needs it."""
+
+STAMPS: Mapping[str, Column] = {
+    "t_s": Column(F64, "s", "time in the log's own clock: the device's"),
+    "host_s": Column(F64, "s", "when the computer that recorded it received it, seconds since 1970 by its clock"),
+}
+"""Two stamps of one row, where a log has both: how the device's clock runs against its host's."""
 
 SAMPLES: Mapping[str, Column] = {
     "execution": Column(TEXT, "", "which execution of the process"),
@@ -83,6 +101,9 @@ SAMPLES: Mapping[str, Column] = {
     "robot_task": Column(TEXT, "", "running task, `start->goal`"),
     "human_task": Column(TEXT, "", "the operator's running task: the place it ends at"),
     "robot_moving": Column(FLAG, "", "true while the robot is on its way, halted by safety or not"),
+    "human_gap": Column(
+        TEXT, "", "why x_h is null: absent, occluded, or outside the tracker's log; null where it is not"
+    ),
 }
 """10 Hz samples in one clock and one base frame."""
 
@@ -106,7 +127,8 @@ TASKS: Mapping[str, Column] = {
 QUARANTINE: Mapping[str, Column] = {
     "recording": Column(TEXT, "", "id of the recording"),
     "file": Column(TEXT, "", "the log, relative to the folder of logs"),
-    "source_row": Column(I64, "", "0-based data row or message index in it; null where damage has no row"),
+    "source_row": Column(I64, "", "where in it; null where damage has no row"),
+    "row_is": Column(TEXT, "", "what source_row counts: line (from 1), row, message or frame (from 0)"),
     "reason": Column(TEXT, "", "why it is not used"),
 }
 """Rows (or messages, or damaged parts) of the logs that no other table holds."""

@@ -115,9 +115,8 @@ def _execute(name: str, start_s: float, rounds: int, operator: _Operator | None)
             moving = arrival is None
             human_goal = operator.goal.tolist() if operator and human else [None] * 3
             place = operator.place if operator and human else None
-            rows.append(
-                [tick, *robot, *(human or [None] * 3), *b, *human_goal, scaling, f"{start}->{goal}", place, moving]
-            )
+            task, gap = f"{start}->{goal}", None if human else "absent"
+            rows.append([tick, *robot, *(human or [None] * 3), *b, *human_goal, scaling, task, place, moving, gap])
             progress, rested, tick = progress + scaling * dt_s / nominal_s, rested + (not moving), tick + 1
         motion_s = (arrival - begin) * dt_s
         loss_s = sum(1 - row[13] for row in rows[begin:arrival]) * dt_s

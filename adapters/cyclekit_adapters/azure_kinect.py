@@ -17,9 +17,9 @@ import polars as pl
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit.schema import PEOPLE, conform
-from cyclekit_adapters.delimited import head_of
 from cyclekit_adapters.json_parts import BrokenJson, json_text, number, parts, point
 from cyclekit_adapters.source_map import words
+from cyclekit_adapters.text_blocks import head_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -80,6 +80,7 @@ class _AzureKinectJson:
             people=conform(table, PEOPLE),
             clock="uptime",
             up="y",
+            rows_are="frame",
             rows_read=dump.frames,
             set_aside=pl.DataFrame(dump.aside, schema=_SET_ASIDE, orient="row"),
             warnings=tuple(said),

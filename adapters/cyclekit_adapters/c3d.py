@@ -48,6 +48,7 @@ class _C3d:
             people=conform(table, PEOPLE),
             clock="relative",
             up=cast('Literal["y", "z"]', up or shown or "z"),
+            rows_are="frame",
             rows_read=len(rows),
             set_aside=pl.DataFrame(schema={"source_row": pl.Int64(), "reason": pl.String()}),
             warnings=tuple(said),

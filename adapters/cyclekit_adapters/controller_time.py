@@ -6,33 +6,77 @@ from zero. Both are the same in every robot log, whatever its columns mean.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
 import polars as pl
 
-from cyclekit_adapters.delimited import Rows
+if TYPE_CHECKING:
+    from cyclekit_adapters.delimited import Rows
+
+REPEATED = "repeats the controller sample before it"
 
 
-def once(rows: Rows, time: str) -> tuple[Rows, int]:
-    """Keep each instant of column `time` once, and count the rows that repeat the one before them.
+@dataclass
+class Once:
+    """Keeps each instant once, block after block of one log.
 
-    Args:
-        rows: Rows in the order of the log; `time` has no nulls.
-        time: Name of the time column.
-
-    Returns:
-        The rows that go on (or step back: a new run), with the repeats set aside, and the number of repeats.
+    Attributes:
+        time: Name of the time column; it has no nulls.
+        repeated: Rows so far that repeat the one before them.
+        back: How often so far the clock stepped back.
     """
-    again = rows.frame[time].eq(rows.frame[time].shift()).fill_null(value=False)
-    reason = pl.lit("repeats the controller sample before it").alias("reason")
-    aside = pl.concat([rows.set_aside, rows.frame.filter(again).select("source_row", reason)]).sort("source_row")
-    return Rows(rows.frame.filter(~again), rows.rows_read, aside), int(again.sum())
+
+    time: str
+    repeated: int = 0
+    back: int = 0
+    _last: float | None = None
+
+    def rows(self, rows: Rows, reason: str = REPEATED) -> Rows:
+        """Return the rows that go on (or step back: a new run), with the repeats set aside."""
+        times = rows.frame[self.time]
+        if times.is_empty():
+            return rows
+        before = times.shift(1, fill_value=self._last)
+        again = (times == before).fill_null(value=False)
+        self.repeated += int(again.sum())
+        self.back += int((times < before).sum())
+        self._last = float(times[-1])
+        return rows.without(again, reason)
+
+    def warnings(self) -> list[str]:
+        """Say where the controller's clock steps back, and how many rows were repeats."""
+        said = []
+        if self.back:
+            said.append(
+                f"the controller's clock steps back {self.back} time(s): it was restarted, each part is its own run"
+            )
+        if self.repeated:
+            said.append(f"{self.repeated} rows repeat the controller sample before them and are left out")
+        return said
 
 
-def clock_warnings(times: pl.Series, repeated: int) -> list[str]:
-    """Say where the controller's clock steps back, and how many rows were repeats."""
-    said = []
-    back = int((times.diff() < 0).sum())
-    if back:
-        said.append(f"the controller's clock steps back {back} time(s): it was restarted, each part is its own run")
-    if repeated:
-        said.append(f"{repeated} rows repeat the controller sample before them and are left out")
-    return said
+@dataclass
+class Spread:
+    """Least and greatest value of some columns, block after block; None while all was unknown."""
+
+    columns: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        self.least: dict[str, float] = {}
+        self.most: dict[str, float] = {}
+
+    def add(self, frame: pl.DataFrame) -> None:
+        """Take in the columns that `frame` has."""
+        here = [name for name in dict.fromkeys(self.columns) if name in frame.columns and frame.height]
+        if not here:
+            return
+        row = frame.select(
+            *(pl.col(name).min().alias(f"{name} least") for name in here),
+            *(pl.col(name).max().alias(f"{name} most") for name in here),
+        ).row(0, named=True)
+        for name in here:
+            low, high = row[f"{name} least"], row[f"{name} most"]
+            if low is not None:
+                self.least[name] = min(low, self.least.get(name, low))
+                self.most[name] = max(high, self.most.get(name, high))

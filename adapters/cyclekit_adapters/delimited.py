@@ -3,45 +3,51 @@
 Every CSV adapter reads through here, because the traps are the same for all: a logger killed in the middle of a
 number leaves a value that still parses, a doubled space moves every later column by one, a power cut leaves a block
 of NUL bytes. A row is used only if it has as many fields as the header and ends with a line end; all others are set
-aside with their row and the reason. What the columns mean is the adapters' business.
+aside with their line and the reason. What the columns mean is the adapters' business, how bytes become lines that of
+`text_blocks`.
 
-Polars parses the file where it stands; only if it stumbles, or a row looks short, are the lines looked at one by one.
+A block of lines is parsed by polars at once; only where it stumbles, or a row looks short, is the block halved, and
+the lines around the trouble looked at one by one. So a log of any size takes the memory of a block.
 """
 
 from __future__ import annotations
 
 import csv
-import io
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 from cyclekit.errors import DamagedLog, LogError
+from cyclekit_adapters.text_blocks import blocks_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-HEAD_BYTES = 16384
-_BEYOND = "\x1ebeyond"  # a name that no column of a log has
+INDEX = "\x1findex"
+"""Column of `Rows.frame`: number of the data row, from 0, blank lines and headers not counted."""
+_BEYOND = "\x1fbeyond"  # names that no column of a log has
 _CELL = "\x1f"  # unit separator: delimiter of the lines that were taken apart here, never part of a log
 _UNKNOWN = ("", "nan", "null", "none", "na", "n/a", "-")
 _SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
+_ONE_BY_ONE = 1 << 17  # bytes; a block in trouble is halved down to here, then read line by line
+_CUT = "the last line has no line end: it was cut while being written"
+_NEWLINE = ord("\n")
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How the rows of one text log are written.
+    r"""How the rows of one text log are written.
 
     Attributes:
         names: Column names, one per field, all different; what follows the last one in a row must be empty.
-        delimiter: One character.
+        delimiter: What stands between fields: one character, or several (`||`); `\s+` is any run of blanks.
         header_lines: Lines before the first data row.
         decimal_comma: Numbers are written `0,5`.
-        encoding: Any that Python knows; other than UTF-8 the file is transcoded in memory.
+        encoding: Any that Python knows.
         quotes: Cells may be quoted, with the delimiter inside; where they are not, a quote is a garbled cell.
-        careful: Look at every line from the start (headerless logs, whose first bytes may be a BOM).
     """
 
     names: tuple[str, ...]
@@ -50,7 +56,6 @@ class Layout:
     decimal_comma: bool = False
     encoding: str = "utf-8"
     quotes: bool = False
-    careful: bool = False
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,7 @@ class Rows:
     """The usable rows.
 
     Attributes:
-        frame: Columns asked for, and `source_row`, 0-based among the data rows that are not blank.
+        frame: Columns asked for; `source_row`, the line of the file, from 1 as editors count; and INDEX.
         rows_read: Rows looked at, blank lines not counted.
         set_aside: Columns `source_row`, `reason`.
     """
@@ -73,38 +78,26 @@ class Rows:
         Raises:
             DamagedLog: No row is usable; the message gives the first reason.
         """
-        if not self.frame.is_empty():
+        if self.frame.is_empty():
+            raise nothing_usable(path, self.rows_read, self.set_aside)
+        return self
+
+    def without(self, bad: pl.Series, reason: str) -> Rows:
+        """Return the rows with those for which `bad`, shape (N,), is true set aside."""
+        if not bad.any():
             return self
-        if self.rows_read == 0:
-            raise DamagedLog(path, "a header and no rows", cure="Nothing was recorded: record again or leave it out.")
-        first = self.set_aside["reason"][0] if self.set_aside.height else "unknown"
-        cause = f"none of its {self.rows_read} rows can be used; the first: {first}"
-        raise DamagedLog(path, cause, cure="Check how the file was written or copied.")
+        aside = self.frame.filter(bad).select("source_row", pl.lit(reason).alias("reason"))
+        return Rows(self.frame.filter(~bad), self.rows_read, pl.concat([self.set_aside, aside]).sort("source_row"))
 
 
-def encoding_of(first: bytes) -> str | None:
-    """Return the encoding that the first bytes of a file speak for, or None for a binary file."""
-    if first.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    line = first.partition(b"\n")[0]  # what follows it may be a binary part or a block that was never written
-    if b"\0" not in line:
-        return "utf-8-sig" if first.startswith(b"\xef\xbb\xbf") else "utf-8"
-    if len(line) >= 4 and line[1::2].count(0) > 0.9 * len(line[1::2]) and 0 not in line[0::2]:
-        return "utf-16-le"
-    return None
-
-
-def head_of(path: Path, size: int = HEAD_BYTES) -> str:
-    """Return the first `size` bytes of a text file, decoded; empty for a binary, unreadable or absent file."""
-    try:
-        if not path.is_file():
-            return ""
-        with path.open("rb") as log:
-            first = log.read(size)
-    except OSError:
-        return ""
-    encoding = encoding_of(first)
-    return first.decode(encoding, "replace") if encoding else ""
+def nothing_usable(path: Path, rows_read: int, set_aside: pl.DataFrame) -> DamagedLog:
+    """Return the error for a log without a usable row."""
+    if rows_read == 0:
+        return DamagedLog(path, "a header and no rows", cure="Nothing was recorded: record again or leave it out.")
+    first = set_aside["reason"][0] if set_aside.height else "unknown"
+    line = f" (line {set_aside['source_row'][0]})" if set_aside.height else ""
+    cause = f"none of its {rows_read} rows can be used; the first{line}: {first}"
+    return DamagedLog(path, cause, cure="Check how the file was written or copied.")
 
 
 def delimiter_of(line: str, candidates: str = ",;\t ") -> str:
@@ -134,7 +127,9 @@ def header_names(line: str, delimiter: str) -> tuple[str, ...]:
 def fields_of(line: str, delimiter: str) -> list[str]:
     """Return the cells of one line; quotes are taken off where they close."""
     text = line.rstrip("\r\n")
-    if '"' not in text:
+    if delimiter == "\\s+":
+        return text.split()
+    if '"' not in text or len(delimiter) > 1:
         return text.split(delimiter)
     try:
         return next(csv.reader([text], delimiter=delimiter), [])
@@ -145,7 +140,7 @@ def fields_of(line: str, delimiter: str) -> list[str]:
 def read_rows(
     path: Path, layout: Layout, *, numbers: Sequence[str], texts: Sequence[str] = (), required: Sequence[str] = ()
 ) -> Rows:
-    """Read the columns `numbers` (Float64) and `texts` (String) of every trustworthy row.
+    """Read the columns `numbers` (Float64) and `texts` (String) of every trustworthy row, the whole log at once.
 
     Args:
         path: The log.
@@ -157,136 +152,262 @@ def read_rows(
     Raises:
         LogError: The file cannot be opened.
     """
+    return joined(read_blocks(path, layout, numbers=numbers, texts=texts, required=required), numbers, texts)
+
+
+def read_blocks(
+    path: Path, layout: Layout, *, numbers: Sequence[str], texts: Sequence[str] = (), required: Sequence[str] = ()
+) -> Iterator[Rows]:
+    """Yield what `read_rows` returns, some tens of thousands of rows at a time, for logs of any size.
+
+    Raises:
+        LogError: The file cannot be opened, or holds a line longer than any logger writes.
+    """
     try:
-        source = _source(path, layout)
-        slow = layout.careful or (layout.quotes and _has_quotes(source, layout))
-        rows = None if slow else _parse_whole(source, path, layout, numbers, texts)
-        if rows is None:
-            rows = _parse_by_line(_lines(source), layout, numbers, texts)
+        parser = _Parser(layout, numbers, texts, required, line=layout.header_lines + 1)
+        for block in blocks_of(path, layout.encoding, skip_lines=layout.header_lines, delimiter=layout.delimiter):
+            yield from parser.rows(block)
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
-    return _without_unknown(rows, required)
 
 
 def rows_of(
-    lines: Iterable[bytes],
+    blocks: Iterable[bytes],
     layout: Layout,
     *,
     numbers: Sequence[str],
     texts: Sequence[str] = (),
     required: Sequence[str] = (),
+    first_line: int = 1,
 ) -> Rows:
-    """Read rows as `read_rows` does, out of lines with their line ends: a section of a file of several tables."""
-    return _without_unknown(_parse_by_line(lines, layout, numbers, texts), required)
+    """Read rows as `read_rows` does, out of lines with their line ends: a section of a file of several tables.
+
+    Args:
+        blocks: Whole lines of UTF-8 text, in pieces of any size; the first `layout.header_lines` of them are no rows.
+        layout: How they are written.
+        numbers: As in `read_rows`.
+        texts: As in `read_rows`.
+        required: As in `read_rows`.
+        first_line: Line of the file that the first of these is.
+    """
+    parser = _Parser(layout, numbers, texts, required, line=first_line, skip=layout.header_lines)
+    return joined((rows for block in blocks for rows in parser.rows(block)), numbers, texts)
 
 
-def _source(path: Path, layout: Layout) -> Path | bytes:
-    if layout.encoding in ("utf-8", "utf-8-sig"):
-        return path
-    return path.read_bytes().decode(layout.encoding, "replace").encode()
+def joined(parts: Iterable[Rows], numbers: Sequence[str] = (), texts: Sequence[str] = ()) -> Rows:
+    """Put blocks of rows together; the columns are given for the case that there is none."""
+    every = list(parts)
+    if not every:
+        columns = {"source_row": pl.Int64(), INDEX: pl.Int64()}
+        schema = columns | dict.fromkeys(numbers, pl.Float64()) | dict.fromkeys(texts, pl.String())
+        return Rows(pl.DataFrame(schema=schema), 0, pl.DataFrame(schema=_SET_ASIDE))
+    if len(every) == 1:
+        return every[0]
+    frame = pl.concat([rows.frame for rows in every])
+    return Rows(frame, sum(rows.rows_read for rows in every), pl.concat([rows.set_aside for rows in every]))
 
 
-def _lines(source: Path | bytes) -> Iterator[bytes]:
-    with io.BytesIO(source) if isinstance(source, bytes) else source.open("rb") as log:
-        yield from log
+@dataclass
+class _Parser:
+    """Parses blocks of lines one after the other, and knows which line comes next.
 
+    Attributes:
+        line: Number of the next line in its file.
+        skip: Lines still to be passed over.
+        row: Number of the next data row.
+        ended: Why nothing is read any more: another table began.
+    """
 
-def _has_quotes(source: Path | bytes, layout: Layout) -> bool:
-    with io.BytesIO(source) if isinstance(source, bytes) else source.open("rb") as log:
-        for _ in range(layout.header_lines):
-            log.readline()
-        return any(b'"' in block for block in iter(lambda: log.read(1 << 20), b""))
+    layout: Layout
+    numbers: Sequence[str]
+    texts: Sequence[str]
+    required: Sequence[str]
+    line: int = 1
+    skip: int = 0
+    row: int = 0
+    ended: str = ""
+    _wanted: list[str] = field(init=False)
 
+    def __post_init__(self) -> None:
+        self._wanted = list(dict.fromkeys([*self.numbers, *self.texts]))
 
-def _parse_whole(
-    source: Path | bytes, path: Path, layout: Layout, numbers: Sequence[str], texts: Sequence[str]
-) -> Rows | None:
-    """Parse at full speed; None if any row is short, long or not a number where one is due."""
-    last = layout.names[-1]
-    wanted = set(numbers)
-    types: dict[str, pl.DataType] = {
-        name: pl.Float64() if name in wanted and name != last else pl.String() for name in (*layout.names, _BEYOND)
-    }
-    try:
-        # Polars fills short rows and cuts long ones without a word. So two columns are always read as text: the
-        # last one, which is empty in a short row, and one beyond it, which is empty in all but a long row.
-        frame = pl.scan_csv(
-            io.BytesIO(source) if isinstance(source, bytes) else source,
-            separator=layout.delimiter,
-            has_header=False,
-            skip_lines=layout.header_lines,
-            schema=types,
-            quote_char=None,
-            empty_string_is_null=False,
-            raise_if_empty=False,
-            decimal_comma=layout.decimal_comma,
-            missing_columns="insert",
-            glob=False,
-        )
-        table = frame.select(list(dict.fromkeys([*numbers, *texts, last, _BEYOND]))).collect()
-        beyond = table[_BEYOND].fill_null("").str.strip_chars()
-        if (beyond != "").any() or (table[last].str.strip_chars() == "").any():
+    def rows(self, block: bytes) -> Iterator[Rows]:
+        """Yield the rows of a block of lines; of the last block of a file the last line may lack its end."""
+        while self.skip and block:
+            _, _, block = block.partition(b"\n")
+            self.skip, self.line = self.skip - 1, self.line + 1
+        whole = block.rfind(b"\n") + 1
+        if whole:
+            yield from self._halved(block[:whole])
+        if tail := block[whole:]:
+            if tail.strip():
+                yield self._rows([], [], [(self.line, _CUT)], rows_read=1)
+                self.row += 1
+            self.line += 1
+
+    def _halved(self, block: bytes) -> Iterator[Rows]:
+        """Yield the rows of whole lines: at once where all is well, else half by half."""
+        if not self.ended and (rows := self._at_once(block)) is not None:
+            yield rows
+            return
+        middle = block.find(b"\n", len(block) // 2) + 1
+        if self.ended or len(block) <= _ONE_BY_ONE or not 0 < middle < len(block):
+            yield self._one_by_one(block)
+            return
+        yield from self._halved(block[:middle])
+        yield from self._halved(block[middle:])
+
+    def _at_once(self, block: bytes) -> Rows | None:
+        """Parse whole lines at full speed; None if any row is short, long or not a number where one is due."""
+        layout, compact, lines = self.layout, block, None
+        quoted = layout.quotes and b'"' in block
+        if block.startswith((b"\n", b"\r\n")) or b"\n\n" in block or b"\n\r\n" in block:
+            compact, lines = _without_blank_lines(block)
+            if not compact:
+                self.line += block.count(b"\n")
+                return self._rows([], [], [], rows_read=0)
+        last = layout.names[-1]
+        types: dict[str, pl.DataType] = {
+            name: pl.Float64() if name in self.numbers and name != last else pl.String()
+            for name in (*layout.names, _BEYOND)
+        }
+        try:
+            # Polars fills short rows and cuts long ones without a word. So two columns are always read as text: the
+            # last one, which is empty in a short row, and one beyond it, which is empty in all but a long row.
+            table = _scan(compact, layout, types, [*self._wanted, last, _BEYOND], quoted=quoted)
+            doubtful = (table[last].str.strip_chars() == "").any() or (table[_BEYOND].str.strip_chars() != "").any()
+            if doubtful and (quoted or not _is_even(compact, layout)):
+                return None
+            if quoted and table.height != compact.count(b"\n"):
+                return None  # a quote that was never closed
+            if last in self.numbers:
+                table = table.with_columns(_number(last, layout).cast(pl.Float64, strict=True).alias(last))
+        except pl.exceptions.PolarsError:
             return None
-        if last in wanted:
-            table = table.with_columns(_number(last, layout).cast(pl.Float64, strict=True).alias(last))
-    except pl.exceptions.PolarsError:
-        return None
-    table = table.with_row_index("source_row").with_columns(pl.col("source_row").cast(pl.Int64))
-    rows = table.height
-    aside: list[tuple[int, str]] = []
-    if rows and not _ends_with_line_end(source, path):
-        table, aside = table.head(rows - 1), [(rows - 1, _CUT)]
-    return Rows(_tidied(table, numbers, texts), rows, _aside(aside))
+        count = table.height
+        at = lines if lines is not None else pl.int_range(count, dtype=pl.Int64, eager=True)
+        table = table.with_columns(
+            (at + self.line).alias("source_row"),
+            pl.int_range(self.row, self.row + count, dtype=pl.Int64, eager=True).alias(INDEX),
+        )
+        self.line += count if lines is None else block.count(b"\n")
+        self.row += count
+        return self._finished(table, [], count)
 
+    def _one_by_one(self, block: bytes) -> Rows:
+        kept: list[str] = []
+        places: list[tuple[int, int]] = []
+        aside: list[tuple[int, str]] = []
+        begin = self.row
+        for content in block.split(b"\n")[:-1]:
+            line, self.line = self.line, self.line + 1
+            if not content.strip():
+                continue
+            row, self.row = self.row, self.row + 1
+            cells, reason = (None, self.ended) if self.ended else self._cells(content)
+            if cells is None:
+                aside.append((line, reason))
+            elif said := self._as_header(cells, line):
+                aside.append((line, said))
+            else:
+                kept.append(cells)
+                places.append((line, row))
+        return self._rows(kept, places, aside, rows_read=self.row - begin)
 
-_CUT = "the last line has no line end: it was cut while being written"
-
-
-def _ends_with_line_end(source: Path | bytes, path: Path) -> bool:
-    if isinstance(source, bytes):
-        return source.endswith(b"\n")
-    with path.open("rb") as log:
-        log.seek(-1, io.SEEK_END)
-        return log.read(1) == b"\n"
-
-
-def _parse_by_line(lines: Iterable[bytes], layout: Layout, numbers: Sequence[str], texts: Sequence[str]) -> Rows:
-    kept: list[str] = []
-    kept_rows: list[int] = []
-    aside: list[tuple[int, str]] = []
-    row = -1
-    for index, line in enumerate(lines):
-        content = line.rstrip(b"\r\n")
-        if index < layout.header_lines or not content.strip():
-            continue
-        row += 1
-        cells, reason = _cells(line, layout)
-        if cells is None:
-            aside.append((row, reason))
+    def _cells(self, content: bytes) -> tuple[str | None, str]:
+        """Return the cells of one line joined by `_CELL`, or None and the reason why the line is not used."""
+        layout = self.layout
+        text = content.decode("utf-8", "replace").rstrip("\r")
+        if layout.quotes and '"' in text:
+            text = _CELL.join(fields_of(text, _polars_delimiter(layout)))
         else:
-            kept.append(cells)
-            kept_rows.append(row)
-    table = _as_texts(kept, layout).select(list(dict.fromkeys([*numbers, *texts])))
-    table = table.with_columns(pl.Series("source_row", kept_rows, dtype=pl.Int64))
-    table, garbled = _as_numbers(table, layout, numbers)
-    return Rows(_tidied(table, numbers, texts), row + 1, _aside(sorted(aside + garbled)))
+            text = text.replace(_polars_delimiter(layout), _CELL)
+        width, found = len(layout.names), text.count(_CELL) + 1
+        if found > width:
+            fields = text.split(_CELL)
+            if not any(cell.strip() for cell in fields[width:]):
+                return _CELL.join(fields[:width]), ""
+        if found != width:
+            nul = ", and NUL bytes: the disk was not written" if "\0" in text else ""
+            return None, f"{found} fields where the header has {width}{nul}"
+        return text, ""
+
+    def _as_header(self, cells: str, line: int) -> str:
+        """Return why a row is no row because it names columns, empty if it does not.
+
+        The same names again are a recording that was continued; other names are another table, whose numbers must
+        not be taken for this one's.
+        """
+        fields = [cell.strip() for cell in cells.split(_CELL)]
+        if tuple(fields) == self.layout.names:
+            return "the header once more"
+        named = [fields[at] for at, name in enumerate(self.layout.names) if name in self.numbers]
+        words = all(cell.lower() not in _UNKNOWN and _parsed(cell, self.layout) is None for cell in fields)
+        if not named or not words or len(set(fields)) < max(2, len(fields)) or "\ufffd" in cells or "\0" in cells:
+            return ""
+        shown = ", ".join(fields)[:60]
+        self.ended = f"another table begins in line {line} ({shown}): cut the file there to read it"
+        return self.ended
+
+    def _rows(
+        self, kept: list[str], places: list[tuple[int, int]], aside: list[tuple[int, str]], rows_read: int
+    ) -> Rows:
+        table = _as_texts(kept, self.layout).select(self._wanted)
+        where = pl.DataFrame(places, schema={"source_row": pl.Int64(), INDEX: pl.Int64()}, orient="row")
+        table, garbled = _as_numbers(pl.concat([where, table], how="horizontal"), self.layout, self.numbers)
+        return self._finished(table, sorted(aside + garbled), rows_read)
+
+    def _finished(self, table: pl.DataFrame, aside: Sequence[tuple[int, str]], rows_read: int) -> Rows:
+        finite = [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in self.numbers]
+        clean = [
+            pl.col(name).str.strip_chars().str.strip_chars('"').replace("", None).alias(name) for name in self.texts
+        ]
+        table = table.select("source_row", INDEX, *finite, *clean)
+        rows = Rows(table, rows_read, pl.DataFrame(aside, schema=_SET_ASIDE, orient="row"))
+        for name in self.required:
+            if table[name].null_count():
+                rows = rows.without(rows.frame[name].is_null(), f"no value in column {name!r}")
+        return rows
 
 
-def _cells(line: bytes, layout: Layout) -> tuple[str | None, str]:
-    """Return the cells of one line joined by `_CELL`, or None and the reason why the line is not used."""
-    if not line.endswith(b"\n"):
-        return None, _CUT
-    text = line.decode("utf-8", "replace").rstrip("\r\n").removeprefix("\ufeff")
-    text = _CELL.join(fields_of(text, layout.delimiter)) if layout.quotes else text.replace(layout.delimiter, _CELL)
-    width, found = len(layout.names), text.count(_CELL) + 1
-    if found > width:
-        fields = text.split(_CELL)
-        if not any(cell.strip() for cell in fields[width:]):
-            return _CELL.join(fields[:width]), ""
-    if found != width:
-        nul = ", and NUL bytes: the disk was not written" if "\0" in text else ""
-        return None, f"{found} fields where the header has {width}{nul}"
-    return text, ""
+def _scan(
+    block: bytes, layout: Layout, types: dict[str, pl.DataType], wanted: Sequence[str], *, quoted: bool
+) -> pl.DataFrame:
+    frame = pl.scan_csv(
+        block,
+        separator=_polars_delimiter(layout),
+        has_header=False,
+        schema=types,
+        quote_char='"' if quoted else None,
+        empty_string_is_null=False,
+        raise_if_empty=False,
+        decimal_comma=layout.decimal_comma,
+        missing_columns="insert",
+        glob=False,
+    )
+    return frame.select(list(dict.fromkeys(wanted))).collect(engine="in-memory")
+
+
+def _polars_delimiter(layout: Layout) -> str:
+    """Return what stands between the fields of a block: `text_blocks` has replaced what is not one character."""
+    return layout.delimiter if len(layout.delimiter) == 1 else _CELL
+
+
+def _without_blank_lines(block: bytes) -> tuple[bytes, pl.Series]:
+    """Return whole lines without the blank ones, and which of the lines each was, from 0, shape (N,)."""
+    lines = block.split(b"\n")[:-1]
+    numbers = [number for number, line in enumerate(lines) if line.strip(b"\r")]
+    compact = b"\n".join([*(lines[number] for number in numbers), b""]) if numbers else b""
+    return compact, pl.Series(numbers, dtype=pl.Int64)
+
+
+def _is_even(block: bytes, layout: Layout) -> bool:
+    """Tell whether every line has exactly as many fields as there are names: an empty cell is no missing one."""
+    raw = np.frombuffer(block, np.uint8)
+    ends = np.flatnonzero(raw == _NEWLINE)
+    marks = np.flatnonzero(raw == ord(_polars_delimiter(layout)))
+    per_line = np.diff(np.searchsorted(marks, ends), prepend=0)
+    return bool((per_line == len(layout.names) - 1).all())
 
 
 def _as_texts(kept: list[str], layout: Layout) -> pl.DataFrame:
@@ -295,12 +416,7 @@ def _as_texts(kept: list[str], layout: Layout) -> pl.DataFrame:
         return pl.DataFrame(schema=schema)
     body = ("\n".join(kept) + "\n").encode()
     return pl.read_csv(
-        io.BytesIO(body),
-        separator=_CELL,
-        has_header=False,
-        schema=schema,
-        quote_char=None,
-        empty_string_is_null=False,
+        body, separator=_CELL, has_header=False, schema=schema, quote_char=None, empty_string_is_null=False
     )
 
 
@@ -309,6 +425,13 @@ def _number(name: str, layout: Layout) -> pl.Expr:
     if layout.decimal_comma:
         text = text.str.replace(",", ".", literal=True)
     return pl.when(text.str.to_lowercase().is_in(_UNKNOWN)).then(None).otherwise(text)
+
+
+def _parsed(cell: str, layout: Layout) -> float | None:
+    try:
+        return float(cell.replace(",", ".", 1) if layout.decimal_comma else cell)
+    except ValueError:
+        return None
 
 
 def _as_numbers(
@@ -322,24 +445,6 @@ def _as_numbers(
         for row, text in bad.select("source_row", "text").iter_rows():
             garbled.setdefault(row, f"{text[:40]!r} in column {name!r} is not a number")
         table = table.with_columns(pair["number"].alias(name))
+    if not garbled:
+        return table, []
     return table.filter(~pl.col("source_row").is_in(list(garbled))), list(garbled.items())
-
-
-def _tidied(table: pl.DataFrame, numbers: Sequence[str], texts: Sequence[str]) -> pl.DataFrame:
-    finite = [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in numbers]
-    clean = [pl.col(name).str.strip_chars().str.strip_chars('"').replace("", None).alias(name) for name in texts]
-    return table.select("source_row", *finite, *clean)
-
-
-def _without_unknown(rows: Rows, required: Sequence[str]) -> Rows:
-    frame, aside = rows.frame, [rows.set_aside]
-    for name in required:
-        known = frame[name].is_not_null()
-        reason = pl.lit(f"no value in column {name!r}").alias("reason")
-        aside.append(frame.filter(~known).select("source_row", reason))
-        frame = frame.filter(known)
-    return Rows(frame, rows.rows_read, pl.concat(aside).sort("source_row"))
-
-
-def _aside(rows: Sequence[tuple[int, str]]) -> pl.DataFrame:
-    return pl.DataFrame(rows, schema=_SET_ASIDE, orient="row")

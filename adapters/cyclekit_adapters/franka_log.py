@@ -8,20 +8,23 @@ computed from `state.q` (`panda_arm`); a hand or tool stands further out. The ov
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
-from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.controller_time import clock_warnings, once
-from cyclekit_adapters.delimited import read_rows
+from cyclekit_adapters.controller_time import Once
+from cyclekit_adapters.delimited import Rows, read_blocks
 from cyclekit_adapters.header_line import column_names, layout_below
+from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.panda_arm import JOINTS, flange_position_m
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 _TIME = "time"
@@ -36,6 +39,9 @@ class _FrankaLogCsv:
         return _TIME in names and any(name in names for name in _ANGLES)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         for key in options.map:
             raise UnknownName("[sources.map] of a Franka log", "key", key, [])
         layout = layout_below(path, ",;\t")
@@ -43,25 +49,34 @@ class _FrankaLogCsv:
         if missing := {_TIME, *_ANGLES}.difference(names):
             raise MissingColumns(path, missing, names, "Write the log with franka::logToCSV, whole.")
         speeds = [name for name in _SPEEDS if name in names]
-        rows = read_rows(path, layout, numbers=[_TIME, *_ANGLES, *speeds], required=[_TIME]).or_refuse(path)
-        rows, repeated = once(rows, _TIME)
-        return Recording(
-            robot=_robot(rows.frame, speeds),
-            clock="uptime",
-            joint_names=tuple(_ANGLES),
-            rows_read=rows.rows_read,
-            set_aside=rows.set_aside,
-            warnings=(
-                *clock_warnings(rows.frame[_TIME], repeated),
+        once = Once(_TIME)
+
+        def make(rows: Rows) -> Recording:
+            rows = once.rows(rows)
+            return Recording(
+                robot=_robot(rows.frame, speeds),
+                clock="uptime",
+                joint_names=tuple(_ANGLES),
+                rows_are="line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            said = (
+                *once.warnings(),
                 "the TCP is the flange, computed from the joint angles: no hand and no tool is included",
                 "the speed scaling is not logged in this format",
-            ),
-            facts={
+            )
+            facts = {
                 "time": "milliseconds of the robot",
                 "tcp": "flange by forward kinematics of state.q, Denavit-Hartenberg parameters of Panda and FR3",
                 "not_read": "cmd.O_T_EE_d: a command, the identity under a joint or torque controller",
-            },
-        )
+            }
+            return replace(last, warnings=said, facts=facts)
+
+        blocks = read_blocks(path, layout, numbers=[_TIME, *_ANGLES, *speeds], required=[_TIME])
+        yield from in_parts(path, blocks, make, finish)
 
 
 def _robot(frame: pl.DataFrame, speeds: list[str]) -> pl.DataFrame:
@@ -75,4 +90,4 @@ def _robot(frame: pl.DataFrame, speeds: list[str]) -> pl.DataFrame:
     return conform(frame.select((pl.col(_TIME) * _MS).alias("t_s"), "source_row").with_columns(columns), ROBOT)
 
 
-ADAPTER: Adapter = _FrankaLogCsv()
+ADAPTER: StreamingAdapter = _FrankaLogCsv()

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cyclekit.errors import DamagedLog, LogError
-from cyclekit_adapters.delimited import HEAD_BYTES, Layout, delimiter_of, encoding_of, head_of, header_names
+from cyclekit.errors import DamagedLog
+from cyclekit_adapters.delimited import Layout, delimiter_of, header_names
+from cyclekit_adapters.text_blocks import file_encoding, head_lines
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 def column_names(path: Path, delimiters: str = ",;\t ") -> tuple[str, ...]:
     """Return the names in the first line; none for a folder, a binary file or one that cannot be opened."""
-    line = _first_line(head_of(path))
+    line = next(iter(head_lines(path)), "")
     return header_names(line, delimiter_of(line, delimiters))
 
 
@@ -32,17 +33,9 @@ def layout_below(path: Path, delimiters: str = ",;\t ") -> Layout:
         DamagedLog: The first line is empty or binary.
         LogError: The file cannot be opened.
     """
-    try:
-        with path.open("rb") as log:
-            encoding = encoding_of(log.read(HEAD_BYTES))
-    except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
-    line = _first_line(head_of(path))
+    encoding = file_encoding(path)
+    line = next(iter(head_lines(path)), "")
     if encoding is None or not line.strip():
         raise DamagedLog(path, "the file is empty or not text", cure="Check the copy.")
     delimiter = delimiter_of(line, delimiters)
     return Layout(header_names(line, delimiter), delimiter, header_lines=1, encoding=encoding)
-
-
-def _first_line(head: str) -> str:
-    return head.removeprefix("\ufeff").partition("\n")[0]

@@ -12,7 +12,7 @@ import re
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog, LogError
-from cyclekit_adapters.delimited import encoding_of
+from cyclekit_adapters.text_blocks import encoding_of
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
@@ -45,7 +45,7 @@ def json_text(path: Path) -> str:
     encoding = encoding_of(raw[:4096])
     if encoding is None:
         raise DamagedLog(path, "not a text file: it begins with NUL bytes", cure="Check the copy.")
-    return raw.decode(encoding, "replace").removeprefix("\ufeff")
+    return raw.decode(encoding, "replace")
 
 
 def parts(text: str, *, inside: str | None = None) -> Iterator[tuple[str, object]]:

@@ -15,9 +15,10 @@ import polars as pl
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit.schema import PEOPLE, conform
-from cyclekit_adapters.delimited import Layout, delimiter_of, encoding_of, fields_of, head_of, read_rows
+from cyclekit_adapters.delimited import Layout, delimiter_of, fields_of, read_rows
 from cyclekit_adapters.linking import link
 from cyclekit_adapters.source_map import words
+from cyclekit_adapters.text_blocks import file_encoding, head_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,7 +33,7 @@ class _Kinect2Csv:
     def recognises(self, path: Path) -> bool:
         head = head_of(path)
         lines = [line for line in head.splitlines() if line.strip()]
-        return bool(lines) and _is_row(lines[0].removeprefix("\ufeff"))
+        return bool(lines) and _is_row(lines[0])
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         words(options, "Kinect v2", {})
@@ -41,9 +42,7 @@ class _Kinect2Csv:
         if not any(_is_row(line) for line in head.splitlines()[:20]):
             cause = "none of its first rows is ticks and 25 joints of x, y, z and state"
             raise DamagedLog(path, cause, cure="Check how the file was written or copied.")
-        with path.open("rb") as log:
-            encoding = encoding_of(log.read(4096)) or "utf-8"
-        layout = Layout(_NAMES, delimiter_of(first, ",;\t"), 0, encoding=encoding, careful=True)
+        layout = Layout(_NAMES, delimiter_of(first, ",;\t"), 0, encoding=file_encoding(path) or "utf-8")
         used = ["ticks", "x0", "y0", "z0", "state0"]
         rows = read_rows(path, layout, numbers=used, required=["ticks"]).or_refuse(path)
         frame = rows.frame.with_columns(t_s=pl.col("ticks") * _TICK_S).sort("t_s", maintain_order=True)
@@ -65,6 +64,7 @@ class _Kinect2Csv:
             people=conform(table, PEOPLE),
             clock="uptime",
             up="y",
+            rows_are="line",
             rows_read=rows.rows_read,
             set_aside=rows.set_aside,
             warnings=tuple(said),

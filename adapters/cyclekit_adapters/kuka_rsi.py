@@ -8,18 +8,21 @@ whole seconds only. RSI does not carry the override: it stays unknown.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.controller_time import clock_warnings, once
-from cyclekit_adapters.delimited import read_rows
+from cyclekit_adapters.controller_time import Once, Spread
+from cyclekit_adapters.delimited import Rows, read_blocks
 from cyclekit_adapters.header_line import column_names, layout_below
+from cyclekit_adapters.in_parts import in_parts
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 _POSITION = ("X_RIst", "Y_RIst", "Z_RIst")
@@ -34,6 +37,9 @@ class _KukaRsiCsv:
         return _TIME in names and any(name in names for name in _POSITION)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         for key in options.map:
             cure = 'Columns of your own are mapped with adapter = "csv".'
             raise UnknownName("[sources.map] of a KUKA RSI log", "key", key, [], cure=cure)
@@ -43,19 +49,31 @@ class _KukaRsiCsv:
                 path, missing, layout.names, "Let the RSI client write RIst and IPOC, and record again."
             )
         numbers = [_TIME, *_POSITION, *([_LATE] if _LATE in layout.names else [])]
-        rows, repeated = once(read_rows(path, layout, numbers=numbers, required=[_TIME]).or_refuse(path), _TIME)
-        return Recording(
-            robot=_robot(rows.frame),
-            clock="uptime",
-            rows_read=rows.rows_read,
-            set_aside=rows.set_aside,
-            warnings=tuple(_warnings(rows.frame, layout.names, repeated)),
-            facts={
+        once, late, cycles = Once(_TIME), Spread((_LATE,)), list[float]()
+
+        def make(rows: Rows) -> Recording:
+            rows = once.rows(rows)
+            late.add(rows.frame)
+            cycles.append(_number(rows.frame[_TIME].diff().median()))
+            return Recording(
+                robot=_robot(rows.frame),
+                clock="uptime",
+                rows_are="line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            facts = {
                 "time": "IPOC, milliseconds of the controller",
-                "cycle": f"{_number(rows.frame[_TIME].diff().median()):g} ms",
+                "cycle": f"{cycles[0]:g} ms",
                 "point": "RIst: the active tool in the base of the RSI configuration, mm",
-            },
-        )
+            }
+            said = [*once.warnings(), *_warnings(layout.names, late.most.get(_LATE, 0.0))]
+            return replace(last, warnings=tuple(said), facts=facts)
+
+        blocks = read_blocks(path, layout, numbers=numbers, required=[_TIME])
+        yield from in_parts(path, blocks, make, finish)
 
 
 def _robot(frame: pl.DataFrame) -> pl.DataFrame:
@@ -63,14 +81,14 @@ def _robot(frame: pl.DataFrame) -> pl.DataFrame:
     return conform(frame.select((pl.col(_TIME) * _MS).alias("t_s"), "source_row", *places), ROBOT)
 
 
-def _warnings(frame: pl.DataFrame, names: tuple[str, ...], repeated: int) -> list[str]:
-    said = [*clock_warnings(frame[_TIME], repeated), "the speed scaling is not part of RSI and unknown"]
+def _warnings(names: tuple[str, ...], late: float) -> list[str]:
+    said = ["the speed scaling is not part of RSI and unknown"]
     said += [
         f'column {name!r} is not read here: map it with adapter = "csv" (scaling, scaling_max = 100)'
         for name in names
         if any(override in name.upper() for override in _OVERRIDES)
     ]
-    if _LATE in frame.columns and (late := _number(frame[_LATE].max())):
+    if late:
         said.append(f"the controller counts up to {late:g} late packets: the client was too slow there")
     return said
 
@@ -79,4 +97,4 @@ def _number(value: object) -> float:
     return 0.0 if value is None else float(str(value))
 
 
-ADAPTER: Adapter = _KukaRsiCsv()
+ADAPTER: StreamingAdapter = _KukaRsiCsv()

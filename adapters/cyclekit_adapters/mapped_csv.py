@@ -1,73 +1,34 @@
-"""Any table in a text file whose columns the cell file maps (`adapter = "csv"` and `[sources.map]`).
+"""Any delimited table whose columns the cell file maps: logs without a public format.
 
-Many controllers and trackers have no public format, or let everyone write their own columns. Here a person says which
-column is what and in which unit, and nothing is guessed: no column is found by its name, no unit by the size of its
-values. Because such a table looks like any other, this adapter recognises nothing by itself and must be named.
+This is how exports of FANUC, ABB, Yaskawa, Doosan, Techman and xArm, PLC logs and laser scanner tracks come in. The
+cell file says which column is what and in which unit, and nothing is guessed: no column is found by its name, no unit
+by the size of its values. Because such a table looks like any other, this adapter recognises nothing by itself and must
+be named.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Literal, cast
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, cast
 
 import polars as pl
 
-from cyclekit.adapter import Adapter, ClockKind, ReadOptions, Recording, Role
-from cyclekit.errors import ConfigError, DamagedLog, MissingColumns, UnknownName
+from cyclekit.adapter import ReadOptions, Recording, Role, StreamingAdapter, whole
+from cyclekit.errors import ConfigError, DamagedLog, MissingColumns
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
-from cyclekit_adapters.delimited import (
-    HEAD_BYTES,
-    Layout,
-    Rows,
-    delimiter_of,
-    encoding_of,
-    header_names,
-    read_rows,
-)
+from cyclekit_adapters.controller_time import Once, Spread
+from cyclekit_adapters.csv_map import FRAME, METRES, RADIANS, SECONDS, STATES, WHERE, CsvMap, csv_map
+from cyclekit_adapters.delimited import INDEX, Layout, Rows, delimiter_of, header_names, read_blocks, unique
+from cyclekit_adapters.in_parts import in_parts
+from cyclekit_adapters.text_blocks import file_encoding, head_lines
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
-_WHERE = "[sources.map] of a CSV"
-_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
-_RADIANS = {"rad": 1.0, "deg": 0.017453292519943295}
-_CLOCKS = ("epoch", "uptime", "relative")
-_STATES = ("playing", "paused", "stopped")
-_DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";"}
 _SLACK = 1e-3
-
-
-@dataclass(frozen=True)
-class _Map:
-    """The keys of `[sources.map]`; a column key names a column of the header line."""
-
-    delimiter: str | None = None
-    decimal: str = "."
-    encoding: str | None = None
-    skip_rows: int = 0
-    time: str | None = None
-    time_unit: str = "s"
-    clock: str = "relative"
-    x: str | None = None
-    y: str | None = None
-    z: str | None = None
-    length_unit: str = "m"
-    person: str | None = None
-    scaling: str | None = None
-    scaling_max: float = 1.0
-    speed: str | None = None
-    state: str | None = None
-    states: Mapping[str, str] = field(default_factory=dict)
-    signal: str | None = None
-    value: str | None = None
-    joints: tuple[str, ...] = ()
-    joint_unit: str = "rad"
-
-    def places(self) -> dict[str, str]:
-        """Return axis -> column."""
-        return {axis: column for axis, column in zip("xyz", (self.x, self.y, self.z), strict=True) if column}
+_T = "\x1ft_s"  # a name that no column of a file can have
+_JOINED = "\x1fwhen"
 
 
 class _MappedCsv:
@@ -75,221 +36,222 @@ class _MappedCsv:
         return False
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        mapping = _mapping(options.map)
-        role = options.role or _role(mapping)
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        mapping = csv_map(options)
+        role = options.role or mapping.role()
         layout = _layout(path, mapping)
         numbers, texts, required = _columns(mapping, role)
         if both := set(numbers).intersection(texts):
-            raise ConfigError(f"{_WHERE}: column {min(both)!r} is mapped to a number and to a text")
+            raise ConfigError(f"{WHERE}: column {min(both)!r} is mapped to a number and to a text")
         if missing := {*numbers, *texts}.difference(layout.names):
-            raise MissingColumns(path, missing, layout.names, f"Columns of the file: {', '.join(layout.names)}.")
-        if mapping.time is None and not options.rate_hz:
+            raise MissingColumns(path, missing, layout.names, f"Columns of the file: {', '.join(layout.names[:60])}.")
+        if not mapping.time and not options.rate_hz:
             cure = 'Map it in cell.toml (time = "..."), or give rate_hz = ... if the rows have a fixed rate.'
             raise MissingColumns(path, ["time"], layout.names, cure)
-        rows = read_rows(path, layout, numbers=numbers, texts=texts, required=required).or_refuse(path)
-        rows = _timed(rows, mapping, options.rate_hz)
-        if role == "robot":
-            rows = _once(rows)
-        make = {"robot": _robot, "people": _people, "events": _events}[role]
-        return Recording(
-            **{role: make(rows.frame, mapping)},  # type: ignore[arg-type]  # the three roles are three fields
-            clock=cast("ClockKind", mapping.clock),
-            joint_names=mapping.joints if role == "robot" else (),
-            rows_read=rows.rows_read,
-            set_aside=rows.set_aside,
-            warnings=tuple(_warnings(rows.frame, mapping, role)),
-            facts={
-                "columns": ", ".join(layout.names),
+        once, seen = Once(_T), _Seen(mapping, role)
+        table: Callable[[pl.DataFrame, CsvMap], pl.DataFrame] = {"robot": _robot, "people": _people, "events": _events}[
+            role
+        ]
+
+        def make(rows: Rows) -> Recording:
+            rows = _timed(rows, mapping, options.rate_hz)
+            rows = once.rows(rows, "repeats the time of the row before it") if role == "robot" else rows
+            seen.add(rows.frame)
+            return Recording(
+                **{role: table(rows.frame, mapping)},  # type: ignore[arg-type]  # the three roles are three fields
+                clock=mapping.clock_kind(),
+                joint_names=mapping.joints if role == "robot" else (),
+                rows_are="line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            facts = {
+                "columns": ", ".join(layout.names[:60]),
                 "delimiter": repr(layout.delimiter),
                 "encoding": layout.encoding,
-            },
-        )
+            }
+            return replace(last, warnings=tuple(seen.warnings(once.back)), facts=facts)
+
+        blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=required)
+        yield from in_parts(path, blocks, make, finish)
 
 
-def _mapping(raw: Mapping[str, object]) -> _Map:
-    known = {item.name: item for item in fields(_Map)}
-    for key in raw:
-        if key not in known:
-            raise UnknownName(_WHERE, "key", key, known)
-    values = dict(raw)
-    for key, value in values.items():
-        _check_type(key, value)
-    if "joints" in values:
-        values["joints"] = tuple(map(str, cast("Sequence[str]", values["joints"])))
-    mapping = _Map(**values)  # type: ignore[arg-type]  # types were checked key by key
-    _one_of("time_unit", mapping.time_unit, _SECONDS)
-    _one_of("length_unit", mapping.length_unit, _METRES)
-    _one_of("joint_unit", mapping.joint_unit, _RADIANS)
-    _one_of("clock", mapping.clock, _CLOCKS)
-    _one_of("decimal", mapping.decimal, (".", ","))
-    if mapping.scaling_max not in (1, 100):
-        raise ConfigError(
-            f"{_WHERE}: scaling_max = {mapping.scaling_max!r}", cure="It is 1 (fraction) or 100 (percent)."
-        )
-    for state in mapping.states.values():
-        _one_of("states", state, _STATES)
-    return mapping
-
-
-def _check_type(key: str, value: object) -> None:
-    if key == "states":
-        right, wanted = (
-            isinstance(value, Mapping) and all(isinstance(v, str) for v in value.values()),
-            "a table of texts",
-        )
-    elif key == "joints":
-        right = isinstance(value, Sequence) and not isinstance(value, str) and all(isinstance(v, str) for v in value)
-        wanted = "a list of column names"
-    elif key == "skip_rows":
-        right, wanted = isinstance(value, int) and not isinstance(value, bool) and value >= 0, "a whole number"
-    elif key == "scaling_max":
-        right, wanted = isinstance(value, int | float) and not isinstance(value, bool), "1 or 100"
-    else:
-        right, wanted = isinstance(value, str), "a text"
-    if not right:
-        raise ConfigError(f"{_WHERE}: {key} = {value!r} is not {wanted}")
-
-
-def _one_of(key: str, value: str, known: Mapping[str, float] | Sequence[str]) -> None:
-    if value not in known:
-        raise UnknownName(_WHERE, key, value, known)
-
-
-def _role(mapping: _Map) -> Role:
-    """Return what the mapped columns can only be; x, y, z alone could be the robot or a person."""
-    if mapping.signal:
-        return "events"
-    if mapping.person:
-        return "people"
-    if mapping.joints or mapping.scaling or mapping.speed or mapping.state:
-        return "robot"
-    raise ConfigError(
-        f"{_WHERE}: it does not say whose rows these are", cure='Give role = "robot", "people" or "events".'
-    )
-
-
-def _columns(mapping: _Map, role: Role) -> tuple[list[str], list[str], list[str]]:
+def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[str]]:
     """Return the number columns, text columns and required columns of a role."""
-    time = [mapping.time] if mapping.time else []
+    time = list(mapping.time)
+    number_time, text_time = ([], time) if mapping.time_format else (time, [])
     places = mapping.places()
     if role == "events":
         if not mapping.signal or not mapping.value:
-            raise ConfigError(f"{_WHERE}: events need the keys signal and value", cure="Name both columns.")
-        return time, list(dict.fromkeys([mapping.signal, mapping.value])), [*time, mapping.signal]
+            raise ConfigError(f"{WHERE}: events need the keys signal and value", cure="Name both columns.")
+        texts = list(dict.fromkeys([*text_time, mapping.signal, mapping.value]))
+        return number_time, texts, [*time, mapping.signal]
     if places and not {"x", "y"}.issubset(places):
-        raise ConfigError(f"{_WHERE}: a place needs at least x and y", cure="Name the columns of both.")
+        raise ConfigError(f"{WHERE}: a place needs at least x and y", cure="Name the columns of both.")
     if role == "people":
         if not places:
-            raise ConfigError(f"{_WHERE}: people need the keys x and y", cure="Name the columns of both.")
+            raise ConfigError(f"{WHERE}: people need the keys x and y", cure="Name the columns of both.")
         person = [mapping.person] if mapping.person else []
-        return list(dict.fromkeys([*time, *places.values()])), person, [*time, *person]
-    others = [column for column in (mapping.scaling, mapping.speed) if column]
-    numbers = [*time, *places.values(), *others, *mapping.joints]
-    if len(numbers) == len(time):
-        raise ConfigError(f"{_WHERE}: nothing of the robot is mapped", cure="Map x, y, z or joints, scaling or speed.")
-    return list(dict.fromkeys(numbers)), [mapping.state] if mapping.state else [], time
+        return list(dict.fromkeys([*number_time, *places.values()])), [*text_time, *person], [*time, *person]
+    whole_numbers = (mapping.digital_out, mapping.register)
+    others = [column for column in (*mapping.scaling, mapping.slider, mapping.speed, *whole_numbers) if column]
+    numbers = [*places.values(), *others, *mapping.joints]
+    if not numbers:
+        raise ConfigError(f"{WHERE}: nothing of the robot is mapped", cure="Map x, y, z or joints, scaling or speed.")
+    state = [mapping.state] if mapping.state else []
+    return list(dict.fromkeys([*number_time, *numbers])), [*text_time, *state], time
 
 
-def _layout(path: Path, mapping: _Map) -> Layout:
+def _layout(path: Path, mapping: CsvMap) -> Layout:
     try:
-        with path.open("rb") as log:
-            first = log.read(HEAD_BYTES)
-    except OSError as error:
-        raise DamagedLog(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
-    encoding = mapping.encoding or encoding_of(first)
+        encoding = mapping.encoding or file_encoding(path)
+        "".encode(encoding or "utf-8")
+    except LookupError as error:
+        raise ConfigError(
+            f"{WHERE}: unknown encoding {mapping.encoding!r}", cure="For example utf-8 or latin-1."
+        ) from error
     if encoding is None:
         raise DamagedLog(path, "not a text file: it begins with NUL bytes", cure="Export the log as text again.")
-    try:
-        lines = first.decode(encoding, "replace").removeprefix("\ufeff").split("\n")
-    except LookupError as error:
-        raise ConfigError(f"{_WHERE}: unknown encoding {encoding!r}", cure="For example utf-8 or latin-1.") from error
+    lines = head_lines(path, mapping.skip_rows + 1, encoding)
     if len(lines) <= mapping.skip_rows or not lines[mapping.skip_rows].strip():
         cause = f"no header in line {mapping.skip_rows + 1}"
         raise DamagedLog(path, cause, cure="The header line comes after skip_rows lines.")
     line = lines[mapping.skip_rows]
-    delimiter = _delimiter(mapping, line)
-    names = header_names(line, delimiter)
-    comma = mapping.decimal == ","
-    return Layout(names, delimiter, mapping.skip_rows + 1, decimal_comma=comma, encoding=encoding, quotes=True)
+    candidates = ";\t " if mapping.decimal == "," else ",;\t "
+    delimiter = mapping.separator() or delimiter_of(line, candidates)
+    names = unique(mapping.columns) if mapping.columns else header_names(line, delimiter)
+    skipped = mapping.skip_rows + (not mapping.columns)
+    return Layout(names, delimiter, skipped, decimal_comma=mapping.decimal == ",", encoding=encoding, quotes=True)
 
 
-def _delimiter(mapping: _Map, header: str) -> str:
-    if mapping.delimiter is None:
-        return delimiter_of(header, ";\t " if mapping.decimal == "," else ",;\t ")
-    delimiter = _DELIMITERS.get(mapping.delimiter, mapping.delimiter)
-    if len(delimiter.encode()) != 1 or delimiter in '"\r\n' or delimiter == mapping.decimal:
-        raise ConfigError(f"{_WHERE}: delimiter = {mapping.delimiter!r} is not one character, or is the decimal mark")
-    return delimiter
+def _timed(rows: Rows, mapping: CsvMap, rate_hz: float | None) -> Rows:
+    """Add the time in seconds; a row whose time cannot be read is set aside."""
+    frame = rows.frame
+    if not mapping.time:
+        return replace(rows, frame=frame.with_columns((pl.col(INDEX) / cast("float", rate_hz)).alias(_T)))
+    if mapping.time_format is None:
+        (column,) = mapping.time
+        second = 1.0 / cast("float", rate_hz) if mapping.time_unit == FRAME else SECONDS[mapping.time_unit]
+        return replace(rows, frame=frame.with_columns((pl.col(column) * second).alias(_T)))
+    text = pl.concat_str(mapping.time, separator=" ")
+    frame = frame.with_columns(text.alias(_JOINED), _seconds(text, mapping).alias(_T))
+    rows = replace(rows, frame=frame)
+    bad = frame[_T].is_null()
+    if bad.any():
+        first = frame.filter(bad)[_JOINED][0]
+        pattern = mapping.time_format
+        rows = rows.without(bad, f"its time is not written as {pattern!r} (the first such: {str(first)[:40]!r})")
+    return replace(rows, frame=rows.frame.drop(_JOINED))
 
 
-def _timed(rows: Rows, mapping: _Map, rate_hz: float | None) -> Rows:
-    if mapping.time is not None:
-        t_s = pl.col(mapping.time) * _SECONDS[mapping.time_unit]
-    else:
-        t_s = pl.col("source_row") / cast("float", rate_hz)
-    return Rows(rows.frame.with_columns(t_s.alias(_T)), rows.rows_read, rows.set_aside)
+def _seconds(text: pl.Expr, mapping: CsvMap) -> pl.Expr:
+    """Return seconds since 1970 (since midnight, where the pattern has no date) of times written as text."""
+    pattern = str(mapping.time_format)
+    if pattern == "iso":
+        text = text.str.replace(" ", "T", literal=True).str.replace(",", ".", literal=True)
+        zoned = text.str.replace("Z$", "+00:00").str.to_datetime("%+", time_unit="ns", time_zone="UTC", strict=False)
+        plain = text.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f", time_unit="ns", strict=False)
+        return pl.coalesce(_since_1970(zoned), _since_1970(_in_zone(plain, mapping.time_zone)))
+    if "%d" not in pattern and "%j" not in pattern and "%D" not in pattern and "%F" not in pattern:
+        return text.str.to_time(pattern, strict=False).cast(pl.Int64) * 1e-9
+    if "%z" in pattern or "%+" in pattern:
+        return _since_1970(text.str.to_datetime(pattern, time_unit="ns", time_zone="UTC", strict=False))
+    return _since_1970(_in_zone(text.str.to_datetime(pattern, time_unit="ns", strict=False), mapping.time_zone))
 
 
-_T = "\x1ft_s"  # a name that no column of a file can have
+def _in_zone(when: pl.Expr, zone: str | None) -> pl.Expr:
+    return when.dt.replace_time_zone(zone or "UTC", ambiguous="earliest", non_existent="null")
 
 
-def _once(rows: Rows) -> Rows:
-    again = rows.frame[_T].eq(rows.frame[_T].shift()).fill_null(value=False)
-    reason = pl.lit("repeats the time of the row before it").alias("reason")
-    aside = pl.concat([rows.set_aside, rows.frame.filter(again).select("source_row", reason)]).sort("source_row")
-    return Rows(rows.frame.filter(~again), rows.rows_read, aside)
+def _since_1970(when: pl.Expr) -> pl.Expr:
+    """Whole seconds and the rest apart: nanoseconds since 1970 are more than a float holds."""
+    count = when.dt.epoch("ns")
+    return (count // 1_000_000_000).cast(pl.Float64) + (count % 1_000_000_000) * 1e-9
 
 
-def _robot(frame: pl.DataFrame, mapping: _Map) -> pl.DataFrame:
-    metres, radians = _METRES[mapping.length_unit], _RADIANS[mapping.joint_unit]
+def _robot(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
+    metres, radians = METRES[mapping.length_unit], RADIANS[mapping.joint_unit]
     columns = [pl.col(_T).alias("t_s"), pl.col("source_row")]
     columns += [(pl.col(column) * metres).alias(f"tcp_{axis}_m") for axis, column in mapping.places().items()]
     columns += [(pl.col(column) * radians).alias(f"q{i}_rad") for i, column in enumerate(mapping.joints)]
     if mapping.speed:
         columns.append((pl.col(mapping.speed).abs() * metres).alias("tcp_speed_m_s"))
     if mapping.scaling:
-        columns.append(_fraction(mapping).alias("scaling"))
+        product = _fraction(mapping.scaling[0], mapping)
+        for column in mapping.scaling[1:]:
+            product = product * _fraction(column, mapping)
+        columns.append(product.alias("scaling"))
+    if mapping.slider:
+        columns.append(_fraction(mapping.slider, mapping).alias("slider"))
     if mapping.state:
-        words = dict(zip(_STATES, _STATES, strict=True)) | dict(mapping.states)
+        words = dict(zip(STATES, STATES, strict=True)) | dict(mapping.states)
         state = pl.col(mapping.state).replace_strict(words, default=None, return_dtype=pl.String)
         columns.append(state.alias("state"))
+    bits = {mapping.digital_out: "digital_out_bits", mapping.register: "register"}
+    columns += [pl.col(n).cast(pl.Int64, strict=False).alias(name) for n, name in bits.items() if n]
     return conform(frame.select(columns), ROBOT)
 
 
-def _fraction(mapping: _Map) -> pl.Expr:
-    value = pl.col(str(mapping.scaling)) / mapping.scaling_max
+def _fraction(column: str, mapping: CsvMap) -> pl.Expr:
+    value = pl.col(column) / mapping.scaling_max
     return pl.when(value.is_between(0.0, 1.0 + _SLACK)).then(value.clip(0.0, 1.0))
 
 
-def _people(frame: pl.DataFrame, mapping: _Map) -> pl.DataFrame:
-    metres = _METRES[mapping.length_unit]
+def _people(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
+    metres = METRES[mapping.length_unit]
     places = [(pl.col(column) * metres).alias(f"{axis}_m") for axis, column in mapping.places().items()]
     person = pl.col(mapping.person) if mapping.person else pl.lit("0")
     return conform(frame.select(pl.col(_T).alias("t_s"), person.alias("person"), "source_row", *places), PEOPLE)
 
 
-def _events(frame: pl.DataFrame, mapping: _Map) -> pl.DataFrame:
+def _events(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
     signal, value = pl.col(str(mapping.signal)).alias("signal"), pl.col(str(mapping.value)).alias("value")
     return conform(frame.select(pl.col(_T).alias("t_s"), signal, value, "source_row"), EVENTS)
 
 
-def _warnings(frame: pl.DataFrame, mapping: _Map, role: Literal["robot", "people", "events"]) -> list[str]:
-    said = []
-    back = int((frame[_T].diff() < 0).sum())
-    if back and role == "robot":
-        said.append(f"time steps back {back} time(s): each part is a run of its own")
-    if mapping.scaling and role == "robot":
-        value = frame[mapping.scaling]
-        beyond = int(((value < 0.0) | (value > mapping.scaling_max * (1.0 + _SLACK))).sum())
-        if beyond:
-            said.append(
-                f"scaling is outside 0..{mapping.scaling_max:g} in {beyond} rows and unknown there; see scaling_max"
-            )
-    if mapping.state and role == "robot":
-        words = frame[mapping.state].drop_nulls().unique().to_list()
-        if other := sorted(set(words) - set(_STATES) - set(mapping.states)):
+@dataclass
+class _Seen:
+    """What was seen so far that a person must know."""
+
+    mapping: CsvMap
+    role: Role
+    states: set[str] = field(default_factory=set)
+    beyond: int = 0
+
+    def __post_init__(self) -> None:
+        self.spread = Spread((*self.mapping.scaling, *([self.mapping.slider] if self.mapping.slider else [])))
+
+    def add(self, frame: pl.DataFrame) -> None:
+        if self.role != "robot":
+            return
+        self.spread.add(frame)
+        top = self.mapping.scaling_max * (1.0 + _SLACK)
+        wrong = [(frame[column] < 0.0) | (frame[column] > top) for column in self.mapping.scaling]
+        self.beyond += sum(int(mask.sum()) for mask in wrong)
+        if self.mapping.state:
+            self.states |= set(frame[self.mapping.state].drop_nulls().unique().to_list())
+
+    def warnings(self, back: int) -> list[str]:
+        mapping, said = self.mapping, []
+        if back:
+            said.append(f"time steps back {back} time(s): each part is a run of its own")
+        if self.beyond:
+            top = f"0..{mapping.scaling_max:g}"
+            said.append(f"scaling is outside {top} in {self.beyond} rows and unknown there; see scaling_max")
+        said += [
+            f"{column} never exceeds 1 percent: is it a fraction? see scaling_max"
+            for column in mapping.scaling
+            if mapping.scaling_max == 100 and 0 < self.spread.most.get(column, 0) <= 1.0
+        ]
+        if other := sorted(self.states - set(STATES) - set(mapping.states)):
             said.append(f"states {', '.join(map(repr, other[:5]))} have no meaning here; map them in `states`")
-    return said
+        if mapping.time_format and mapping.clock_kind() != "epoch":
+            said.append("its times of day have no zone, so they cannot be placed among other logs; give time_zone")
+        return said
 
 
-ADAPTER: Adapter = _MappedCsv()
+ADAPTER: StreamingAdapter = _MappedCsv()

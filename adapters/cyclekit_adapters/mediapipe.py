@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import LogError
-from cyclekit_adapters.delimited import delimiter_of, fields_of, head_of
+from cyclekit_adapters.delimited import delimiter_of, fields_of
+from cyclekit_adapters.text_blocks import head_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,7 +28,7 @@ _WHOLE = re.compile(r"[^a-z0-9]+")
 
 class _MediaPipe:
     def recognises(self, path: Path) -> bool:
-        head = head_of(path).removeprefix("\ufeff").lstrip()
+        head = head_of(path).lstrip()
         if head.startswith(("{", "[")):
             plain = _WHOLE.sub("", head.lower())
             named = sum(name in plain for name in _OWN_NAMES) >= 2

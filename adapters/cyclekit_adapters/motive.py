@@ -17,7 +17,8 @@ import polars as pl
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, LogError, UnknownName, nearest
 from cyclekit.schema import PEOPLE, conform
-from cyclekit_adapters.delimited import Layout, encoding_of, fields_of, head_of, read_rows
+from cyclekit_adapters.delimited import Layout, fields_of, read_rows
+from cyclekit_adapters.text_blocks import file_encoding, head_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,7 +42,7 @@ class _Header:
 
 class _MotiveCsv:
     def recognises(self, path: Path) -> bool:
-        lines = head_of(path, 4096).removeprefix("\ufeff").split("\n")
+        lines = head_of(path, 4096).split("\n")
         return lines[0].startswith("Format Version,") and "Take Name" in lines[0]
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
@@ -60,6 +61,7 @@ class _MotiveCsv:
             people=conform(table, PEOPLE),
             clock="relative",
             up="y",
+            rows_are="line",
             rows_read=rows.rows_read,
             set_aside=rows.set_aside,
             warnings=(*clock_said, *_warnings(header, people, table, options.body)),
@@ -69,7 +71,7 @@ class _MotiveCsv:
 
 
 def _header(path: Path) -> _Header:
-    lines = head_of(path, _HEADER_BYTES).removeprefix("\ufeff").split("\n")
+    lines = head_of(path, _HEADER_BYTES).split("\n")
     first = fields_of(lines[0], ",")
     about = {key.strip(): value.strip() for key, value in zip(first[::2], first[1::2], strict=False)}
     at = next((i for i, line in enumerate(lines[:60]) if line.startswith(("Frame,", '"Frame",'))), None)
@@ -82,9 +84,7 @@ def _header(path: Path) -> _Header:
     width = max(i for i, cell in enumerate(axes) if cell) + 1
     time = "Time" if len(axes) > 1 and axes[1].startswith("Time") else "#1"
     names = ("Frame", time, *(f"#{index}" for index in range(2, _width(above, width))))
-    with path.open("rb") as log:
-        encoding = encoding_of(log.read(4096)) or "utf-8"
-    layout = Layout(names, ",", header_lines=at + 1, encoding=encoding)
+    layout = Layout(names, ",", header_lines=at + 1, encoding=file_encoding(path) or "utf-8")
     return _Header(about, at + 1, layout, _points(path, above, axes, names))
 
 

@@ -11,20 +11,22 @@ unknown.
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.controller_time import clock_warnings, once
-from cyclekit_adapters.delimited import Layout, Rows, head_of, read_rows
+from cyclekit_adapters.controller_time import Once
+from cyclekit_adapters.delimited import Layout, Rows, read_blocks
 from cyclekit_adapters.header_line import column_names, layout_below
+from cyclekit_adapters.in_parts import in_parts
+from cyclekit_adapters.text_blocks import head_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -65,6 +67,9 @@ class _NistUr:
         return _is_bare(head_of(path)) or _TIME in column_names(path, _DELIMITERS)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         units = _units(options)
         layout = _layout(path)
         groups = [group for group in (_PLACES, _ANGLES, _SPEEDS) if set(group).issubset(layout.names)]
@@ -72,23 +77,36 @@ class _NistUr:
             missing = {_TIME, *_ANGLES}.difference(layout.names)
             raise MissingColumns(path, missing, layout.names, "Record the time, and joint angles or the tool.")
         wanted = [_TIME, *(name for group in groups for name in group)]
-        rows = read_rows(path, layout, numbers=[], texts=wanted)
-        if rows.rows_read == 0:
-            cure = "NIST keeps the names in a file of their own: read the file with the rows, it needs no header."
-            raise DamagedLog(path, "a header and no rows", cure=cure)
-        rows, repeated = once(_as_numbers(rows, wanted).or_refuse(path), _TIME)
-        return Recording(
-            robot=_robot(rows.frame, groups, units),
-            clock="uptime",
-            joint_names=tuple(_ANGLES) if _ANGLES in groups else (),
-            rows_read=rows.rows_read,
-            set_aside=rows.set_aside,
-            warnings=tuple(_warnings(rows.frame, groups, units, repeated, options)),
-            facts={
+        once, turning = Once(_TIME), _Turning(_ANGLES in groups and _SPEEDS in groups, units)
+
+        def make(rows: Rows) -> Recording:
+            rows = once.rows(_as_numbers(rows, wanted))
+            turning.add(rows.frame)
+            return Recording(
+                robot=_robot(rows.frame, groups, units),
+                clock="uptime",
+                joint_names=tuple(_ANGLES) if _ANGLES in groups else (),
+                rows_are="line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            facts = {
                 "layout": "names in the first line" if layout.header_lines else "rows in brackets, names by position",
                 "units": ", ".join(str(options.map.get(key, next(iter(known)))) for key, known in _UNITS.items()),
-            },
-        )
+            }
+            said = [*once.warnings(), *_warnings(options), *turning.warnings()]
+            return replace(last, warnings=tuple(said), facts=facts)
+
+        blocks = read_blocks(path, layout, numbers=[], texts=wanted)
+        try:
+            yield from in_parts(path, blocks, make, finish)
+        except DamagedLog as error:
+            if error.cause != "a header and no rows":
+                raise
+            cure = "NIST keeps the names in a file of their own: read the file with the rows, it needs no header."
+            raise DamagedLog(path, error.cause, cure=cure) from None
 
 
 def _units(options: ReadOptions) -> dict[str, float]:
@@ -103,7 +121,7 @@ def _units(options: ReadOptions) -> dict[str, float]:
 
 def _is_bare(head: str) -> bool:
     """Tell whether the first line is one time and the twelve groups of six numbers, the groups in brackets."""
-    line, newline, _ = head.removeprefix("\ufeff").partition("\n")
+    line, newline, _ = head.partition("\n")
     groups = [group.split(",") for group in _GROUP.findall(line)]
     sizes = [len(group) for group in groups]
     if not newline or sizes not in ([1, *[6] * len(_GROUPS)], [6] * len(_GROUPS)):
@@ -117,7 +135,7 @@ def _is_bare(head: str) -> bool:
 def _layout(path: Path) -> Layout:
     layout = layout_below(path, _DELIMITERS)
     if _is_bare(head_of(path)):
-        return Layout(_ALL, ",", 0, encoding=layout.encoding, careful=True)
+        return Layout(_ALL, ",", 0, encoding=layout.encoding)
     names = tuple(_as_nist(name) for name in layout.names)
     if len(set(names)) < len(names):
         raise DamagedLog(path, "a column of the header is named twice", cure="Name each column once.")
@@ -132,10 +150,12 @@ def _as_nist(name: str) -> str:
 def _as_numbers(rows: Rows, names: Sequence[str]) -> Rows:
     """Take the brackets off; a row with a word where a number is due, or without a time, is set aside."""
     texts = rows.frame.with_columns(pl.col(names).str.strip_chars(_BRACKETS).replace("", None))
-    numbers = texts.with_columns(pl.col(names).cast(pl.Float64, strict=False))
-    aside, frame = [rows.set_aside], numbers
+    frame = texts.with_columns(pl.col(names).cast(pl.Float64, strict=False))
+    aside, numbers = [rows.set_aside], frame
     for name in names:
         word = (texts[name].is_not_null() & numbers[name].is_null()).alias("word")
+        if not word.any():
+            continue
         bad = texts.filter(word).filter(pl.col("source_row").is_in(frame["source_row"].implode()))
         reason = pl.format("'{}' in column '{}' is not a number", pl.col(name).str.slice(0, 40), pl.lit(name))
         aside.append(bad.select("source_row", reason.alias("reason")))
@@ -161,28 +181,40 @@ def _robot(frame: pl.DataFrame, groups: Sequence[Sequence[str]], units: Mapping[
     return conform(frame.select(pl.col(_TIME).alias("t_s"), "source_row", *columns), ROBOT)
 
 
-def _warnings(
-    frame: pl.DataFrame,
-    groups: Sequence[Sequence[str]],
-    units: Mapping[str, float],
-    repeated: int,
-    options: ReadOptions,
-) -> list[str]:
-    said = [*clock_warnings(frame[_TIME], repeated), "the speed scaling is not logged in this format"]
+def _warnings(options: ReadOptions) -> list[str]:
+    said = ["the speed scaling is not logged in this format"]
     if unsaid := [key for key in _UNITS if key not in options.map]:
         said.append(f"the file states no units: read as s, m, rad and rad/s; {', '.join(unsaid)} can say otherwise")
-    if _ANGLES in groups and _SPEEDS in groups:
-        steps = frame[_TIME].diff()
-        near = (steps > 0) & (steps < 1.0)
-        turned = sum(float(frame[name].diff().abs().filter(near).sum()) for name in _ANGLES) * units["joint_unit"]
-        run = [(frame[name].abs() * steps).filter(near).sum() for name in _SPEEDS]
-        expected = sum(map(float, run)) * units["joint_speed_unit"]
-        if expected > 0 and not 1 / _FACTOR_APART < turned / expected < _FACTOR_APART:
-            said.append(
-                f"the joints turn {turned / expected:.3g} times as far as their speeds say: the units are not these, "
-                "see joint_unit and joint_speed_unit"
-            )
     return said
 
 
-ADAPTER: Adapter = _NistUr()
+@dataclass
+class _Turning:
+    """How far the joints turned, and how far their speeds say that they did, so far."""
+
+    known: bool
+    units: Mapping[str, float]
+    turned_rad: float = 0.0
+    expected_rad: float = 0.0
+
+    def add(self, frame: pl.DataFrame) -> None:
+        if not self.known or frame.height < 2:
+            return
+        steps = frame[_TIME].diff()
+        near = (steps > 0) & (steps < 1.0)
+        turned = sum(float(frame[name].diff().abs().filter(near).sum()) for name in _ANGLES)
+        run = sum(float((frame[name].abs() * steps).filter(near).sum()) for name in _SPEEDS)
+        self.turned_rad += turned * self.units["joint_unit"]
+        self.expected_rad += run * self.units["joint_speed_unit"]
+
+    def warnings(self) -> list[str]:
+        ratio = self.turned_rad / self.expected_rad if self.expected_rad > 0 else 1.0
+        if 1 / _FACTOR_APART < ratio < _FACTOR_APART:
+            return []
+        return [
+            f"the joints turn {ratio:.3g} times as far as their speeds say: the units are not these, "
+            "see joint_unit and joint_speed_unit"
+        ]
+
+
+ADAPTER: StreamingAdapter = _NistUr()

@@ -15,8 +15,9 @@ import polars as pl
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import LogError, MissingColumns, nearest
 from cyclekit.schema import PEOPLE, conform
-from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, encoding_of, head_of, header_names, read_rows
+from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, header_names, read_rows
 from cyclekit_adapters.source_map import words
+from cyclekit_adapters.text_blocks import file_encoding, head_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,21 +31,19 @@ _MICRO = 1e-6
 
 class _NuitrackCsv:
     def recognises(self, path: Path) -> bool:
-        line = head_of(path).removeprefix("\ufeff").partition("\n")[0]
+        line = head_of(path).partition("\n")[0]
         return "timestamp" in line and any(f"{point}.x" in line for point in _POINTS)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         words(options, "Nuitrack", {})
-        line = head_of(path, _HEADER_BYTES).removeprefix("\ufeff").partition("\n")[0]
+        line = head_of(path, _HEADER_BYTES).partition("\n")[0]
         names = header_names(line, delimiter_of(line, ",;\t"))
         if missing := {"timestamp", "id"}.difference(names):
             raise MissingColumns(path, missing, names, "Record again with Nuitrack's CSV recorder.")
         points = [point for point in _POINTS if all(f"{point}.{axis}" in names for axis in "xyz")]
         if not points:
             raise MissingColumns(path, [f"{_POINTS[0]}.{axis}" for axis in "xyz"], names, "Record the waist.")
-        with path.open("rb") as log:
-            encoding = encoding_of(log.read(4096)) or "utf-8"
-        layout = Layout(names, delimiter_of(line, ",;\t"), 1, encoding=encoding, quotes=True)
+        layout = Layout(names, delimiter_of(line, ",;\t"), 1, encoding=file_encoding(path) or "utf-8", quotes=True)
         cells = [f"{point}.{axis}" for point in points for axis in "xyz"]
         texts = [name for name in ("serial", "id") if name in names]
         rows = read_rows(path, layout, numbers=["timestamp", *cells], texts=texts, required=["timestamp", "id"])
@@ -56,6 +55,7 @@ class _NuitrackCsv:
             people=conform(table, PEOPLE),
             clock="epoch" if epoch else "uptime",
             up="y",
+            rows_are="line",
             rows_read=rows.rows_read,
             set_aside=rows.set_aside,
             warnings=tuple(said),

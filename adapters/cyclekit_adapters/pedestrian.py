@@ -8,7 +8,6 @@ comes from a comment `# framerate: 25` or from `rate_hz` in the cell file and is
 
 from __future__ import annotations
 
-import io
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -18,8 +17,9 @@ import polars as pl
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit.schema import PEOPLE, conform
-from cyclekit_adapters.delimited import HEAD_BYTES, Layout, encoding_of, head_of, rows_of
+from cyclekit_adapters.delimited import Layout, rows_of
 from cyclekit_adapters.source_map import words
+from cyclekit_adapters.text_blocks import HEAD_BYTES, blocks_of, file_encoding, head_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -55,14 +55,14 @@ class _Header:
 
 class _Pedestrians:
     def recognises(self, path: Path) -> bool:
-        header = _header(head_of(path).removeprefix("\ufeff"))
+        header = _header(head_of(path))
         if header is None:
             return False
         return header.titled or _looks_like_frames(head_of(path), header)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         chosen = words(options, "pedestrian", {"columns": _ORDERS, "unit": tuple(_METRES)})
-        header = _header(head_of(path, 1 << 20).removeprefix("\ufeff"))
+        header = _header(head_of(path, 1 << 20))
         if header is None:
             raise DamagedLog(path, "no table of frame, id, x and y", cure='Map it with adapter = "csv".')
         names = header.names
@@ -72,11 +72,12 @@ class _Pedestrians:
         if not rate_hz or rate_hz <= 0.0:
             cause = "frames are counted and no rate is stated: their times are unknown"
             raise LogError(path, cause, cure="Give rate_hz (frames per second) in the source of the cell file.")
-        layout = Layout(names, header.delimiter, 0, quotes=True)
+        layout = Layout(names, "\\s+" if header.delimiter == " " else header.delimiter, 0, quotes=True)
         places = [axis for axis in "xyz" if axis in names]
         numbers, required = ["frame", *places], ["frame", "id"]
         lines = _lines(path, header)
-        rows = rows_of(lines, layout, numbers=numbers, texts=["id"], required=required).or_refuse(path)
+        rows = rows_of(lines, layout, numbers=numbers, texts=["id"], required=required, first_line=header.lines + 1)
+        rows = rows.or_refuse(path)
         unit = chosen.get("unit") or header.unit or "m"
         table = _table(path, rows.frame, rate_hz, _METRES[unit], options.body)
         _refuse_other_order(path, table, header)
@@ -85,6 +86,7 @@ class _Pedestrians:
             people=conform(table, PEOPLE),
             clock="relative",
             up="z",
+            rows_are="line",
             rows_read=rows.rows_read,
             set_aside=rows.set_aside,
             warnings=tuple(_warnings(table, header, rate_hz, options)),
@@ -133,16 +135,10 @@ def _unit_of(comments: list[str]) -> str | None:
 
 
 def _lines(path: Path, header: _Header) -> Iterator[bytes]:
-    """Yield the data lines: no comments, and runs of spaces as one where spaces are what stands between fields."""
-    with path.open("rb") as log:
-        encoding = encoding_of(log.read(4096)) or "utf-8"
-        log.seek(0)
-        text = io.TextIOWrapper(log, encoding, "replace", newline="\n")
-        for index, line in enumerate(text):
-            if index < header.lines or _is_comment(line):
-                continue
-            end = "\n" if line.endswith("\n") else ""
-            yield (" ".join(line.split()) + end if header.delimiter == " " else line).encode()
+    """Yield the lines below the header, comments as blank lines; runs of blanks are one delimiter."""
+    delimiter = "\\s+" if header.delimiter == " " else header.delimiter
+    for block in blocks_of(path, file_encoding(path) or "utf-8", skip_lines=header.lines, delimiter=delimiter):
+        yield re.sub(rb"(?m)^[ \t\x1f]*#[^\r\n]*", b"", block) if b"#" in block else block
 
 
 def _names(line: str) -> tuple[tuple[str, ...], str | None] | None:

@@ -16,7 +16,7 @@ import polars as pl
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import ConfigError, DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.delimited import read_rows
+from cyclekit_adapters.delimited import INDEX, read_rows
 from cyclekit_adapters.header_line import column_names, layout_below
 
 if TYPE_CHECKING:
@@ -45,13 +45,14 @@ class _PoseCsv:
             raise MissingColumns(path, ["time"], layout.names, cure)
         places = [columns[f"tcp_{axis}_m"] for axis in "xyz"]
         rows = read_rows(path, layout, numbers=list(columns.values()), required=places).or_refuse(path)
-        t_s = pl.col("source_row") / options.rate_hz
+        t_s = pl.col(INDEX) / options.rate_hz
         values = [pl.col(source) * (metres if name.startswith("tcp") else 1.0) for name, source in columns.items()]
         named = [value.alias(name) for value, name in zip(values, columns, strict=True)]
         return Recording(
             robot=conform(rows.frame.select(t_s.alias("t_s"), "source_row", *named), ROBOT),
             clock="relative",
             joint_names=tuple(source for name, source in columns.items() if re.fullmatch(r"q\d_rad", name)),
+            rows_are="line",
             rows_read=rows.rows_read,
             set_aside=rows.set_aside,
             warnings=tuple(_warnings(options)),

@@ -17,8 +17,9 @@ import numpy as np
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, LogError
 from cyclekit.schema import PEOPLE, conform
-from cyclekit_adapters.delimited import Layout, Rows, encoding_of, head_of, read_rows
+from cyclekit_adapters.delimited import INDEX, Layout, Rows, read_rows
 from cyclekit_adapters.markers import choose_people, marker_facts, marker_warnings, marker_words, people_table
+from cyclekit_adapters.text_blocks import file_encoding, head_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,7 +53,7 @@ class _Header:
 
 class _QualisysTsv:
     def recognises(self, path: Path) -> bool:
-        lines = head_of(path).removeprefix("\ufeff").splitlines()
+        lines = head_of(path).splitlines()
         keys = [line.partition("\t")[0] for line in lines[:12] if "\t" in line]
         return bool(keys) and keys[0] in ("FILE_VERSION", "NO_OF_FRAMES") and len(_KEYS.intersection(keys)) >= 3
 
@@ -74,6 +75,7 @@ class _QualisysTsv:
             people=conform(table, PEOPLE),
             clock="relative",
             up=cast('Literal["y", "z"]', up or "z"),
+            rows_are="line",
             rows_read=rows.rows_read,
             set_aside=rows.set_aside,
             warnings=tuple(said),
@@ -87,7 +89,7 @@ class _QualisysTsv:
 
 
 def _header(path: Path, options: ReadOptions) -> _Header:
-    lines = head_of(path, _HEADER_BYTES).removeprefix("\ufeff").split("\n")
+    lines = head_of(path, _HEADER_BYTES).split("\n")
     about: dict[str, list[str]] = {}
     at = 0
     for at, line in enumerate(lines):  # noqa: B007  # where the keys end is what is wanted
@@ -107,9 +109,7 @@ def _header(path: Path, options: ReadOptions) -> _Header:
     titled = first[0].strip() in ("Frame", "Time") or not _is_number(first[0])
     row = (lines[at + titled] if at + titled < len(lines) else "").rstrip("\r\n").split("\t")
     names = _columns(path, markers, [cell.strip() for cell in first] if titled else [], row)
-    with path.open("rb") as log:
-        encoding = encoding_of(log.read(4096)) or "utf-8"
-    layout = Layout(names, "\t", at + titled, encoding=encoding, careful=len(names) == 1)
+    layout = Layout(names, "\t", at + titled, encoding=file_encoding(path) or "utf-8")
     stated = about.get("FREQUENCY", [""])[0]
     return _Header(about, markers, layout, float(stated) if _is_number(stated) else options.rate_hz)
 
@@ -143,7 +143,7 @@ def _times(path: Path, rows: Rows, header: _Header) -> tuple[Numbers, list[str]]
             cause = "neither a frequency in Hz nor a Time column"
             raise LogError(path, cause, cure="Give rate_hz in the source, or export again with time data.")
         return logged, []
-    count = frame["Frame"].to_numpy() - 1.0 if "Frame" in frame.columns else frame["source_row"].to_numpy()
+    count = frame["Frame"].to_numpy() - 1.0 if "Frame" in frame.columns else frame[INDEX].to_numpy()
     exact = count / header.rate_hz
     if logged is None or not len(exact):
         return exact, []

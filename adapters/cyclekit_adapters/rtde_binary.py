@@ -15,15 +15,16 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import DamagedLog, LogError
-from cyclekit_adapters.delimited import Rows, header_names
+from cyclekit_adapters.delimited import INDEX, Rows, header_names
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
 _TYPES = {"DOUBLE": ">f8", "INT32": ">i4", "UINT32": ">u4", "UINT64": ">u8", "UINT8": "u1", "BOOL": "u1"}
 _LINE_BYTES = 1 << 20  # far more than all fields of RTDE together
 _LONGEST_UPTIME_S = 1e9  # thirty years: a larger time is no time but the bytes of something else
+_ROWS = 1 << 16  # rows taken at once
 _SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
 
 
@@ -60,7 +61,7 @@ def binary_layout(path: Path) -> BinaryLayout:
             first, second = log.readline(_LINE_BYTES), log.readline(_LINE_BYTES)
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
-    names = header_names(first.decode("utf-8", "replace").removeprefix("\ufeff"), " ")
+    names = header_names(first.decode("utf-8", "replace"), " ")
     words = second.decode("utf-8", "replace").split()
     cure = "Check the copy: it must have been copied as binary, not as text."
     if not second.endswith(b"\n"):
@@ -73,8 +74,8 @@ def binary_layout(path: Path) -> BinaryLayout:
     return BinaryLayout(names, row, len(first) + len(second))
 
 
-def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str], time: str) -> Rows:
-    """Read the columns `numbers` (Float64) of every whole row; NaN and infinity become null: unknown.
+def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str], time: str) -> Iterator[Rows]:
+    """Yield the columns `numbers` (Float64) of every whole row, block by block; NaN and infinity become null: unknown.
 
     Args:
         path: The log.
@@ -92,13 +93,19 @@ def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str]
         table = np.memmap(path, layout.row, "r", layout.offset, (whole,)) if whole else np.empty(0, layout.row)
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
-    columns = {name: table[f"f{layout.names.index(name)}"].astype(np.float64) for name in numbers}
-    frame = pl.DataFrame({"source_row": np.arange(whole, dtype=np.int64), **columns})
-    frame = frame.with_columns([pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in numbers])
-    right = frame[time].is_between(0.0, _LONGEST_UPTIME_S).fill_null(value=False)
-    reason = pl.lit(f"{time} is no time that a controller can have").alias("reason")
-    aside = frame.filter(~right).select("source_row", reason)
+    fields = {name: f"f{layout.names.index(name)}" for name in numbers}
+    for first in range(0, whole, _ROWS):
+        part = table[first : first + _ROWS]
+        number = np.arange(first, first + len(part), dtype=np.int64)
+        columns = {name: part[place].astype(np.float64) for name, place in fields.items()}
+        frame = pl.DataFrame({"source_row": number, INDEX: number, **columns})
+        finite = [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in numbers]
+        rows = Rows(frame.with_columns(finite), len(part), pl.DataFrame(schema=_SET_ASIDE))
+        wrong = ~rows.frame[time].is_between(0.0, _LONGEST_UPTIME_S).fill_null(value=False)
+        yield rows.without(wrong, f"{time} is no time that a controller can have")
     if rest:
         cut = f"the last row has {rest} of {layout.row.itemsize} bytes: it was cut while being written"
-        aside = pl.concat([aside, pl.DataFrame([(whole, cut)], schema=_SET_ASIDE, orient="row")])
-    return Rows(frame.filter(right), whole + bool(rest), aside)
+        none = pl.DataFrame(
+            schema={"source_row": pl.Int64(), INDEX: pl.Int64(), **dict.fromkeys(numbers, pl.Float64())}
+        )
+        yield Rows(none, 1, pl.DataFrame([(whole, cut)], schema=_SET_ASIDE, orient="row"))

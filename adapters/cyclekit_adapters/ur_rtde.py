@@ -11,19 +11,23 @@ where a factor was not recorded, the scaling stays unknown.
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.controller_time import clock_warnings, once
-from cyclekit_adapters.delimited import Layout, head_of, read_rows
+from cyclekit_adapters.controller_time import Once, Spread
+from cyclekit_adapters.delimited import Layout, Rows, read_blocks
 from cyclekit_adapters.header_line import column_names, layout_below
+from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.rtde_binary import BinaryLayout, binary_layout, is_binary, read_binary_rows
+from cyclekit_adapters.text_blocks import head_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
 _FIELD = re.compile(r"(actual|target)_(q|qd|qdd|current|moment|TCP_pose|TCP_speed|TCP_force)_[0-5]")
@@ -44,31 +48,43 @@ class _UrRtdeCsv:
         return len(_SCALARS.intersection(names)) > 1 or any(_FIELD.fullmatch(name) for name in names)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         layout = _layout(path)
         register = _register(path, layout, options)
         joints = _joints(layout.names)
         _require(path, layout.names, joints)
         wanted = ["timestamp", *_POSITION, *_SPEED, *_FRACTIONS, "runtime_state", _OUTPUTS, register, *joints]
         present = [name for name in wanted if name in layout.names]
-        if isinstance(layout, BinaryLayout):
-            rows = read_binary_rows(path, layout, numbers=present, time="timestamp")
-        else:
-            rows = read_rows(path, layout, numbers=present, required=["timestamp"])
-        rows, repeated = once(rows.or_refuse(path), "timestamp")
-        return Recording(
-            robot=_robot(rows.frame, register, joints),
-            clock="uptime",
-            joint_names=tuple(name for name in joints if name.startswith("actual_q_")),
-            rows_read=rows.rows_read,
-            set_aside=rows.set_aside,
-            warnings=tuple(_warnings(rows.frame, repeated)),
-            facts={
+        once, seen = Once("timestamp"), _Seen()
+
+        def make(rows: Rows) -> Recording:
+            rows = once.rows(rows)
+            seen.add(rows.frame)
+            return Recording(
+                robot=_robot(rows.frame, register, joints),
+                clock="uptime",
+                joint_names=tuple(name for name in joints if name.startswith("actual_q_")),
+                rows_are="row" if isinstance(layout, BinaryLayout) else "line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            facts = {
                 "writer": _writer(layout),
                 "register": register if register in present else "not recorded",
-                "repeated_rows": str(repeated),
+                "repeated_rows": str(once.repeated),
                 "speed_scaling": "speed_scaling * target_speed_fraction while runtime_state is 2 (playing)",
-            },
-        )
+            }
+            return replace(last, warnings=(*once.warnings(), *seen.warnings(present)), facts=facts)
+
+        if isinstance(layout, BinaryLayout):
+            blocks = read_binary_rows(path, layout, numbers=present, time="timestamp")
+        else:
+            blocks = read_blocks(path, layout, numbers=present, required=["timestamp"])
+        yield from in_parts(path, blocks, make, finish)
 
 
 def _layout(path: Path) -> Layout | BinaryLayout:
@@ -135,21 +151,33 @@ def _fraction(value: pl.Expr) -> pl.Expr:
     return pl.when(value.is_between(0.0, 1.0 + _SLACK)).then(value.clip(0.0, 1.0))
 
 
-def _warnings(frame: pl.DataFrame, repeated: int) -> list[str]:
-    said = clock_warnings(frame["timestamp"], repeated)
-    absent = [name for name in (*_FRACTIONS, "runtime_state") if name not in frame.columns]
-    if absent:
-        said.append(f"{', '.join(absent)} not recorded: the speed scaling is unknown")
-    elif not (frame["runtime_state"] == _PLAYING).any():
-        said.append("the program plays in no row (runtime_state is never 2): the speed scaling is unknown")
-    said += [
-        f"{name} exceeds 1 in places, so it is no fraction there: left unknown"
-        for name in _FRACTIONS
-        if name in frame.columns and (frame[name] > 1.0 + _SLACK).any()
-    ]
-    if not set(_POSITION).issubset(frame.columns):
-        said.append("actual_TCP_pose not recorded: only joint angles are known")
-    return said
+@dataclass
+class _Seen:
+    """What was seen of the speed scaling so far."""
+
+    played: bool = False
+    spread: Spread = field(default_factory=lambda: Spread(tuple(_FRACTIONS)))
+
+    def add(self, frame: pl.DataFrame) -> None:
+        self.played = self.played or (
+            "runtime_state" in frame.columns and bool((frame["runtime_state"] == _PLAYING).any())
+        )
+        self.spread.add(frame)
+
+    def warnings(self, present: Sequence[str]) -> list[str]:
+        said = []
+        if absent := [name for name in (*_FRACTIONS, "runtime_state") if name not in present]:
+            said.append(f"{', '.join(absent)} not recorded: the speed scaling is unknown")
+        elif not self.played:
+            said.append("the program plays in no row (runtime_state is never 2): the speed scaling is unknown")
+        said += [
+            f"{name} exceeds 1 in places, so it is no fraction there: left unknown"
+            for name in _FRACTIONS
+            if self.spread.most.get(name, 0.0) > 1.0 + _SLACK
+        ]
+        if not set(_POSITION).issubset(present):
+            said.append("actual_TCP_pose not recorded: only joint angles are known")
+        return said
 
 
-ADAPTER: Adapter = _UrRtdeCsv()
+ADAPTER: StreamingAdapter = _UrRtdeCsv()

@@ -15,7 +15,8 @@ import polars as pl
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, LogError, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, encoding_of, head_of, read_rows
+from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, read_rows
+from cyclekit_adapters.text_blocks import file_encoding, head_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,6 +53,7 @@ class _UrSplitFolder:
             robot=_robot(table),
             clock="relative",
             joint_names=tuple(f"actual_q_{joint}" for joint in range(6)) if _JOINTS in signals else (),
+            rows_are="line",
             rows_read=sum(rows.rows_read for rows in signals.values()),
             set_aside=_set_aside(signals),
             warnings=tuple(_warnings(signals, lead)),
@@ -73,9 +75,7 @@ def _looks_right(path: Path) -> bool:
 
 def _signal(path: Path) -> Rows:
     head = head_of(path)
-    with path.open("rb") as log:
-        encoding = encoding_of(log.read(4096)) or "utf-8"
-    layout = Layout(_LAYOUT, delimiter_of(head.partition("\n")[0]), 0, encoding=encoding, careful=True)
+    layout = Layout(_LAYOUT, delimiter_of(head.partition("\n")[0]), 0, encoding=file_encoding(path) or "utf-8")
     rows = read_rows(path, layout, numbers=_LAYOUT, required=["t_s"])
     later = (rows.frame["t_s"].cum_max().shift() < rows.frame["t_s"]).fill_null(value=True)
     reason = pl.lit("its time does not go on").alias("reason")

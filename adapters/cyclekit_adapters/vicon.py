@@ -18,8 +18,9 @@ import numpy as np
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit.schema import PEOPLE, conform
-from cyclekit_adapters.delimited import Layout, delimiter_of, encoding_of, fields_of, head_of, rows_of
+from cyclekit_adapters.delimited import Layout, delimiter_of, fields_of, rows_of
 from cyclekit_adapters.markers import choose_people, marker_facts, marker_warnings, marker_words, people_table
+from cyclekit_adapters.text_blocks import blocks_of, file_encoding, head_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,10 +45,10 @@ class _Section:
 
 class _ViconCsv:
     def recognises(self, path: Path) -> bool:
-        title = head_of(path, 64).removeprefix("\ufeff").lstrip('"')
+        title = head_of(path, 64).lstrip('"')
         if not title.startswith(_TITLES):
             return False
-        lines = head_of(path, _HEADER_BYTES).removeprefix("\ufeff").splitlines()
+        lines = head_of(path, _HEADER_BYTES).splitlines()
         if len(lines) < _HEADER_LINES - 1:
             return False
         delimiter = delimiter_of(lines[3], ",;\t")
@@ -56,12 +57,14 @@ class _ViconCsv:
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         up = marker_words(options, "Vicon")
-        lines, titles = _trajectories(path)
+        lines, first, titles = _trajectories(path)
         section = _section(path, [line.decode("utf-8", "replace") for line in lines[:_HEADER_LINES]])
         names = tuple(section.markers)
         people = choose_people(path, names, options, "Vicon")
         cells = [cell for triple in section.markers.values() for cell in triple]
-        rows = rows_of(lines, section.layout, numbers=["Frame", *cells], required=["Frame"]).or_refuse(path)
+        body = [b"".join(lines)]
+        rows = rows_of(body, section.layout, numbers=["Frame", *cells], required=["Frame"], first_line=first)
+        rows = rows.or_refuse(path)
         points = np.stack([rows.frame.select(triple).to_numpy() for triple in section.markers.values()], axis=1).astype(
             np.float64
         )
@@ -74,6 +77,7 @@ class _ViconCsv:
             people=conform(table, PEOPLE),
             clock="relative",
             up=cast('Literal["y", "z"]', up or "z"),
+            rows_are="line",
             rows_read=rows.rows_read,
             set_aside=rows.set_aside,
             warnings=tuple(said),
@@ -97,23 +101,18 @@ def _number(text: str) -> float | None:
 
 def _lines(path: Path) -> Iterator[bytes]:
     try:
-        with path.open("rb") as log:
-            encoding = encoding_of(log.read(4096))
-            log.seek(0)
-            if encoding == "utf-8":
-                yield from log
-            else:
-                yield from io.BytesIO(log.read().decode(encoding or "utf-8", "replace").removeprefix("\ufeff").encode())
+        for block in blocks_of(path, file_encoding(path) or "utf-8"):
+            yield from io.BytesIO(block)
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
 
 
-def _trajectories(path: Path) -> tuple[list[bytes], list[str]]:
-    """Return the lines of the trajectories, their header included, and the titles of all sections."""
+def _trajectories(path: Path) -> tuple[list[bytes], int, list[str]]:
+    """Return the lines of the trajectories with their header, the number of the first, and all sections' titles."""
     titles: list[str] = []
     found: list[bytes] = []
-    begins, inside = True, False
-    for line in _lines(path):
+    begins, inside, first = True, False, 1
+    for number, line in enumerate(_lines(path), 1):
         text = line.strip(b' \t,;\r\n"')
         if not text:  # a spreadsheet fills a blank line with delimiters
             begins, inside = True, False
@@ -124,11 +123,12 @@ def _trajectories(path: Path) -> tuple[list[bytes], list[str]]:
             if not begins:
                 titles.append(title)
         if inside:
+            first = first if found else number
             found.append(line)
     if not found:
         has = f"its sections are {', '.join(titles)}" if titles else "it has no section"
         raise DamagedLog(path, f"no positions: {has}, and none is Trajectories", cure=f"{_EXPORT}.")
-    return found, titles
+    return found, first, titles
 
 
 def _section(path: Path, header: list[str]) -> _Section:

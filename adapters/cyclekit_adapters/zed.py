@@ -20,10 +20,10 @@ import polars as pl
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit.schema import PEOPLE, conform
-from cyclekit_adapters.delimited import head_of
 from cyclekit_adapters.json_parts import BrokenJson, json_text, number, parts, point
 from cyclekit_adapters.linking import link
 from cyclekit_adapters.source_map import words
+from cyclekit_adapters.text_blocks import head_of
 from cyclekit_adapters.zed_frame import AXES, UNITS, axes_of, metres_of
 
 if TYPE_CHECKING:
@@ -99,6 +99,7 @@ class _ZedJson:
             people=conform(table, PEOPLE),
             clock=dump.bodies[0].clock,
             up=up,
+            rows_are="frame",
             rows_read=dump.frames,
             set_aside=pl.DataFrame(dump.aside, schema=_SET_ASIDE, orient="row"),
             warnings=(*cut, *_warnings(dump, table), *people_said[1:]),

@@ -8,7 +8,7 @@ import pytest
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import LogError
-from cyclekit_adapters import mapped_csv
+from cyclekit_adapters import csv_map, mapped_csv
 from cyclekit_adapters.rosbag import roles
 
 ROOT = Path(__file__).parents[2]
@@ -34,7 +34,7 @@ def test_the_adapter_of_the_guide_works_as_it_stands(tmp_path):
 
 def test_every_key_of_a_mapped_table_is_documented():
     table = DOCS.partition("## csv")[2]
-    assert [item.name for item in fields(mapped_csv._Map) if f"`{item.name}`" not in table] == []
+    assert [item.name for item in fields(csv_map.CsvMap) if f"`{item.name}`" not in table] == []
 
 
 def test_every_key_of_a_bag_is_documented():

@@ -1,12 +1,20 @@
+import gzip
 import tempfile
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import pytest
+from backports import zstd
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit_adapters.delimited import Layout, encoding_of, header_names, read_rows
+from cyclekit.errors import DamagedLog
+from cyclekit_adapters import delimited, text_blocks
+from cyclekit_adapters.delimited import Layout, header_names, read_blocks, read_rows
+from cyclekit_adapters.header_line import layout_below
+from cyclekit_adapters.text_blocks import encoding_of
 
 LAYOUT = Layout(("a", "b", "c"), ",", header_lines=1)
 
@@ -17,11 +25,22 @@ lines = st.lists(cells, min_size=0, max_size=5).map(",".join)
 ends = st.sampled_from(["\n", "\r\n", "\n\n"])
 
 
-def rows_of(text, layout=LAYOUT, **columns):
+@contextmanager
+def written(text):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "log.csv"
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        yield path
+
+
+def rows_of(text, layout=LAYOUT, **columns):
+    with written(text) as path:
         return read_rows(path, layout, **(columns or {"numbers": ["a", "b", "c"]}))
+
+
+def plain(rows):
+    """The columns asked for and the line, without the number of the row."""
+    return rows.frame.drop(delimited.INDEX)
 
 
 @settings(max_examples=120, deadline=None)
@@ -32,10 +51,118 @@ def test_reading_fast_and_looking_at_every_line_give_the_same_rows(body, cut, qu
     layout = replace(LAYOUT, quotes=quotes)
     for columns in ({"numbers": ["a", "b", "c"]}, {"numbers": ["b"]}, {"numbers": ["a"], "texts": ["b"]}):
         fast = rows_of(text, layout, **columns)
-        careful = rows_of(text, replace(layout, careful=True), **columns)
+        with mock.patch.object(delimited._Parser, "_at_once", return_value=None):
+            careful = rows_of(text, layout, **columns)
         assert fast.frame.equals(careful.frame)
-        assert fast.set_aside["source_row"].to_list() == careful.set_aside["source_row"].to_list()
+        assert fast.set_aside.equals(careful.set_aside)
         assert fast.rows_read == careful.rows_read
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(lines, ends), max_size=30), st.booleans(), st.integers(1, 40), st.sampled_from([8, 64]))
+def test_a_log_in_small_blocks_gives_the_rows_of_one_block(body, cut, block, halving):
+    text = "a,b,c\n" + "".join(line + end for line, end in body)
+    text = text[:-1] if cut and body else text
+    at_once = rows_of(text)
+    small = [(text_blocks, "BLOCK_BYTES", block), (text_blocks, "_STEP", 3), (delimited, "_ONE_BY_ONE", halving)]
+    with ExitStack() as stack:
+        for module, name, value in small:
+            stack.enter_context(mock.patch.object(module, name, value))
+        in_blocks = rows_of(text)
+    assert in_blocks.frame.equals(at_once.frame)
+    assert in_blocks.set_aside.equals(at_once.set_aside)
+    assert in_blocks.rows_read == at_once.rows_read
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.sampled_from(["1,2,3", "4,5,6", "", "7,8", " "]), max_size=12), st.sampled_from(["\n", "\r\n", "\r"])
+)
+def test_a_row_names_the_line_of_the_file_that_it_stands_in(lines, end):
+    text = end.join(["a,b,c", *lines, ""])
+    rows = rows_of(text)
+    numbered = dict(enumerate(lines, 2))
+    whole = [number for number, line in numbered.items() if line.count(",") == 2]
+    assert rows.frame["source_row"].to_list() == whole
+    assert [f"{a:g},{b:g},{c:g}" for a, b, c in rows.frame.select("a", "b", "c").rows()] == [numbered[n] for n in whole]
+    assert rows.set_aside["source_row"].to_list() == [n for n, line in numbered.items() if line.count(",") == 1]
+
+
+def test_one_garbled_row_in_a_large_block_costs_that_row_alone():
+    body = [f"{i},{2 * i},{3 * i}" for i in range(40_000)]
+    body[31_234] = "31234,x,5"
+    rows = rows_of("a,b,c\n" + "\n".join(body) + "\n")
+    assert rows.frame.height == 39_999
+    assert rows.set_aside.rows() == [(31_236, "'x' in column 'b' is not a number")]
+    assert rows.frame["source_row"].to_list() == [i + 2 for i in range(40_000) if i != 31_234]
+
+
+def test_the_header_once_more_is_no_row_and_the_log_goes_on():
+    rows = rows_of("a,b,c\n1,2,3\na,b,c\n4,5,6\n")
+    assert plain(rows).rows() == [(2, 1, 2, 3), (4, 4, 5, 6)]
+    assert rows.set_aside.rows() == [(3, "the header once more")]
+
+
+def test_what_follows_the_names_of_another_table_is_not_taken_for_this_one():
+    rows = rows_of("a,b,c\n1,2,3\nForce,Torque,Sum\n4,5,6\n7,8,9\n")
+    assert plain(rows).rows() == [(2, 1, 2, 3)]
+    assert rows.set_aside["source_row"].to_list() == [3, 4, 5]
+    assert "another table begins in line 3 (Force, Torque, Sum)" in rows.set_aside["reason"][2]
+
+
+def test_an_empty_last_cell_is_no_short_row():
+    rows = rows_of("a,b,c\n1,2,\n3,4,5\n6,7,\n")
+    assert plain(rows).rows() == [(2, 1, 2, None), (3, 3, 4, 5), (4, 6, 7, None)]
+    assert rows.set_aside.is_empty()
+
+
+def test_an_empty_last_cell_does_not_hide_a_short_row_and_one_too_long():
+    rows = rows_of("a,b,c\n1,2,\n3,4\n6,7,8,\n9,10,11,12\n")
+    assert plain(rows).rows() == [(2, 1, 2, None), (4, 6, 7, 8)]
+    assert rows.set_aside["source_row"].to_list() == [3, 5]
+
+
+@pytest.mark.parametrize("delimiter", ["||", "::", "\\s+"])
+def test_a_delimiter_may_be_several_characters_or_any_run_of_blanks(delimiter):
+    between = " \t  " if delimiter == "\\s+" else delimiter
+    text = "\n".join(between.join(row) for row in (["a", "b", "c"], ["1", "2", "3"], ["4", "5"], ["6", "7", "8"]))
+    rows = rows_of(f"{text}\n", replace(LAYOUT, delimiter=delimiter))
+    assert plain(rows).rows() == [(2, 1, 2, 3), (4, 6, 7, 8)]
+    assert rows.set_aside["source_row"].to_list() == [3]
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, zstd.compress])
+def test_a_packed_log_is_read_as_the_log_itself(pack):
+    text = b"a,b,c\n" + b"".join(b"%d,%d,%d\n" % (i, i, i) for i in range(500))
+    packed, unpacked = rows_of(pack(text)), rows_of(text)
+    assert packed.frame.equals(unpacked.frame)
+    assert packed.frame.height == 500
+
+
+def test_a_packed_log_that_was_cut_is_refused():
+    with pytest.raises(DamagedLog, match="packing is damaged"):
+        rows_of(gzip.compress(b"a,b,c\n" + b"1,2,3\n" * 9000)[:-40])
+
+
+def test_a_bomb_is_refused_long_before_it_is_unpacked():
+    packed = zstd.compress(b"1,2,3\n" * 20_000_000)
+    assert len(packed) < 64_000
+    with written(packed) as path, pytest.raises(DamagedLog, match="unpacks to more than 1000 times"):
+        list(read_blocks(path, LAYOUT, numbers=["a"]))
+
+
+def test_a_line_longer_than_any_logger_writes_is_refused():
+    with written(b"a,b,c\n" + b"1" * (40 << 20)) as path, pytest.raises(DamagedLog, match="line of more than 16 MiB"):
+        read_rows(path, LAYOUT, numbers=["a"])
+
+
+def test_a_header_of_seventeen_thousand_columns_is_read_whole():
+    names = [f"signal_number_{i}" for i in range(17_000)]
+    with written(",".join(names) + "\n" + ",".join(map(str, range(17_000))) + "\n") as path:
+        layout = layout_below(path)
+        assert layout.names == tuple(names)
+        rows = read_rows(path, layout, numbers=["signal_number_16999", "signal_number_3"])
+    assert rows.frame.row(0)[2:] == (16999.0, 3.0)
 
 
 @settings(max_examples=100, deadline=None)
@@ -53,7 +180,7 @@ def test_any_bytes_at_all_are_rows_or_set_aside(noise):
 
 
 def test_an_empty_cell_nan_and_infinity_are_unknown():
-    assert rows_of("a,b,c\n1,,nan\n2,inf,-inf\n").frame.rows() == [(0, 1, None, None), (1, 2, None, None)]
+    assert plain(rows_of("a,b,c\n1,,nan\n2,inf,-inf\n")).rows() == [(2, 1, None, None), (3, 2, None, None)]
 
 
 def test_quotes_around_a_text_with_the_delimiter_inside_are_understood():
@@ -65,7 +192,7 @@ def test_quotes_around_a_text_with_the_delimiter_inside_are_understood():
 
 def test_a_decimal_comma_is_a_decimal_mark():
     layout = Layout(("a", "b"), ";", header_lines=1, decimal_comma=True)
-    assert rows_of("a;b\n0,5;1,25\n1;x\n", layout, numbers=["a", "b"]).frame.rows() == [(0, 0.5, 1.25)]
+    assert plain(rows_of("a;b\n0,5;1,25\n1;x\n", layout, numbers=["a", "b"])).rows() == [(2, 0.5, 1.25)]
 
 
 def test_columns_of_one_name_or_none_do_not_hide_each_other():

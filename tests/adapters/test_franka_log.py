@@ -102,8 +102,8 @@ def test_repeats_and_a_cut_last_row_are_set_aside(tmp_path):
     path = write(tmp_path / "log.csv", line(1), line(1), line(2), line(3))
     path.write_bytes(path.read_bytes()[:-3])
     log = read(path)
-    assert log.robot["source_row"].to_list() == [0, 2]
-    assert log.set_aside["source_row"].to_list() == [1, 3]
+    assert log.robot["source_row"].to_list() == [2, 4]
+    assert log.set_aside["source_row"].to_list() == [3, 5]
 
 
 def test_a_log_without_a_joint_a_row_or_a_known_key_is_refused(tmp_path):

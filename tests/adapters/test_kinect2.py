@@ -25,10 +25,10 @@ def read(path, rows, **options):
 def test_the_base_of_the_spine_in_metres_at_ticks_of_100_ns(tmp_path, end):
     log = read(tmp_path / "joints.csv", [row(31867373716, 0.25, end=end), row(31867714704, 0.5, end=end)])
     assert log.people.rows() == [
-        (pytest.approx(3186.7373716), "1", 0.25, -0.5, 2.0, 0),
-        (pytest.approx(3186.7714704), "1", 0.5, -0.5, 2.0, 1),
+        (pytest.approx(3186.7373716), "1", 0.25, -0.5, 2.0, 1),
+        (pytest.approx(3186.7714704), "1", 0.5, -0.5, 2.0, 2),
     ]
-    assert (log.up, log.clock) == ("y", "uptime")
+    assert (log.up, log.clock, log.rows_are) == ("y", "uptime", "line")
 
 
 def test_an_untracked_joint_is_unknown_and_an_inferred_one_is_used_and_counted(tmp_path):
@@ -63,7 +63,7 @@ def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path):
     path.write_text(row(10, 0.25) + "\n" + row(20, 0.5)[:-30])
     log = ADAPTER.read(path, ReadOptions())
     assert log.people["x_m"].to_list() == [0.25]
-    assert log.set_aside["source_row"].to_list() == [1]
+    assert log.set_aside["source_row"].to_list() == [2]
 
 
 def test_rows_that_cannot_be_used_at_all_are_refused(tmp_path):

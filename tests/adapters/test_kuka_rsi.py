@@ -63,8 +63,8 @@ def test_a_client_on_windows_writes_the_same_log(tmp_path, end):
 
 def test_a_cycle_that_is_written_twice_counts_once(tmp_path):
     log = read(write(tmp_path / "robot.csv", row(12), row(12), row(24)))
-    assert log.robot["source_row"].to_list() == [0, 2]
-    assert log.set_aside.rows() == [(1, "repeats the controller sample before it")]
+    assert log.robot["source_row"].to_list() == [2, 4]
+    assert log.set_aside.rows() == [(3, "repeats the controller sample before it")]
     assert log.rows_read == 3
 
 
@@ -79,7 +79,7 @@ def test_a_row_cut_while_being_written_is_set_aside(tmp_path):
     path = write(tmp_path / "robot.csv", row(12), row(24))
     path.write_bytes(path.read_bytes()[:-8])
     log = read(path)
-    assert log.robot["source_row"].to_list() == [0]
+    assert log.robot["source_row"].to_list() == [2]
     assert "cut" in log.set_aside["reason"][0]
 
 

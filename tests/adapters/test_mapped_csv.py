@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from cyclekit.adapter import ReadOptions
+from cyclekit.adapter import ReadOptions, whole
 from cyclekit.errors import ConfigError, DamagedLog, MissingColumns, UnknownName
 from cyclekit_adapters.mapped_csv import ADAPTER
 
@@ -66,7 +66,7 @@ def test_people_by_id_and_those_not_seen(tmp_path):
     log = read(tmp_path / "log.csv", text, time="t", person="id", x="x", y="y", z="z")
     assert log.people["person"].to_list() == ["ann", "bo"]
     assert log.people["x_m"].to_list() == [1.0, None]
-    assert log.set_aside["source_row"].to_list() == [2]
+    assert log.set_aside["source_row"].to_list() == [4]
 
 
 def test_events_keep_signal_and_value_as_text(tmp_path):
@@ -106,7 +106,12 @@ def test_a_column_that_is_not_there_is_named_with_the_nearest(tmp_path):
         {"scaling_max": 255},
         {"skip_rows": -1},
         {"joints": "J1"},
-        {"delimiter": "||"},
+        {"delimiter": ""},
+        {"delimiter": "\n"},
+        {"time_zone": "Europe/Rome"},
+        {"time_format": "iso", "time_zone": "Europe/Roma"},
+        {"time_unit": "frame"},
+        {"time": ["t", "u"]},
         {"encoding": "utf-99"},
         {"encoding": "hex"},
         {"states": {"3": "working"}},
@@ -155,10 +160,78 @@ def test_a_time_written_as_a_date_is_refused_with_its_first_value(tmp_path):
 def test_a_repeated_instant_of_the_robot_counts_once(tmp_path):
     log = read(tmp_path / "log.csv", "t,x,y\n1,0,0\n1,0,0\n2,1,0\n", role="robot", time="t", x="x", y="y")
     assert log.robot["t_s"].to_list() == [1.0, 2.0]
-    assert log.set_aside["source_row"].to_list() == [1]
+    assert log.set_aside["source_row"].to_list() == [3]
 
 
 def test_a_file_name_with_brackets_is_a_name_and_no_pattern(tmp_path):
     (tmp_path / "runa.csv").write_text("t,x,y\n9,9,9\n")
     log = read(tmp_path / "run[a].csv", "t,x,y\n1,2,3\n", role="people", time="t", x="x", y="y")
     assert log.people["x_m"].to_list() == [2.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "pattern", "zone", "seconds"),
+    [
+        ("2024-05-01T10:00:00.250Z", "iso", None, 1714557600.25),
+        ("2024-05-01 10:00:00,250+02:00", "iso", None, 1714550400.25),
+        ("2024-05-01 12:00:00.25", "iso", "Europe/Rome", 1714557600.25),
+        ("01.05.2024 12:00:00.250", "%d.%m.%Y %H:%M:%S%.f", "Europe/Rome", 1714557600.25),
+        ("05/01/24 10:00", "%m/%d/%y %H:%M", "UTC", 1714557600.0),
+        ("10:00:00.5", "%H:%M:%S%.f", None, 36000.5),
+    ],
+)
+def test_times_written_as_text(tmp_path, text, pattern, zone, seconds):
+    mapping = {"time_format": pattern} | ({"time_zone": zone} if zone else {})
+    log = read(tmp_path / "log.csv", f't;x;y\n"{text}";2;3\n', role="people", time="t", x="x", y="y", **mapping)
+    assert log.people["t_s"].to_list() == [pytest.approx(seconds, abs=1e-6)]
+    assert log.clock == ("epoch" if zone else "relative")
+    assert any("give time_zone" in said for said in log.warnings) == (zone is None)
+
+
+def test_a_date_and_a_time_of_day_in_two_columns(tmp_path):
+    text = "Datum;Zeit;x;y\n31.12.2023;23:59:59.9;1;2\n01.01.2024;00:00:00.1;1;2\nheute;00:00:01;1;2\n"
+    how = {"time": ["Datum", "Zeit"], "time_format": "%d.%m.%Y %H:%M:%S%.f", "time_zone": "UTC"}
+    log = read(tmp_path / "log.csv", text, role="people", x="x", y="y", **how)
+    assert log.people["t_s"].diff().to_list()[1] == pytest.approx(0.2, abs=1e-6)
+    assert log.set_aside["source_row"].to_list() == [4]
+    assert "'heute 00:00:01'" in log.set_aside["reason"][0]
+
+
+def test_a_count_of_frames_is_a_clock_with_a_rate(tmp_path):
+    text = "frame,x,y\n10,1,2\n13,1,2\n"
+    log = read(tmp_path / "log.csv", text, role="people", rate_hz=30.0, time="frame", time_unit="frame", x="x", y="y")
+    assert log.people["t_s"].to_list() == pytest.approx([10 / 30, 13 / 30])
+
+
+def test_a_table_without_a_header_line(tmp_path):
+    log = read(
+        tmp_path / "log.csv", "0.5 1 2\n0.6 3 4\n", role="people", columns=["t", "x", "y"], time="t", x="x", y="y"
+    )
+    assert log.people.select("t_s", "x_m", "y_m", "source_row").rows() == [(0.5, 1, 2, 1), (0.6, 3, 4, 2)]
+
+
+def test_overrides_that_multiply_and_the_slider_alone(tmp_path):
+    how = {"time": "t", "scaling": ["GENOVERRIDE", "clamp"], "scaling_max": 100, "slider": "GENOVERRIDE"}
+    log = read(tmp_path / "log.csv", "t,GENOVERRIDE,clamp\n1,80,50\n2,80,100\n", **how)
+    assert log.robot["scaling"].to_list() == [0.4, 0.8]
+    assert log.robot["slider"].to_list() == [0.8, 0.8]
+
+
+def test_outputs_and_a_register_that_marks_executions(tmp_path):
+    log = read(
+        tmp_path / "log.csv", "t,x,y,do,n\n1,0,0,5,7\n", "robot", time="t", x="x", y="y", digital_out="do", register="n"
+    )
+    assert log.robot.select("digital_out_bits", "register").rows() == [(5, 7)]
+
+
+def test_a_log_that_is_read_in_parts_is_the_log_read_at_once(tmp_path, monkeypatch):
+    text = "t,x,y,o\n" + "".join(f"{i // 2},{i},0,{i % 120}\n" for i in range(200))
+    options = ReadOptions(role="robot", map={"time": "t", "x": "x", "y": "y", "scaling": "o", "scaling_max": 100})
+    (tmp_path / "log.csv").write_text(text)
+    at_once = ADAPTER.read(tmp_path / "log.csv", options)
+    monkeypatch.setattr("cyclekit_adapters.text_blocks.BLOCK_BYTES", 100)
+    parts = list(ADAPTER.stream(tmp_path / "log.csv", options))
+    assert len(parts) > 10
+    assert whole(parts).robot.equals(at_once.robot)
+    assert whole(parts).set_aside.equals(at_once.set_aside)
+    assert whole(parts).warnings == at_once.warnings != ()

@@ -105,4 +105,4 @@ def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path, motive):
     text = motive({"Helmet": [(1.0, 0, 0.25), (2.0, 0, 0.125)]})
     log = read(tmp_path / "take.csv", text[:-4])
     assert log.people["x_m"].to_list() == [1.0]
-    assert log.set_aside["source_row"].to_list() == [1]
+    assert log.set_aside["source_row"].to_list() == [9]

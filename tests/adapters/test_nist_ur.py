@@ -137,8 +137,8 @@ def test_rows_that_cannot_be_trusted_are_set_aside_with_their_reason(tmp_path):
     lines[1] = lines[1].replace("-0.2", "-0.2.1")
     lines.insert(2, lines[2].replace("[", "[1.0, ", 1))
     log = read(write(tmp_path / "ur5.csv", "\n".join(lines)))
-    assert log.robot["source_row"].to_list() == [0, 3]
-    assert log.set_aside["source_row"].to_list() == [1, 2, 4]
+    assert log.robot["source_row"].to_list() == [1, 4]
+    assert log.set_aside["source_row"].to_list() == [2, 3, 5]
     assert "'-0.2.1' in column 'ROBOT_CARTESIAN_COORD_TOOL (y)' is not a number" in log.set_aside["reason"][0]
     assert "74 fields where the header has 73" in log.set_aside["reason"][1]
     assert "cut" in log.set_aside["reason"][2]
@@ -148,7 +148,7 @@ def test_rows_that_cannot_be_trusted_are_set_aside_with_their_reason(tmp_path):
 def test_a_row_without_its_time_is_set_aside_and_a_repeat_counts_once(tmp_path):
     log = read(write(tmp_path / "ur5.csv", table(groups(1.0), groups("nan"), groups(1.0), groups(1.008))))
     assert log.robot["t_s"].to_list() == [1.0, 1.008]
-    assert log.set_aside["source_row"].to_list() == [1, 2]
+    assert log.set_aside["source_row"].to_list() == [3, 4]
 
 
 def test_a_table_without_joints_and_tool_is_refused(tmp_path):

@@ -31,8 +31,8 @@ def read(path, text, **options):
 def test_the_waist_in_metres_at_microseconds_since_1970(tmp_path):
     log = read(tmp_path / "nui.csv", table([row(0, 0.25), row(33_333, 0.5)]))
     assert log.people.select("person", "x_m", "y_m", "z_m", "source_row").rows() == [
-        ("1", 0.25, 0.9, 2.0, 0),
-        ("1", 0.5, 0.9, 2.0, 1),
+        ("1", 0.25, 0.9, 2.0, 2),
+        ("1", 0.5, 0.9, 2.0, 3),
     ]
     assert log.people["t_s"].to_list() == pytest.approx([START_US / 1e6, START_US / 1e6 + 0.033333], abs=1e-6)
     assert (log.clock, log.up) == ("epoch", "y")
@@ -41,7 +41,7 @@ def test_the_waist_in_metres_at_microseconds_since_1970(tmp_path):
 def test_rows_that_the_recorder_wrote_again_count_once(tmp_path):
     log = read(tmp_path / "nui.csv", table([row(0, 0.25), row(0, 0.25), row(33_333, 0.5)]))
     assert log.people["x_m"].to_list() == [0.25, 0.5]
-    assert log.set_aside.rows() == [(1, "repeats the time and id of a row before it")]
+    assert log.set_aside.rows() == [(3, "repeats the time and id of a row before it")]
 
 
 def test_a_small_timestamp_is_the_devices_own(tmp_path):

@@ -25,10 +25,10 @@ def read(path, text, **options):
 def test_frames_become_seconds_by_the_rate_that_was_given(tmp_path):
     log = read(tmp_path / "crowd.txt", PLAIN, rate_hz=25.0)
     assert log.people.rows() == [
-        (0.0, "1", 1.5, 2.5, None, 0),
-        (0.0, "2", 4.0, 5.0, None, 1),
-        (0.4, "1", 1.75, 2.5, None, 2),
-        (0.4, "2", 4.0, 5.25, None, 3),
+        (0.0, "1", 1.5, 2.5, None, 1),
+        (0.0, "2", 4.0, 5.0, None, 2),
+        (0.4, "1", 1.75, 2.5, None, 3),
+        (0.4, "2", 4.0, 5.25, None, 4),
     ]
     assert (log.up, log.clock) == ("z", "relative")
     assert any("no names" in said for said in log.warnings)
@@ -75,7 +75,7 @@ def test_a_jupedsim_export_says_its_columns_in_a_comment(tmp_path):
 def test_a_header_of_names_says_which_column_is_which(tmp_path, head):
     text = f"{head}\n3,a,1.5,2.5\n".replace(" [", "[")
     log = read(tmp_path / "crowd.csv", text, rate_hz=10.0)
-    assert log.people.rows() == [(pytest.approx(0.3), "a", 1.5, 2.5, None, 0)]
+    assert log.people.rows() == [(pytest.approx(0.3), "a", 1.5, 2.5, None, 2)]
 
 
 def test_nameless_columns_in_the_other_order_are_seen_or_said(tmp_path):
@@ -122,7 +122,7 @@ def test_a_line_of_a_hundred_thousand_names_is_turned_down_at_once(tmp_path):
 def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path):
     log = read(tmp_path / "crowd.txt", PLAIN[:-2], rate_hz=25.0)
     assert log.people.height == 3
-    assert log.set_aside["source_row"].to_list() == [3]
+    assert log.set_aside["source_row"].to_list() == [4]
 
 
 @pytest.mark.parametrize("text", [PLAIN, PETRACK])

@@ -77,7 +77,7 @@ def test_millimetres_are_metres_only_if_the_cell_file_says_so(tmp_path):
 def test_a_row_that_is_set_aside_does_not_shift_the_times_behind_it(tmp_path):
     log = read(write(tmp_path / "poses.csv", "xyz", (0, 0, 0), (1, "", 0), (1, 1), (2, 0, 0)), rate_hz=2.0)
     assert log.robot["t_s"].to_list() == [0.0, 1.5]
-    assert log.set_aside["source_row"].to_list() == [1, 2]
+    assert log.set_aside["source_row"].to_list() == [3, 4]
 
 
 def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path):

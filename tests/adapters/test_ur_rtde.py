@@ -55,7 +55,7 @@ def test_a_sample_that_ur_rtde_writes_twice_counts_once(tmp_path, ur):
     rows = [ur.row(t) for t in (1.0, 1.0, 1.002, 1.002, 1.002, 1.004)]
     log = read(write(tmp_path / "run.csv", ur.text(rows, ",", "\n")))
     assert log.robot["t_s"].to_list() == [1.0, 1.002, 1.004]
-    assert log.set_aside["source_row"].to_list() == [1, 3, 4]
+    assert log.set_aside["source_row"].to_list() == [3, 5, 6]
     assert log.rows_read == 6
 
 
@@ -76,14 +76,14 @@ def test_a_last_line_cut_inside_a_number_is_set_aside(tmp_path, ur):
     text = ur.text([ur.row(1.0), ur.row(1.1), ur.row(1.2, runtime_state=2.375)])
     log = read(write(tmp_path / "run.csv", text.rstrip("\r\n")[:-2]))
     assert log.robot["t_s"].to_list() == [1.0, 1.1]
-    assert log.set_aside["source_row"].to_list() == [2]
+    assert log.set_aside["source_row"].to_list() == [4]
     assert "cut" in log.set_aside["reason"][0]
 
 
 def test_blank_lines_between_the_rows_on_windows_are_no_rows(tmp_path, ur):
     text = ur.text([ur.row(1.0), ur.row(1.1)]).replace("\r\n", "\r\n\r\n")
     log = read(write(tmp_path / "run.csv", text))
-    assert log.robot["source_row"].to_list() == [0, 1]
+    assert log.robot["source_row"].to_list() == [3, 5]
     assert log.rows_read == 2
     assert log.set_aside.is_empty()
 
@@ -95,7 +95,7 @@ def test_a_row_of_another_width_is_set_aside_and_never_shifted(tmp_path, ur, har
     log = read(write(tmp_path / "run.csv", "\r\n".join(lines)))
     assert log.robot["t_s"].to_list() == [1.0, 1.2]
     assert log.robot["tcp_y_m"].to_list() == [7.0, 7.0]
-    assert log.set_aside["source_row"].to_list() == [1]
+    assert log.set_aside["source_row"].to_list() == [3]
     assert "fields where the header has" in log.set_aside["reason"][0]
 
 

@@ -97,7 +97,7 @@ def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path):
     path.write_bytes("\r\n".join(section(HIPS))[:-1].encode())
     log = ADAPTER.read(path, ReadOptions())
     assert log.people.height == 1
-    assert log.set_aside["source_row"].to_list() == [1]
+    assert log.set_aside["source_row"].to_list() == [7]
 
 
 def test_numbers_beyond_the_earth_are_not_seen_and_do_not_overflow(tmp_path):

@@ -51,6 +51,7 @@ class _RosBag:
                 events=events,
                 clock=_clock(robot, people, events),
                 joint_names=contents.joint_names,
+                rows_are="message",
                 rows_read=bag.messages_read,
                 set_aside=_set_aside(bag),
                 warnings=tuple(contents.warnings),

@@ -1,0 +1,166 @@
+"""The keys of `[sources.map]` for a table of one's own: what each column of a CSV is, and in which unit; checked.
+
+How the table is read by them is the business of `mapped_csv`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, cast
+
+from cyclekit.errors import ConfigError, UnknownName
+
+if TYPE_CHECKING:
+    from cyclekit.adapter import ClockKind, ReadOptions, Role
+
+WHERE = "[sources.map] of a CSV"
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+METRES = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
+RADIANS = {"rad": 1.0, "deg": 0.017453292519943295}
+STATES = ("playing", "paused", "stopped")
+FRAME = "frame"
+_CLOCKS = ("epoch", "uptime", "relative")
+_DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";", "whitespace": "\\s+"}
+_NUMBERS = {"scaling_max": (1, 100)}
+_LISTS = ("time", "scaling", "joints", "columns")
+
+
+@dataclass(frozen=True)
+class CsvMap:
+    """The keys; a column key names a column of the header line. Those that take several columns are tuples.
+
+    Attributes:
+        columns: Names of the columns of a table without a header line.
+        time: Column of the time, or of date and time of day.
+        time_format: How a time is written as text: "iso", or a pattern such as "%d.%m.%Y %H:%M:%S%.f".
+        time_zone: Zone of such a time, as "Europe/Rome"; without it its clock counts as relative.
+        scaling: Columns whose product is the speed scaling.
+    """
+
+    delimiter: str | None = None
+    decimal: str = "."
+    encoding: str | None = None
+    skip_rows: int = 0
+    columns: tuple[str, ...] = ()
+    time: tuple[str, ...] = ()
+    time_unit: str = "s"
+    time_format: str | None = None
+    time_zone: str | None = None
+    clock: str | None = None
+    x: str | None = None
+    y: str | None = None
+    z: str | None = None
+    length_unit: str = "m"
+    person: str | None = None
+    scaling: tuple[str, ...] = ()
+    scaling_max: float = 1.0
+    slider: str | None = None
+    speed: str | None = None
+    state: str | None = None
+    states: Mapping[str, str] = field(default_factory=dict)
+    digital_out: str | None = None
+    register: str | None = None
+    signal: str | None = None
+    value: str | None = None
+    joints: tuple[str, ...] = ()
+    joint_unit: str = "rad"
+
+    def places(self) -> dict[str, str]:
+        """Return axis -> column."""
+        return {axis: column for axis, column in zip("xyz", (self.x, self.y, self.z), strict=True) if column}
+
+    def separator(self) -> str | None:
+        """Return what stands between fields, None where it is to be found from the header."""
+        return None if self.delimiter is None else _DELIMITERS.get(self.delimiter, self.delimiter)
+
+    def clock_kind(self) -> ClockKind:
+        """Return what kind of clock the table has: as said, else epoch where the calendar and the zone are known."""
+        known = "epoch" if self.time_format and self.time_zone else "relative"
+        return cast("ClockKind", self.clock or known)
+
+    def role(self) -> Role:
+        """Return what the mapped columns can only be; x, y, z alone could be the robot or a person.
+
+        Raises:
+            ConfigError: They could be several things.
+        """
+        if self.signal:
+            return "events"
+        if self.person:
+            return "people"
+        if self.joints or self.scaling or self.speed or self.state or self.slider:
+            return "robot"
+        seen = f"{WHERE}: it does not say whose rows these are"
+        raise ConfigError(seen, cure='Give role = "robot", "people" or "events".')
+
+
+def csv_map(options: ReadOptions) -> CsvMap:
+    """Return the keys of a source of the cell file.
+
+    Raises:
+        UnknownName: A key, a unit or a word is not known.
+        ConfigError: A value is of the wrong kind, or two contradict each other.
+    """
+    known = {item.name: item for item in fields(CsvMap)}
+    values = dict(options.map)
+    for key, value in values.items():
+        if key not in known:
+            raise UnknownName(WHERE, "key", key, known)
+        values[key] = _checked(key, value)
+    mapping = CsvMap(**values)  # type: ignore[arg-type]  # types were checked key by key
+    _one_of("time_unit", mapping.time_unit, [*SECONDS, FRAME])
+    _one_of("length_unit", mapping.length_unit, METRES)
+    _one_of("joint_unit", mapping.joint_unit, RADIANS)
+    _one_of("clock", mapping.clock or "relative", _CLOCKS)
+    _one_of("decimal", mapping.decimal, (".", ","))
+    for state in mapping.states.values():
+        _one_of("states", state, STATES)
+    _agree(mapping, options.rate_hz)
+    return mapping
+
+
+def _agree(mapping: CsvMap, rate_hz: float | None) -> None:
+    """Refuse keys that contradict each other."""
+    separator = mapping.separator()
+    if separator is not None and (not separator or set(separator) & set('"\r\n') or separator == mapping.decimal):
+        raise ConfigError(f"{WHERE}: delimiter = {mapping.delimiter!r} cannot stand between fields")
+    if mapping.time_zone is not None and mapping.time_format is None:
+        raise ConfigError(f"{WHERE}: time_zone without time_format", cure='Add time_format = "iso" or a pattern.')
+    if len(mapping.time) > 1 and mapping.time_format is None:
+        raise ConfigError(f"{WHERE}: several columns of time", cure='Add time_format, as "%d.%m.%Y %H:%M:%S".')
+    if mapping.time_zone is not None and mapping.time_zone not in _zones():
+        raise UnknownName(WHERE, "time_zone", mapping.time_zone, _zones(), cure="As in the IANA list: Europe/Rome.")
+    if mapping.time_unit == FRAME and not rate_hz:
+        raise ConfigError(f"{WHERE}: time counts frames", cure="Give rate_hz = ... in the source.")
+
+
+def _zones() -> set[str]:
+    from zoneinfo import available_timezones
+
+    return available_timezones()
+
+
+def _checked(key: str, value: object) -> object:
+    if key == "states":
+        right = isinstance(value, Mapping) and all(isinstance(v, str) for v in value.values())
+        wanted = "a table of texts"
+    elif key in _LISTS:
+        if isinstance(value, str) and key in ("time", "scaling"):
+            return (value,)
+        right = isinstance(value, Sequence) and not isinstance(value, str) and all(isinstance(v, str) for v in value)
+        wanted, value = "a list of column names", tuple(map(str, cast("Sequence[str]", value))) if right else value
+    elif key == "skip_rows":
+        right, wanted = isinstance(value, int) and not isinstance(value, bool) and value >= 0, "a whole number"
+    elif key == "scaling_max":
+        right, wanted = not isinstance(value, bool) and value in _NUMBERS[key], "1 (fraction) or 100 (percent)"
+    else:
+        right, wanted = isinstance(value, str), "a text"
+    if not right:
+        raise ConfigError(f"{WHERE}: {key} = {value!r} is not {wanted}")
+    return value
+
+
+def _one_of(key: str, value: str, known: Mapping[str, float] | Sequence[str]) -> None:
+    if value not in known:
+        raise UnknownName(WHERE, key, value, known)

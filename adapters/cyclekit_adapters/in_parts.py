@@ -1,0 +1,53 @@
+"""A text log as consecutive parts, for adapters whose logs may be larger than memory.
+
+Each block of rows becomes a part as soon as it is read. What is known only at the end (how often a clock stepped back)
+goes into the last one, and a log of which no row was usable is refused then. What the columns mean is the adapter's
+business.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit_adapters.delimited import nothing_usable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
+
+    from cyclekit.adapter import Recording
+    from cyclekit_adapters.delimited import Rows
+
+
+def in_parts(
+    path: Path,
+    blocks: Iterable[Rows],
+    make: Callable[[Rows], Recording],
+    finish: Callable[[Recording], Recording],
+) -> Iterator[Recording]:
+    """Yield the parts of a log.
+
+    Args:
+        path: The log, for the message.
+        blocks: Its rows.
+        make: Turns a block into a part; called in order.
+        finish: Adds to the last part what is known now.
+
+    Raises:
+        DamagedLog: No row of the log is usable.
+    """
+    last: Recording | None = None
+    rows_read, usable = 0, 0
+    aside: pl.DataFrame | None = None
+    for rows in blocks:
+        rows_read, usable = rows_read + rows.rows_read, usable + rows.frame.height
+        if aside is None and rows.set_aside.height:
+            aside = rows.set_aside
+        if last is not None:
+            yield last
+        last = make(rows)
+    if last is None or not usable:
+        raise nothing_usable(path, rows_read, pl.DataFrame() if aside is None else aside)
+    yield finish(last)

@@ -1,0 +1,242 @@
+"""The bytes of a text log as whole lines of UTF-8, block by block, whatever encoding, line end or packing they have.
+
+Logs come with a BOM, in UTF-16, with the line ends of old machines (a bare CR), packed by gzip or zstd, and larger
+than memory. What a line means is the business of `delimited`.
+"""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import io
+import os
+import re
+import sys
+import zlib
+from functools import lru_cache
+from typing import TYPE_CHECKING, cast
+
+from cyclekit.errors import DamagedLog, LogError
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+    from typing import BinaryIO
+
+HEAD_BYTES = 16384
+BLOCK_BYTES = 16 << 20
+"""What is parsed at once: large enough for polars to use both cores, small enough for any machine."""
+LONGEST_LINE = 16 << 20
+"""No logger writes a line of more bytes, headers of 17,000 columns included."""
+_STEP = 1 << 16
+_GZIP, _ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
+_BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+_MAX_RATIO = 1000
+"""Logs do not shrink a thousandfold; a file that unpacks to more than that is a bomb."""
+_CELL = b"\x1f"
+
+
+class _Bomb(OSError):
+    """What is unpacked is out of all proportion to the file."""
+
+
+def encoding_of(first: bytes) -> str | None:
+    """Return the encoding that the first bytes of a file speak for, or None for a binary file."""
+    for mark, encoding in _BOMS:
+        if first.startswith(mark):
+            return encoding
+    line = first.partition(b"\n")[0]  # what follows it may be a binary part or a block that was never written
+    if b"\0" not in line:
+        return "utf-8"
+    if len(line) >= 4 and line[1::2].count(0) > 0.9 * len(line[1::2]) and 0 not in line[0::2]:
+        return "utf-16-le"
+    return None
+
+
+def file_encoding(path: Path) -> str | None:
+    """Return the encoding of a text file, None for a binary one.
+
+    Raises:
+        LogError: The file cannot be opened.
+    """
+    return encoding_of(_first(path, HEAD_BYTES))
+
+
+def head_of(path: Path, size: int = HEAD_BYTES, encoding: str | None = None) -> str:
+    """Return the first `size` bytes of a text file, decoded; empty for a binary, unreadable or absent file."""
+    try:
+        if not path.is_file():
+            return ""
+        first = _first(path, size)
+    except (OSError, LogError):
+        return ""
+    encoding = encoding or encoding_of(first)
+    if not encoding:
+        return ""
+    text = first.decode(encoding, "replace").removeprefix("\ufeff")
+    return text if "\n" in text else text.replace("\r", "\n")
+
+
+def head_lines(path: Path, count: int = 1, encoding: str | None = None) -> list[str]:
+    """Return the first `count` lines of a text file without their ends, however long; fewer where there are fewer.
+
+    Empty for a binary, unreadable or absent file.
+    """
+    size, text = HEAD_BYTES, head_of(path, encoding=encoding)
+    while text.count("\n") < count and len(text) >= size // 4 and size < LONGEST_LINE:
+        size *= 8
+        longer = head_of(path, size, encoding)
+        if len(longer) == len(text):
+            break
+        text = longer
+    return [line.rstrip("\r") for line in text.split("\n")[:count]]
+
+
+def _first(path: Path, size: int) -> bytes:
+    try:
+        about = path.stat()
+        return _read_first(path, size, about.st_size, about.st_mtime_ns)
+    except OSError as error:
+        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
+
+
+@lru_cache(maxsize=16)  # each adapter looks at the head of each file
+def _read_first(path: Path, size: int, _bytes: int, _changed: int) -> bytes:
+    with path.open("rb") as file, _unpacked(file, path) as log:
+        try:
+            return log.read(size)
+        except (zlib.error, zstd.ZstdError, EOFError):
+            return b""
+
+
+def blocks_of(path: Path, encoding: str, *, skip_lines: int = 0, delimiter: str = ",") -> Iterator[bytes]:
+    r"""Yield a text log as UTF-8, whole lines at a time; only the very last line of all may lack its end.
+
+    Args:
+        path: The log.
+        encoding: How it is encoded.
+        skip_lines: Lines at its begin to be passed over.
+        delimiter: Where it is longer than one character, each occurrence becomes the unit separator U+001F; `\s+`
+            stands for runs of blanks.
+
+    Raises:
+        OSError: The file cannot be read.
+        DamagedLog: It holds a line longer than any logger writes, or is a bomb.
+    """
+    with path.open("rb") as file, _unpacked(file, path) as log:
+        plain = log is file and encoding in ("utf-8", "utf-8-sig") and not _has_bare_cr(_first(path, HEAD_BYTES))
+        blocks = _plain_blocks(file, path) if plain else _decoded_blocks(log, path, encoding)
+        try:
+            for number, block in enumerate(blocks):
+                text = block.removeprefix(codecs.BOM_UTF8) if number == 0 else block
+                while skip_lines and text:
+                    text = text.partition(b"\n")[2]
+                    skip_lines -= 1
+                if text:
+                    yield _with_one_delimiter(text, delimiter)
+        except _Bomb as error:
+            raise DamagedLog(path, str(error.strerror), cure="Check where the file comes from.") from error
+        except (zlib.error, zstd.ZstdError, EOFError) as error:
+            raise DamagedLog(path, f"its packing is damaged ({error})", cure="Copy it again.") from error
+
+
+def _has_bare_cr(first: bytes) -> bool:
+    return b"\r" in first and b"\n" not in first
+
+
+def _plain_blocks(log: BinaryIO, path: Path) -> Iterator[bytes]:
+    """Read to the next line end behind each block, so that nothing is copied."""
+    end, begin = os.fstat(log.fileno()).st_size, 0
+    while begin < end:
+        after = min(begin + BLOCK_BYTES, end)
+        log.seek(after)
+        while after < end:
+            piece = log.read(_STEP)
+            found = piece.find(b"\n")
+            after += found + 1 if found >= 0 else len(piece)
+            if after - begin > BLOCK_BYTES + LONGEST_LINE:
+                raise _too_long(path)
+            if found >= 0 or not piece:
+                break
+        log.seek(begin)
+        block = log.read(after - begin)
+        if not block:
+            return  # it became shorter meanwhile
+        yield block
+        begin += len(block)
+
+
+def _decoded_blocks(log: BinaryIO, path: Path, encoding: str) -> Iterator[bytes]:
+    decoder = codecs.getincrementaldecoder(encoding)("replace")
+    rest, bare_cr, first = "", False, True
+    while True:
+        raw = log.read(BLOCK_BYTES // 4)
+        text = decoder.decode(raw, final=not raw)
+        if first:
+            text, first = text.removeprefix("\ufeff"), False
+            bare_cr = "\r" in text and "\n" not in text
+        if bare_cr:
+            text = text.replace("\r", "\n")
+        cut = text.rfind("\n") + 1
+        if cut:
+            yield (rest + text[:cut]).encode("utf-8", "replace")
+            rest = text[cut:]
+        else:
+            rest += text
+        if len(rest) > LONGEST_LINE:
+            raise _too_long(path)
+        if not raw:
+            if rest:
+                yield rest.encode("utf-8", "replace")
+            return
+
+
+def _too_long(path: Path) -> DamagedLog:
+    cause = f"holds a line of more than {LONGEST_LINE >> 20} MiB: no logger writes that"
+    return DamagedLog(path, cause, cure="Check what the file is.")
+
+
+def _with_one_delimiter(block: bytes, delimiter: str) -> bytes:
+    if len(delimiter) == 1:
+        return block
+    if delimiter == "\\s+":
+        return re.sub(rb"[ \t]+", _CELL, re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", block))
+    return block.replace(delimiter.encode(), _CELL)
+
+
+def _unpacked(file: BinaryIO, path: Path) -> BinaryIO:
+    """Return the file, or what is packed in it."""
+    first = file.read(4)
+    file.seek(0)
+    if first.startswith(_GZIP):
+        return cast("BinaryIO", _Counted(gzip.GzipFile(fileobj=file), path))
+    if first == _ZSTD:
+        return cast("BinaryIO", _Counted(zstd.ZstdFile(file), path))
+    return file
+
+
+class _Counted(io.RawIOBase):
+    """An unpacking stream that stops where it gives more than any text holds."""
+
+    def __init__(self, packed: io.BufferedIOBase, path: Path) -> None:
+        super().__init__()
+        self._packed, self._given, self._most = packed, 0, max(path.stat().st_size, 1 << 16) * _MAX_RATIO
+
+    def readable(self) -> bool:
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        data = self._packed.read(size)
+        self._given += len(data)
+        if self._given > self._most:
+            raise _Bomb(0, f"it unpacks to more than {_MAX_RATIO} times its size: it is no log")
+        return data
+
+    def close(self) -> None:
+        self._packed.close()
+        super().close()

@@ -159,4 +159,10 @@ def options_of(source: Source | None) -> ReadOptions:
     """Return what an adapter is told about a source of the cell file."""
     if source is None:
         return ReadOptions()
-    return ReadOptions(role=source.role, map=source.map, body=source.body, rate_hz=source.rate_hz)
+    return ReadOptions(
+        role=source.role,
+        map=source.map,
+        body=source.body,
+        rate_hz=source.rate_hz,
+        frame_given=source.frame is not None,
+    )

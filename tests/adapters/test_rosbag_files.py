@@ -354,10 +354,40 @@ def test_the_parts_of_a_split_recording_are_read_as_one(tmp_path):
     one, other = (ADAPTER.read(path, ReadOptions()) for path in (folder, whole))
     assert one.robot.equals(other.robot)
     assert one.warnings == other.warnings
+    assert one.facts["message_index"] == "within its topic from 0, file by file in the order of time"
+    assert one.facts[f"messages of {TCP}"] == "run_0.mcap 0 to 49, run_1.mcap 50 to 99"
+    assert one.facts[f"messages of {SCALING}"] == "run_0.mcap 0 to 24, run_1.mcap 25 to 49"
+    assert one.facts["rows of robot"] == f"messages of {TCP}"
     (folder / "run_1.mcap").unlink()
     cut = ADAPTER.read(folder, ReadOptions())
     assert any("run_1.mcap" in said for said in cut.warnings)
     assert 0 < cut.robot.height < 100
+
+
+def test_the_index_of_a_message_counts_through_one_file_after_the_other_even_where_their_times_overlap(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    rows = [row for row in messages(60) if row[0] == TCP]
+    for name, ours in (("run_1.mcap", rows[25:]), ("run_0.mcap", rows[:30])):  # five messages are in both
+        with (folder / name).open("wb") as log:
+            writer = Writer(log)
+            writer.start("ros2", "test")
+            text = store.generate_msgdef(KINDS[TCP], ros_version=2)[0].encode()
+            schema = writer.register_schema(KINDS[TCP], "ros2msg", text)
+            channel = writer.register_channel(TCP, "cdr", schema)
+            for _, time_ns, raw in ours:
+                writer.add_message(channel, time_ns, raw, time_ns)
+            writer.finish()
+    (folder / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n  relative_file_paths: [run_1.mcap, run_0.mcap]\n"
+    )
+    log = ADAPTER.read(folder, ReadOptions())
+    assert log.facts[f"messages of {TCP}"] == "run_0.mcap 0 to 29, run_1.mcap 30 to 64"
+    by_index = dict(log.robot.select("source_row", "tcp_x_m").rows())
+    assert by_index[10] == 10.0
+    assert by_index[64] == 59.0  # the 35th of the second file, which begins with the 25th pose
+    assert log.robot["tcp_x_m"].to_list() == [float(number) for number in range(60)]
 
 
 def test_a_db3_of_an_older_ros_2_without_definitions_is_read_by_the_well_known_ones(tmp_path, bag):

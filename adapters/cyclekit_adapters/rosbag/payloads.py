@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -66,12 +67,14 @@ class BagFile(Protocol):
     """One file of a recording, looked through and ready to be read.
 
     Attributes:
+        path: Where it is.
         channels: By their number.
         counts: Messages by channel number, or some of them where counting all would mean reading all; absent is none.
         warnings: What is not whole, one sentence each.
         set_aside: The reason for every part that cannot be used; complete once all blocks were read.
     """
 
+    path: Path
     channels: dict[int, Channel]
     counts: dict[int, int]
     warnings: list[str]

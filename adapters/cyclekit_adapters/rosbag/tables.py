@@ -1,4 +1,4 @@
-"""The canonical tables out of the messages of a bag.
+"""The tables of robot and events out of the messages of a bag.
 
 Topics come at rates of their own. The robot's table stands on the time of its TCP pose (of its joints, where there
 is none): a position is taken from the nearest message, a scaling or a program state holds until the next message.
@@ -14,13 +14,15 @@ import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
-from cyclekit_adapters.rosbag.chain import Array, chain_path
+from cyclekit.schema import EVENTS, ROBOT, conform
+from cyclekit_adapters.rosbag.chain import followed, leading
+from cyclekit_adapters.rosbag.frames import unknown
 from cyclekit_adapters.rosbag.modes import ROBOT_MODE, RUNNING
-from cyclekit_adapters.rosbag.people import Persons
 from cyclekit_adapters.rosbag.tracks import Joints
+from cyclekit_adapters.rosbag.transforms import Array
 
 if TYPE_CHECKING:
+    from cyclekit_adapters.rosbag.frames import Frames
     from cyclekit_adapters.rosbag.roles import Factor, Roles
     from cyclekit_adapters.rosbag.tracks import Contents
 
@@ -28,12 +30,13 @@ _NEAR_PERIODS = 2.0  # a position further away in time than this many of its per
 _SLACK = 1e-3
 
 
-def robot_table(contents: Contents, roles: Roles) -> pl.DataFrame | None:
+def robot_table(contents: Contents, roles: Roles, frames: Frames) -> pl.DataFrame | None:
     """Return table ROBOT, None where the bag says nothing of where the robot is."""
-    table = _tcp(contents, roles)
+    table = _tcp(contents, roles, frames)
     joints = _joints(contents, roles.joints) if roles.joints in contents.tracks else None
     if table is None:
         table = joints
+        contents.rows_of["robot"] = str(roles.joints)
     elif joints is not None:
         table = _nearest(table, joints.drop("source_row"))
     if table is None:
@@ -48,16 +51,20 @@ def robot_table(contents: Contents, roles: Roles) -> pl.DataFrame | None:
     return conform(table, ROBOT)
 
 
-def _tcp(contents: Contents, roles: Roles) -> pl.DataFrame | None:
+def _tcp(contents: Contents, roles: Roles, frames: Frames) -> pl.DataFrame | None:
     if roles.tcp in contents.tracks:
-        track = contents.tracks[str(roles.tcp)]
-        return _in_order(_placed(contents.times(str(roles.tcp)), track.joined(), track.index))
-    chain = contents.transforms.chain(roles.base_frame, roles.tool_frame)
-    if not chain:
+        topic = str(roles.tcp)
+        track = contents.tracks[topic]
+        contents.rows_of["robot"] = topic
+        return _in_order(_placed(contents.at(topic), track.joined(), track.index))
+    if not frames.tool:
         return None
-    times, place = chain_path(chain, stamped=contents.stamped)
-    contents.tool_chain = f"transforms from {chain[0].parent} over {len(chain)} link(s)"
-    return _in_order(_placed(times, place, np.arange(times.size, dtype=np.int64)))
+    link = leading(frames.tool)
+    place, _ = followed(frames.tool, link.times)
+    if lost := unknown(place):
+        contents.warnings.append(f"the TCP is unknown at {lost} moments: a transform was not published for a while")
+    contents.rows_of["robot"] = link.topic
+    return _in_order(_placed(link.times, place, link.index))
 
 
 def _placed(times: Array, place: Array, index: npt.NDArray[np.int64]) -> pl.DataFrame:
@@ -73,7 +80,7 @@ def _in_order(table: pl.DataFrame) -> pl.DataFrame:
 def _joints(contents: Contents, topic: str | None) -> pl.DataFrame | None:
     """Return joint angles by name; messages of other joints (a gripper on the same topic) are left out."""
     track = contents.tracks[str(topic)]
-    parts = [(rows, said) for rows, said in track.parts if isinstance(said, Joints)]
+    parts = [(part.rows, part.value) for part in track.parts if isinstance(part.value, Joints)]
     written: Counter[tuple[str, ...]] = Counter()
     for rows, said in parts:
         written[said.names] += rows.size
@@ -92,7 +99,7 @@ def _joints(contents: Contents, topic: str | None) -> pl.DataFrame | None:
     rows, angles, speeds = rows[by_time], angles[by_time], speeds[by_time]
     columns = {f"q{i}_rad": angles[:, i] for i in range(len(order))}
     columns |= {f"qd{i}_rad_s": speeds[:, i] for i in range(len(order))}
-    times = contents.times(str(topic))[rows]
+    times = contents.at(str(topic))[rows]
     return _in_order(pl.DataFrame({"t_s": times, "source_row": track.index[rows], **columns}))
 
 
@@ -111,7 +118,7 @@ def _nearest(table: pl.DataFrame, other: pl.DataFrame) -> pl.DataFrame:
 
 def _series(contents: Contents, topic: str) -> pl.DataFrame:
     values = contents.tracks[topic].joined()
-    series = pl.DataFrame({"t_s": contents.times(topic), "value": values}).fill_nan(None)
+    series = pl.DataFrame({"t_s": contents.at(topic), "value": values}).fill_nan(None)
     return series.sort("t_s", maintain_order=True)
 
 
@@ -120,7 +127,7 @@ def _with_modes(contents: Contents, roles: Roles, table: pl.DataFrame) -> pl.Dat
     for topic in roles.modes:
         if topic not in contents.tracks or contents.kinds[topic] != ROBOT_MODE:
             continue
-        held = pl.DataFrame({"t_s": contents.times(topic), "_mode": [str(m) for m in contents.tracks[topic].each()]})
+        held = pl.DataFrame({"t_s": contents.at(topic), "_mode": [str(m) for m in contents.tracks[topic].each()]})
         table = table.join_asof(held.sort("t_s", maintain_order=True), on="t_s", strategy="backward")
         known = pl.col("state") if "state" in table.columns else pl.lit(None, pl.String())
         state = pl.when(pl.col("_mode") != RUNNING).then(pl.lit("stopped")).otherwise(known)
@@ -172,100 +179,23 @@ def _clamped(value: pl.Expr, factor: Factor) -> pl.Expr:
     return pl.when(value.is_between(0.0, 1.0 + _SLACK)).then(value.clip(0.0, 1.0))
 
 
-def people_table(contents: Contents, roles: Roles) -> pl.DataFrame:
-    """Return table PEOPLE; of an array the index is the person, and one with fewer entries has people not seen."""
-    columns: dict[str, list[npt.NDArray[np.generic]]] = {"t_s": [], "person": [], "source_row": [], "place": []}
-    for topic in roles.people:
-        if topic not in contents.tracks:
-            continue
-        track = contents.tracks[topic]
-        prefix = f"{topic} " if len(roles.people) > 1 else ""
-        if any(isinstance(value, Persons) for _, value in track.parts):
-            _add_named(contents, topic, prefix, columns)
-            continue
-        seen = [(rows, _several(value)) for rows, value in track.parts if isinstance(value, np.ndarray)]
-        most = max((places.shape[1] for _, places in seen), default=1)
-        if most > 1:
-            contents.warnings.append(f"{topic} holds up to {most} places without identity: each index is one person")
-        place: Array = np.full((track.index.size, most, 3), np.nan)
-        for rows, places in seen:
-            place[rows, : places.shape[1]] = places
-        names = np.array([f"{prefix}{person}" for person in range(most)])
-        columns["t_s"].append(np.repeat(contents.times(topic), most))
-        columns["person"].append(np.tile(names, track.index.size))
-        columns["source_row"].append(np.repeat(track.index, most))
-        columns["place"].append(place.reshape(-1, 3))
-    if roles.bodies:
-        _add_bodies(contents, roles, columns)
-    return _people(columns)
-
-
-def _add_named(contents: Contents, topic: str, prefix: str, columns: dict[str, list[npt.NDArray[np.generic]]]) -> None:
-    """Add the people of a topic whose messages name them; who is not named is not there."""
-    track, times = contents.tracks[topic], contents.times(topic)
-    hidden, why = 0, ""
-    for rows, value in track.parts:
-        if not isinstance(value, Persons):
-            continue
-        message, entry = np.nonzero(value.names != "")
-        place = value.places[message, entry]
-        columns["t_s"].append(times[rows[message]])
-        columns["person"].append(np.char.add(prefix, value.names[message, entry]))
-        columns["source_row"].append(track.index[rows[message]])
-        columns["place"].append(place)
-        if unseen := np.count_nonzero(np.isnan(place[:, 0])):
-            hidden, why = hidden + int(unseen), value.said or "no position"
-    if hidden:
-        contents.warnings.append(f"{hidden} places on {topic} are left unknown: {why}")
-
-
-def _add_bodies(contents: Contents, roles: Roles, columns: dict[str, list[npt.NDArray[np.generic]]]) -> None:
-    """Add the bodies among the transforms, each at the moments it was tracked."""
-    adrift = set()
-    for name, (chain, from_base) in contents.transforms.bodies(roles.base_frame).items():
-        times, place = chain_path(chain, stamped=contents.stamped, own_times=True)
-        columns["t_s"].append(times)
-        columns["person"].append(np.full(times.size, f"transforms {name}" if roles.people else name))
-        columns["source_row"].append(np.arange(times.size))
-        columns["place"].append(place)
-        if not from_base:
-            adrift.add(chain[0].parent)
-    if adrift:
-        frames = ", ".join(sorted(adrift))
-        contents.warnings.append(f"no transforms from the robot's base to the bodies: they are in frame {frames}")
-
-
-def _several(value: Array | npt.NDArray[np.bool_]) -> Array:
-    """Return places as (N, K, 3), those of one person too."""
-    places = np.asarray(value, dtype=np.float64)
-    return places[:, None, :] if places.ndim == 2 else places
-
-
-def _people(columns: dict[str, list[npt.NDArray[np.generic]]]) -> pl.DataFrame:
-    schema = pl.Schema({name: column.dtype for name, column in PEOPLE.items()})
-    if not columns["t_s"]:
-        return conform(pl.DataFrame(schema=schema), PEOPLE)
-    joined = {name: np.concatenate(parts) for name, parts in columns.items()}
-    place = joined.pop("place")
-    table = pl.DataFrame({**joined, **{f"{axis}_m": place[:, i] for i, axis in enumerate("xyz")}}).fill_nan(None)
-    return conform(table.select(list(schema)).cast(schema).sort("t_s", "person", maintain_order=True), PEOPLE)
-
-
 def events_table(contents: Contents, roles: Roles) -> pl.DataFrame:
     """Return table EVENTS: every text, and every change of a flag."""
     rows: list[tuple[float, str, str, int]] = []
     for topic in roles.events:
         if topic not in contents.tracks:
             continue
-        track = contents.tracks[topic]
+        track, times = contents.tracks[topic], contents.at(topic)
+        said = track.each()
         last: object = None
-        for t_s, index, value in zip(contents.times(topic).tolist(), track.index.tolist(), track.each(), strict=True):
+        for row in np.argsort(times, kind="stable").tolist():
+            value = said[row]
             if isinstance(value, bool | np.bool_):
                 if value != last:
-                    rows.append((t_s, topic, "true" if value else "false", index))
+                    rows.append((float(times[row]), topic, "true" if value else "false", int(track.index[row])))
                 last = value
             elif topic not in roles.modes or value != last:  # a latched mode is said again to each listener
-                rows.append((t_s, topic, str(value), index))
+                rows.append((float(times[row]), topic, str(value), int(track.index[row])))
                 last = value
     schema = {name: column.dtype for name, column in EVENTS.items()}
     return conform(pl.DataFrame(rows, schema=schema, orient="row").sort("t_s", maintain_order=True), EVENTS)

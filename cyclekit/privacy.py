@@ -33,18 +33,20 @@ def without_names(recording: Recording, *, keep: str | None = None) -> Recording
         recording: As it was read.
         keep: A body that is nobody (the one on the robot's flange) and keeps its name.
     """
-    people = recording.people
-    if people is not None and people.height:
-        names = people["person"].drop_nulls().unique(maintain_order=True).to_list()
-        numbers = {name: f"person_{number}" for number, name in enumerate(names, 1)}
-        numbers |= {name: name for name in names if name == keep}
-        people = people.with_columns(pl.col("person").replace_strict(numbers, default=None, return_dtype=pl.String))
+    people, skeletons = recording.people, recording.skeletons
+    named = [table["person"] for table in (people, skeletons) if table is not None and table.height]
+    names = pl.concat(named).drop_nulls().unique(maintain_order=True).to_list() if named else []
+    numbers = {name: f"person_{number}" for number, name in enumerate(names, 1)}
+    numbers |= {name: name for name in names if name == keep}
+    numbered = pl.col("person").replace_strict(numbers, default=None, return_dtype=pl.String)
+    people = people.with_columns(numbered) if people is not None and people.height else people
+    skeletons = skeletons.with_columns(numbered) if skeletons is not None and skeletons.height else skeletons
     aside = recording.set_aside
     if aside is not None and aside.height:
         aside = aside.with_columns(pl.col("reason").map_elements(_unquoted, return_dtype=pl.String))
     warnings = tuple(map(_unquoted, recording.warnings))
     facts = {name: text for name, text in recording.facts.items() if name == "checksum"}
-    return replace(recording, people=people, set_aside=aside, warnings=warnings, facts=facts)
+    return replace(recording, people=people, skeletons=skeletons, set_aside=aside, warnings=warnings, facts=facts)
 
 
 def _unquoted(text: str) -> str:
@@ -52,12 +54,16 @@ def _unquoted(text: str) -> str:
 
 
 def without_wall_clock(entries: Sequence[dict[str, Any]], staging: Path) -> None:
-    """Let every recording in epoch time begin at 0, its tables under `staging` and its entry alike.
+    """Let every recording in epoch time begin at 0, its tables under `staging` and its entry alike; hosts' times too.
 
     How it lies in the time of its session stays the same: what the times lose, the clock's offset gains.
     """
     for entry in entries:
         entry["key"] = ""  # made of the times of files; what is pseudonymised is read again anyway
+        if "stamps" in entry["tables"]:
+            file = staging / "recordings" / entry["id"] / "stamps.parquet"
+            stamps = pl.read_parquet(file, glob=False)
+            write_parquet(stamps.with_columns(pl.col("host_s") - pl.col("host_s").min()), file)
         if entry["clock"]["kind"] != "epoch":
             continue
         clock, shift_s = entry["clock"], entry["first_s"]

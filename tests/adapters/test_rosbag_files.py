@@ -22,6 +22,7 @@ from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog
 from cyclekit_adapters.rosbag import ADAPTER, mcap_file
 from cyclekit_adapters.rosbag.container import opened
+from cyclekit_adapters.rosbag.folder import folder_of
 
 T0 = 1_700_000_000
 TCP, SCALING = "/tcp_pose_broadcaster/pose", "/speed_scaling_factor"
@@ -449,3 +450,54 @@ def test_a_folder_compressed_once_more_is_read_too(tmp_path, mode, plugin):
         for topic, time_ns, raw in messages(60):
             writer.write(connections[topic], time_ns, raw)
     assert places(tmp_path / "run") == (*expected(60), [], [])
+
+
+METADATA = """rosbag2_bagfile_information:
+  version: 5
+  topics_with_message_count:
+    - topic_metadata:
+        name: /a
+        offered_qos_profiles: "- history: 3\\n  relative_file_paths: x"
+      message_count: 1
+  compression_format: ""
+  compression_mode: {mode}
+  relative_file_paths:
+{files}
+  storage_identifier: mcap
+"""
+
+
+@pytest.mark.parametrize(
+    ("files", "mode", "names", "compressed"),
+    [
+        ("    - run_0.mcap\n    - run_1.mcap", '""', ["run_0.mcap", "run_1.mcap"], False),
+        ("  - 'my run_0.mcap'", "FILE", ["my run_0.mcap"], True),
+        ('  - "run_0.mcap"', "none", ["run_0.mcap"], False),
+        ('  - "r\\u00e9_0.mcap"', "''", ["ré_0.mcap"], False),  # only a parser of YAML reads this
+        ("  - other/run_0.mcap   # a comment", "NONE", ["run_0.mcap"], False),
+        ("    [run_0.mcap, run_1.mcap]", '""', ["run_0.mcap", "run_1.mcap"], False),
+    ],
+)
+@pytest.mark.parametrize("last", [True, False])
+def test_metadata_names_the_files_however_its_yaml_is_written(tmp_path, files, mode, names, compressed, last):
+    for name in names:
+        (tmp_path / name).touch()
+    text = METADATA.format(files=files, mode=mode)
+    if last:
+        text = text.replace("  storage_identifier: mcap\n", "")
+    (tmp_path / "metadata.yaml").write_text(text, encoding="utf-8")
+    folder = folder_of(tmp_path)
+    assert [file.name for file in folder.files] == names
+    assert folder.compressed == compressed
+    assert folder.warnings == []
+
+
+@pytest.mark.parametrize(
+    "text", ["rosbag2_bagfile_information: [", "a: 1", "rosbag2_bagfile_information:\n  version: 5\n"]
+)
+def test_metadata_that_cannot_be_read_is_done_without(tmp_path, text):
+    (tmp_path / "run_0.mcap").touch()
+    (tmp_path / "metadata.yaml").write_text(text, encoding="utf-8")
+    folder = folder_of(tmp_path)
+    assert [file.name for file in folder.files] == ["run_0.mcap"]
+    assert "cannot be read" in folder.warnings[0]

@@ -22,6 +22,7 @@ from cyclekit.errors import DamagedLog
 from cyclekit.schema import STAMPS, conform
 from cyclekit_adapters.rosbag.clocks import EPOCH_S, Source, choose_times, simulated
 from cyclekit_adapters.rosbag.container import Bag, is_bag, opened
+from cyclekit_adapters.rosbag.envelope import middle
 from cyclekit_adapters.rosbag.facts import facts_of
 from cyclekit_adapters.rosbag.frames import Frames, find_frames
 from cyclekit_adapters.rosbag.people_tables import people_table, skeletons_table
@@ -103,7 +104,7 @@ def _choose_times(contents: Contents, roles: Roles, frames: Frames) -> bool:
     for topic in clocks:
         del contents.tracks[topic]
     ticks = [np.concatenate(part) for part in zip(*said, strict=True)] if said else []
-    if ticks and float(np.median(np.abs(ticks[0] - ticks[1]))) > _NEAR_S:
+    if ticks and middle(np.abs(ticks[0] - ticks[1])) > _NEAR_S:
         for track in contents.tracks.values():
             track.receive_s = simulated(track.receive_s, ticks[0], ticks[1])
         for link in contents.transforms.links.values():

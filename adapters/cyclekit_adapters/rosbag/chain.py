@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from cyclekit_adapters.rosbag.envelope import middle
 from cyclekit_adapters.rosbag.transforms import Array, Link, Step
 
 NEAR_S = 0.5
@@ -67,7 +68,7 @@ def _pose(link: Link, at_s: Array) -> Array:
     else:
         rows = _nearest(link.times, at_s)
         pose = link.pose[rows].copy()
-        period = float(np.median(np.diff(np.sort(link.times))))
+        period = middle(np.diff(np.sort(link.times)))
         pose[np.abs(link.times[rows] - at_s) > max(NEAR_S, 2.0 * period)] = np.nan
     with np.errstate(invalid="ignore"):
         pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)

@@ -93,6 +93,7 @@ class ChunkedFile:
     set_aside: list[str] = field(default_factory=list)
     chunks: list[Chunk] = field(default_factory=list)
     last_ns: int | None = None
+    _piece: bytes = b""
 
     def refuse_bombs(self) -> None:
         """Set aside the chunks that announce more than any logger writes; call it before any chunk is opened."""
@@ -118,7 +119,7 @@ class ChunkedFile:
             if chunk.stored != chunk.size or log.readinto(into.data) != chunk.size:
                 raise Damage(f"it holds less than the {chunk.size} bytes it announces")
         else:
-            inflate(log.read(chunk.stored), chunk.compression, into)
+            self._piece = inflate(log.read(chunk.stored), chunk.compression, into)
         if chunk.crc and zlib.crc32(into.data) != chunk.crc:
             raise Damage("its checksum does not match")
         return into
@@ -131,12 +132,14 @@ class ChunkedFile:
 
     def blocks(self, wanted: set[int]) -> Iterator[Mapping[int, Payloads]]:
         """Yield the messages of the wanted channels in the order of the file, about BLOCK_BYTES at a time."""
+        room = np.empty(0, np.uint8)
         with self.path.open("rb") as log:
             for group in _in_blocks(self.chunks):
-                yield self._block(log, group, wanted)
+                size = sum(chunk.size for chunk in group)
+                room = np.empty(size, np.uint8) if room.size < size else room
+                yield self._block(log, group, wanted, room[:size])
 
-    def _block(self, log: BufferedReader, chunks: list[Chunk], wanted: set[int]) -> dict[int, Payloads]:
-        buffer = np.empty(sum(chunk.size for chunk in chunks), np.uint8)
+    def _block(self, log: BufferedReader, chunks: list[Chunk], wanted: set[int], buffer: Bytes) -> dict[int, Payloads]:
         found, base = [], 0
         for chunk in chunks:
             end = base + chunk.size

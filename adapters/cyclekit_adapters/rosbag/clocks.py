@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from cyclekit_adapters.rosbag.envelope import MAX_DRIFT, Array, Line, least_delays, line_under
+from cyclekit_adapters.rosbag.envelope import MAX_DRIFT, Array, Line, least_delays, line_under, middle
 
 How = Literal["header", "receive", "own-clock"]
 HOWS: tuple[How, ...] = ("header", "receive", "own-clock")
@@ -192,7 +192,7 @@ def _drifts(source: Source, delay: Array, line: Line) -> bool:
         return False
     moved = abs(line.rate - 1.0) * _span_s(source)
     above = _floors(delay - (line.rate - 1.0) * (source.stamp_s - source.stamp_s[0]))
-    return moved > max(DRIFT_S, 4.0 * float(np.median(above - above.min())))
+    return moved > max(DRIFT_S, 4.0 * middle(above - above.min()))
 
 
 def _one_clock(sources: Mapping[str, Source], lines: Mapping[str, Line]) -> bool:

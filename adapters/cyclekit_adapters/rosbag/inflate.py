@@ -28,8 +28,11 @@ MAX_RATIO = 1000
 """Messages of a robot do not compress a thousandfold; zeros do."""
 
 
-def inflate(stored: bytes, compression: str, into: Bytes) -> None:
-    """Unpack a chunk piece by piece into an array of the size that the chunk announces.
+def inflate(stored: bytes, compression: str, into: Bytes) -> bytes:
+    """Unpack a chunk piece by piece into an array of the size that the chunk announces; return the last piece.
+
+    Whoever unpacks many chunks should hold that piece until the next is there: if it is freed before, the memory goes
+    back to the system and has to be asked for again, which takes as long as unpacking.
 
     Args:
         stored: The chunk as it is in the file.
@@ -54,6 +57,7 @@ def inflate(stored: bytes, compression: str, into: Bytes) -> None:
             break
     if filled < into.size:
         raise Damage(f"it holds less than the {into.size} bytes it announces")
+    return bytes(part)
 
 
 def check_size(stored: int, size: int) -> None:

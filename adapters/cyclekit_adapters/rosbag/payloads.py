@@ -81,7 +81,10 @@ class BagFile(Protocol):
     set_aside: list[str]
 
     def blocks(self, wanted: set[int]) -> Iterator[Mapping[int, Payloads]]:
-        """Yield the messages of the wanted channels in the order of the file, about BLOCK_BYTES at a time."""
+        """Yield the messages of the wanted channels in the order of the file, about BLOCK_BYTES at a time.
+
+        The payloads of a block hold until the next one is asked for: their memory is used again.
+        """
         ...
 
 
@@ -99,7 +102,8 @@ def gather(buffer: Bytes, start: Ints, width: int) -> Bytes:
     """Return `width` bytes from each start, shape (N, width); the starts must leave room for them."""
     if not start.size or not width:
         return np.zeros((start.size, width), np.uint8)
-    return np.lib.stride_tricks.sliding_window_view(buffer, width)[start]
+    places = np.ndarray((buffer.size - width + 1,), f"V{width}", buffer, strides=(1,))  # one at every byte
+    return places[start].view(np.uint8).reshape(start.size, width)
 
 
 def column(rows: Bytes, offset: int, dtype: str) -> Ints:

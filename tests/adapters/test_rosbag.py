@@ -1,4 +1,5 @@
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -200,14 +201,19 @@ def test_a_bag_of_nothing_we_need_is_refused_with_the_topics_found(tmp_path, bag
 
 
 @pytest.mark.parametrize("kind", ["mcap", "bag"])
-def test_a_bag_cut_within_its_first_chunk_is_refused_with_a_cure(tmp_path, bag, kind):
+def test_a_bag_cut_within_its_first_chunk_is_read_up_to_there_and_before_any_message_refused(tmp_path, bag, kind):
     path = tmp_path / ("run.bag" if kind == "bag" else "run")
     writer = bag(path, kind)
     for i in range(300):
         writer.joints(T0 + i, [f"joint_{j}" for j in range(6)], [float(i)] * 6)
     writer.close()
     file = path if kind == "bag" else next(path.glob(f"*.{kind}"))
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    content = file.read_bytes()
+    file.write_bytes(content[: content.index(struct.pack("<6d", *[150.0] * 6)) + 20])
+    log = ADAPTER.read(file, ReadOptions())
+    assert log.robot["q5_rad"].to_list() == [float(i) for i in range(150)]
+    assert any("the bag is cut" in said for said in log.warnings)
+    file.write_bytes(content[: content.index(struct.pack("<6d", *[0.0] * 6)) + 20])
     with pytest.raises(DamagedLog) as refusal:
         ADAPTER.read(file, ReadOptions())
     assert refusal.value.cure

@@ -72,12 +72,12 @@ def write_mcap(path, count, *, ros1=False, chunk_size=1500, **options):
     return path
 
 
-def write_ros1(path, count, compression=None):
+def write_ros1(path, count, compression=None, threshold=1500):
     store = get_typestore(Stores.ROS1_NOETIC)
     writer = Writer1(path)
     if compression:
         writer.set_compression(compression)
-    writer.chunk_threshold = 1500
+    writer.chunk_threshold = threshold
     with writer:
         connections = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in KINDS.items()}
         for topic, time_ns, raw in messages(count, ros1=True):
@@ -155,7 +155,7 @@ def chunks_of(path):
 
 
 @pytest.mark.parametrize("form", ["plain", "lz4", "zstd", "bag", "bag lz4"])
-def test_of_a_cut_bag_every_whole_chunk_is_read_and_the_loss_is_said(tmp_path, form):
+def test_of_a_cut_bag_every_whole_chunk_is_read_and_what_there_is_of_the_last_and_the_loss_is_said(tmp_path, form):
     if form.startswith("bag"):
         whole = write_ros1(tmp_path / "run.bag", 200, ROS1S["lz4" if "lz4" in form else "none"])
     else:
@@ -167,15 +167,100 @@ def test_of_a_cut_bag_every_whole_chunk_is_read_and_the_loss_is_said(tmp_path, f
         path = tmp_path / f"cut{whole.suffix}"
         path.write_bytes(content[:size])
         kept = [counts for end, counts in chunks if end <= size]
-        if not kept:
-            with pytest.raises(DamagedLog) as refusal:
-                places(path)
-            assert refusal.value.cure
+        try:
+            tcp, scaling, warnings, aside = places(path)
+        except DamagedLog:
+            assert not kept
             continue
-        tcp, scaling, warnings, _ = places(path)
-        assert tcp == expected(200)[0][: sum(counts.get(TCP, 0) for counts in kept)]
-        assert scaling == expected(200)[1][: sum(counts.get(SCALING, 0) for counts in kept)]
+        begun = next((counts for end, counts in chunks if end > size), {})
+        for topic, found, true in ((TCP, tcp, expected(200)[0]), (SCALING, scaling, expected(200)[1])):
+            least = sum(counts.get(topic, 0) for counts in kept)
+            assert found == true[: len(found)]
+            assert least <= len(found) <= least + begun.get(topic, 0)
         assert any("the bag is cut" in said for said in warnings)
+        assert aside == []
+
+
+@pytest.mark.parametrize("form", ["plain", "bag"])
+def test_of_a_chunk_that_is_cut_every_whole_message_is_read(tmp_path, form):
+    if form == "bag":
+        whole = write_ros1(tmp_path / "run.bag", 200)
+    else:
+        whole = write_mcap(tmp_path / "run.mcap", 200, **MCAPS[form])
+    content = whole.read_bytes()
+    at = content.index(struct.pack("<d", 133.0))  # x of the pose that is not whole any more
+    path = tmp_path / f"cut{whole.suffix}"
+    path.write_bytes(content[:at])
+    assert places(path)[0] == expected(133)[0]
+
+
+@pytest.mark.parametrize("form", ["zstd", "lz4", "bag lz4"])
+def test_of_a_packed_chunk_that_is_cut_as_much_is_read_as_can_be_unpacked(tmp_path, form):
+    count = 6000  # a chunk of several blocks
+    if form == "bag lz4":
+        whole = write_ros1(tmp_path / "run.bag", count, ROS1S["lz4"], threshold=1 << 30)
+    else:
+        whole = write_mcap(tmp_path / "run.mcap", count, chunk_size=1 << 30, **MCAPS[form])
+    (end, _), *_ = list(chunks_of(whole))
+    path = tmp_path / f"cut{whole.suffix}"
+    path.write_bytes(whole.read_bytes()[: int(end * 0.8)])
+    tcp, _, warnings, aside = places(path)
+    assert tcp == expected(count)[0][: len(tcp)]
+    assert len(tcp) > 0.5 * count
+    assert "the bag is cut" in warnings[0]
+    assert aside == []
+
+
+def _length_of_first_chunk(path):
+    """Where the length of the first chunk stands."""
+    if path.suffix == ".bag":
+        with Reader1(path) as reader:
+            return next(iter(reader.chunks.values())).datapos - 4
+    with path.open("rb") as log:
+        return make_reader(log).get_summary().chunk_indexes[0].chunk_start_offset + 1
+
+
+@pytest.mark.parametrize("form", ["plain", "zstd", "bag", "bag lz4"])
+def test_a_wrong_length_of_a_chunk_is_not_taken_for_a_cut(tmp_path, form):
+    if form.startswith("bag"):
+        whole = write_ros1(tmp_path / "run.bag", 200, ROS1S["lz4" if "lz4" in form else "none"])
+    else:
+        whole = write_mcap(tmp_path / "run.mcap", 200, **MCAPS[form])
+    content = bytearray(whole.read_bytes())
+    at = _length_of_first_chunk(whole)
+    content[at + 3] ^= 64  # a gigabyte more
+    for size, said in ((len(content), "damaged at byte"), (at + 5000, "the bag")):
+        path = tmp_path / f"flipped{whole.suffix}"
+        path.write_bytes(content[:size])
+        with pytest.raises(DamagedLog, match=said):
+            places(path)
+
+
+@pytest.mark.parametrize("form", ["zstd", "lz4", "bag lz4"])
+def test_a_cut_chunk_that_breaks_while_it_is_unpacked_is_set_aside(tmp_path, form):
+    count = 6000
+    if form == "bag lz4":
+        whole = write_ros1(tmp_path / "run.bag", count, ROS1S["lz4"], threshold=1 << 30)
+    else:
+        whole = write_mcap(tmp_path / "run.mcap", count, chunk_size=1 << 30, **MCAPS[form])
+    (end, _), *_ = list(chunks_of(whole))
+    content = bytearray(whole.read_bytes()[: int(end * 0.8)])
+    at = len(content) // 3
+    content[at : at + 3000] = bytes(255 for _ in range(3000))
+    path = tmp_path / f"cut{whole.suffix}"
+    path.write_bytes(content)
+    with pytest.raises(DamagedLog, match="cannot be unpacked"):
+        places(path)
+
+
+def test_the_checksum_of_a_cut_chunk_is_said_to_be_unchecked(tmp_path):
+    whole = write_mcap(tmp_path / "run.mcap", 200, **MCAPS["plain"])
+    path = tmp_path / "cut.mcap"
+    (_, _), (end, _), *_ = list(chunks_of(whole))
+    path.write_bytes(whole.read_bytes()[: end - 10])
+    log = ADAPTER.read(path, ReadOptions())
+    assert "checksum so cannot be checked" in " ".join(log.warnings)
+    assert "checksum" not in log.facts
 
 
 def test_a_cut_bag_says_until_when_it_was_recovered(tmp_path):

@@ -25,7 +25,9 @@ from cyclekit.dataset import CARD, Dataset
 from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, find_all, matches
 from cyclekit.errors import DatasetError, LogError
-from cyclekit.intake import gather_quarantine, read_all
+from cyclekit.intake import How, read_all
+from cyclekit.intake.shelf import Shelf
+from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.privacy import dated_names, without_wall_clock, without_what_names
 from cyclekit.session import group_sessions
 
@@ -69,6 +71,7 @@ def ingest(
     cell: Path | Cell | None = None,
     jobs: int = 1,
     pseudonymise: bool = False,
+    keep_skeletons: bool = False,
     align_clocks: Literal["coarse"] | None = None,
     progress: Progress | None = None,
 ) -> IngestReport:
@@ -80,6 +83,7 @@ def ingest(
         cell: Cell file; by default `cell.toml` beside the logs, if there is one.
         jobs: Logs read at the same time, in processes of their own.
         pseudonymise: Keep neither the names that trackers give nor wall-clock time (docs/privacy.md).
+        keep_skeletons: Keep every joint of every person, where a tracker has them; no estimate needs it.
         align_clocks: "coarse" = where nothing says how a log's clock relates to the robot's, align on the operator
             being near while the robot slows. Hides the reaction delay, and says so (docs/clocks.md).
         progress: Told the fraction done and what is being done.
@@ -95,7 +99,8 @@ def ingest(
     _check(roots, out)
     settings = cell if isinstance(cell, Cell) else cell_for(roots, cell)
     found, not_read = find_all(roots, settings)
-    wanted = _Wanted(settings, tuple(found), tuple(not_read), jobs, pseudonymise, align_clocks)
+    how = How(pseudonymise=pseudonymise, skeletons=keep_skeletons)
+    wanted = _Wanted(settings, tuple(found), tuple(not_read), jobs, how, align_clocks)
     if not unsettled(out) and (card := _up_to_date(out, wanted)):
         return _report(out, card, new=0, kept=len(found), unchanged=True)
     with locked(out):
@@ -104,7 +109,10 @@ def ingest(
             return _report(out, card, new=0, kept=len(found), unchanged=True)
         with built(out) as staging:
             explicit = {path for path in roots if path.is_file()}
-            card, kept = _build(wanted, staging, _old(out), explicit, tell)
+            shelf = None if pseudonymise else Shelf(out, "skeletons" if keep_skeletons else "plain")
+            card, kept = _build(wanted, staging, _old(out), explicit, shelf, tell)
+        if shelf is not None:
+            shelf.clear()
     return _report(out, card, new=len(card["recordings"]) - kept, kept=kept, unchanged=False)
 
 
@@ -116,13 +124,13 @@ class _Wanted:
     logs: tuple[Log, ...]
     not_read: tuple[tuple[str, str], ...]
     jobs: int
-    pseudonymise: bool
+    how: How
     align_clocks: Literal["coarse"] | None = None
 
     @property
     def fingerprint(self) -> str:
         keys = [log.key for log in self.logs]
-        chosen = [self.pseudonymise, self.align_clocks]
+        chosen = [*vars(self.how).values(), self.align_clocks]
         facts = [repr(self.cell), version("cyclekit"), schema.SCHEMA_VERSION, keys, self.not_read, chosen]
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
@@ -133,20 +141,23 @@ def _up_to_date(out: Path, wanted: _Wanted) -> dict[str, Any] | None:
 
 
 def _build(
-    wanted: _Wanted, staging: Path, old: Dataset | None, explicit: set[Path], tell: Progress
+    wanted: _Wanted, staging: Path, old: Dataset | None, explicit: set[Path], shelf: Shelf | None, tell: Progress
 ) -> tuple[dict[str, Any], int]:
     """Build the dataset in `staging`; return its card and how many recordings were taken over."""
-    entries, failed, kept = read_all(
+    alike = old is not None and old.card.get("skeletons") == wanted.how.skeletons
+    intake = read_all(
         wanted.logs,
         staging,
-        old=None if wanted.pseudonymise else old,
+        old=None if wanted.how.pseudonymise or not alike else old,
+        shelf=shelf,
         jobs=wanted.jobs,
-        pseudonymise=wanted.pseudonymise,
+        how=wanted.how,
         tell=lambda f, text: tell(0.6 * f, text),
     )
+    entries, kept = intake.entries, intake.kept
     shown = {log.path: log.shown for log in wanted.logs}
     not_read = list(wanted.not_read)
-    for error in failed:
+    for error in intake.failed:
         if error.path in explicit or not entries:
             raise error
         not_read.append((shown.get(error.path, str(error.path)), error.cause))
@@ -157,7 +168,8 @@ def _build(
     later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), wanted.align_clocks == "coarse"
     derived = derive(sessions, sources, partial(_native, staging), cell, later, coarse=coarse)
     derived.warnings.extend(_unmatched(cell, wanted.logs))
-    if wanted.pseudonymise:
+    intake.digests.settle(entries)
+    if wanted.how.pseudonymise:
         without_wall_clock(entries, staging)
         derived.warnings.extend(dated_names(entries))
         cell = without_what_names(cell)
@@ -212,7 +224,8 @@ def _card(
         "cyclekit_version": version("cyclekit"),
         "name": cell.name,
         "fingerprint": wanted.fingerprint,
-        "pseudonymised": wanted.pseudonymise,
+        "pseudonymised": wanted.how.pseudonymise,
+        "skeletons": wanted.how.skeletons,
         "settings": json.loads(json.dumps(cell, default=lambda value: vars(value))),
         "rate_hz": cell.rate_hz,
         "recordings": entries,

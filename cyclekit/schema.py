@@ -154,7 +154,7 @@ def conform(frame: pl.DataFrame, table: Mapping[str, Column]) -> pl.DataFrame:
     Raises:
         ShapeError: `frame` has a column that the table does not know (a slip in an adapter).
     """
-    joints = sorted((c for c in frame.columns if is_joint(c)), key=_joint_order) if table is ROBOT else []
+    joints = sorted((c for c in frame.columns if is_joint(c)), key=joint_order) if table is ROBOT else []
     if unknown := set(frame.columns) - set(table) - set(joints):
         msg = f"columns {sorted(unknown)} are not in the canonical table ({', '.join(table)})"
         raise ShapeError(msg)
@@ -166,6 +166,7 @@ def conform(frame: pl.DataFrame, table: Mapping[str, Column]) -> pl.DataFrame:
     return frame.select(*columns, *(pl.col(name).cast(F64) for name in joints))
 
 
-def _joint_order(name: str) -> tuple[bool, int]:
+def joint_order(name: str) -> tuple[bool, int]:
+    """Return the key by which joint columns are sorted: angles before speeds, each by number."""
     speed = name.startswith("qd")
     return speed, int(name.removeprefix("qd" if speed else "q").partition("_")[0])

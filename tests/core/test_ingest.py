@@ -38,13 +38,15 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the logs that adapters read while the test runs."""
     names: list[str] = []
     for entry in registry.adapters().values():
-        read = entry.adapter.read
+        for method in ("read", "stream"):
+            read = getattr(entry.adapter, method, None)
 
-        def counted(path: Path, options: Any, read: Any = read) -> Any:
-            names.append(path.name)
-            return read(path, options)
+            def counted(path: Path, options: Any, read: Any = read) -> Any:
+                names.append(path.name)
+                return read(path, options)
 
-        monkeypatch.setattr(entry.adapter, "read", counted, raising=False)
+            if read is not None:
+                monkeypatch.setattr(entry.adapter, method, counted, raising=False)
     return names
 
 

@@ -30,6 +30,7 @@ from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.privacy import dated_names, without_wall_clock, without_what_names
 from cyclekit.session import group_sessions
+from cyclekit.tables import StoredTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -166,7 +167,8 @@ def _build(
     sources = {log.id: log.source for log in wanted.logs}
     sessions = group_sessions(entries, partial(_is_reference, cell))
     later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), wanted.align_clocks == "coarse"
-    derived = derive(sessions, sources, partial(_native, staging), cell, later, coarse=coarse)
+    native, stored = partial(_native, staging), partial(_stored, staging)
+    derived = derive(sessions, sources, native, stored, cell, later, coarse=coarse)
     derived.warnings.extend(_unmatched(cell, wanted.logs))
     intake.digests.settle(entries)
     if wanted.how.pseudonymise:
@@ -202,6 +204,10 @@ def _old(out: Path) -> Dataset | None:
 def _native(staging: Path, recording: str, table: str) -> pl.DataFrame | None:
     file = staging / "recordings" / recording / f"{table}.parquet"
     return pl.read_parquet(file, glob=False) if file.is_file() else None
+
+
+def _stored(staging: Path, recording: str, columns: Sequence[str]) -> StoredTable:
+    return StoredTable(staging / "recordings" / recording / "robot.parquet", columns)
 
 
 def _is_reference(cell: Cell, shown: str) -> bool:

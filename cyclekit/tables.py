@@ -10,8 +10,10 @@ from __future__ import annotations
 import errno
 from collections import OrderedDict
 from contextlib import contextmanager, suppress
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from types import TracebackType
     from typing import IO, Self
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from cyclekit.schema import Column
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     Columns = Mapping[str, NDArray[np.float64]]
 
 GROUP_ROWS = 1 << 17
-_KEPT = 4  # row groups that a `StoredTable` keeps decoded
+_KEPT_BYTES = 64 << 20  # of decoded row groups
 _LEVEL = 1  # of zstd: higher ones take longer and save a hundredth
 
 
@@ -113,58 +114,74 @@ def _as_os_error(file: Path) -> Iterator[None]:
 
 
 class StoredTable:
-    """A Parquet table opened for reading by ranges of rows; a few row groups stay decoded."""
+    """Numbers of a Parquet table, read by ranges of rows; what was read last stays decoded, up to _KEPT_BYTES of it.
+
+    The file is open only while it is read: a dataset has thousands of them.
+    """
 
     def __init__(self, file: Path, columns: Sequence[str]) -> None:
-        """Open the table.
+        """Look at the table.
 
         Args:
             file: The Parquet file.
-            columns: The columns of numbers that will be read; other types are read as they are.
+            columns: The columns that will be read, all of numbers.
         """
-        self._parquet = pq.ParquetFile(file, memory_map=False)
-        self._columns = list(columns)
-        about = self._parquet.metadata
-        self.rows = about.num_rows
-        self._starts = [0]
+        self._file, self._columns = file, list(columns)
+        with pq.ParquetFile(file) as parquet:
+            about, layout = parquet.metadata, parquet.schema_arrow
+        starts = [0]
         for group in range(about.num_row_groups):
-            self._starts.append(self._starts[-1] + about.row_group(group).num_rows)
-        self._decoded: OrderedDict[int, pl.DataFrame] = OrderedDict()
-
-    @property
-    def groups(self) -> list[tuple[int, int]]:
-        """First row and row behind the last of each row group."""
-        return list(zip(self._starts[:-1], self._starts[1:], strict=True))
+            starts.append(starts[-1] + about.row_group(group).num_rows)
+        self.rows = starts[-1]
+        self.groups = [(begin, end) for begin, end in pairwise(starts) if end > begin]
+        self._unknown = {name: _unknown(about, layout.get_field_index(name)) for name in columns}
 
     def unknown(self, column: str) -> int:
         """Return how many rows have no value in a column, as far as the file says; all where it does not."""
-        about = self._parquet.metadata
-        index = self._parquet.schema_arrow.get_field_index(column)
-        total = 0
-        for group in range(about.num_row_groups):
-            said = about.row_group(group).column(index).statistics
-            total += said.null_count if said is not None and said.has_null_count else about.row_group(group).num_rows
-        return total
+        return self._unknown[column]
 
-    def read(self, first: int, end: int) -> pl.DataFrame:
-        """Return rows `first` to before `end`; nulls stay nulls."""
-        parts = []
-        for group, (begin, after) in enumerate(self.groups):
-            if begin < end and after > first:
-                parts.append(self._group(group)[max(first - begin, 0) : end - begin])
-        return pl.concat(parts) if len(parts) != 1 else parts[0]
+    def read(self, first: int, end: int) -> Columns:
+        """Return rows `first` to before `end` as float64, NaN = unknown; not to be written to."""
+        parts = [
+            {name: values[max(first - begin, 0) : end - begin] for name, values in self._group(number).items()}
+            for number, (begin, after) in enumerate(self.groups)
+            if begin < end and after > first
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in self._columns}
 
-    def _group(self, group: int) -> pl.DataFrame:
-        if group in self._decoded:
-            self._decoded.move_to_end(group)
-            return self._decoded[group]
-        table = self._parquet.read_row_group(group, columns=self._columns, use_threads=False)
-        frame = pl.from_arrow(table)
-        assert isinstance(frame, pl.DataFrame)
-        self._decoded[group] = frame.select(self._columns)
-        while len(self._decoded) > _KEPT:
-            self._decoded.popitem(last=False)
-        return self._decoded[group]
+    def whole_numbers(self, number: int, column: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return a column of whole numbers in one row group, all 64 bits of them, and which are known, shape (N,)."""
+        with pq.ParquetFile(self._file) as parquet:
+            values = parquet.read_row_group(number, columns=[column], use_threads=False).column(0)
+        known = values.is_valid().to_numpy()
+        return values.fill_null(0).to_numpy().astype(np.int64), known
+
+    def _group(self, number: int) -> Columns:
+        key = (self._file, tuple(self._columns), number)
+        if key in _decoded:
+            _decoded.move_to_end(key)
+            return _decoded[key]
+        with pq.ParquetFile(self._file) as parquet:
+            table = parquet.read_row_group(number, columns=self._columns, use_threads=False)
+        _decoded[key] = {
+            name: table.column(name).cast(pa.float64()).to_numpy(zero_copy_only=False) for name in self._columns
+        }
+        while len(_decoded) > 1 and sum(v.nbytes for part in _decoded.values() for v in part.values()) > _KEPT_BYTES:
+            _decoded.popitem(last=False)
+        return _decoded[key]
+
+
+_decoded: OrderedDict[tuple[Path, tuple[str, ...], int], Columns] = OrderedDict()
+
+
+def _unknown(about: pq.FileMetaData, column: int) -> int:
+    total = 0
+    for group in range(about.num_row_groups):
+        said = about.row_group(group).column(column).statistics
+        total += said.null_count if said is not None and said.has_null_count else about.row_group(group).num_rows
+    return total
 
 
 def shift_times(file: Path, shift_s: float) -> None:

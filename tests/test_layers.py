@@ -21,6 +21,7 @@ FLOORS = [
     {"account", "activity", "align", "calibrate"},
     {"people", "registry", "samples"},
     {"override", "plausible", "privacy", "segment", "session", "steps", "zones"},
+    {"motion"},
     {"adapter", "clock", "dataset", "frames"},
     {"atomic", "tables"},
     {"config", "schema", "sequences"},

@@ -259,14 +259,23 @@ class _Parser:
 
     def _at_once(self, block: bytes) -> Rows | None:
         """Parse whole lines at full speed; None if any row is short, long or not a number where one is due."""
-        layout, compact, lines = self.layout, block, None
-        quoted = layout.quotes and b'"' in block
-        if block.startswith((b"\n", b"\r\n")) or b"\n\n" in block or b"\n\r\n" in block:
+        table, lines = self._table(block), None
+        if table is None and _has_blank_lines(block):
             compact, lines = _without_blank_lines(block)
-            if not compact:
-                self.line += block.count(b"\n")
-                return self._rows([], [], [], rows_read=0)
-        last = layout.names[-1]
+            table = self._table(compact)
+        if table is None:
+            return None
+        count = table.height
+        at = pl.int_range(count, dtype=pl.Int64, eager=True) if lines is None else lines
+        number = pl.int_range(self.row, self.row + count, dtype=pl.Int64, eager=True)
+        places = [(at + self.line).alias("source_row"), number.alias(INDEX)]
+        self.line += count if lines is None else block.count(b"\n")
+        self.row += count
+        return self._finished(table, places, [], count)
+
+    def _table(self, block: bytes) -> pl.DataFrame | None:
+        layout, last = self.layout, self.layout.names[-1]
+        quoted = layout.quotes and b'"' in block
         types: dict[str, pl.DataType] = {
             name: pl.Float64() if name in self.numbers and name != last else pl.String()
             for name in (*layout.names, _BEYOND)
@@ -274,25 +283,17 @@ class _Parser:
         try:
             # Polars fills short rows and cuts long ones without a word. So two columns are always read as text: the
             # last one, which is empty in a short row, and one beyond it, which is empty in all but a long row.
-            table = _scan(compact, layout, types, [*self._wanted, last, _BEYOND], quoted=quoted)
+            table = _scan(block, layout, types, [*self._wanted, last, _BEYOND], quoted=quoted)
             doubtful = (table[last].str.strip_chars() == "").any() or (table[_BEYOND].str.strip_chars() != "").any()
-            if doubtful and (quoted or not _is_even(compact, layout)):
+            if doubtful and (quoted or not _is_even(block, layout)):
                 return None
-            if quoted and table.height != compact.count(b"\n"):
+            if quoted and table.height != block.count(b"\n"):
                 return None  # a quote that was never closed
             if last in self.numbers:
                 table = table.with_columns(_number(last, layout).cast(pl.Float64, strict=True).alias(last))
         except pl.exceptions.PolarsError:
             return None
-        count = table.height
-        at = lines if lines is not None else pl.int_range(count, dtype=pl.Int64, eager=True)
-        table = table.with_columns(
-            (at + self.line).alias("source_row"),
-            pl.int_range(self.row, self.row + count, dtype=pl.Int64, eager=True).alias(INDEX),
-        )
-        self.line += count if lines is None else block.count(b"\n")
-        self.row += count
-        return self._finished(table, [], count)
+        return table
 
     def _one_by_one(self, block: bytes) -> Rows:
         kept: list[str] = []
@@ -355,19 +356,30 @@ class _Parser:
         table = _as_texts(kept, self.layout).select(self._wanted)
         where = pl.DataFrame(places, schema={"source_row": pl.Int64(), INDEX: pl.Int64()}, orient="row")
         table, garbled = _as_numbers(pl.concat([where, table], how="horizontal"), self.layout, self.numbers)
-        return self._finished(table, sorted(aside + garbled), rows_read)
+        return self._finished(table, ["source_row", INDEX], sorted(aside + garbled), rows_read)
 
-    def _finished(self, table: pl.DataFrame, aside: Sequence[tuple[int, str]], rows_read: int) -> Rows:
+    def _finished(
+        self,
+        table: pl.DataFrame,
+        places: Sequence[str | pl.Series],
+        aside: Sequence[tuple[int, str]],
+        rows_read: int,
+    ) -> Rows:
         finite = [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in self.numbers]
         clean = [
             pl.col(name).str.strip_chars().str.strip_chars('"').replace("", None).alias(name) for name in self.texts
         ]
-        table = table.select("source_row", INDEX, *finite, *clean)
-        rows = Rows(table, rows_read, pl.DataFrame(aside, schema=_SET_ASIDE, orient="row"))
+        rows = Rows(
+            table.select(*places, *finite, *clean), rows_read, pl.DataFrame(aside, schema=_SET_ASIDE, orient="row")
+        )
         for name in self.required:
-            if table[name].null_count():
+            if rows.frame[name].null_count():
                 rows = rows.without(rows.frame[name].is_null(), f"no value in column {name!r}")
         return rows
+
+
+def _has_blank_lines(block: bytes) -> bool:
+    return block.startswith((b"\n", b"\r\n")) or b"\n\n" in block or b"\n\r\n" in block
 
 
 def _scan(

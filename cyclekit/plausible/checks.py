@@ -65,18 +65,13 @@ class _Checks:
         names = [name for name, dtype in frame.schema.items() if dtype.is_float() and name != "t_s"]
         if not names:
             return frame
-        here = pl.col(PLACE) == HERE
-        wrong = {name: pl.col(name).is_nan() | pl.col(name).is_infinite() for name in names}
-        counts = frame.select(
-            *((mask & here).sum().alias(name) for name, mask in wrong.items()),
-            *(mask.any().alias(f"{name} any") for name, mask in wrong.items()),
-        ).row(0, named=True)
-        for name in names:
-            if counts[name]:
-                self._not_finite[name] = self._not_finite.get(name, 0) + counts[name]
-        hit = [name for name in names if counts[f"{name} any"]]
+        fine = frame.select(pl.col(name).is_finite().all() for name in names).row(0)
+        hit = [name for name, all_fine in zip(names, fine, strict=True) if not all_fine]
         if not hit:
             return frame
+        here = frame.filter(pl.col(PLACE) == HERE)
+        for name in hit:
+            self._not_finite[name] = self._not_finite.get(name, 0) + int((~here[name].is_finite()).sum())
         return frame.with_columns(pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in hit)
 
     def timed(self, frame: pl.DataFrame) -> pl.DataFrame:
@@ -245,7 +240,8 @@ def column(frame: pl.DataFrame, name: str) -> Vector:
     """Return a column, shape (N,), NaN = unknown; all NaN where there is none."""
     if name not in frame.columns:
         return np.full(frame.height, np.nan)
-    return frame[name].cast(pl.Float64).fill_null(np.nan).to_numpy()
+    values = frame.get_column(name)
+    return (values if values.dtype == pl.Float64 else values.cast(pl.Float64)).to_numpy()  # null becomes NaN
 
 
 def positions(frame: pl.DataFrame, kind: Kind) -> Vector:

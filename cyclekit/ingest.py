@@ -24,7 +24,7 @@ from cyclekit.config import Cell, NamedPlace, Source
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, find_all, matches
-from cyclekit.errors import DatasetError, LogError
+from cyclekit.errors import ConfigError, DatasetError, LogError
 from cyclekit.intake import How, read_all
 from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
@@ -71,6 +71,7 @@ def ingest(
     *,
     cell: Path | Cell | None = None,
     jobs: int = 1,
+    rate_hz: float | None = None,
     pseudonymise: bool = False,
     keep_skeletons: bool = False,
     align_clocks: Literal["coarse"] | None = None,
@@ -83,6 +84,7 @@ def ingest(
         out: Folder of the dataset.
         cell: Cell file; by default `cell.toml` beside the logs, if there is one.
         jobs: Logs read at the same time, in processes of their own.
+        rate_hz: Rate of the samples, in place of the cell file's.
         pseudonymise: Keep neither the names that trackers give nor wall-clock time (docs/privacy.md).
         keep_skeletons: Keep every joint of every person, where a tracker has them; no estimate needs it.
         align_clocks: "coarse" = where nothing says how a log's clock relates to the robot's, align on the operator
@@ -99,6 +101,8 @@ def ingest(
     roots, out = [Path(path) for path in logs], Path(out)
     _check(roots, out)
     settings = cell if isinstance(cell, Cell) else cell_for(roots, cell)
+    if rate_hz is not None:
+        settings = replace(settings, rate_hz=_rate(rate_hz))
     found, not_read = find_all(roots, settings)
     how = How(pseudonymise=pseudonymise, skeletons=keep_skeletons)
     wanted = _Wanted(settings, tuple(found), tuple(not_read), jobs, how, align_clocks)
@@ -181,6 +185,13 @@ def _build(
     write_parquet(derived.tasks, staging / "tasks.parquet")
     write_text(staging / CARD, json.dumps(card, indent=1, ensure_ascii=False) + "\n")
     return card, kept
+
+
+def _rate(rate_hz: float) -> float:
+    if not 0.1 <= rate_hz <= 1000.0:
+        msg = f"a rate of {rate_hz:g} samples a second"
+        raise ConfigError(msg, cure="Give 0.1 to 1000; the networks of the paper have 10.")
+    return rate_hz
 
 
 def _check(roots: Sequence[Path], out: Path) -> None:

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 FLOORS = [
     {"__main__"},
     {"cli"},
-    {"describe", "replay", "report"},
+    {"describe", "replay", "report", "trace"},
     {"estimate", "evaluate", "whatif"},
     {"ingest", "train"},
     {"derive", "intake", "models"},

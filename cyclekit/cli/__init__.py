@@ -73,12 +73,26 @@ def app() -> typer.Typer:
         replay,
         report,
         simulate,
+        trace,
         train,
     )
     from cyclekit.cli.options import new_app
 
     commands = new_app()
-    for module in (demo, simulate, calibrate, ingest, inspect, train, evaluate, estimate, replay, report, adapters):
+    for module in (
+        demo,
+        simulate,
+        calibrate,
+        ingest,
+        inspect,
+        trace,
+        train,
+        evaluate,
+        estimate,
+        replay,
+        report,
+        adapters,
+    ):
         name = module.__name__.rpartition(".")[2]
         commands.command(name, epilog=f"\b\nExample:\n  {module.EXAMPLE}")(getattr(module, name))
     return commands

@@ -15,7 +15,7 @@ FLOORS = [
     {"cli"},
     {"describe", "replay", "report", "trace"},
     {"estimate", "evaluate", "whatif"},
-    {"ingest", "train"},
+    {"convert", "ingest", "train"},
     {"derive", "intake", "models"},
     {"discover"},
     {"account", "activity", "align", "calibrate"},

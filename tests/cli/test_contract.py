@@ -22,6 +22,7 @@ CONTRACT = {
     "simulate": (["scene"], ["--out", "--executions", "--seed", "--operator-log"]),
     "ingest": (["logs"], ["--out", "--cell", "--jobs", "--rate", "--align-clocks", "--keep-skeletons"]),
     "inspect": (["path"], ["--write-cell"]),
+    "convert": (["log"], ["--out", "--table", "--rate", "--columns", "--cell"]),
     "trace": (["dataset"], ["--execution", "--at", "--logs"]),
     "train": (["dataset"], ["--out", "--problem", "--network", "--horizon", "--seed"]),
     "evaluate": (["model", "dataset"], []),

@@ -376,3 +376,78 @@ def test_progress_goes_from_nothing_to_the_whole(three_runs: Path, tmp_path: Pat
     ingest([three_runs], tmp_path / "dataset", progress=lambda fraction, text: told.append(fraction))
     assert told == sorted(told)
     assert 0 <= told[0] < told[-1] <= 1
+
+
+def stop_at(monkeypatch: pytest.MonkeyPatch, name: str, reads: list[str]) -> None:
+    """Let the next ingest be interrupted when it comes to a log."""
+    from cyclekit.intake import keep
+
+    parts = keep._parts
+
+    def interrupted(log: Any, how: Any) -> Any:
+        if log.path.name == name:
+            monkeypatch.setattr(keep, "_parts", parts)
+            raise KeyboardInterrupt
+        return parts(log, how)
+
+    monkeypatch.setattr(keep, "_parts", interrupted)
+
+
+def test_an_interrupted_ingest_goes_on_where_it_was(
+    three_runs: Path, tmp_path: Path, reads: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    out = tmp_path / "out" / "dataset"
+    stop_at(monkeypatch, "run_2.csv", reads)
+    with pytest.raises(KeyboardInterrupt):
+        ingest([three_runs], out)
+    assert not out.exists()
+    assert reads == ["run_0.csv", "run_1.csv"]
+    reads.clear()
+    report = ingest([three_runs], out)
+    assert reads == ["run_2.csv"]
+    assert (report.recordings_new, report.recordings_kept) == (1, 2)
+    assert only_bytes(out) == only_bytes(Path(ingest([three_runs], tmp_path / "afresh").dataset))
+    assert [entry.name for entry in out.parent.iterdir()] == ["dataset"]
+
+
+def test_what_an_interrupted_ingest_had_read_is_not_taken_for_a_log_that_has_changed_since(
+    three_runs: Path, tmp_path: Path, reads: list[str], monkeypatch: pytest.MonkeyPatch, robot_log: Any
+):
+    out = tmp_path / "dataset"
+    stop_at(monkeypatch, "run_2.csv", reads)
+    with pytest.raises(KeyboardInterrupt):
+        ingest([three_runs], out)
+    robot_log(three_runs / "run_0.csv", [*ROUND_TRIP, ("move", 0.3), ("stand", 1.0)])
+    reads.clear()
+    ingest([three_runs], out)
+    assert reads == ["run_0.csv", "run_2.csv"]
+    assert only_bytes(out) == only_bytes(Path(ingest([three_runs], tmp_path / "afresh").dataset))
+
+
+def test_a_cell_file_that_was_wrong_costs_no_second_reading(three_runs: Path, tmp_path: Path, reads: list[str]):
+    with pytest.raises(UnknownName):
+        ingest([three_runs], tmp_path / "dataset", cell=Cell(executions=Executions(home="nowhere")))
+    assert len(reads) == 3
+    reads.clear()
+    assert ingest([three_runs], tmp_path / "dataset").recordings_kept == 3
+    assert reads == []
+
+
+def test_nothing_that_names_a_person_stays_beside_an_interrupted_ingest(
+    three_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: list[str]
+):
+    stop_at(monkeypatch, "run_2.csv", reads)
+    with pytest.raises(KeyboardInterrupt):
+        ingest([three_runs], tmp_path / "out" / "dataset", pseudonymise=True)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_another_rate_gives_other_samples_of_the_same_recordings(three_runs: Path, tmp_path: Path, reads: list[str]):
+    ten = Dataset.open(ingest([three_runs], tmp_path / "dataset").dataset).samples()
+    reads.clear()
+    fifty = Dataset.open(ingest([three_runs], tmp_path / "dataset", rate_hz=50.0).dataset)
+    assert reads == []
+    assert fifty.card["rate_hz"] == 50.0
+    assert fifty.samples().height == pytest.approx(5 * ten.height, rel=0.05)
+    with pytest.raises(ConfigError, match=r"0\.1 to 1000"):
+        ingest([three_runs], tmp_path / "dataset", rate_hz=0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from cyclekit.schema import ROBOT, conform
 
 def averaged(frame: pl.DataFrame, cuts: list[int], rate_hz: float = 10.0) -> pl.DataFrame:
     thin, edges = Thinner(rate_hz), [0, *sorted(cuts), frame.height]
-    parts = [thin.add(frame[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
+    parts = [thin.add(frame[a:b]) for a, b in pairwise(edges) if b > a]
     return pl.concat([*parts, thin.rest()])
 
 

@@ -195,8 +195,8 @@ def _with_human_columns(grid: Grid, goals: Sequence[str | None], spots: Mapping[
     nowhere = (np.nan, np.nan, np.nan)
     at = np.array([spots[name].xyz_m if name and name in spots else nowhere for name in goals]).reshape(-1, 3)
     columns = [
-        *(pl.Series(f"human_{axis}_m", grid.human_m[:, k]).fill_nan(None) for k, axis in enumerate("xyz")),
-        *(pl.Series(f"human_goal_{axis}_m", at[:, k]).fill_nan(None) for k, axis in enumerate("xyz")),
+        *(pl.Series(f"human_{axis}_m", grid.human_m[:, k], nan_to_null=True) for k, axis in enumerate("xyz")),
+        *(pl.Series(f"human_goal_{axis}_m", at[:, k], nan_to_null=True) for k, axis in enumerate("xyz")),
         pl.Series("human_task", goals, dtype=pl.String),
         pl.Series("human_gap", _why_unseen(grid), dtype=pl.String),
     ]

@@ -92,10 +92,13 @@ def derive(
     executions += _whole_runs(runs, executions)
     runs, origin, warnings = _with_scaling(runs, executions, sessions)
     dwells = usual_dwells(runs, executions)
+    by_run: dict[int, list[Execution]] = {}
+    for found in executions:
+        by_run.setdefault(found.run, []).append(found)
     grids, rows, cards = [], [], []
     for number, session in enumerate(sessions):
         progress(0.5 + 0.4 * number / len(sessions), f"samples of {session.name}")
-        for k, (execution, legs) in enumerate(_session_executions(session, runs, executions, dwells), 1):
+        for k, (execution, legs) in enumerate(_session_executions(session, runs, by_run, dwells), 1):
             name = f"{session.name}.{k:03d}"
             grid = _grid(session, name, execution, legs, runs, places, origin, cell)
             if len(grid.t_s):
@@ -189,11 +192,11 @@ def _with_scaling(
 
 
 def _session_executions(
-    session: Session, runs: Sequence[Run], executions: Sequence[Execution], dwells: Mapping[str, float]
+    session: Session, runs: Sequence[Run], by_run: Mapping[int, list[Execution]], dwells: Mapping[str, float]
 ) -> list[tuple[Execution | None, list[Leg]]]:
     if not session.runs:
         return [(None, [])]
-    mine = sorted((e for e in executions if e.run in set(session.runs)), key=lambda e: (e.run, _first_row(e)))
+    mine = [execution for number in session.runs for execution in sorted(by_run.get(number, []), key=_first_row)]
     return [(e, account(runs[e.run], e, dwells) if e.visits else []) for e in mine]
 
 

@@ -154,9 +154,8 @@ class StoredTable:
     def whole_numbers(self, number: int, column: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Return a column of whole numbers in one row group, all 64 bits of them, and which are known, shape (N,)."""
         with pq.ParquetFile(self._file) as parquet:
-            values = parquet.read_row_group(number, columns=[column], use_threads=False).column(0)
-        known = values.is_valid().to_numpy()
-        return values.fill_null(0).to_numpy().astype(np.int64), known
+            values = pl.DataFrame(parquet.read_row_group(number, columns=[column], use_threads=False))[column]
+        return values.fill_null(0).cast(pl.Int64).to_numpy(), values.is_not_null().to_numpy()
 
     def _group(self, number: int) -> Columns:
         key = (self._file, tuple(self._columns), number)
@@ -165,9 +164,8 @@ class StoredTable:
             return _decoded[key]
         with pq.ParquetFile(self._file) as parquet:
             table = parquet.read_row_group(number, columns=self._columns, use_threads=False)
-        _decoded[key] = {
-            name: table.column(name).cast(pa.float64()).to_numpy(zero_copy_only=False) for name in self._columns
-        }
+        frame = pl.DataFrame(table)  # not by Arrow's own way to numpy, which imports pandas where there is one
+        _decoded[key] = {name: frame[name].cast(pl.Float64).to_numpy() for name in self._columns}
         while len(_decoded) > 1 and sum(v.nbytes for part in _decoded.values() for v in part.values()) > _KEPT_BYTES:
             _decoded.popitem(last=False)
         return _decoded[key]

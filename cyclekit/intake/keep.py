@@ -10,6 +10,7 @@ import shutil
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import polars as pl
 
 from cyclekit import schema
@@ -131,17 +132,16 @@ class _Table:
         joints = sorted(filter(schema.is_joint, first.columns), key=schema.joint_order) if name == "robot" else []
         self.writer = TableWriter(folder / f"{name}.parquet", self._columns, more=joints)
         self.first_s, self.last_s = float("inf"), -float("inf")
-        self.instants, self._last_s = 0, None
+        self.instants, self._last_s = 0, float("nan")
 
     def write(self, frame: pl.DataFrame) -> None:
         self.writer.write(schema.conform(frame, self._columns))
         if not frame.height:
             return
-        times = frame["t_s"]
-        low, high = times.min(), times.max()
-        self.first_s, self.last_s = min(self.first_s, float(low)), max(self.last_s, float(high))  # type: ignore[arg-type]
-        self.instants += int((times != times.shift(1, fill_value=self._last_s)).fill_null(value=True).sum())
-        self._last_s = times[-1]
+        times = frame["t_s"].to_numpy()
+        self.first_s, self.last_s = min(self.first_s, float(times.min())), max(self.last_s, float(times.max()))
+        self.instants += int((np.diff(times, prepend=self._last_s) != 0.0).sum())
+        self._last_s = float(times[-1])
 
 
 def _check(log: Log, written: dict[str, _Table]) -> None:

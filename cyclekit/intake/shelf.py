@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from cyclekit.intake.digests import Digests
 
 _ENTRY = "entry.json"
+WORTH_BYTES = 1 << 20
+"""A smaller log is sooner read again than put on the shelf."""
 
 
 class Shelf:
@@ -64,6 +66,8 @@ class Shelf:
 
     def put(self, entry: dict[str, Any], log: Log, staging: Path) -> None:
         """Keep a recording that is in the dataset in the making; where that fails nothing is lost but the shortcut."""
+        if log.size < WORTH_BYTES:
+            return
         place = self._folder / f"{log.key[:32]}-{self._options}"
         making = self._folder / f"tmp-{os.getpid()}-{secrets.token_hex(3)}"
         try:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 if TYPE_CHECKING:
@@ -39,12 +40,19 @@ class Sliding:
         self._waiting, before = rows[here:], self._before
         known = rows[:here] if before is None else pl.concat([before, rows[:here]])
         self._before = known.tail(self._beside(known))
-        window = rows.with_columns(pl.Series(PLACE, [HERE] * here + [AHEAD] * ahead, dtype=pl.Int8))
+        window = _placed(rows, [HERE] * here + [AHEAD] * ahead)
         if before is None:
             return window
-        return pl.concat([before.with_columns(pl.lit(BEFORE, pl.Int8).alias(PLACE)), window])
+        return pl.concat([_placed(before, [BEFORE] * before.height), window])
+
+
+def _placed(rows: pl.DataFrame, place: list[int]) -> pl.DataFrame:
+    return rows.hstack([pl.Series(PLACE, np.array(place, np.int8))])
 
 
 def let_through(window: pl.DataFrame) -> pl.DataFrame:
     """Return the rows of a window that were judged and are still there."""
-    return window.filter(pl.col(PLACE) == HERE).drop(PLACE)
+    place = window[PLACE].to_numpy()
+    first, end = np.searchsorted(place, HERE), np.searchsorted(place, AHEAD)  # they stand in this order
+    rows = window[int(first) : int(end)]
+    return pl.DataFrame([column for column in rows.get_columns() if column.name != PLACE])

@@ -34,6 +34,12 @@ def three_runs(tmp_path: Path, robot_log: Any) -> Path:
 
 
 @pytest.fixture
+def large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every log counts as one that takes long to read."""
+    monkeypatch.setattr("cyclekit.intake.shelf.WORTH_BYTES", 0)
+
+
+@pytest.fixture
 def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the logs that adapters read while the test runs."""
     names: list[str] = []
@@ -393,6 +399,7 @@ def stop_at(monkeypatch: pytest.MonkeyPatch, name: str, reads: list[str]) -> Non
     monkeypatch.setattr(keep, "_parts", interrupted)
 
 
+@pytest.mark.usefixtures("large")
 def test_an_interrupted_ingest_goes_on_where_it_was(
     three_runs: Path, tmp_path: Path, reads: list[str], monkeypatch: pytest.MonkeyPatch
 ):
@@ -410,6 +417,7 @@ def test_an_interrupted_ingest_goes_on_where_it_was(
     assert [entry.name for entry in out.parent.iterdir()] == ["dataset"]
 
 
+@pytest.mark.usefixtures("large")
 def test_what_an_interrupted_ingest_had_read_is_not_taken_for_a_log_that_has_changed_since(
     three_runs: Path, tmp_path: Path, reads: list[str], monkeypatch: pytest.MonkeyPatch, robot_log: Any
 ):
@@ -424,6 +432,7 @@ def test_what_an_interrupted_ingest_had_read_is_not_taken_for_a_log_that_has_cha
     assert only_bytes(out) == only_bytes(Path(ingest([three_runs], tmp_path / "afresh").dataset))
 
 
+@pytest.mark.usefixtures("large")
 def test_a_cell_file_that_was_wrong_costs_no_second_reading(three_runs: Path, tmp_path: Path, reads: list[str]):
     with pytest.raises(UnknownName):
         ingest([three_runs], tmp_path / "dataset", cell=Cell(executions=Executions(home="nowhere")))
@@ -433,6 +442,7 @@ def test_a_cell_file_that_was_wrong_costs_no_second_reading(three_runs: Path, tm
     assert reads == []
 
 
+@pytest.mark.usefixtures("large")
 def test_nothing_that_names_a_person_stays_beside_an_interrupted_ingest(
     three_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: list[str]
 ):

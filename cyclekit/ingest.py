@@ -74,6 +74,7 @@ def ingest(
     rate_hz: float | None = None,
     pseudonymise: bool = False,
     keep_skeletons: bool = False,
+    checksums: bool = True,
     align_clocks: Literal["coarse"] | None = None,
     progress: Progress | None = None,
 ) -> IngestReport:
@@ -87,6 +88,7 @@ def ingest(
         rate_hz: Rate of the samples, in place of the cell file's.
         pseudonymise: Keep neither the names that trackers give nor wall-clock time (docs/privacy.md).
         keep_skeletons: Keep every joint of every person, where a tracker has them; no estimate needs it.
+        checksums: Keep the SHA-256 of each log: what was read can then be told from what was not.
         align_clocks: "coarse" = where nothing says how a log's clock relates to the robot's, align on the operator
             being near while the robot slows. Hides the reaction delay, and says so (docs/clocks.md).
         progress: Told the fraction done and what is being done.
@@ -104,7 +106,7 @@ def ingest(
     if rate_hz is not None:
         settings = replace(settings, rate_hz=_rate(rate_hz))
     found, not_read = find_all(roots, settings)
-    how = How(pseudonymise=pseudonymise, skeletons=keep_skeletons)
+    how = How(pseudonymise=pseudonymise, skeletons=keep_skeletons, checksums=checksums)
     wanted = _Wanted(settings, tuple(found), tuple(not_read), jobs, how, align_clocks)
     if not unsettled(out) and (card := _up_to_date(out, wanted)):
         return _report(out, card, new=0, kept=len(found), unchanged=True)

@@ -30,6 +30,9 @@ def ingest(
     keep_skeletons: Annotated[
         bool, typer.Option("--keep-skeletons", help="Keep every joint of every person (docs/privacy.md).")
     ] = False,
+    no_checksums: Annotated[
+        bool, typer.Option("--no-checksums", help="Leave out the SHA-256 of the logs, the slowest part of a large one.")
+    ] = False,
     align_clocks: Annotated[
         Literal["coarse"] | None,
         typer.Option(help="Last resort for unrelated clocks; hides the reaction delay (docs/clocks.md)."),
@@ -52,6 +55,7 @@ def ingest(
             jobs=jobs,
             rate_hz=rate,
             keep_skeletons=keep_skeletons,
+            checksums=not no_checksums,
             pseudonymise=pseudonymise,
             align_clocks=align_clocks,
             progress=progress,

@@ -78,13 +78,13 @@ def read_all(
     known = {entry["key"]: entry for entry in old.card["recordings"]} if old else {}
     entries: dict[str, dict[str, Any]] = {}
     failed: list[LogError] = []
-    todo, digests = [], Digests()
+    todo, digests = [], Digests(wanted=how.checksums)
     for log in logs:
         before = known.get(log.key)
         if old is not None and before is not None and is_whole(before, old.path):
-            entries[log.id] = take_over(before, log, old.path, staging)
+            entries[log.id] = digests.completed(take_over(before, log, old.path, staging), log)
         elif shelf is not None and (found := shelf.find(log)) is not None:
-            entries[log.id] = shelf.take(found, log, staging, digests)
+            entries[log.id] = digests.completed(shelf.take(found, log, staging), log)
         else:
             todo.append(log)
     kept = len(entries)
@@ -115,11 +115,13 @@ def _read_each(
         ) as pool,
     ):
         some = max(1, min(_AT_ONCE, len(logs) // (8 * jobs)))
-        yield from zip(logs, pool.map(partial(_in_worker, work=work), logs, chunksize=some), strict=True)
+        yield from zip(
+            logs, pool.map(partial(_in_worker, work=work, checksums=digests.wanted), logs, chunksize=some), strict=True
+        )
 
 
-def _in_worker(log: Log, *, work: Callable[..., Kept | LogError]) -> Kept | LogError:
-    with Digests() as digests:
+def _in_worker(log: Log, *, work: Callable[..., Kept | LogError], checksums: bool) -> Kept | LogError:
+    with Digests(wanted=checksums) as digests:
         result = work(log, digests)
         if isinstance(result, Kept):
             digests.settle([result.entry])

@@ -22,9 +22,19 @@ CHANGED = "the log changed while it was read: is it still being written? ingest 
 
 
 class Digests:
-    """Computes the SHA-256 of files in the background, one after the other."""
+    """Computes the SHA-256 of files in the background, one after the other.
 
-    def __init__(self) -> None:
+    Attributes:
+        wanted: Whether it does.
+    """
+
+    def __init__(self, *, wanted: bool = True) -> None:
+        """Begin.
+
+        Args:
+            wanted: Compute them; else only watch whether a log changes.
+        """
+        self.wanted = wanted
         self._worker: ThreadPoolExecutor | None = None
         self._pending: dict[str, tuple[Log, list[Future[str]]]] = {}
 
@@ -36,13 +46,23 @@ class Digests:
         """
         found, digests = [], []
         for file in files_of(log.path):
-            if self._worker is None:
-                self._worker = ThreadPoolExecutor(1)
-            digests.append(self._worker.submit(_sha256, file))
+            if self.wanted:
+                self._worker = self._worker or ThreadPoolExecutor(1)
+                digests.append(self._worker.submit(_sha256, file))
             shown = log.shown if file == log.path else f"{log.shown}/{file.relative_to(log.path).as_posix()}"
-            found.append({"path": shown, "sha256": "", "size": file.stat().st_size})
+            found.append({"path": shown, "sha256": None, "size": file.stat().st_size})
         self._pending[log.id] = (log, digests)
         return found
+
+    def completed(self, entry: dict[str, Any], log: Log) -> dict[str, Any]:
+        """Return the entry of a recording taken over, with its checksums to come if it has none yet.
+
+        Raises:
+            OSError: A file has gone.
+        """
+        if self.wanted and not all(source["sha256"] for source in entry["sources"]):
+            return {**entry, "sources": self.sources(log)}
+        return entry
 
     def settle(self, entries: Sequence[dict[str, Any]]) -> None:
         """Fill in the checksums, and warn of logs that changed since they were found.
@@ -54,7 +74,7 @@ class Digests:
             if entry["id"] not in self._pending:
                 continue
             log, digests = self._pending.pop(entry["id"])
-            for source, digest in zip(entry["sources"], digests, strict=True):
+            for source, digest in zip(entry["sources"], digests, strict=self.wanted):
                 try:
                     source["sha256"] = digest.result()
                 except OSError as error:

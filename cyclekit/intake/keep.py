@@ -51,10 +51,12 @@ class How:
     Attributes:
         pseudonymise: Replace the names that trackers give.
         skeletons: Keep every joint of every person, where a tracker has them.
+        checksums: Compute the SHA-256 of each file.
     """
 
     pseudonymise: bool = False
     skeletons: bool = False
+    checksums: bool = True
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.discover import Log
-    from cyclekit.intake.digests import Digests
 
 _ENTRY = "entry.json"
 WORTH_BYTES = 1 << 20
@@ -49,7 +48,7 @@ class Shelf:
         place = self._folder / f"{log.key[:32]}-{self._options}"
         return place if (place / _ENTRY).is_file() else None
 
-    def take(self, place: Path, log: Log, staging: Path, digests: Digests) -> dict[str, Any]:
+    def take(self, place: Path, log: Log, staging: Path) -> dict[str, Any]:
         """Link a recording into the dataset in the making; return its entry."""
         entry: dict[str, Any] = json.loads((place / _ENTRY).read_text(encoding="utf-8"))
         target = staging / "recordings" / log.id
@@ -60,8 +59,6 @@ class Shelf:
             rows = pl.read_parquet(aside, glob=False)
             aside.unlink()  # it is a link
             write_parquet(named_anew(rows, log), aside)
-        if not all(source["sha256"] for source in entry["sources"]):  # they were still being computed
-            entry["sources"] = digests.sources(log)
         return as_read(entry, log)
 
     def put(self, entry: dict[str, Any], log: Log, staging: Path) -> None:

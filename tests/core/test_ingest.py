@@ -461,3 +461,16 @@ def test_another_rate_gives_other_samples_of_the_same_recordings(three_runs: Pat
     assert fifty.samples().height == pytest.approx(5 * ten.height, rel=0.05)
     with pytest.raises(ConfigError, match=r"0\.1 to 1000"):
         ingest([three_runs], tmp_path / "dataset", rate_hz=0.0)
+
+
+def test_checksums_can_be_left_out_and_are_made_good_later(three_runs: Path, tmp_path: Path, reads: list[str]):
+    def sums(dataset: Path) -> list[str | None]:
+        return [source["sha256"] for entry in Dataset.open(dataset).recordings for source in entry["sources"]]
+
+    true = [hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(three_runs.glob("*.csv"))]
+    assert sums(ingest([three_runs], tmp_path / "dataset", checksums=False).dataset) == [None, None, None]
+    reads.clear()
+    assert sums(ingest([three_runs], tmp_path / "dataset").dataset) == true
+    assert reads == []
+    assert sums(ingest([three_runs], tmp_path / "dataset", checksums=False).dataset) == true
+    assert sums(ingest([three_runs], tmp_path / "two", jobs=2).dataset) == true

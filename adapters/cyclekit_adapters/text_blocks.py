@@ -34,6 +34,7 @@ BLOCK_BYTES = 16 << 20
 LONGEST_LINE = 16 << 20
 """No logger writes a line of more bytes, headers of 17,000 columns included."""
 _STEP = 1 << 16
+_PIECE = 1 << 19
 _GZIP, _ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 _MAX_RATIO = 1000
@@ -139,6 +140,28 @@ def blocks_of(path: Path, encoding: str, *, skip_lines: int = 0, delimiter: str 
                     skip_lines -= 1
                 if text:
                     yield _with_one_delimiter(text, delimiter)
+        except _Bomb as error:
+            raise DamagedLog(path, str(error.strerror), cure="Check where the file comes from.") from error
+        except (zlib.error, zstd.ZstdError, EOFError) as error:
+            raise DamagedLog(path, f"its packing is damaged ({error})", cure="Copy it again.") from error
+
+
+def characters_of(path: Path) -> Iterator[str]:
+    """Yield the text of a log whose lines mean nothing, some hundred thousand characters at a time.
+
+    Raises:
+        OSError: The file cannot be read.
+        DamagedLog: It is no text, or its packing is damaged or a bomb.
+    """
+    encoding = file_encoding(path)
+    if encoding is None:
+        raise DamagedLog(path, "not a text file: it begins with NUL bytes", cure="Check the copy.")
+    decoder = codecs.getincrementaldecoder(encoding)("replace")
+    with path.open("rb") as file, _unpacked(file, path) as log:
+        try:
+            while raw := log.read(_PIECE):
+                yield decoder.decode(raw)
+            yield decoder.decode(b"", final=True)
         except _Bomb as error:
             raise DamagedLog(path, str(error.strerror), cure="Check where the file comes from.") from error
         except (zlib.error, zstd.ZstdError, EOFError) as error:

@@ -109,6 +109,58 @@ def ur_split(folder: Path, frames: int = 4) -> Path:
     return folder
 
 
+def events(folder: Path, frames: int = 4) -> Path:
+    rows = [f"{0.5 * i:.1f},goal,place_{i % 3}" for i in range(frames)]
+    return _lines(folder / "buttons.csv", ["time_s,signal,value", *rows])
+
+
+def inputs(folder: Path, frames: int = 4) -> Path:
+    rows = [f"{10 * i},{i % 2},{i // 2 % 2}" for i in range(frames)]
+    return _lines(folder / "inputs.csv", ["time_ms,DI0,DI1", *rows])
+
+
+def ur_rtde(folder: Path, frames: int = 4) -> Path:
+    names = ["timestamp", *(f"actual_q_{i}" for i in range(6)), "runtime_state"]
+    rows = [" ".join([f"{0.008 * (i + 1):.3f}", *["0"] * 6, "1"]) for i in range(frames)]
+    return _lines(folder / "robot_data.csv", [" ".join(names), *rows], "\r\n")
+
+
+def ur_nist(folder: Path, frames: int = 4) -> Path:
+    names = ["ROBOT_TIME", *(f"ROBOT_ACTUAL_JOINT_POSITIONS (J{i})" for i in range(1, 7))]
+    return _lines(folder / "ur5.csv", [",".join(names), *(f"{i}" + ",0" * 6 for i in range(frames))])
+
+
+def kuka_rsi(folder: Path, frames: int = 4) -> Path:
+    rows = [f"2024-09-24 14:05:15,{i},0,1,{1000 + 12 * i}" for i in range(frames)]
+    return _lines(folder / "rsi.csv", ["Timestamp,X_RIst,Y_RIst,Z_RIst,IPOC", *rows])
+
+
+def franka_log(folder: Path, frames: int = 4) -> Path:
+    rows = [f"{i}" + f",{i % 2}" * 7 for i in range(frames)]
+    return _lines(folder / "franka.csv", ["time," + ",".join(f"state.q[{i}]" for i in range(7)), *rows])
+
+
+def mediapipe(folder: Path, frames: int = 4) -> Path:
+    names = ["time", *(f"{axis}{i}" for i in range(33) for axis in ("x", "y", "z", "visibility"))]
+    return _lines(
+        folder / "pose.csv", [",".join(names), *(",".join([str(i), *["0", "1"] * 66]) for i in range(frames))]
+    )
+
+
+def zed(folder: Path, frames: int = 4) -> Path:
+    body = {"id": 1, "keypoint": [[0.1, 0.04 * i, -2.0] for i in range(34)]}
+    ms = 1_700_000_000_000
+    dump = {str(ms + 33 * i): {"is_tracked": True, "timestamp": (ms + 33 * i) * 10**6} for i in range(frames)}
+    return dumped(folder / "bodies.json", {key: frame | {"body_list": [body]} for key, frame in dump.items()})
+
+
+def azure_kinect(folder: Path, frames: int = 4) -> Path:
+    bodies = [{"body_id": 1, "joint_positions": [[1.0, 2.0, 3.0]] * 2}]
+    found = [{"timestamp_usec": 33_000 * i, "num_bodies": 1, "bodies": bodies} for i in range(frames)]
+    about = {"bone_list": [["SPINE_NAVEL", "PELVIS"]], "frames": found, "joint_names": ["PELVIS", "SPINE_NAVEL"]}
+    return dumped(folder / "out.json", about | {"k4abt_sdk_version": "1.1.2"})
+
+
 WRITERS: dict[str, Callable[[Path, int], Path]] = {
     "motive": motive,
     "qualisys": qualisys,
@@ -118,8 +170,21 @@ WRITERS: dict[str, Callable[[Path, int], Path]] = {
     "pedestrian": pedestrian,
     "pose-rows": pose_rows,
     "ur-split": ur_split,
+    "events": events,
 }
-"""Adapter -> writer of a log of that many frames."""
+"""Adapter -> writer of a log of that many frames, for those whose logs may be larger than memory."""
+
+ALL_WRITERS: list[tuple[str, Callable[[Path, int], Path]]] = [
+    *WRITERS.items(),
+    ("events", inputs),
+    ("ur-rtde", ur_rtde),
+    ("ur-nist", ur_nist),
+    ("kuka-rsi", kuka_rsi),
+    ("franka-log", franka_log),
+    ("mediapipe", mediapipe),
+    ("zed", zed),
+    ("azure-kinect", azure_kinect),
+]
 
 
 def dumped(path: Path, content: object) -> Path:

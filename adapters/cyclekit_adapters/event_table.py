@@ -44,6 +44,7 @@ _UNIT_WORDS = {
 _DIGITAL = {"0", "1", "true", "false", "on", "off", "ein", "aus", "high", "low"}
 _MEASURED = re.compile(r"^(?:state|cmd|actual|target)[._]|^q?d?[xyzq]?\d+$|^[xyz]$|[._][xyz]$", re.IGNORECASE)
 """Names of quantities: a robot that stands at zero writes nothing but 0 and 1, too."""
+_TELLING = re.compile(r"time|zeit|dat|epoch|utc|when|\bt\b|\bt_", re.IGNORECASE)
 _IN_UNIT = re.compile(r"^(.*?)(?:\s*[\[(]\s*(\w+)\s*[\])]|[ _.](\w+))$")
 _PLAIN = re.compile(r"[^0-9a-zäöüß]+")
 _DAY = r"(?:\d{4}-\d{2}-\d{2}[T ]|\d{4}/\d{2}/\d{2} |\d{1,2}\.\d{1,2}\.\d{4},? )"
@@ -90,21 +91,32 @@ class EventTable:
 
 def event_table(head: str) -> EventTable | None:
     """Return what an event log says of itself, None if these are not the first lines of one."""
+    first = head.partition("\n")[0]
+    delimiter = delimiter_of(first, ",;\t")
+    if not 1 <= first.count(delimiter) < _WIDEST or not _TELLING.search(first):
+        return None
     lines = head.split("\n", _LOOKED_AT)
     del lines[_LOOKED_AT:]
     if len(head) >= HEAD_BYTES // 4 and len(lines) < _LOOKED_AT and len(lines) > 1:
         lines.pop()  # it may be cut
-    delimiter = delimiter_of(lines[0], ",;\t")
-    if not 1 <= lines[0].count(delimiter) < _WIDEST:
-        return None
     names = unique(cell.strip().strip('"') for cell in fields_of(lines[0], delimiter))
     stems = {name: _stem(name)[0] for name in names}
     if not any(stem in _TIMES or stem in _DATES for stem in stems.values()):
+        return None
+    said = set(stems.values())
+    if not (said & _SIGNALS and said & (_VALUES[0] | _VALUES[1])) and not _may_be_wide(lines[1:2], stems, delimiter):
         return None
     rows = [[cell.strip() for cell in fields_of(line, delimiter)] for line in lines[1:] if line.strip()]
     rows = [row for row in rows if len(row) == len(names)]
     cells = {name: [row[i] for row in rows] for i, name in enumerate(names)}
     return _long(names, stems, cells, delimiter) or _wide(names, stems, cells, delimiter)
+
+
+def _may_be_wide(first: list[str], stems: dict[str, str], delimiter: str) -> bool:
+    """Tell whether the first row is a time and states, before all the others are looked at."""
+    cells = [cell.strip().lower() for line in first for cell in fields_of(line, delimiter)]
+    pairs = zip(cells, stems.values(), strict=False)
+    return all(cell in _DIGITAL or not cell or stem in _TIMES or stem in _DATES for cell, stem in pairs)
 
 
 def _long(

@@ -6,19 +6,28 @@ lines above their names, or with none, state their layout themselves.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog
 from cyclekit_adapters.delimited import Layout, delimiter_of, header_names
-from cyclekit_adapters.text_blocks import file_encoding, head_lines
+from cyclekit_adapters.text_blocks import file_encoding, head_lines, head_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
 def column_names(path: Path, delimiters: str = ",;\t ") -> tuple[str, ...]:
-    """Return the names in the first line; none for a folder, a binary file or one that cannot be opened."""
-    line = next(iter(head_lines(path)), "")
+    """Return the names in the first line, as far as the first few KiB hold it, to recognise a log by.
+
+    None for a folder, a binary file, one that cannot be opened, or a JSON document.
+    """
+    line = head_of(path).partition("\n")[0]
+    return () if line.startswith(("{", "[")) else _names_in(line, delimiters)
+
+
+@lru_cache(maxsize=16)  # several adapters ask for those of each file
+def _names_in(line: str, delimiters: str) -> tuple[str, ...]:
     return header_names(line, delimiter_of(line, delimiters))
 
 

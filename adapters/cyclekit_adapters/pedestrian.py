@@ -42,6 +42,7 @@ _TITLES = {
 _TIMES = frozenset({"t", "time", "timestamp", "time_s", "seconds"})  # a table with times needs no rate: map it
 _SPREAD_M = 500.0
 _WIDEST = 64
+_LONGEST_TITLES = 64 * _WIDEST
 _LINES_LOOKED_AT = 200
 
 
@@ -171,7 +172,7 @@ def _header(head: str, columns: str | None = None) -> _Header | None:
 
     Nameless rows have four fields, or as many as `columns` names.
     """
-    lines = head.split("\n")[:_LINES_LOOKED_AT]
+    lines = head.split("\n", _LINES_LOOKED_AT)[:_LINES_LOOKED_AT]
     at = next((i for i, line in enumerate(lines) if line.strip() and not _is_comment(line)), len(lines))
     comments = [line.strip().lstrip("#").strip() for line in lines[:at] if line.strip()]
     named = _names(lines[at]) if at < len(lines) else None
@@ -214,6 +215,8 @@ def _lines(path: Path, header: _Header) -> Iterator[bytes]:
 
 def _names(line: str) -> tuple[tuple[str, ...], str | None] | None:
     """Return the canonical names in a line of column names and the unit it states; None if it is no such line."""
+    if len(line) > _LONGEST_TITLES:
+        return None
     titles = [word for word in re.split(r"[,;\t ]+", line.strip().replace('"', "").lower()) if word]
     if len(titles) > _WIDEST:
         return None

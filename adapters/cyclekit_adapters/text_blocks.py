@@ -11,6 +11,7 @@ import gzip
 import io
 import os
 import re
+import stat
 import sys
 import zlib
 from functools import lru_cache
@@ -71,11 +72,17 @@ def file_encoding(path: Path) -> str | None:
 def head_of(path: Path, size: int = HEAD_BYTES, encoding: str | None = None) -> str:
     """Return the first `size` bytes of a text file, decoded; empty for a binary, unreadable or absent file."""
     try:
-        if not path.is_file():
+        about = path.stat()
+        if not stat.S_ISREG(about.st_mode):
             return ""
-        first = _first(path, size)
-    except (OSError, LogError):
+        return _decoded_first(path, size, encoding, about.st_size, about.st_mtime_ns)
+    except OSError:
         return ""
+
+
+@lru_cache(maxsize=16)
+def _decoded_first(path: Path, size: int, encoding: str | None, _bytes: int, _changed: int) -> str:
+    first = _read_first(path, size, _bytes, _changed)
     encoding = encoding or encoding_of(first)
     if not encoding:
         return ""

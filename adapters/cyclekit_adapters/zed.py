@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 _KEYED = re.compile(r'\s*\{\s*"\d{1,20}"\s*:\s*\{')
 _NOBODY = re.compile(r"[\s\[\],]*")
-_EMPTY = re.compile(r"\s*(\[[\s\[\],]*\]|\{\s*\})\s*")
+_EMPTY = re.compile(r"\s*\[[\s\[\],]*\]\s*")
 _SDK = ('"body_list"', '"is_tracked"')
 
 
@@ -64,7 +64,7 @@ class _ZedJson:
         rest = head[begin.end() :] if begin else head
         if not head.lstrip().startswith("[") or (rest and not rest.startswith("{")):
             return False
-        return not rest or any(word in head for word in _SDK) or ('"keypoint"' in head and '"id"' in head)
+        return (not rest and head.count("[") > 1) or any(word in head for word in _SDK) or ('"keypoint"' in head and '"id"' in head)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         chosen = words(options, "ZED", {"unit": tuple(UNITS), "axes": tuple(AXES)})

@@ -192,6 +192,14 @@ def point(value: object) -> Place | None:
 
 def points(values: Sequence[object]) -> NDArray[np.float64]:
     """Return what `point` makes of each value, shape (N, 3), NaN where it makes nothing."""
+    try:
+        plain = np.array(values)
+    except ValueError:  # of different lengths
+        plain = np.array([])
+    if plain.ndim == 2 and plain.shape[1] == 3 and plain.dtype.kind in "if":  # nothing but numbers: at once
+        found = plain.astype(np.float64)
+        found[~(np.abs(found) <= _EARTH).all(axis=1)] = np.nan
+        return found
     nowhere = (math.nan, math.nan, math.nan)
     return np.array([point(value) or nowhere for value in values], np.float64).reshape(-1, 3)
 

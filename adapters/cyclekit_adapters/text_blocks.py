@@ -10,7 +10,6 @@ import codecs
 import gzip
 import io
 import os
-import re
 import stat
 import sys
 import zlib
@@ -235,7 +234,11 @@ def _with_one_delimiter(block: bytes, delimiter: str) -> bytes:
     if len(delimiter) == 1:
         return block
     if delimiter == "\\s+":
-        return re.sub(rb"[ \t]+", _CELL, re.sub(rb"(?m)^[ \t]+|[ \t]+(?=\r?$)", b"", block))
+        block = block.replace(b"\t", b" ")
+        while b"  " in block:
+            block = block.replace(b"  ", b" ")
+        block = block.replace(b"\n ", b"\n").replace(b" \n", b"\n").replace(b" \r\n", b"\r\n")
+        return block.strip(b" ").replace(b" ", _CELL)
     return block.replace(delimiter.encode(), _CELL)
 
 

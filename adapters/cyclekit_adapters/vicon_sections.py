@@ -24,7 +24,7 @@ METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 HEADER_LINES = 5
 EXPORT = "Export the trial again from Nexus as ASCII, with trajectories"
 _FILL = b' \t,;\r\n"'
-_BLANK = re.compile(rb'(?<=\n)[ \t,;"]*\r?\n')  # found fast: rows begin with a digit
+_BLANK = re.compile(rb'\n[ \t,;"]*\r?(?=\n)')  # found fast: rows begin with a digit
 
 Triple = tuple[str, str, str]
 
@@ -82,11 +82,11 @@ def _pieces(path: Path) -> Iterator[tuple[bytes, bool]]:
     """Yield the lines of the file, many at once, and bare line ends (True) for the blank ones."""
     for block in blocks_of(path, file_encoding(path) or "utf-8"):
         begin = 0
-        for blank in _BLANK.finditer(b"\n" + block):
-            if lines := block[begin : blank.start() - 1]:
+        for blank in _BLANK.finditer(b"\n" + block):  # so that in `block` the blank line begins where this does
+            if lines := block[begin : blank.start()]:
                 yield lines, False
             yield b"\n", True
-            begin = blank.end() - 1
+            begin = blank.end()
         if lines := block[begin:]:
             yield lines, False
 

@@ -64,7 +64,11 @@ class _ZedJson:
         rest = head[begin.end() :] if begin else head
         if not head.lstrip().startswith("[") or (rest and not rest.startswith("{")):
             return False
-        return (not rest and head.count("[") > 1) or any(word in head for word in _SDK) or ('"keypoint"' in head and '"id"' in head)
+        return (
+            (not rest and head.count("[") > 1)
+            or any(word in head for word in _SDK)
+            or ('"keypoint"' in head and '"id"' in head)
+        )
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         chosen = words(options, "ZED", {"unit": tuple(UNITS), "axes": tuple(AXES)})

@@ -191,7 +191,9 @@ def test_depth_and_digits_without_end_are_refused(tmp_path, content):
         ADAPTER.read(path, ReadOptions())
 
 
-@pytest.mark.parametrize("other", ['{"a": 1}', "[1, 2]", '[{"x": 1}]', '{"frames": []}', "", "no json", '"[]"', "null", "{}", "["])
+@pytest.mark.parametrize(
+    "other", ['{"a": 1}', "[1, 2]", '[{"x": 1}]', '{"frames": []}', "", "no json", '"[]"', "null", "{}", "["]
+)
 def test_other_json_is_not_recognised(tmp_path, other):
     path = tmp_path / "a.json"
     path.write_text(other)

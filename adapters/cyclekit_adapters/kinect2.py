@@ -18,6 +18,7 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import DamagedLog
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, fields_of, read_blocks
+from cyclekit_adapters.header_line import has_decimal_comma
 from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.joints import joint_rows, points_of
 from cyclekit_adapters.linking import Linker
@@ -95,12 +96,14 @@ def _layout(path: Path) -> Layout:
     if not any(_is_row(line) for line in head.splitlines()[:20]):
         cause = "none of its first rows is ticks and 25 joints of x, y, z and state"
         raise DamagedLog(path, cause, cure="Check how the file was written or copied.")
-    return Layout(_NAMES, delimiter_of(first, ",;\t"), 0, encoding=file_encoding(path) or "utf-8")
+    delimiter = delimiter_of(first, ";\t,")
+    comma = has_decimal_comma([first], delimiter)
+    return Layout(_NAMES, delimiter, 0, decimal_comma=comma, encoding=file_encoding(path) or "utf-8")
 
 
 def _is_row(line: str) -> bool:
     """Tell whether a line is ticks and 25 joints whose fourth number is a tracking state."""
-    delimiter = delimiter_of(line, ",;\t")
+    delimiter = delimiter_of(line, ";\t,")
     if line.count(delimiter) not in (_FIELDS - 1, _FIELDS):
         return False
     cells = [cell.strip() for cell in fields_of(line, delimiter)]
@@ -115,7 +118,7 @@ def _is_row(line: str) -> bool:
 
 def _state(cell: str) -> float | None:
     try:
-        return float(cell)
+        return float(cell.replace(",", ".", 1))
     except ValueError:
         return None
 

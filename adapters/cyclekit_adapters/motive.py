@@ -208,7 +208,8 @@ def _bones(header: _Header, body: str | None) -> dict[str, dict[str, tuple[str, 
     for (kind, name), xyz in header.points.items():
         owner, _, part = name.partition(":")
         if kind == _BONE and body in (None, owner):
-            found.setdefault(owner, {})[part.lower() or "hip"] = xyz  # the top of the hierarchy may have no name
+            name = "hip" if part in ("", owner) else part.lower()  # the top of the hierarchy is named after it all
+            found.setdefault(owner, {})[name] = xyz
     return found
 
 

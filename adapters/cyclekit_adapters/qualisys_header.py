@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from cyclekit.errors import DamagedLog, LogError
 from cyclekit_adapters.delimited import Layout
 from cyclekit_adapters.frame_clock import FRAME, TIME, FrameClock
+from cyclekit_adapters.header_line import has_decimal_comma
 from cyclekit_adapters.text_blocks import file_encoding, head_of
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ KEYS = frozenset(
 )
 _NAMES = {MARKERS: "MARKER_NAMES", BODIES: "BODY_NAMES"}
 _HEADER_BYTES = 4 << 20
+_LOOKED_AT = 20  # rows
 _EXPORT = "Export the measurement again from QTM as TSV, 3D data with header"
 
 Cells = tuple[str, str, str]
@@ -84,8 +86,11 @@ def read_header(path: Path, rate_hz: float | None) -> Header:
     titles = first if any(_is_word(cell) for cell in first) else []
     rows = lines[at + bool(titles) :]
     columns, cells = _columns(path, kind, names, titles, rows[0].split("\t") if rows else [])
-    layout = Layout(columns, "\t", at + bool(titles), encoding=file_encoding(path) or "utf-8")
-    return Header(about, kind, names, cells, layout, _clock(path, about, columns, rows, rate_hz))
+    comma = has_decimal_comma(rows[:_LOOKED_AT], "\t")
+    layout = Layout(columns, "\t", at + bool(titles), decimal_comma=comma, encoding=file_encoding(path) or "utf-8")
+    clock = _clock(path, about, columns, rate_hz)
+    clock.decide(rows, "\t", decimal_comma=comma)
+    return Header(about, kind, names, cells, layout, clock)
 
 
 def _columns(
@@ -123,22 +128,19 @@ def _body_columns(path: Path, names: tuple[str, ...], titles: list[str]) -> tupl
     return columns, tuple(cells)
 
 
-def _clock(
-    path: Path, about: dict[str, list[str]], columns: tuple[str, ...], rows: list[str], rate_hz: float | None
-) -> FrameClock:
-    stated = about.get("FREQUENCY", [""])[0]
+def _clock(path: Path, about: dict[str, list[str]], columns: tuple[str, ...], rate_hz: float | None) -> FrameClock:
+    stated = about.get("FREQUENCY", [""])[0].replace(",", ".")
     rate = float(stated) if _is_number(stated) else 0.0
     clock = FrameClock(tuple(name for name in columns[:2] if name in (FRAME, TIME)), rate or rate_hz or None, 1)
     if not clock.known:
         cause = "neither a frequency in Hz nor a Time column"
         raise LogError(path, cause, cure="Give rate_hz in the source, or export again with time data.")
-    clock.decide(rows, "\t")
     return clock
 
 
 def _is_word(text: str) -> bool:
     try:
-        return text.upper() not in ("", "NULL") and not isinstance(float(text), float)
+        return text.upper() not in ("", "NULL") and not isinstance(float(text.replace(",", ".", 1)), float)
     except ValueError:
         return True
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit_adapters.delimited import Layout, delimiter_of, fields_of
+from cyclekit_adapters.header_line import has_decimal_comma
 from cyclekit_adapters.text_blocks import blocks_of, file_encoding
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ TITLES = ("Trajectories", "Devices", "Model Outputs", "Segments", "Joints", "Eve
 METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 HEADER_LINES = 5
 EXPORT = "Export the trial again from Nexus as ASCII, with trajectories"
+_LOOKED_AT = 20  # rows
 _FILL = b' \t,;\r\n"'
 _BLANK = re.compile(rb'\n[ \t,;"]*\r?(?=\n)')  # found fast: rows begin with a digit
 
@@ -110,15 +112,16 @@ def read_section(lines: Iterator[bytes], log: Trajectories) -> tuple[Section, It
     taken: list[bytes] = []
     for piece in lines:
         taken.append(piece)
-        if sum(part.count(b"\n") for part in taken) >= HEADER_LINES:
+        if sum(part.count(b"\n") for part in taken) >= HEADER_LINES + _LOOKED_AT:
             break
     if not taken:
         raise log.require()
-    header = b"".join(taken).decode("utf-8", "replace").split("\n")[:HEADER_LINES]
-    return _section(log.path, header), chain(taken, lines)
+    first = b"".join(taken).decode("utf-8", "replace").split("\n", HEADER_LINES + _LOOKED_AT)
+    rows = first[HEADER_LINES : HEADER_LINES + _LOOKED_AT]
+    return _section(log.path, first[:HEADER_LINES], rows), chain(taken, lines)
 
 
-def _section(path: Path, header: list[str]) -> Section:
+def _section(path: Path, header: list[str], first_rows: list[str]) -> Section:
     if len(header) < HEADER_LINES:
         raise DamagedLog(path, "the header of the trajectories is cut", cure=f"{EXPORT}.")
     delimiter = delimiter_of(header[3], ",;\t")
@@ -141,7 +144,7 @@ def _section(path: Path, header: list[str]) -> Section:
         cause = f"unknown length unit {unit!r}"
         raise DamagedLog(path, cause, nearest=nearest(unit, METRES), cure=f"{EXPORT} in mm.")
     columns = ("Frame", "Sub Frame", *(f"#{at}" for at in range(2, width)))
-    layout = Layout(columns, delimiter, HEADER_LINES, decimal_comma=delimiter == ";")
+    layout = Layout(columns, delimiter, HEADER_LINES, decimal_comma=has_decimal_comma(first_rows, delimiter))
     return Section(rate_hz, layout, markers, METRES[unit])
 
 

@@ -82,6 +82,13 @@ def test_nameless_markers_are_taken_together_and_that_is_said(tmp_path):
     assert one.people["x_m"].to_list() == [0.004]
 
 
+@pytest.mark.parametrize("titles", [True, False])
+def test_a_locale_with_a_decimal_comma_is_read_alike(tmp_path, titles):
+    head, _, body = tsv(HIPS, titles=titles, rate="100").partition("TRAJECTORY_TYPES")
+    log = read(tmp_path / "walk.tsv", head + "TRAJECTORY_TYPES" + body.replace(".", ","))
+    assert log.people.select("t_s", "x_m", "y_m", "z_m").rows()[1] == pytest.approx((0.01, 1.005, 0.3, 0.95))
+
+
 def test_filled_trajectories_are_no_measurement_and_that_is_said(tmp_path):
     log = read(tmp_path / "walk.tsv", tsv(HIPS, types=["Measured", "Mixed"]))
     assert any("not measured: WaistR" in said for said in log.warnings)

@@ -56,6 +56,11 @@ def test_lengths_come_in_the_unit_of_the_units_row(tmp_path, unit, metres):
         read(tmp_path / "trial.csv", section({"a:PELVIS": [(1, 0, 0)]}, unit="V"))
 
 
+def test_semicolons_alone_do_not_make_a_comma_decimal(tmp_path):
+    log = read(tmp_path / "trial.csv", section({"a:PELVIS": [(100.5, 0, 0)]}, mark=";"))
+    assert log.people["x_m"].to_list() == [0.1005]
+
+
 def test_german_locales_separate_by_semicolon_and_write_a_decimal_comma(tmp_path):
     log = read(tmp_path / "trial.csv", section({"a:PELVIS": [(100.5, 0, 0)]}, mark=";", decimal=","))
     assert log.people["x_m"].to_list() == [0.1005]

@@ -37,7 +37,7 @@ def _names_in(line: str, delimiters: str) -> tuple[str, ...]:
 
 
 def has_decimal_comma(rows: Iterable[str], delimiter: str) -> bool:
-    """Tell whether numbers in these rows are written `0,5`: where commas do not separate, one in a number is decimal."""
+    """Tell whether numbers are written `0,5`: where commas do not separate the fields, one in a number is decimal."""
     return delimiter != "," and any(
         _COMMA.fullmatch(cell.strip()) for row in rows for cell in fields_of(row, delimiter)
     )

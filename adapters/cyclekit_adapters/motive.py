@@ -17,8 +17,9 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import DamagedLog, LogError, UnknownName, nearest
 from cyclekit.schema import PEOPLE, conform
-from cyclekit_adapters.delimited import Layout, Rows, fields_of, read_blocks
+from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, fields_of, read_blocks
 from cyclekit_adapters.frame_clock import FRAME, TIME, FrameClock
+from cyclekit_adapters.header_line import has_decimal_comma
 from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.joints import all_joints, joint_rows, points_of
 from cyclekit_adapters.sightings import Sightings
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+_MARKS = ",;\t"  # Motive writes commas; a spreadsheet saves a take again in its own way
+_LOOKED_AT = 20  # rows
 _HEADER_BYTES = 4 << 20  # a take of many markers has header rows of megabytes
 _METRES = {"meters": 1.0, "millimeters": 1e-3, "centimeters": 1e-2}
 _BODY, _BONE, _MARKER, _EXPECTED = "Rigid Body", "Bone", "Marker", "Rigid Body Marker"
@@ -57,7 +60,7 @@ class _Header:
 class _MotiveCsv:
     def recognises(self, path: Path) -> bool:
         line = head_of(path).partition("\n")[0]
-        return line.startswith("Format Version,") and "Take Name" in line
+        return line.startswith(tuple(f"Format Version{mark}" for mark in _MARKS)) and "Take Name" in line
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         return whole(self.stream(path, options))
@@ -105,31 +108,35 @@ class _MotiveCsv:
 
 def _header(path: Path) -> _Header:
     lines = head_of(path, _HEADER_BYTES).split("\n")
-    first = fields_of(lines[0], ",")
+    mark = delimiter_of(lines[0], _MARKS)
+    first = fields_of(lines[0], mark)
     about = {key.strip(): value.strip() for key, value in zip(first[::2], first[1::2], strict=False)}
-    at = next((i for i, line in enumerate(lines[:60]) if line.startswith(("Frame,", '"Frame",'))), None)
+    at = next((i for i, line in enumerate(lines[:60]) if line.startswith((f"Frame{mark}", f'"Frame"{mark}'))), None)
     if at is None or "Length Units" not in about:
         cause = "no header" if at is None and "Length Units" not in about else "the header is incomplete"
         cure = f"{_EXPORT}, with header information switched on."
         raise DamagedLog(path, f"{cause}: bodies and length units cannot be known", cure=cure)
-    axes = [cell.strip() for cell in fields_of(lines[at], ",")]
-    above = [[cell.strip() for cell in fields_of(line, ",")] for line in lines[1:at] if line.strip(" ,\r")]
+    axes = [cell.strip() for cell in fields_of(lines[at], mark)]
+    above = [[cell.strip() for cell in fields_of(line, mark)] for line in lines[1:at] if line.strip(f" {mark}\r")]
     width = max(i for i, cell in enumerate(axes) if cell) + 1
     time = TIME if len(axes) > 1 and axes[1].startswith(TIME) else "#1"
     names = (FRAME, time, *(f"#{index}" for index in range(2, _width(above, width))))
-    layout = Layout(names, ",", header_lines=at + 1, encoding=file_encoding(path) or "utf-8")
-    return _Header(about, layout, _points(path, above, axes, names), _clock(path, about, names, lines[at + 1 :]))
+    rows = lines[at + 1 :]
+    comma = has_decimal_comma(rows[:_LOOKED_AT], mark)
+    layout = Layout(names, mark, at + 1, decimal_comma=comma, encoding=file_encoding(path) or "utf-8")
+    clock = _clock(path, about, names)
+    clock.decide(rows, mark, decimal_comma=comma)
+    return _Header(about, layout, _points(path, above, axes, names), clock)
 
 
-def _clock(path: Path, about: dict[str, str], names: tuple[str, ...], rows: list[str]) -> FrameClock:
+def _clock(path: Path, about: dict[str, str], names: tuple[str, ...]) -> FrameClock:
     try:
-        rate_hz = float(about.get("Export Frame Rate", ""))
+        rate_hz = float(about.get("Export Frame Rate", "").replace(",", "."))
     except ValueError:
         rate_hz = 0.0
     clock = FrameClock(tuple(name for name in names if name in (FRAME, TIME)), rate_hz if rate_hz > 0.0 else None, 0)
     if not clock.known:
         raise DamagedLog(path, "neither an export frame rate nor a Time column", cure=f"{_EXPORT}, with its header.")
-    clock.decide(rows, ",")
     return clock
 
 

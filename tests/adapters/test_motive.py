@@ -145,3 +145,11 @@ def test_where_time_and_frames_part_late_in_a_take_that_is_said(tmp_path, motive
     log = read(tmp_path / "take.csv", motive({"Helmet": [(1.0, 0, 0)] * 1200}, seconds=seconds))
     assert log.people["t_s"][-1] == pytest.approx(11.99)
     assert "departs from frame / rate by up to 0.5 s, first in line 1108" in log.warnings[0]
+
+
+def test_a_take_that_a_german_spreadsheet_saved_again_is_read_alike(tmp_path, motive):
+    text = motive({"Helmet": [(1.5, 1.75, 3.0), None]}, rate_hz=120.0)
+    saved = text.replace(",", ";").replace(".", ",").replace("\r\n\r\n", "\r\n;;;;;;;;\r\n")
+    log = read(tmp_path / "take.csv", saved)
+    assert log.people.rows() == read(tmp_path / "take.csv", text).people.rows()
+    assert log.people.select("x_m", "y_m").rows() == [(1.5, 1.75), (None, None)]

@@ -190,8 +190,23 @@ def rows_of(
         required: As in `read_rows`.
         first_line: Line of the file that the first of these is.
     """
+    lines = row_blocks(blocks, layout, numbers=numbers, texts=texts, required=required, first_line=first_line)
+    return joined(lines, numbers, texts)
+
+
+def row_blocks(
+    blocks: Iterable[bytes],
+    layout: Layout,
+    *,
+    numbers: Sequence[str],
+    texts: Sequence[str] = (),
+    required: Sequence[str] = (),
+    first_line: int = 1,
+) -> Iterator[Rows]:
+    """Yield what `rows_of` returns, piece by piece."""
     parser = _Parser(layout, numbers, texts, required, line=first_line, skip=layout.header_lines)
-    return joined((rows for block in blocks for rows in parser.rows(block)), numbers, texts)
+    for block in blocks:
+        yield from parser.rows(block)
 
 
 def joined(parts: Iterable[Rows], numbers: Sequence[str] = (), texts: Sequence[str] = ()) -> Rows:

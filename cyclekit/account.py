@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.segment import Execution, RobotRun, Visit
+    from cyclekit.motion import Run
+    from cyclekit.segment import Execution, Visit
+
+    Vector = NDArray[np.float64]
 
 TAIL_S = 0.2
 """At low scaling a jerk-limited motion is too slow to be seen for so long at its start and its end."""
@@ -36,6 +39,7 @@ LEAVING_S = 2.0
 
 SPARSE = 10
 """Levels are looked for in every tenth row: they are held for seconds."""
+_LONG_ROWS = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -59,20 +63,30 @@ class Leg:
     arrival_row: int
 
 
-def halted_s(run: RobotRun, visit: Visit) -> tuple[float, float]:
+def stand_s(run: Run, visit: Visit) -> float:
+    """Return how long a stand lasted, seconds."""
+    return run.time_at(visit.last) - run.time_at(visit.first)
+
+
+def halted_s(run: Run, visit: Visit) -> tuple[float, float]:
     """Return how long safety halted the robot at the beginning and at the end of a stand, seconds; 0 where unknown.
 
     At the beginning the robot is halted a hair before its goal: it stands away from where it rests afterwards. At the
-    end it is not allowed to leave, or was halted a hair after it left.
+    end it is not allowed to leave, or was halted a hair after it left. Of a stand of many minutes, which no halt fills,
+    the first and the last minutes are looked at.
     """
-    t = run.t_s[visit.first : visit.last + 1]
-    zero = run.scaling[visit.first : visit.last + 1] <= BLOCKED  # NaN compares false
+    if visit.last - visit.first >= _LONG_ROWS:
+        before, _ = halted_s(run, replace(visit, last=visit.first + _LONG_ROWS // 2))
+        return before, halted_s(run, replace(visit, first=visit.last - _LONG_ROWS // 2))[1]
+    stand = run.window(visit.first, visit.last)
+    t = stand.t_s
+    zero = stand.scaling <= BLOCKED  # NaN compares false
     if not zero.any():
         return 0.0, 0.0
     leaving = _halt_from_end(-t[::-1], zero[::-1])
     if zero.all():
         return 0.0, leaving
-    there = _at_rest(run.xyz_m[visit.first : visit.last + 1], ~zero)
+    there = _at_rest(stand.xyz_m, ~zero)
     arrived, left = int(there[0]), int(there[-1])
     before = float(t[arrived] - t[0]) if zero[:arrived].any() else 0.0
     after = float(t[-1] - t[left]) if zero[left:].any() else 0.0
@@ -98,7 +112,7 @@ def _halt_from_end(t: NDArray[np.float64], zero: NDArray[np.bool_]) -> float:
     return float(t[end] - t[0])
 
 
-def usual_dwells(runs: Sequence[RobotRun], executions: Sequence[Execution]) -> dict[str, float]:
+def usual_dwells(runs: Sequence[Run], executions: Sequence[Execution]) -> dict[str, float]:
     """Return the usual dwell per place, seconds: short (the lowest tenth) among the stands that no halt prolonged.
 
     A stand is process and then, at times, waiting; so the process shows in the short ones. The first and last stand of
@@ -108,7 +122,7 @@ def usual_dwells(runs: Sequence[RobotRun], executions: Sequence[Execution]) -> d
     for execution in executions:
         run = runs[execution.run]
         for visit in execution.visits[1:-1]:
-            stand = float(run.t_s[visit.last] - run.t_s[visit.first])
+            stand = stand_s(run, visit)
             stands.setdefault(visit.place, []).append((any(halted_s(run, visit)), stand))
     dwells = {}
     for place, seen in stands.items():
@@ -117,57 +131,69 @@ def usual_dwells(runs: Sequence[RobotRun], executions: Sequence[Execution]) -> d
     return dwells
 
 
-def with_halts_at_places(runs: Sequence[RobotRun], executions: Sequence[Execution]) -> list[RobotRun]:
-    """Return runs of inferred scaling with scaling 0 where a stand was prolonged by a halt rather than by waiting.
+def halts_at_places(
+    runs: Sequence[Run], executions: Sequence[Execution], slowest: float
+) -> list[list[tuple[int, Vector]]]:
+    """Return where the inferred scaling of each run is 0, since a stand was prolonged by a halt and not by waiting.
 
     From motion alone both look alike. But who halted the robot is still near when it may leave, so it leaves at the
     lowest speed there is; a robot that waited for a part leaves at whatever speed is allowed. A cell that knows only
     halt and full speed cannot be told apart so: there the excess stays waiting.
+
+    Args:
+        runs: Runs of inferred scaling.
+        executions: Their executions.
+        slowest: Speeds below this are the lowest there is, from `slowest_speed`.
+
+    Returns:
+        Of each run, first row and zeros.
     """
-    slowest = _slowest_speed(runs)
     usual = usual_dwells(runs, executions)
-    scaling = [run.scaling.copy() for run in runs]
+    halts: list[list[tuple[int, Vector]]] = [[] for _ in runs]
     for execution in executions:
-        run, values = runs[execution.run], scaling[execution.run]
+        run = runs[execution.run]
         for visit in execution.visits[1:-1]:
-            stand = float(run.t_s[visit.last] - run.t_s[visit.first])
-            if _dwell_and_wait(stand, usual[visit.place])[1] == 0.0:
+            if _dwell_and_wait(stand_s(run, visit), usual[visit.place])[1] == 0.0:
                 continue
-            end = int(np.searchsorted(run.t_s, run.t_s[visit.last] + LEAVING_S))
-            leaving = values[visit.last : end]
+            end = int(run.row_at(np.array([run.time_at(visit.last) + LEAVING_S]))[0])
+            leaving = run.window(visit.last, end).scaling
             known = leaving[np.isfinite(leaving)]
             if len(known) and float(known[0]) < slowest:
-                begin = int(np.searchsorted(run.t_s, run.t_s[visit.first] + usual[visit.place]))
-                values[begin : visit.last + 1] = 0.0
-    return [replace(run, scaling=values) for run, values in zip(runs, scaling, strict=True)]
+                begin = int(run.row_at(np.array([run.time_at(visit.first) + usual[visit.place]]))[0])
+                halts[execution.run].append((begin, np.zeros(visit.last + 1 - begin)))
+    return halts
 
 
-def _slowest_speed(runs: Sequence[RobotRun]) -> float:
-    """Return a bound between the lowest and the next level above halt; 0 where there are not two of them."""
-    levels = find_staircase(np.concatenate([run.scaling[::SPARSE] for run in runs])).levels
+def slowest_speed(scaling: Sequence[Vector]) -> float:
+    """Return a bound between the lowest and the next level above halt; 0 where there are not two of them.
+
+    Args:
+        scaling: Scaling of stretches of motion, in the order of time.
+    """
+    levels = find_staircase(np.concatenate([values[::SPARSE] for values in scaling] or [np.empty(0)])).levels
     moving = [float(level) for level in levels if level > 0.02]
     return 0.5 * (moving[0] + moving[1]) if len(moving) > 1 else 0.0
 
 
-def account(run: RobotRun, execution: Execution, dwells: Mapping[str, float]) -> list[Leg]:
+def account(run: Run, execution: Execution, dwells: Mapping[str, float]) -> list[Leg]:
     """Return the tasks of one execution, in order; they follow each other without a gap."""
     visits = execution.visits
     legs = []
-    departure = float(run.t_s[visits[0].last])
+    departure = run.time_at(visits[0].last)
     home = visits[0].place
     for before, visit in pairwise(visits):
         final = visit is visits[-1]
-        stand = float(run.t_s[visit.last] - run.t_s[visit.first])
+        stand = stand_s(run, visit)
         usual = dwells.get(visit.place, 0.0 if final else stand)
         before_goal, before_leaving = halted_s(run, visit)
         head = before_goal if final else min(before_goal, max(0.0, stand - usual))
         tail = 0.0 if final else min(before_leaving, max(0.0, stand - head - usual))
-        arrival_row = int(np.searchsorted(run.t_s, run.t_s[visit.first] + head - 1e-9))
-        arrival, stand = float(run.t_s[arrival_row]), stand - head
+        arrival_row = _first_row_at(run, visit, head)
+        arrival, stand = run.time_at(arrival_row), stand - head
         if final:
             stand = 0.0 if visit.place == home else min(stand, usual)
         dwell, wait = _dwell_and_wait(stand - tail, usual)
-        start_row = int(np.searchsorted(run.t_s, departure, side="right")) - 1
+        start_row = int(run.row_at(np.array([departure]))[0])
         nominal = nominal_time(run, departure, start_row, arrival_row)
         legs.append(
             Leg(
@@ -193,17 +219,26 @@ def _dwell_and_wait(stand: float, usual: float) -> tuple[float, float]:
     return (stand, 0.0) if stand <= 1.5 * usual + 0.2 else (usual, stand - usual)
 
 
-def nominal_time(run: RobotRun, start_s: float, start_row: int, end_row: int) -> float | None:
+def _first_row_at(run: Run, visit: Visit, head_s: float) -> int:
+    """Return the first row of a stand that lies `head_s` or more behind its begin."""
+    if head_s <= 0.0:
+        return visit.first
+    stand = run.window(visit.first, min(visit.last, visit.first + _LONG_ROWS))
+    return visit.first + min(int(np.searchsorted(stand.t_s, stand.t_s[0] + head_s - 1e-9)), stand.rows - 1)
+
+
+def nominal_time(run: Run, start_s: float, start_row: int, end_row: int) -> float | None:
     """Return the integral of the scaling from `start_s` to row `end_row`, seconds; None where it is mostly unknown.
 
     The scaling of a row holds until the next row. Short unknown stretches take the nearest known value.
     """
-    s = run.scaling[start_row:end_row]
+    part = run.window(start_row, end_row)
+    s = part.scaling[:-1]
     known = np.flatnonzero(np.isfinite(s))
     if len(s) == 0 or len(known) < 0.5 * len(s):
         return None
     filled = fill_nearest(s, known)
-    t = run.t_s[start_row : end_row + 1].copy()
+    t = part.t_s.copy()
     t[0] = start_s
     return float(filled @ np.diff(t))
 

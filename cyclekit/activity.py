@@ -15,6 +15,7 @@ import polars as pl
 from cyclekit.dataset import Place
 from cyclekit.frames import to_base
 from cyclekit.people import (
+    REASONS,
     Track,
     find_spots,
     find_stays,
@@ -61,13 +62,17 @@ def with_operator(
     """Fill in x_h, the operator's task and g_h; say in the entries what was seen, and why nobody was."""
     tracks: dict[str, list[Track]] = {}
     events: dict[str, tuple[Vector, list[str]]] = {}
+    gaps: dict[str, NDArray[np.int8] | None] = {}
     for session in {grid.session.name: grid.session for grid in grids}.values():
         logs, events[session.name] = _operator_logs(session, sources, read)
         tracks[session.name] = [track for log in logs for track in log.tracks]
-        times = np.concatenate([grid.t_s for grid in grids if grid.session is session])
-        for log in logs:
-            _count_gaps(log, times, cell)
-    grids = [replace(g, human_m=_human(g, tracks[g.session.name], cell)) for g in grids]
+        mine = [grid for grid in grids if grid.session is session]
+        times = np.concatenate([grid.t_s for grid in mine])
+        found = [_seen_by(log, times, cell) for log in logs]
+        cuts = np.cumsum([len(grid.t_s) for grid in mine])[:-1]
+        why = np.split(np.min(found, axis=0), cuts) if found else [None] * len(mine)
+        gaps |= {grid.execution: reasons for grid, reasons in zip(mine, why, strict=True)}
+    grids = [replace(g, human_m=_human(g, tracks[g.session.name], cell), human_gap=gaps[g.execution]) for g in grids]
     stays = [find_stays(g.t_s, g.human_m) for g in grids]
     spots = {name: Place(name, p.xyz_m, p.radius_m, inferred=False) for name, p in cell.human_places.items()}
     if not any(len(t) for t, _ in events.values()):
@@ -138,16 +143,19 @@ def _tracks(entry: dict[str, Any], people: pl.DataFrame, source: Source | None) 
     return tracks
 
 
-def _count_gaps(log: _Log, times: Vector, cell: Cell) -> None:
-    """Note at how many samples the recording saw somebody, and why not at the others."""
+def _seen_by(log: _Log, times: Vector, cell: Cell) -> NDArray[np.int8]:
+    """Return whether the recording saw somebody at each sample, and why not; note the counts."""
     clock = log.entry["clock"]
     first, last = (log.entry[key] * clock["rate"] + clock["offset_s"] for key in ("first_s", "last_s"))
-    log.entry["operator"] |= gap_reasons(log.tracks, times, (first, last), bridge_s=cell.bridge_s)
+    found = gap_reasons(log.tracks, times, (first, last), bridge_s=cell.bridge_s)
+    counts = np.bincount(found, minlength=len(REASONS)).tolist()
+    log.entry["operator"] |= dict(zip(REASONS, counts, strict=True))
+    return found
 
 
 def _human(grid: Grid, tracks: Sequence[Track], cell: Cell) -> Points:
     tcp = grid.frame.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()
-    return nearest_person(tracks, grid.t_s, tcp, bridge_s=cell.bridge_s)
+    return nearest_person(tracks, grid.t_s, tcp, bridge_s=cell.bridge_s, width_s=1.0 / cell.rate_hz)
 
 
 def _places_of_goals(
@@ -174,12 +182,22 @@ def _spot(name: str, points: Points) -> Place:
     return Place(name, (x, y, z), 0.4, inferred=True)
 
 
+def _why_unseen(grid: Grid) -> list[str | None]:
+    """Return why x_h is unknown at each sample; None where it is known, or where nobody was to be tracked."""
+    unseen = np.isnan(grid.human_m[:, 0])
+    if grid.human_gap is None:
+        return [None] * len(unseen)
+    reasons = np.maximum(grid.human_gap, REASONS.index("occluded"))  # a position that is not believed was hidden
+    return [REASONS[reason] if hidden else None for reason, hidden in zip(reasons, unseen, strict=True)]
+
+
 def _with_human_columns(grid: Grid, goals: Sequence[str | None], spots: Mapping[str, Place]) -> Grid:
     nowhere = (np.nan, np.nan, np.nan)
     at = np.array([spots[name].xyz_m if name and name in spots else nowhere for name in goals]).reshape(-1, 3)
     columns = [
-        *(pl.Series(f"human_{axis}_m", grid.human_m[:, k]).fill_nan(None) for k, axis in enumerate("xyz")),
-        *(pl.Series(f"human_goal_{axis}_m", at[:, k]).fill_nan(None) for k, axis in enumerate("xyz")),
+        *(pl.Series(f"human_{axis}_m", grid.human_m[:, k], nan_to_null=True) for k, axis in enumerate("xyz")),
+        *(pl.Series(f"human_goal_{axis}_m", at[:, k], nan_to_null=True) for k, axis in enumerate("xyz")),
         pl.Series("human_task", goals, dtype=pl.String),
+        pl.Series("human_gap", _why_unseen(grid), dtype=pl.String),
     ]
     return replace(grid, frame=grid.frame.with_columns(columns))

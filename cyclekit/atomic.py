@@ -27,12 +27,13 @@ if TYPE_CHECKING:
     from typing import IO
 
 COMPLETE = ".complete"
+_MANY = 64
 _CURE = "Check the folder, its permissions and the free space."
 _FAR = 1 << 30  # the locked byte lies beyond the text, which others may read then also on Windows
 
 
 def write_parquet(frame: pl.DataFrame, file: Path) -> None:
-    """Write one table (zstd) and see it on the disk before returning; same frame, same bytes.
+    """Write one table (zstd), to be put in place by `built` or `replaced`; same frame, same bytes.
 
     Raises:
         OSError: The file cannot be written.
@@ -43,8 +44,6 @@ def write_parquet(frame: pl.DataFrame, file: Path) -> None:
             frame.write_parquet(handle, compression="zstd", statistics=True)
         except pl.exceptions.PolarsError as error:  # polars says "out of specification" of a full disk
             raise OSError(errno.EIO, str(error).rpartition("error: ")[2], str(file)) from error
-        handle.flush()
-        os.fsync(handle.fileno())
 
 
 def write_text(file: Path, text: str) -> None:
@@ -105,6 +104,7 @@ def built(path: Path) -> Iterator[Path]:
         try:
             staging.mkdir(parents=True)
             yield staging
+            _all_to_disk(staging)
             (staging / COMPLETE).touch()
             _swap(staging, path)
         except OSError:
@@ -272,6 +272,16 @@ def _sweep(path: Path, kind: str) -> None:
 def _to_disk(file: Path) -> None:
     with file.open("rb+") as handle:
         os.fsync(handle.fileno())
+
+
+def _all_to_disk(folder: Path) -> None:
+    """See every file of a folder on the disk; thousands of them at once, where the system can."""
+    files = [file for file in folder.rglob("*") if file.is_file()]
+    if len(files) > _MANY and hasattr(os, "sync"):
+        os.sync()
+        return
+    for file in files:
+        _to_disk(file)
 
 
 def _swap(staging: Path, path: Path) -> None:

@@ -23,9 +23,10 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.atomic import recover
 from cyclekit.errors import DatasetError, UnknownName
+from cyclekit.tables import StoredTable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 CARD = "dataset.json"
 
@@ -135,16 +136,21 @@ class Dataset:
         file = self.path / "recordings" / recording / f"{table}.parquet"
         return pl.read_parquet(file, glob=False) if file.is_file() else None
 
+    def times(self, recording: str, table: str) -> Iterator[pl.DataFrame]:
+        """Yield the times of one native-rate table (`t_s`), in parts: it may be larger than memory."""
+        stored = StoredTable(self.path / "recordings" / recording / f"{table}.parquet", ("t_s",))
+        for begin, end in stored.groups:
+            yield pl.DataFrame({"t_s": stored.read(begin, end)["t_s"]})
+
     def native_robot(self, execution: str) -> pl.DataFrame | None:
         """Return the native-rate robot rows of one execution, `t_s` in session time; None without a robot log."""
         entry = self._execution(execution)
         for record in self.recordings:
             if record["session"] == entry["session"] and "robot" in record["tables"]:
-                frame = self.recorded(record["id"], "robot")
-                if frame is not None:
-                    session_time = pl.col("t_s") * record["clock"]["rate"] + record["clock"]["offset_s"]
-                    inside = pl.col("t_s").is_between(entry["start_s"], entry["end_s"])
-                    return frame.with_columns(t_s=session_time).filter(inside)
+                file = self.path / "recordings" / record["id"] / "robot.parquet"
+                session_time = pl.col("t_s") * record["clock"]["rate"] + record["clock"]["offset_s"]
+                inside = pl.col("t_s").is_between(entry["start_s"], entry["end_s"])
+                return pl.scan_parquet(file, glob=False).with_columns(t_s=session_time).filter(inside).collect()
         return None
 
     def find_execution(self, name: str) -> str:

@@ -13,22 +13,14 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.account import Leg, account, usual_dwells, with_halts_at_places
+from cyclekit.account import Leg, account, halts_at_places, slowest_speed, usual_dwells
 from cyclekit.activity import with_operator
 from cyclekit.align import place_in_time
 from cyclekit.dataset import Place
 from cyclekit.errors import ConfigError
+from cyclekit.motion import COLUMNS, runs_of, sampled
 from cyclekit.override import infer_overrides
-from cyclekit.segment import (
-    Execution,
-    RobotRun,
-    find_executions,
-    find_places,
-    find_stops,
-    find_visits,
-    split_runs,
-    tcp_speed,
-)
+from cyclekit.segment import Execution, find_executions, find_places, find_stops, find_visits
 from cyclekit.session import Grid
 from cyclekit.steps import find_staircase
 
@@ -38,11 +30,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Cell, Source
+    from cyclekit.motion import Run
     from cyclekit.session import Session
+    from cyclekit.tables import StoredTable
 
     Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
+    Rows = NDArray[np.int64]
     Read = Callable[[str, str], pl.DataFrame | None]
+    Stored = Callable[[str, Sequence[str]], StoredTable]
 
 
 @dataclass(frozen=True)
@@ -63,6 +58,7 @@ def derive(
     sessions: Sequence[Session],
     sources: Mapping[str, Source | None],
     read: Read,
+    stored: Stored,
     cell: Cell,
     progress: Callable[[float, str], None],
     *,
@@ -74,6 +70,7 @@ def derive(
         sessions: From `ingest`; their entries get `clock` and `frame` filled in.
         sources: What the cell file says about each recording, by id.
         read: Returns a native table of a recording (id, table), None if it has none.
+        stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
         cell: Places, execution rule, rates.
         progress: Told fraction and text.
         coarse: Where nothing says how a clock relates to the robot's, align on the operator being near while the
@@ -88,17 +85,20 @@ def derive(
         place_in_time(session, sources, read, coarse_step_s=1.0 / cell.rate_hz if coarse else None)
         spans = [_session_span(entry) for entry in session.entries]
         session.span_s = (min(a for a, _ in spans), max(b for _, b in spans))
-    runs = _load_runs(sessions, read, cell, progress)
+    runs, marks = _load_runs(sessions, stored, cell, progress)
     stops = [stop for number, run in enumerate(runs) for stop in find_stops(run, number)]
     places = find_places(runs, stops, cell.places)
-    executions = find_executions(runs, find_visits(stops, places, runs), places, cell.executions)
+    executions = find_executions(find_visits(stops, places, runs), places, cell.executions, marks)
     executions += _whole_runs(runs, executions)
     runs, origin, warnings = _with_scaling(runs, executions, sessions)
     dwells = usual_dwells(runs, executions)
+    by_run: dict[int, list[Execution]] = {}
+    for found in executions:
+        by_run.setdefault(found.run, []).append(found)
     grids, rows, cards = [], [], []
     for number, session in enumerate(sessions):
         progress(0.5 + 0.4 * number / len(sessions), f"samples of {session.name}")
-        for k, (execution, legs) in enumerate(_session_executions(session, runs, executions, dwells), 1):
+        for k, (execution, legs) in enumerate(_session_executions(session, runs, by_run, dwells), 1):
             name = f"{session.name}.{k:03d}"
             grid = _grid(session, name, execution, legs, runs, places, origin, cell)
             if len(grid.t_s):
@@ -122,68 +122,81 @@ def _session_span(entry: Mapping[str, Any]) -> tuple[float, float]:
 
 
 def _load_runs(
-    sessions: Sequence[Session], read: Read, cell: Cell, progress: Callable[[float, str], None]
-) -> list[RobotRun]:
-    runs: list[RobotRun] = []
+    sessions: Sequence[Session], stored: Stored, cell: Cell, progress: Callable[[float, str], None]
+) -> tuple[list[Run], list[Rows]]:
+    """Return every run of every session, and of each the rows at which something logged says that a cycle begins."""
+    runs: list[Run] = []
+    marks: list[Rows] = []
+    gap_s = cell.executions.gap_s if cell.executions.begin != "file" else np.inf
     for number, session in enumerate(sessions):
         progress(0.4 * number / len(sessions), f"motion of {session.name}")
         entry = session.entries[0]
-        table = read(entry["id"], "robot") if "robot" in entry["tables"] else None
-        if table is None or table.height == 0:
+        if not entry["rows"].get("robot"):
             continue
-        t = table["t_s"].to_numpy() + entry["clock"]["offset_s"]
-        xyz = table.select("tcp_x_m", "tcp_y_m", "tcp_z_m").to_numpy()
-        logged = table["tcp_speed_m_s"].to_numpy()
-        scaling = table["scaling"].to_numpy()
-        marker = _marker(table, cell, entry)
-        for part in split_runs(t, gap_s=cell.executions.gap_s if cell.executions.begin != "file" else np.inf):
-            speed = logged[part] if np.isfinite(logged[part]).all() else tcp_speed(t[part], xyz[part])
+        table = stored(entry["id"], COLUMNS)
+        marked = _marked(stored, entry, cell)
+        for run in runs_of(table, entry["clock"]["offset_s"], gap_s=gap_s):
             session.runs.append(len(runs))
-            runs.append(RobotRun(t[part], xyz[part], speed, scaling[part], marker[part]))
-    return runs
+            runs.append(run)
+            inside = marked[(marked > run.first) & (marked < run.end)]
+            marks.append(inside - run.first - 1)
+    return runs, marks
 
 
-def _marker(table: pl.DataFrame, cell: Cell, entry: Mapping[str, Any]) -> Vector:
+def _marked(stored: Stored, entry: Mapping[str, Any], cell: Cell) -> Rows:
+    """Return the rows at which the register or the output that marks executions has changed."""
     how = cell.executions
     column = {"register": "register", "digital-output": "digital_out_bits"}.get(how.begin)
-    if column and table[column].null_count() == table.height:
+    if column is None:
+        return np.empty(0, np.int64)
+    table = stored(entry["id"], (column,))
+    if table.unknown(column) == table.rows:
         seen = f"{entry['sources'][0]['path']}: executions are to begin by {how.begin}, and that was not logged"
         raise ConfigError(seen, cure='Log it, or set begin = "auto" in [executions] of the cell file.')
-    if how.begin == "register":
-        return table["register"].forward_fill().backward_fill().cast(pl.Float64).to_numpy()
-    if how.begin == "digital-output":
-        bits = table["digital_out_bits"].fill_null(0).to_numpy()
-        return np.asarray((bits >> how.bit) & 1, float)
-    return np.empty(0)
+    found, before = [np.empty(0, np.int64)], None
+    for number, (begin, _) in enumerate(table.groups):
+        values, is_known = table.whole_numbers(number, column)
+        known = np.flatnonzero(is_known)
+        if not len(known):
+            continue
+        values = (values[known] >> how.bit) & 1 if how.begin == "digital-output" else values[known]
+        steps = np.diff(values, prepend=values[0] if before is None else before)
+        found.append(begin + known[(steps > 0) if how.begin == "digital-output" else (steps != 0)])
+        before = int(values[-1])
+    return np.concatenate(found)
 
 
-def _whole_runs(runs: Sequence[RobotRun], executions: Sequence[Execution]) -> list[Execution]:
+def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Execution]:
     """A run in which no task was found is still an execution: it can be inspected and replayed."""
     covered = {execution.run for execution in executions}
     return [Execution(number, (), False) for number in range(len(runs)) if number not in covered]
 
 
 def _with_scaling(
-    runs: list[RobotRun], executions: Sequence[Execution], sessions: Sequence[Session]
-) -> tuple[list[RobotRun], str | None, list[str]]:
-    if any(np.isfinite(run.scaling).any() for run in runs):
+    runs: list[Run], executions: Sequence[Execution], sessions: Sequence[Session]
+) -> tuple[list[Run], str | None, list[str]]:
+    if any(run.knows_scaling for run in runs):
         return runs, "logged", []
     without = [number for session in sessions if session.reference for number in session.runs]
-    inferred, references = infer_overrides(runs, executions, without)
+    parts, references = infer_overrides(runs, executions, without)
     if not references:
         missing = "no log holds a valid speed scaling, and no motion repeats, so it could not be inferred either"
         return runs, None, [missing] if runs else []
     how = "runs without the operator" if without else "the fastest repetition of each task"
     note = f"no log holds a valid speed scaling: inferred from velocity ratios against {how} ({len(references)} tasks)"
-    return with_halts_at_places(inferred, executions), "inferred", [note]
+    moving = [run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
+    slowest = slowest_speed([values for found in parts for _, values in sorted(found, key=lambda part: part[0])])
+    halts = halts_at_places(moving, executions, slowest)
+    inferred = [run.with_scaling([*p, *h]) for run, p, h in zip(runs, parts, halts, strict=True)]
+    return list(inferred), "inferred", [note]
 
 
 def _session_executions(
-    session: Session, runs: Sequence[RobotRun], executions: Sequence[Execution], dwells: Mapping[str, float]
+    session: Session, runs: Sequence[Run], by_run: Mapping[int, list[Execution]], dwells: Mapping[str, float]
 ) -> list[tuple[Execution | None, list[Leg]]]:
     if not session.runs:
         return [(None, [])]
-    mine = sorted((e for e in executions if e.run in set(session.runs)), key=lambda e: (e.run, _first_row(e)))
+    mine = [execution for number in session.runs for execution in sorted(by_run.get(number, []), key=_first_row)]
     return [(e, account(runs[e.run], e, dwells) if e.visits else []) for e in mine]
 
 
@@ -196,7 +209,7 @@ def _grid(
     name: str,
     execution: Execution | None,
     legs: list[Leg],
-    runs: Sequence[RobotRun],
+    runs: Sequence[Run],
     places: Mapping[str, Place],
     origin: str | None,
     cell: Cell,
@@ -206,41 +219,19 @@ def _grid(
     elif legs:
         start, end = legs[0].start_s, legs[-1].end_s
     else:
-        start, end = float(runs[execution.run].t_s[0]), float(runs[execution.run].t_s[-1])
+        run = runs[execution.run]
+        start, end = run.time_at(0), run.time_at(run.rows - 1)
     t = start + np.arange(int((end - start) * cell.rate_hz + 1e-6) + 1) / cell.rate_hz
+    columns: dict[str, Any] = {}
     if execution is not None:
-        t = _on_rows(runs[execution.run].t_s, t)
-    columns: dict[str, Any] = {"execution": [name] * len(t), "t_s": t}
-    if execution is not None:
-        columns |= _robot_columns(runs[execution.run], t, origin)
-    columns |= _task_columns(t, legs, places)
+        found = sampled(runs[execution.run], t)
+        t = found.t_s
+        columns |= {f"robot_{axis}_m": found.xyz_m[:, k] for k, axis in enumerate("xyz")}
+        origins = [origin if known else None for known in np.isfinite(found.scaling).tolist()]
+        columns |= {"scaling": found.scaling, "scaling_origin": pl.Series(origins, dtype=pl.String)}
+    columns |= {"execution": [name] * len(t), "t_s": t, **_task_columns(t, legs, places)}
     frame = schema.conform(pl.DataFrame(columns, nan_to_null=True, strict=False), schema.SAMPLES)
     return Grid(session, name, t, frame, np.full((len(t), 3), np.nan))
-
-
-def _on_rows(row_s: Vector, t: Vector) -> Vector:
-    """Move sample times back to the rows of the robot log, where it has them dense enough.
-
-    The scaling of a row belongs to the positions at that row; a TCP at 1 m/s is 8 mm farther one cycle later, which
-    at the edge of a zone is another level.
-    """
-    row = np.clip(np.searchsorted(row_s, t + 1e-9, side="right") - 1, 0, len(row_s) - 1)
-    back = t - row_s[row]
-    return np.where(back < 0.02, row_s[row], t)
-
-
-def _robot_columns(run: RobotRun, t: Vector, origin: str | None) -> dict[str, Any]:
-    """TCP by linear interpolation, scaling as the value in force; neither looks across a gap in the log."""
-    row = np.clip(np.searchsorted(run.t_s, t + 1e-9, side="right") - 1, 0, len(run.t_s) - 1)
-    after = np.minimum(row + 1, len(run.t_s) - 1)
-    period = float(np.median(np.diff(run.t_s))) if len(run.t_s) > 1 else 0.1
-    gap = run.t_s[after] - run.t_s[row] > max(0.1, 5 * period)
-    xyz = np.column_stack([np.interp(t, run.t_s, run.xyz_m[:, axis]) for axis in range(3)])
-    xyz[gap] = np.nan
-    scaling = np.where(gap, np.nan, run.scaling[row])
-    origins = [origin if known else None for known in np.isfinite(scaling).tolist()]
-    named = {f"robot_{axis}_m": xyz[:, k] for k, axis in enumerate("xyz")}
-    return {**named, "scaling": scaling, "scaling_origin": pl.Series(origins, dtype=pl.String)}
 
 
 def _task_columns(t: Vector, legs: Sequence[Leg], places: Mapping[str, Place]) -> dict[str, Any]:

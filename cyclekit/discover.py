@@ -38,6 +38,7 @@ class Log:
     version: str
     source: Source | None
     key: str
+    size: int = 0
 
 
 def cell_for(roots: Sequence[Path], given: Path | None) -> Cell:
@@ -136,7 +137,7 @@ def _log(path: Path, shown: str, reader: Registered, source: Source | None, take
         number += 1
         name = f"{slug}-{number}"
     log = Log(name, path, shown, reader.name, reader.package, reader.version, source, "")
-    return replace(log, key=key_of(log))
+    return replace(log, key=key_of(log), size=sum(file.stat().st_size for file in files_of(log.path)))
 
 
 def key_of(log: Log) -> str:
@@ -155,14 +156,15 @@ def files_of(path: Path) -> list[Path]:
     return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
 
 
-def options_of(source: Source | None) -> ReadOptions:
+def options_of(source: Source | None, *, skeletons: bool = False) -> ReadOptions:
     """Return what an adapter is told about a source of the cell file."""
     if source is None:
-        return ReadOptions()
+        return ReadOptions(skeletons=skeletons)
     return ReadOptions(
         role=source.role,
         map=source.map,
         body=source.body,
         rate_hz=source.rate_hz,
         frame_given=source.frame is not None,
+        skeletons=skeletons,
     )

@@ -24,10 +24,13 @@ from cyclekit.config import Cell, NamedPlace, Source
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, find_all, matches
-from cyclekit.errors import DatasetError, LogError
-from cyclekit.intake import gather_quarantine, read_all
+from cyclekit.errors import ConfigError, DatasetError, LogError
+from cyclekit.intake import How, read_all
+from cyclekit.intake.shelf import Shelf
+from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.privacy import dated_names, without_wall_clock, without_what_names
 from cyclekit.session import group_sessions
+from cyclekit.tables import StoredTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -68,7 +71,10 @@ def ingest(
     *,
     cell: Path | Cell | None = None,
     jobs: int = 1,
+    rate_hz: float | None = None,
     pseudonymise: bool = False,
+    keep_skeletons: bool = False,
+    checksums: bool = True,
     align_clocks: Literal["coarse"] | None = None,
     progress: Progress | None = None,
 ) -> IngestReport:
@@ -79,7 +85,10 @@ def ingest(
         out: Folder of the dataset.
         cell: Cell file; by default `cell.toml` beside the logs, if there is one.
         jobs: Logs read at the same time, in processes of their own.
+        rate_hz: Rate of the samples, in place of the cell file's.
         pseudonymise: Keep neither the names that trackers give nor wall-clock time (docs/privacy.md).
+        keep_skeletons: Keep every joint of every person, where a tracker has them; no estimate needs it.
+        checksums: Keep the SHA-256 of each log: what was read can then be told from what was not.
         align_clocks: "coarse" = where nothing says how a log's clock relates to the robot's, align on the operator
             being near while the robot slows. Hides the reaction delay, and says so (docs/clocks.md).
         progress: Told the fraction done and what is being done.
@@ -94,8 +103,11 @@ def ingest(
     roots, out = [Path(path) for path in logs], Path(out)
     _check(roots, out)
     settings = cell if isinstance(cell, Cell) else cell_for(roots, cell)
+    if rate_hz is not None:
+        settings = replace(settings, rate_hz=_rate(rate_hz))
     found, not_read = find_all(roots, settings)
-    wanted = _Wanted(settings, tuple(found), tuple(not_read), jobs, pseudonymise, align_clocks)
+    how = How(pseudonymise=pseudonymise, skeletons=keep_skeletons, checksums=checksums)
+    wanted = _Wanted(settings, tuple(found), tuple(not_read), jobs, how, align_clocks)
     if not unsettled(out) and (card := _up_to_date(out, wanted)):
         return _report(out, card, new=0, kept=len(found), unchanged=True)
     with locked(out):
@@ -104,7 +116,10 @@ def ingest(
             return _report(out, card, new=0, kept=len(found), unchanged=True)
         with built(out) as staging:
             explicit = {path for path in roots if path.is_file()}
-            card, kept = _build(wanted, staging, _old(out), explicit, tell)
+            shelf = None if pseudonymise else Shelf(out, "skeletons" if keep_skeletons else "plain")
+            card, kept = _build(wanted, staging, _old(out), explicit, shelf, tell)
+        if shelf is not None:
+            shelf.clear()
     return _report(out, card, new=len(card["recordings"]) - kept, kept=kept, unchanged=False)
 
 
@@ -116,13 +131,13 @@ class _Wanted:
     logs: tuple[Log, ...]
     not_read: tuple[tuple[str, str], ...]
     jobs: int
-    pseudonymise: bool
+    how: How
     align_clocks: Literal["coarse"] | None = None
 
     @property
     def fingerprint(self) -> str:
         keys = [log.key for log in self.logs]
-        chosen = [self.pseudonymise, self.align_clocks]
+        chosen = [*vars(self.how).values(), self.align_clocks]
         facts = [repr(self.cell), version("cyclekit"), schema.SCHEMA_VERSION, keys, self.not_read, chosen]
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
@@ -133,20 +148,23 @@ def _up_to_date(out: Path, wanted: _Wanted) -> dict[str, Any] | None:
 
 
 def _build(
-    wanted: _Wanted, staging: Path, old: Dataset | None, explicit: set[Path], tell: Progress
+    wanted: _Wanted, staging: Path, old: Dataset | None, explicit: set[Path], shelf: Shelf | None, tell: Progress
 ) -> tuple[dict[str, Any], int]:
     """Build the dataset in `staging`; return its card and how many recordings were taken over."""
-    entries, failed, kept = read_all(
+    alike = old is not None and old.card.get("skeletons") == wanted.how.skeletons
+    intake = read_all(
         wanted.logs,
         staging,
-        old=None if wanted.pseudonymise else old,
+        old=None if wanted.how.pseudonymise or not alike else old,
+        shelf=shelf,
         jobs=wanted.jobs,
-        pseudonymise=wanted.pseudonymise,
+        how=wanted.how,
         tell=lambda f, text: tell(0.6 * f, text),
     )
+    entries, kept = intake.entries, intake.kept
     shown = {log.path: log.shown for log in wanted.logs}
     not_read = list(wanted.not_read)
-    for error in failed:
+    for error in intake.failed:
         if error.path in explicit or not entries:
             raise error
         not_read.append((shown.get(error.path, str(error.path)), error.cause))
@@ -155,9 +173,11 @@ def _build(
     sources = {log.id: log.source for log in wanted.logs}
     sessions = group_sessions(entries, partial(_is_reference, cell))
     later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), wanted.align_clocks == "coarse"
-    derived = derive(sessions, sources, partial(_native, staging), cell, later, coarse=coarse)
+    native, stored = partial(_native, staging), partial(_stored, staging)
+    derived = derive(sessions, sources, native, stored, cell, later, coarse=coarse)
     derived.warnings.extend(_unmatched(cell, wanted.logs))
-    if wanted.pseudonymise:
+    intake.digests.settle(entries)
+    if wanted.how.pseudonymise:
         without_wall_clock(entries, staging)
         derived.warnings.extend(dated_names(entries))
         cell = without_what_names(cell)
@@ -167,6 +187,13 @@ def _build(
     write_parquet(derived.tasks, staging / "tasks.parquet")
     write_text(staging / CARD, json.dumps(card, indent=1, ensure_ascii=False) + "\n")
     return card, kept
+
+
+def _rate(rate_hz: float) -> float:
+    if not 0.1 <= rate_hz <= 1000.0:
+        msg = f"a rate of {rate_hz:g} samples a second"
+        raise ConfigError(msg, cure="Give 0.1 to 1000; the networks of the paper have 10.")
+    return rate_hz
 
 
 def _check(roots: Sequence[Path], out: Path) -> None:
@@ -192,6 +219,10 @@ def _native(staging: Path, recording: str, table: str) -> pl.DataFrame | None:
     return pl.read_parquet(file, glob=False) if file.is_file() else None
 
 
+def _stored(staging: Path, recording: str, columns: Sequence[str]) -> StoredTable:
+    return StoredTable(staging / "recordings" / recording / "robot.parquet", columns)
+
+
 def _is_reference(cell: Cell, shown: str) -> bool:
     return any(matches(shown, Path(shown), pattern) for pattern in cell.reference)
 
@@ -212,7 +243,8 @@ def _card(
         "cyclekit_version": version("cyclekit"),
         "name": cell.name,
         "fingerprint": wanted.fingerprint,
-        "pseudonymised": wanted.pseudonymise,
+        "pseudonymised": wanted.how.pseudonymise,
+        "skeletons": wanted.how.skeletons,
         "settings": json.loads(json.dumps(cell, default=lambda value: vars(value))),
         "rate_hz": cell.rate_hz,
         "recordings": entries,

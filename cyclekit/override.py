@@ -9,7 +9,7 @@ near a change of level are blurred over one window. Where the levels are is the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -20,9 +20,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.segment import Execution, RobotRun
+    from cyclekit.motion import RobotRun, Run
+    from cyclekit.segment import Execution
 
     Vector = NDArray[np.float64]
+    Parts = list[tuple[int, Vector]]
 
 WINDOW_S = 0.04
 """Nominal time is differenced over this window: five controller cycles at 125 Hz."""
@@ -51,9 +53,9 @@ class Reference:
 
 
 def infer_overrides(
-    runs: Sequence[RobotRun], executions: Sequence[Execution], reference_runs: Sequence[int] = ()
-) -> tuple[list[RobotRun], dict[str, Reference]]:
-    """Return the runs with `scaling` filled in where the robot was on its way and a reference exists.
+    runs: Sequence[Run], executions: Sequence[Execution], reference_runs: Sequence[int] = ()
+) -> tuple[list[Parts], dict[str, Reference]]:
+    """Return the scaling of each run where the robot was on its way and a reference exists.
 
     Args:
         runs: Runs without scaling.
@@ -62,37 +64,40 @@ def infer_overrides(
             repetition in them is the reference, otherwise the fastest anywhere (if it occurs at least twice).
 
     Returns:
-        The runs, and the reference used per task. Dwells, and tasks without a reference, stay NaN.
+        Of each run, first row and values of every task with a reference; and the reference used per task.
     """
     legs: dict[str, list[tuple[int, int, int]]] = {}
     for execution in executions:
         for start, goal in pairwise(execution.visits):
             legs.setdefault(f"{start.place}->{goal.place}", []).append((execution.run, start.last, goal.first))
     references = {task: ref for task, rows in legs.items() if (ref := _reference(runs, rows, set(reference_runs)))}
-    scaling = [np.full(len(run.t_s), np.nan) for run in runs]
+    scaling: list[Parts] = [[] for _ in runs]
     for task, reference in references.items():
         for number, a, b in legs[task]:
-            scaling[number][a : b + 1] = scaling_along(runs[number], a, b, reference)
-    return [replace(run, scaling=values) for run, values in zip(runs, scaling, strict=True)], references
+            scaling[number].append((a, scaling_along(runs[number], a, b, reference)))
+    return scaling, references
 
 
-def _reference(runs: Sequence[RobotRun], legs: list[tuple[int, int, int]], without: set[int]) -> Reference | None:
+def _reference(runs: Sequence[Run], legs: list[tuple[int, int, int]], without: set[int]) -> Reference | None:
     among = [leg for leg in legs if leg[0] in without] or (legs if len(legs) > 1 else [])
     if not among:
         return None
-    number, a, b = min(among, key=lambda leg: float(runs[leg[0]].t_s[leg[2]] - runs[leg[0]].t_s[leg[1]]))
-    run = runs[number]
-    phase = path_phase(run, a, b)
+    number, a, b = min(among, key=lambda leg: _lasts(runs[leg[0]], leg[1], leg[2]))
+    part = runs[number].window(a, b)
+    phase = path_phase(part)
     keep = np.concatenate([[True], np.diff(phase) > 0])
-    t = run.t_s[a : b + 1] - run.t_s[a]
-    return Reference(phase[keep], t[keep], run.speed_m_s[a : b + 1][keep], len(legs))
+    return Reference(phase[keep], (part.t_s - part.t_s[0])[keep], part.speed_m_s[keep], len(legs))
 
 
-def path_phase(run: RobotRun, a: int, b: int) -> Vector:
-    """Return the fraction of the path's length covered at rows a..b, shape (b - a + 1,), from 0 to 1."""
-    xyz = run.xyz_m[a : b + 1]
+def _lasts(run: Run, a: int, b: int) -> float:
+    return run.time_at(b) - run.time_at(a)
+
+
+def path_phase(part: RobotRun) -> Vector:
+    """Return the fraction of the path's length covered at the rows of a window, shape (T,), from 0 to 1."""
+    xyz = part.xyz_m
     step = np.linalg.norm(np.diff(xyz, axis=0), axis=1)
-    half = max(1, round(HALT_S / 2 / max(float(np.median(np.diff(run.t_s[a : b + 1]))), 1e-4))) if len(step) else 1
+    half = max(1, round(HALT_S / 2 / max(float(np.median(np.diff(part.t_s))), 1e-4))) if len(step) else 1
     row = np.arange(len(step))
     moved = xyz[np.minimum(row + half, len(step))] - xyz[np.maximum(row - half, 0)]
     step[np.linalg.norm(moved, axis=1) < HALT_M] = 0.0  # else the jitter of a halted robot adds up to a way
@@ -100,10 +105,10 @@ def path_phase(run: RobotRun, a: int, b: int) -> Vector:
     return np.asarray(length / max(float(length[-1]), 1e-12))
 
 
-def scaling_along(run: RobotRun, a: int, b: int, reference: Reference) -> Vector:
+def scaling_along(run: Run, a: int, b: int, reference: Reference) -> Vector:
     """Return the scaling at rows a..b, shape (b - a + 1,), in [0, 1]; NaN where the reference is too slow to tell."""
-    phase = path_phase(run, a, b)
-    t = run.t_s[a : b + 1]
+    part = run.window(a, b)
+    phase, t = path_phase(part), part.t_s
     nominal = np.interp(phase, reference.phase, reference.nominal_s)
     half = max(1, round(WINDOW_S / 2 / max(float(np.median(np.diff(t))), 1e-4)))
     row = np.arange(len(t))

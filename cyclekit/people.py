@@ -43,6 +43,8 @@ STRAY_S = 0.25
 """What lasts shorter than this between two jumps is a false sighting."""
 OCCLUDED_S = 5.0
 """A gap of a track up to this long is one behind something; after a longer one the person may have been away."""
+REASONS = ("seen", "occluded", "absent", "outside")
+"""Whether a log of people sees somebody, and why not; what an earlier one says holds for all logs of a session."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +56,13 @@ class Track:
     xyz_m: Points
 
 
-def at_times(track: Track, t_s: Vector, *, bridge_s: float) -> Points:
+def at_times(track: Track, t_s: Vector, *, bridge_s: float, width_s: float = 0.0) -> Points:
     """Return the track at the times `t_s` (N,), shape (N, 3); NaN where no seen position lies near enough.
 
     Positions are interpolated linearly between seen ones at most `bridge_s` apart (or two frames of the tracker, if
-    that is longer: a slow tracker has no gap between its frames).
+    that is longer: a slow tracker has no gap between its frames), and averaged over `width_s` around each time, so that
+    noise and shaking faster than the samples do not pass for motion. The average never looks across a gap: near one it
+    is taken over less, evenly on both sides.
     """
     seen = np.isfinite(track.xyz_m[:, :2]).all(axis=1)
     t, xyz = track.t_s[seen], track.xyz_m[seen]
@@ -66,11 +70,30 @@ def at_times(track: Track, t_s: Vector, *, bridge_s: float) -> Points:
         return np.full((len(t_s), 3), np.nan)
     limit = max(bridge_s, 2.0 * float(np.median(np.diff(t))))
     right = np.clip(np.searchsorted(t, t_s), 1, len(t) - 1)
-    gap = t[right] - t[right - 1]
-    inside = (t_s >= t[0]) & (t_s <= t[-1]) & (gap <= limit)
-    out = np.column_stack([np.interp(t_s, t, xyz[:, axis]) for axis in range(3)])
+    inside = (t_s >= t[0]) & (t_s <= t[-1]) & (t[right] - t[right - 1] <= limit)
+    breaks = np.flatnonzero(np.diff(t) > limit)
+    begins, ends = t[np.concatenate([[0], breaks + 1])], t[np.concatenate([breaks, [len(t) - 1]])]
+    stretch = np.clip(np.searchsorted(begins, t_s, side="right") - 1, 0, None)
+    half = np.clip(np.minimum(t_s - begins[stretch], ends[stretch] - t_s), 0.0, 0.5 * width_s)
+    out = np.column_stack([_mean_around(t, xyz[:, axis], t_s, half) for axis in range(3)])
     out[~inside] = np.nan
     return out
+
+
+def _mean_around(t: Vector, x: Vector, at: Vector, half: Vector) -> Vector:
+    """Return the mean of the polyline (t, x) from `at - half` to `at + half`, shape (N,); its value where half is 0."""
+    value = np.interp(at, t, x)
+    if not (half > 0.0).any() or np.isnan(x).any():
+        return value
+    area = np.concatenate([[0.0], np.cumsum(0.5 * (x[1:] + x[:-1]) * np.diff(t))])
+
+    def until(end: Vector) -> Vector:
+        left = np.clip(np.searchsorted(t, end, side="right") - 1, 0, len(t) - 1)
+        return np.asarray(area[left] + 0.5 * (x[left] + np.interp(end, t, x)) * (end - t[left]))
+
+    wide = half > 1e-6
+    mean = (until(at + half) - until(at - half)) / np.where(wide, 2.0 * half, 1.0)
+    return np.where(wide, mean, value)
 
 
 def ids_are_real(ids: NDArray[np.int64]) -> bool:
@@ -169,8 +192,8 @@ def _jumps(track: Track, rows: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def gap_reasons(
     tracks: Sequence[Track], t_s: Vector, span_s: tuple[float, float], *, bridge_s: float
-) -> dict[str, int]:
-    """Return at how many of the times somebody is seen, and why nobody is at the others.
+) -> NDArray[np.int8]:
+    """Tell of each time whether somebody is seen, and why nobody is; shape (N,), indices into REASONS.
 
     Args:
         tracks: All that one log saw.
@@ -192,22 +215,23 @@ def gap_reasons(
             right = np.clip(np.searchsorted(times, t_s), 1, len(times) - 1)
             between = (t_s >= times[0]) & (t_s <= times[-1])
             hidden |= between & (times[right] - times[right - 1] <= OCCLUDED_S)
-    outside = ~seen & ((t_s < span_s[0]) | (t_s > span_s[1]))
-    occluded = ~seen & ~outside & hidden
-    absent = ~seen & ~outside & ~hidden
-    counts = {"seen": seen, "occluded": occluded, "absent": absent, "outside": outside}
-    return {name: int(mask.sum()) for name, mask in counts.items()}
+    outside = (t_s < span_s[0]) | (t_s > span_s[1])
+    numbers = {name: number for number, name in enumerate(REASONS)}
+    why = np.where(outside, numbers["outside"], np.where(hidden, numbers["occluded"], numbers["absent"]))
+    return np.where(seen, numbers["seen"], why).astype(np.int8)
 
 
-def nearest_person(tracks: Sequence[Track], t_s: Vector, tcp_m: Points, *, bridge_s: float) -> Points:
+def nearest_person(
+    tracks: Sequence[Track], t_s: Vector, tcp_m: Points, *, bridge_s: float, width_s: float = 0.0
+) -> Points:
     """Return x_h at each time, shape (N, 3): the position of the person nearest to the TCP, NaN = nobody seen.
 
-    Where the TCP is unknown the first person seen counts.
+    Where the TCP is unknown the first person seen counts. See `at_times` for `bridge_s` and `width_s`.
     """
     best = np.full((len(t_s), 3), np.nan)
     distance = np.full(len(t_s), np.inf)
     for track in tracks:
-        here = at_times(track, t_s, bridge_s=bridge_s)
+        here = at_times(track, t_s, bridge_s=bridge_s, width_s=width_s)
         offset = np.where(np.isfinite(tcp_m), here - tcp_m, 0.0)
         offset[~np.isfinite(here[:, 2]), 2] = 0.0
         far = np.linalg.norm(offset, axis=1)

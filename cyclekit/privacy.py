@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from cyclekit.atomic import write_parquet
+from cyclekit.tables import shift_times
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,27 +26,34 @@ _QUOTED = re.compile(r"'[^']*'|\"[^\"]*\"")
 _DATE = re.compile(r"(?:19|20)\d\d[-_.]?[01]\d[-_.]?[0-3]\d")
 
 
-def without_names(recording: Recording, *, keep: str | None = None) -> Recording:
-    """Return the recording with numbered people, without facts, and with nothing quoted from the log.
+class Nameless:
+    """Takes the names out of a recording, part by part: people are numbered, and nothing is quoted from the log."""
 
-    Args:
-        recording: As it was read.
-        keep: A body that is nobody (the one on the robot's flange) and keeps its name.
-    """
-    people, skeletons = recording.people, recording.skeletons
-    named = [table["person"] for table in (people, skeletons) if table is not None and table.height]
-    names = pl.concat(named).drop_nulls().unique(maintain_order=True).to_list() if named else []
-    numbers = {name: f"person_{number}" for number, name in enumerate(names, 1)}
-    numbers |= {name: name for name in names if name == keep}
-    numbered = pl.col("person").replace_strict(numbers, default=None, return_dtype=pl.String)
-    people = people.with_columns(numbered) if people is not None and people.height else people
-    skeletons = skeletons.with_columns(numbered) if skeletons is not None and skeletons.height else skeletons
-    aside = recording.set_aside
-    if aside is not None and aside.height:
-        aside = aside.with_columns(pl.col("reason").map_elements(_unquoted, return_dtype=pl.String))
-    warnings = tuple(map(_unquoted, recording.warnings))
-    facts = {name: text for name, text in recording.facts.items() if name == "checksum"}
-    return replace(recording, people=people, skeletons=skeletons, set_aside=aside, warnings=warnings, facts=facts)
+    def __init__(self, *, keep: str | None = None) -> None:
+        """Begin.
+
+        Args:
+            keep: A body that is nobody (the one on the robot's flange) and keeps its name.
+        """
+        self._keep = keep
+        self._numbers: dict[str, str] = {}
+
+    def part(self, recording: Recording) -> Recording:
+        """Return a part of the recording with numbered people, and without facts."""
+        named = {name: self._numbered(table) for name, table in recording.tables().items() if "person" in table.columns}
+        aside = recording.set_aside
+        if aside is not None and aside.height:
+            aside = aside.with_columns(pl.col("reason").map_elements(_unquoted, return_dtype=pl.String))
+        warnings = tuple(map(_unquoted, recording.warnings))
+        facts = {name: text for name, text in recording.facts.items() if name == "checksum"}
+        return replace(recording, **named, set_aside=aside, warnings=warnings, facts=facts)  # type: ignore[arg-type]
+
+    def _numbered(self, table: pl.DataFrame) -> pl.DataFrame:
+        for name in table["person"].drop_nulls().unique(maintain_order=True).to_list():
+            if name not in self._numbers:
+                self._numbers[name] = name if name == self._keep else f"person_{len(self._numbers) + 1}"
+        numbers = pl.col("person").replace_strict(self._numbers, default=None, return_dtype=pl.String)
+        return table.with_columns(numbers) if self._numbers else table
 
 
 def _unquoted(text: str) -> str:
@@ -62,14 +69,13 @@ def without_wall_clock(entries: Sequence[dict[str, Any]], staging: Path) -> None
         entry["key"] = ""  # made of the times of files; what is pseudonymised is read again anyway
         if "stamps" in entry["tables"]:
             file = staging / "recordings" / entry["id"] / "stamps.parquet"
-            stamps = pl.read_parquet(file, glob=False)
-            write_parquet(stamps.with_columns(pl.col("host_s") - pl.col("host_s").min()), file)
+            first = pl.scan_parquet(file, glob=False).select(pl.col("host_s").min()).collect().item()
+            shift_times(file, first or 0.0, column="host_s")
         if entry["clock"]["kind"] != "epoch":
             continue
         clock, shift_s = entry["clock"], entry["first_s"]
         for name in entry["tables"]:
-            file = staging / "recordings" / entry["id"] / f"{name}.parquet"
-            write_parquet(pl.read_parquet(file, glob=False).with_columns(pl.col("t_s") - shift_s), file)
+            shift_times(staging / "recordings" / entry["id"] / f"{name}.parquet", shift_s)
         entry["clock"] = {**clock, "kind": "relative", "offset_s": clock["offset_s"] + clock["rate"] * shift_s}
         entry["first_s"], entry["last_s"] = 0.0, entry["last_s"] - shift_s
 

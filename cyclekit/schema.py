@@ -146,26 +146,29 @@ def empty(table: Mapping[str, Column]) -> pl.DataFrame:
     return pl.DataFrame(schema={name: column.dtype for name, column in table.items()})
 
 
-def conform(frame: pl.DataFrame, table: Mapping[str, Column]) -> pl.DataFrame:
+def conform(frame: pl.DataFrame | pl.LazyFrame, table: Mapping[str, Column]) -> pl.DataFrame:
     """Return `frame` with the columns of `table`, in order and type; absent ones are null.
 
-    Joint columns are kept behind the others when `table` is ROBOT.
+    Joint columns are kept behind the others when `table` is ROBOT. A lazy frame is computed at the same time.
 
     Raises:
         ShapeError: `frame` has a column that the table does not know (a slip in an adapter).
     """
-    joints = sorted((c for c in frame.columns if is_joint(c)), key=_joint_order) if table is ROBOT else []
-    if unknown := set(frame.columns) - set(table) - set(joints):
+    have = frame.schema if isinstance(frame, pl.DataFrame) else frame.collect_schema()
+    joints = sorted((name for name in have if is_joint(name)), key=joint_order) if table is ROBOT else []
+    if unknown := set(have) - set(table) - set(joints):
         msg = f"columns {sorted(unknown)} are not in the canonical table ({', '.join(table)})"
         raise ShapeError(msg)
-    have = set(frame.columns)
+    wanted = {name: column.dtype for name, column in table.items()} | dict.fromkeys(joints, F64)
+    if isinstance(frame, pl.DataFrame) and list(have.items()) == list(wanted.items()):
+        return frame
     columns = [
-        (pl.col(name) if name in have else pl.lit(None)).cast(column.dtype).alias(name)
-        for name, column in table.items()
+        (pl.col(name) if name in have else pl.lit(None)).cast(dtype).alias(name) for name, dtype in wanted.items()
     ]
-    return frame.select(*columns, *(pl.col(name).cast(F64) for name in joints))
+    return frame.lazy().select(columns).collect(engine="in-memory")
 
 
-def _joint_order(name: str) -> tuple[bool, int]:
+def joint_order(name: str) -> tuple[bool, int]:
+    """Return the key by which joint columns are sorted: angles before speeds, each by number."""
     speed = name.startswith("qd")
     return speed, int(name.removeprefix("qd" if speed else "q").partition("_")[0])

@@ -8,7 +8,7 @@ slow-down costs is computed in `account`; the operator is the business of `peopl
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from cyclekit.dataset import Place
 from cyclekit.errors import UnknownName
+from cyclekit.motion import pieces
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,9 +24,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Executions, NamedPlace
+    from cyclekit.motion import Run
 
     Vector = NDArray[np.float64]
     Points = NDArray[np.float64]
+    Rows = NDArray[np.int64]
 
 MIN_STOP_S = 0.15
 """A standstill shorter than this is no stop: the reversal of a path takes one or two controller cycles."""
@@ -33,27 +36,12 @@ MERGE_M = 0.01
 """Stops nearer than this to each other are one place (robots repeat to 0.1 mm; two fixtures are never this near)."""
 TWITCH_S, TWITCH_M = 0.1, 2e-4
 """A motion that is over within this time and leads no farther than this is noise of the position."""
+CRAWL_M_S = 3e-3
+"""A robot faster than this moves."""
+_CRAWLS = 2_000_000  # speeds that its noise is told from
+_PLACES = 20_000  # positions that the place of a stand is told from
 EDGE_S = 0.03
 """Scaling at the edges of a standstill is not judged: speed follows the scaling a few controller cycles later."""
-
-
-@dataclass(frozen=True)
-class RobotRun:
-    """One continuous stretch of a robot log.
-
-    Attributes:
-        t_s: Session time, shape (T,), strictly increasing, seconds.
-        xyz_m: TCP, shape (T, 3), metres.
-        speed_m_s: TCP speed, shape (T,), m/s.
-        scaling: Shape (T,), NaN = unknown.
-        marker: Execution marker (register value or digital output), shape (T,); empty when none is used.
-    """
-
-    t_s: Vector
-    xyz_m: Points
-    speed_m_s: Vector
-    scaling: Vector
-    marker: Vector = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True)
@@ -92,71 +80,89 @@ class Execution:
     complete: bool
 
 
-def split_runs(t_s: Vector, *, gap_s: float) -> list[slice]:
-    """Return the continuous stretches of a log: split where the clock jumps ahead by more than `gap_s` or goes back."""
-    step = np.diff(t_s)
-    cuts = np.flatnonzero((step > gap_s) | (step <= 0)) + 1
-    edges = [0, *cuts.tolist(), len(t_s)]
-    return [slice(a, b) for a, b in pairwise(edges) if b > a]
+def standing(run: Run) -> float:
+    """Return the speed below which the robot stands, m/s: slower than the noise of its own standstill allows to see.
 
-
-def tcp_speed(t_s: Vector, xyz_m: Points, *, window_s: float = 0.024) -> Vector:
-    """Return the TCP speed, m/s, shape (T,), as the slope of the position over `window_s` around each row.
-
-    The window (three controller cycles at 125 Hz) keeps the position's resolution from dominating a quotient of
-    differences at 500 Hz.
+    It is four times the median speed below CRAWL_M_S, between 0.1 mm/s and CRAWL_M_S: low, because a motion that starts
+    jerk-limited is slow for its first milliseconds.
     """
-    if len(t_s) < 3:
-        return np.zeros(len(t_s))
-    half = max(1, round(window_s / 2 / float(np.median(np.diff(t_s)))))
-    row = np.arange(len(t_s))
-    after, before = np.minimum(row + half, len(t_s) - 1), np.maximum(row - half, 0)
-    path = np.linalg.norm(xyz_m[after] - xyz_m[before], axis=1)
-    return np.asarray(path / np.maximum(t_s[after] - t_s[before], 1e-9))
-
-
-def standing(speed_m_s: Vector) -> NDArray[np.bool_]:
-    """Tell where the robot stands, shape (T,): slower than the noise of its own standstill allows to see.
-
-    The threshold is four times the median speed below 3 mm/s, between 0.1 and 3 mm/s: low, because a motion that
-    starts jerk-limited is slow for its first milliseconds.
-    """
-    crawl = speed_m_s[speed_m_s < 3e-3]
+    thin = max(1, run.rows // _CRAWLS)
+    crawls = [part.speed_m_s[part.speed_m_s < CRAWL_M_S][::thin] for _, part in pieces(run)]
+    crawl = np.concatenate([*crawls, np.empty(0)])
     noise = float(np.median(crawl)) if len(crawl) else 0.0
-    return np.asarray(speed_m_s < min(max(4.0 * noise, 1e-4), 3e-3))
+    return min(max(4.0 * noise, 1e-4), CRAWL_M_S)
 
 
-def find_stops(run: RobotRun, number: int) -> list[Stop]:
+def find_stops(run: Run, number: int) -> list[Stop]:
     """Return the standstills of a run of at least MIN_STOP_S and its two edges, in order."""
     stops = []
-    for first, last in _stands(run).tolist():
-        short = run.t_s[last] - run.t_s[first] < MIN_STOP_S
-        if short and first != 0 and last != len(run.t_s) - 1:
+    for stand in _stands(run, standing(run)):
+        short = stand.last_s - stand.first_s < MIN_STOP_S
+        if short and stand.first != 0 and stand.last != run.rows - 1:
             continue
-        x, y, z = np.median(run.xyz_m[first : last + 1], axis=0)
-        stops.append(Stop(number, first, last, (float(x), float(y), float(z)), _free(run, first, last), short))
+        x, y, z = _resting_place(run, stand.first, stand.last)
+        stops.append(Stop(number, stand.first, stand.last, (x, y, z), _free(run, stand), short))
     return stops
 
 
-def _stands(run: RobotRun) -> NDArray[np.int64]:
-    """Return the first and last row of every standstill, shape (S, 2); a twitch of the measurement does not end one."""
-    still = standing(run.speed_m_s)
-    still[[0, -1]] = True
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
-    first, last = edges[::2], edges[1::2] - 1
-    brief = run.t_s[first[1:]] - run.t_s[last[:-1]] < TWITCH_S
-    twitch = brief & (np.linalg.norm(run.xyz_m[first[1:]] - run.xyz_m[last[:-1]], axis=1) < TWITCH_M)
-    return np.column_stack([first[np.concatenate([[True], ~twitch])], last[np.concatenate([~twitch, [True]])]])
+@dataclass
+class _Stand:
+    """Rows `first`..`last` in which a robot is slow, with the times and places of both."""
+
+    first: int
+    last: int
+    first_s: float
+    last_s: float
+    first_m: Vector
+    last_m: Vector
 
 
-def _free(run: RobotRun, first: int, last: int) -> bool | None:
-    t = run.t_s[first : last + 1]
-    inside = run.scaling[first : last + 1][(t > t[0] + EDGE_S) & (t < t[-1] - EDGE_S)]
-    known = inside[np.isfinite(inside)]
-    return bool((known > 0.0).any()) if len(known) else None
+def _stands(run: Run, slow_m_s: float) -> list[_Stand]:
+    """Return every standstill; a twitch of the measurement does not end one."""
+    found: list[_Stand] = []
+    for begin, part in pieces(run):
+        still = part.speed_m_s < slow_m_s
+        if begin == 0:
+            still[0] = True
+        if begin + part.rows == run.rows:
+            still[-1] = True
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+        for a, b in edges.reshape(-1, 2).tolist():
+            since, until = float(part.t_s[a]), float(part.t_s[b - 1])
+            here = _Stand(begin + a, begin + b - 1, since, until, part.xyz_m[a], part.xyz_m[b - 1])
+            if found and (found[-1].last + 1 == here.first or _is_twitch(found[-1], here)):
+                found[-1].last, found[-1].last_s, found[-1].last_m = here.last, here.last_s, here.last_m
+            else:
+                found.append(here)
+    return found
 
 
-def find_places(runs: Sequence[RobotRun], stops: Sequence[Stop], named: Mapping[str, NamedPlace]) -> dict[str, Place]:
+def _is_twitch(before: _Stand, after: _Stand) -> bool:
+    brief = after.first_s - before.last_s < TWITCH_S
+    return bool(brief and np.linalg.norm(after.first_m - before.last_m) < TWITCH_M)
+
+
+def _resting_place(run: Run, first: int, last: int) -> tuple[float, float, float]:
+    """Return the median position of a stand; of a long one that of every so many rows."""
+    places = [part.xyz_m[:: max(1, (last - first) // _PLACES)] for _, part in pieces(run, first, last)]
+    x, y, z = np.median(np.concatenate(places), axis=0)
+    return float(x), float(y), float(z)
+
+
+def _free(run: Run, stand: _Stand) -> bool | None:
+    """Tell whether the robot was allowed to move while it stood, None if that is unknown."""
+    known = False
+    for _, part in pieces(run, stand.first, stand.last):
+        inside = (part.t_s > stand.first_s + EDGE_S) & (part.t_s < stand.last_s - EDGE_S)
+        values = part.scaling[inside]
+        values = values[np.isfinite(values)]
+        if (values > 0.0).any():
+            return True
+        known = known or len(values) > 0
+    return False if known else None
+
+
+def find_places(runs: Sequence[Run], stops: Sequence[Stop], named: Mapping[str, NamedPlace]) -> dict[str, Place]:
     """Return the places of a cell, by name, named ones first and found ones (`place_1`, ...) by first visit.
 
     A spot is a place when the cell file names it, or the robot stood there while it was free to move (in at least
@@ -176,7 +182,10 @@ def find_places(runs: Sequence[RobotRun], stops: Sequence[Stop], named: Mapping[
         places[name] = Place(name, _triple(centre), _radius(xyz[near], centre), inferred=False)
         left &= np.linalg.norm(xyz - centre, axis=1) > MERGE_M
     groups = cluster(xyz, np.flatnonzero(left), MERGE_M)
-    found = [g for g in groups if np.isin(g, common).any() or _is_place(runs, stops, xyz, g)]
+    edges = [bool(np.isin(group, common).any()) for group in groups]
+    others = [group for group, edge in zip(groups, edges, strict=True) if not edge]
+    answers = iter(_are_places(runs, stops, xyz, others))
+    found = [group for group, edge in zip(groups, edges, strict=True) if edge or next(answers)]
     for number, group in enumerate(sorted(found, key=lambda g: int(g.min())), 1):
         centre = np.median(xyz[group], axis=0)
         places[f"place_{number}"] = Place(f"place_{number}", _triple(centre), _radius(xyz[group], centre), True)
@@ -221,22 +230,36 @@ def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArr
     return groups
 
 
-def _is_place(runs: Sequence[RobotRun], stops: Sequence[Stop], xyz: Points, group: NDArray[np.int64]) -> bool:
-    centre = np.median(xyz[group], axis=0)
-    if any(stops[i].free for i in group.tolist()):
-        near = np.linalg.norm(xyz - centre, axis=1) <= MERGE_M
-        return bool(len(group) >= 0.1 * np.count_nonzero(near))
-    passes = sum(_passes(run, centre) for run in runs)
-    return len(group) >= 0.8 * passes
+def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups: Sequence[Rows]) -> list[bool]:
+    """Tell which groups of stops are places."""
+    centres = [np.median(xyz[group], axis=0) for group in groups]
+    free = [any(stops[i].free for i in group.tolist()) for group in groups]
+    asked = [centre for centre, is_free in zip(centres, free, strict=True) if not is_free]
+    passes = iter(_passes(runs, np.array(asked).reshape(-1, 3)).tolist())
+    answers = []
+    for group, centre, is_free in zip(groups, centres, free, strict=True):
+        if is_free:
+            near = np.linalg.norm(xyz - centre, axis=1) <= MERGE_M
+            answers.append(bool(len(group) >= 0.1 * np.count_nonzero(near)))
+        else:
+            answers.append(bool(len(group) >= 0.8 * next(passes)))
+    return answers
 
 
-def _passes(run: RobotRun, centre: Vector) -> int:
-    """Count how often a run comes within MERGE_M of a spot, standing or not."""
-    near = np.linalg.norm(run.xyz_m - centre, axis=1) <= MERGE_M
-    return int(near[0]) + int(np.count_nonzero(np.diff(near.astype(np.int8)) == 1)) if len(near) else 0
+def _passes(runs: Sequence[Run], centres: Points) -> Rows:
+    """Count how often the robot comes within MERGE_M of each spot, standing or not; centres (C, 3), counts (C,)."""
+    counts = np.zeros(len(centres), np.int64)
+    for run in runs if len(centres) else ():
+        before = np.zeros(len(centres), bool)
+        for _, part in pieces(run):
+            for number, centre in enumerate(centres):
+                near = np.linalg.norm(part.xyz_m - centre, axis=1) <= MERGE_M
+                entered = np.count_nonzero(near[1:] & ~near[:-1]) + int(near[0] and not before[number])
+                counts[number], before[number] = counts[number] + entered, near[-1]
+    return counts
 
 
-def find_visits(stops: Sequence[Stop], places: Mapping[str, Place], runs: Sequence[RobotRun]) -> list[list[Visit]]:
+def find_visits(stops: Sequence[Stop], places: Mapping[str, Place], runs: Sequence[Run]) -> list[list[Visit]]:
     """Return, per run, its visits to places in order; stops at one place without leaving it are one visit."""
     visits: list[list[Visit]] = [[] for _ in runs]
     names = list(places)
@@ -257,17 +280,25 @@ def find_visits(stops: Sequence[Stop], places: Mapping[str, Place], runs: Sequen
     return visits
 
 
-def _stayed(run: RobotRun, a: int, b: int) -> bool:
-    return float(np.linalg.norm(run.xyz_m[a : b + 1] - run.xyz_m[a], axis=1).max()) <= MERGE_M
+def _stayed(run: Run, a: int, b: int) -> bool:
+    begin = run.window(a, a).xyz_m[0]
+    parts = (part.xyz_m for _, part in pieces(run, a, b))
+    return all(float(np.linalg.norm(xyz - begin, axis=1).max()) <= MERGE_M for xyz in parts)
 
 
 def find_executions(
-    runs: Sequence[RobotRun], visits: Sequence[Sequence[Visit]], places: Mapping[str, Place], how: Executions
+    visits: Sequence[Sequence[Visit]], places: Mapping[str, Place], how: Executions, marks: Sequence[Rows]
 ) -> list[Execution]:
     """Cut the visits of each run into executions, as the cell file says they begin.
 
     An execution goes from the departure at its first visit to the arrival at its last; consecutive ones share a visit.
     It is complete when the run shows both the place it left from and a place it ended at.
+
+    Args:
+        visits: Of each run, in order.
+        places: All places, for the message.
+        how: What begins an execution.
+        marks: Of each run the rows at which a register or output says that one begins.
 
     Raises:
         UnknownName: `how.home` is no place of this cell.
@@ -277,8 +308,8 @@ def find_executions(
     firsts = [seen[0].place for seen in visits if seen]
     home = how.home or max(sorted(set(firsts)), key=firsts.count, default="")
     found = []
-    for number, (run, seen) in enumerate(zip(runs, visits, strict=True)):
-        cuts = _begins(run, seen, how, home)
+    for number, (seen, marked) in enumerate(zip(visits, marks, strict=True)):
+        cuts = _begins(seen, how, home, marked)
         for a, b in pairwise(cuts):
             by_home = how.begin in {"auto", "home"} and len(cuts) > 2
             whole = not by_home or (seen[a].place == home and seen[b].place == home)
@@ -286,7 +317,7 @@ def find_executions(
     return found
 
 
-def _begins(run: RobotRun, seen: Sequence[Visit], how: Executions, home: str) -> list[int]:
+def _begins(seen: Sequence[Visit], how: Executions, home: str, marked: Rows) -> list[int]:
     """Indices of the visits at which an execution begins, with the last visit as the end; ascending."""
     if len(seen) < 2:
         return []
@@ -294,10 +325,8 @@ def _begins(run: RobotRun, seen: Sequence[Visit], how: Executions, home: str) ->
     if how.begin in {"file", "gap"}:
         return [0, last]
     if how.begin in {"register", "digital-output"}:
-        step = np.diff(run.marker)
-        edges = np.flatnonzero(step > 0 if how.begin == "digital-output" else step != 0)
         departures = np.array([visit.last for visit in seen])
-        begins = {int(np.searchsorted(departures, edge)) for edge in [-1, *edges.tolist()]}
+        begins = {int(np.searchsorted(departures, row)) for row in [-1, *marked.tolist()]}
         return sorted({b for b in begins if b < last} | {last})
     cuts = [i for i, visit in enumerate(seen) if visit.place == home]
     return sorted({*cuts, last}) if cuts else [0, last]

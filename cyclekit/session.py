@@ -39,35 +39,48 @@ class Session:
 
 @dataclass(frozen=True)
 class Grid:
-    """The sample times of one execution and what the robot did then."""
+    """The sample times of one execution, what the robot did then, and where the operator was.
+
+    Attributes:
+        human_m: x_h, shape (N, 3), NaN = unknown.
+        human_gap: Whether somebody was seen and why not, shape (N,), see `people.REASONS`; None without a tracker.
+    """
 
     session: Session
     execution: str
     t_s: NDArray[np.float64]
     frame: pl.DataFrame
     human_m: NDArray[np.float64]
+    human_gap: NDArray[np.int8] | None = None
 
 
 def group_sessions(entries: list[dict[str, Any]], is_reference: Callable[[str], bool]) -> list[Session]:
     """Group recordings that share a time: all of them if there is one robot log, else folder by folder."""
-    robots = [entry for entry in entries if "robot" in entry["tables"]]
-    others = [entry for entry in entries if "robot" not in entry["tables"]]
+    robots, others = _divided(entries)
     if len(robots) == 1 and len({tuple(entry["tables"]) for entry in others}) == len(others):
         groups = [[robots[0], *others]]
     else:
-        groups = []
-        for folder in dict.fromkeys(_folder(entry) for entry in entries):
-            here = [entry for entry in entries if _folder(entry) == folder]
-            groups += _in_folder(folder, [e for e in here if e in robots], [e for e in here if e in others])
+        folders: dict[str, list[dict[str, Any]]] = {}
+        for entry in entries:
+            folders.setdefault(_folder(entry), []).append(entry)
+        groups = [group for folder, here in folders.items() for group in _in_folder(folder, *_divided(here))]
     sessions: list[Session] = []
+    taken: set[str] = set()
     for group in groups:
-        name = _session_name(group, {session.name for session in sessions})
+        name = _session_name(group, taken)
+        taken.add(name)
         shown = group[0]["sources"][0]["path"]
         reference = is_reference(shown)
         for entry in group:
             entry["session"] = name
         sessions.append(Session(name, group, reference))
     return sessions
+
+
+def _divided(entries: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the robots' recordings and the others."""
+    robots = [entry for entry in entries if "robot" in entry["tables"]]
+    return robots, [entry for entry in entries if "robot" not in entry["tables"]]
 
 
 def _folder(entry: dict[str, Any]) -> str:

@@ -3,7 +3,8 @@
 The person is the joint PELVIS, else the middle of SPINE_NAVEL and SPINE_CHEST, found by the file's own list of joint
 names; `body_id` is the track and changes after a loss. Positions are millimetres in the depth camera's frame (x right,
 y down, z forward), given here as metres turned to y up and z towards the camera. The clock is the device's, with an
-arbitrary zero. How sure a joint is was not exported: hidden joints look as good as seen ones.
+arbitrary zero. How sure a joint is was not exported: hidden joints look as good as seen ones. Where skeletons are asked
+for, they are all joints by those names.
 """
 
 from __future__ import annotations
@@ -12,34 +13,48 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 from cyclekit.adapter import Adapter, ReadOptions, Recording
-from cyclekit.errors import DamagedLog, LogError, nearest
+from cyclekit.errors import DamagedLog
 from cyclekit.schema import PEOPLE, conform
-from cyclekit_adapters.json_parts import BrokenJson, json_text, number, parts, point
+from cyclekit_adapters.joints import joint_rows
+from cyclekit_adapters.json_parts import BrokenJson, json_pieces, number, parts, points
+from cyclekit_adapters.sightings import Sightings, only
 from cyclekit_adapters.source_map import words
 from cyclekit_adapters.text_blocks import head_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
-    from cyclekit_adapters.json_parts import Place
+    from numpy.typing import NDArray
 
-_MM = 1e-3
-_JOINTS = 32
+    Points = NDArray[np.float64]
+
+_TURNED_M = np.array([1e-3, -1e-3, -1e-3])
+"""Millimetres of the depth camera to metres, y up and z towards the camera."""
+_SIDES = ("CLAVICLE", "SHOULDER", "ELBOW", "WRIST", "HAND", "HANDTIP", "THUMB")
+_LEGS = ("HIP", "KNEE", "ANKLE", "FOOT")
+_SDK = (
+    *("PELVIS", "SPINE_NAVEL", "SPINE_CHEST", "NECK"),
+    *(f"{part}_{side}" for side in ("LEFT", "RIGHT") for part in _SIDES),
+    *(f"{part}_{side}" for side in ("LEFT", "RIGHT") for part in _LEGS),
+    *("HEAD", "NOSE", "EYE_LEFT", "EAR_LEFT", "EYE_RIGHT", "EAR_RIGHT"),
+)
+"""The joints in the order of the SDK."""
 _OBJECT = re.compile(r"\s*\{")
-_ROW = {"t_s": pl.Float64(), "person": pl.String(), "x_m": pl.Float64(), "y_m": pl.Float64(), "z_m": pl.Float64()}
 _SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
 
 
 @dataclass
 class _Dump:
-    """What was found in the file; `bodies` wait for the joint names, which may follow the frames."""
+    """What was found in the file; `bodies` (time, id, joints, frame) wait for the names, which may follow them."""
 
     names: list[str] = field(default_factory=list)
     about: dict[str, str] = field(default_factory=dict)
-    bodies: list[tuple[float, str, list[object], int]] = field(default_factory=list)
+    bodies: list[tuple[float, str, Points, int]] = field(default_factory=list)
     aside: list[tuple[int, str]] = field(default_factory=list)
     frames: int = 0
     empty: int = 0
@@ -57,27 +72,23 @@ class _AzureKinectJson:
     def read(self, path: Path, options: ReadOptions) -> Recording:
         words(options, "Azure Kinect", {})
         dump, cut = _dump(path)
-        rows, fallback, unplaced = _rows(path, dump)
-        table = pl.DataFrame(rows, schema={**_ROW, "source_row": pl.Int64()}, orient="row").sort(
-            "t_s", maintain_order=True
-        )
-        known = table["person"].unique().sort().to_list()
-        if options.body is not None and options.body not in known:
-            cure = f"In the file: {', '.join(known[:40])}."
-            raise LogError(path, f"no body {options.body!r}", nearest=nearest(options.body, known), cure=cure)
-        if options.body is not None:
-            table = table.filter(pl.col("person") == options.body)
+        names = _names(path, dump)
+        table, fallback = _table(path, dump, names)
+        seen = Sightings()
+        seen.add(table)
+        seen.require(path, options.body)
         said = [*cut]
         if not dump.names:
             said.append("the file does not name its joints: the SDK's order is taken, PELVIS first")
-        if len(known) > 1 and options.body is None:
-            said.append(f"{len(known)} tracks; a body that was lost comes back under another id")
+        if len(seen.rows) > 1 and options.body is None:
+            said.append(f"{len(seen.rows)} tracks; a body that was lost comes back under another id")
         if fallback:
-            said.append(f"{fallback} of {len(rows)} bodies have no PELVIS: the middle of the spine stands for it")
-        if unplaced:
+            said.append(f"{fallback} of {table.height} bodies have no PELVIS: the middle of the spine stands for it")
+        if unplaced := len(dump.bodies) - table.height:
             said.append(f"{unplaced} bodies have no usable joint and are left out")
         return Recording(
-            people=conform(table, PEOPLE),
+            people=conform(only(table, options.body), PEOPLE),
+            skeletons=_skeletons(dump, names, options.body) if options.skeletons else None,
             clock="uptime",
             up="y",
             rows_are="frame",
@@ -97,7 +108,7 @@ class _AzureKinectJson:
 def _dump(path: Path) -> tuple[_Dump, list[str]]:
     dump = _Dump()
     try:
-        for key, value in parts(json_text(path), inside="frames"):
+        for key, value in parts(json_pieces(path), inside="frames"):
             if key == "frames":
                 _take_frame(dump, value)
                 dump.frames += 1
@@ -125,48 +136,64 @@ def _take_frame(dump: _Dump, frame: object) -> None:
     for body in bodies:
         joints = body.get("joint_positions") if isinstance(body, dict) else None
         if isinstance(joints, list):
-            dump.bodies.append((micros / 1e6, str(body.get("body_id", ""))[:80], joints, row))
+            dump.bodies.append((micros / 1e6, str(body.get("body_id", ""))[:80], points(joints), row))
         else:
             dump.aside.append((row, "a body without joint positions"))
 
 
-def _rows(path: Path, dump: _Dump) -> tuple[list[tuple[object, ...]], int, int]:
-    """Return the rows of PEOPLE, how many stand on the spine, and how many bodies had no usable joint."""
+def _names(path: Path, dump: _Dump) -> Sequence[str]:
+    """Return the names of the joints, by the file or, where it was cut before it named them, by the SDK."""
     if not dump.bodies:
         reason = f"; the first reason: {dump.aside[0][1]}" if dump.aside else ""
         cause = f"no body in any of its {dump.frames} frames{reason}"
         raise DamagedLog(path, cause, cure="If nobody was there, leave the file out; else record again.")
-    spine = [i for i, name in enumerate(dump.names) if name in ("SPINE_NAVEL", "SPINE_NAVAL", "SPINE_CHEST")]
-    if not dump.names and all(len(joints) == _JOINTS for _, _, joints, _ in dump.bodies):
-        return _placed(path, dump, [0], [1, 2])  # the order of the SDK; the file was cut before its names
-    if "PELVIS" not in dump.names and len(spine) < 2:
+    if not dump.names and all(len(joints) == len(_SDK) for _, _, joints, _ in dump.bodies):
+        return _SDK
+    if "PELVIS" not in dump.names and len(_spine(dump.names)) < 2:
         cause = "its joint names hold no PELVIS" if dump.names else "no list 'joint_names' says which joint is which"
         raise DamagedLog(path, cause, cure="Process the recording again with the offline processor.")
-    return _placed(path, dump, [dump.names.index("PELVIS")] if "PELVIS" in dump.names else [], spine)
+    return dump.names
 
 
-def _placed(path: Path, dump: _Dump, pelvis: list[int], spine: list[int]) -> tuple[list[tuple[object, ...]], int, int]:
-    rows: list[tuple[object, ...]] = []
-    fallback = 0
+def _spine(names: Sequence[str]) -> list[int]:
+    return [i for i, name in enumerate(names) if name in ("SPINE_NAVEL", "SPINE_NAVAL", "SPINE_CHEST")]
+
+
+def _table(path: Path, dump: _Dump, names: Sequence[str]) -> tuple[pl.DataFrame, int]:
+    """Return the rows of PEOPLE in order of time, and how many of them stand on the spine."""
+    pelvis = [names.index("PELVIS")] if "PELVIS" in names else []
+    spine = _spine(names)
+    rows, fallback = [], 0
     for t_s, person, joints, row in dump.bodies:
         here = _middle(joints, pelvis)
         if here is None:
             here = _middle(joints, spine)
             fallback += here is not None
         if here is not None:
-            rows.append((t_s, person, here[0] * _MM, -here[1] * _MM, -here[2] * _MM, row))
+            rows.append((t_s, person, *(here * _TURNED_M).tolist(), row))
     if not rows:
         raise DamagedLog(path, "no body has a usable PELVIS", cure="Check how the file was written or copied.")
-    return rows, fallback, len(dump.bodies) - len(rows)
+    table = pl.DataFrame(rows, schema={name: column.dtype for name, column in PEOPLE.items()}, orient="row")
+    return table.sort("t_s", maintain_order=True), fallback
 
 
-def _middle(joints: list[object], which: list[int]) -> Place | None:
-    found = [point(joints[index]) for index in which if index < len(joints)]
-    whole = [place for place in found if place is not None]
-    if not whole or len(whole) < len(which):
+def _middle(joints: Points, which: Sequence[int]) -> Points | None:
+    """Return the middle of these joints, None unless each of them is known."""
+    if not which or max(which) >= len(joints):
         return None
-    x, y, z = (sum(place[axis] for place in whole) / len(whole) for axis in range(3))
-    return x, y, z
+    middle: Points = joints[list(which)].mean(axis=0)
+    return middle if np.isfinite(middle).all() else None
+
+
+def _skeletons(dump: _Dump, names: Sequence[str], body: str | None) -> pl.DataFrame:
+    bodies = sorted((item for item in dump.bodies if body in (None, item[1])), key=lambda item: item[0])
+    places = np.full((len(bodies), len(names), 3), np.nan)
+    for place, (_, _, joints, _) in zip(places, bodies, strict=True):
+        place[: len(joints)] = joints[: len(names)]
+    t_s = pl.Series([item[0] for item in bodies], dtype=pl.Float64())
+    person = pl.Series([item[1] for item in bodies], dtype=pl.String())
+    row = pl.Series([item[3] for item in bodies], dtype=pl.Int64())
+    return joint_rows(t_s, person, [name.lower() for name in names], places * _TURNED_M, row)
 
 
 ADAPTER: Adapter = _AzureKinectJson()

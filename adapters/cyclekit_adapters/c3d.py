@@ -3,27 +3,38 @@
 A person is the middle of the pelvis markers seen, by subject (`Subject:Marker`); a residual below zero or a NaN is a
 marker that was not seen. Lengths are in `POINT:UNITS`; up is the axis that `POINT:Y_SCREEN` names, else Z. The clock is
 the trial's: frame over `POINT:RATE`, with the first frame of the capture at (first - 1) / rate. No time of day is in
-the file. Analog channels are passed over.
+the file. Analog channels are passed over, and so are points that the file lists as angles, forces, moments, powers or
+scalars. Where skeletons are asked for, their joints are the subject's labelled markers.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal, cast
 
-import numpy as np
 import polars as pl
 
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, nearest
-from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.c3d_file import C3dFile, is_c3d, read_c3d
-from cyclekit_adapters.markers import choose_people, marker_facts, marker_warnings, marker_words, people_table
+from cyclekit_adapters.markers import (
+    choose_people,
+    marker_facts,
+    marker_warnings,
+    marker_words,
+    people_table,
+    skeleton_table,
+)
+from cyclekit_adapters.sightings import Sightings
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import numpy as np
+    from numpy.typing import NDArray
+
 _METRES = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254}
 _WORDS = {"millimeters": "mm", "millimetres": "mm", "centimeters": "cm", "meters": "m", "metres": "m", "inches": "in"}
+_NO_PLACES = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 
 
 class _C3d:
@@ -34,18 +45,23 @@ class _C3d:
         up = marker_words(options, "C3D")
         log = read_c3d(path)
         metres, unit = _metres(path, log)
-        people = choose_people(path, log.labels, options, "C3D")
-        rows = np.arange(len(log.points), dtype=np.int64)
-        t_s = (log.first_frame - 1 + rows) / log.rate_hz
-        table = people_table(people, log.points * metres, t_s, rows)
-        said = marker_warnings(people, table, options)
-        cut = log.frames_stated - len(log.points)
+        names, places = _markers(log)
+        people = choose_people(path, names, options, "C3D")
+        rows = pl.int_range(len(places), dtype=pl.Int64, eager=True)
+        t_s = ((log.first_frame - 1 + rows) / log.rate_hz).cast(pl.Float64)
+        places = places * metres
+        table = people_table(people, places, t_s, rows)
+        seen = Sightings()
+        seen.add(table)
+        said = marker_warnings(people, seen)
+        cut = log.frames_stated - len(places)
         if cut:
             said.append(f"the file is cut: {cut} of {log.frames_stated} frames are missing at its end")
         shown = {"+Z": "z", "+Y": "y"}.get(log.text("POINT", "Y_SCREEN").upper().replace(" ", ""))
         told = f"{shown}, by POINT:Y_SCREEN" if shown else "z, as most systems have it; not in the file"
         return Recording(
-            people=conform(table, PEOPLE),
+            people=table,
+            skeletons=skeleton_table(people, names, places, t_s, rows) if options.skeletons else None,
             clock="relative",
             up=cast('Literal["y", "z"]', up or shown or "z"),
             rows_are="frame",
@@ -57,9 +73,18 @@ class _C3d:
                 "unit": unit,
                 "up": f"{up}, by the cell file" if up else told,
                 "software": log.text("MANUFACTURER", "SOFTWARE") or "not stated",
-                **marker_facts(people, log.labels),
+                **marker_facts(people, names),
             },
         )
+
+
+def _markers(log: C3dFile) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+    """Return the labels and places (T, M, 3) of points that are places: computed angles are points, too."""
+    others = {name for kind in _NO_PLACES for name in log.texts.get(("POINT", kind), [])}
+    kept = [index for index, label in enumerate(log.labels) if label not in others]
+    if len(kept) == len(log.labels):
+        return log.labels, log.points
+    return tuple(log.labels[index] for index in kept), log.points[:, kept]
 
 
 def _metres(path: Path, log: C3dFile) -> tuple[float, str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 if TYPE_CHECKING:
@@ -34,15 +35,15 @@ class Once:
 
     def rows(self, rows: Rows, reason: str = REPEATED) -> Rows:
         """Return the rows that go on (or step back: a new run), with the repeats set aside."""
-        times = rows.frame[self.time]
-        if times.is_empty():
+        times = rows.frame[self.time].to_numpy()
+        if not len(times):
             return rows
-        before = times.shift(1, fill_value=self._last)
-        again = (times == before).fill_null(value=False)
+        steps = np.diff(times, prepend=np.nan if self._last is None else self._last)
+        again = steps == 0.0
         self.repeated += int(again.sum())
-        self.back += int((times < before).sum())
+        self.back += int((steps < 0.0).sum())
         self._last = float(times[-1])
-        return rows.without(again, reason)
+        return rows.without(pl.Series(again), reason) if again.any() else rows
 
     def warnings(self) -> list[str]:
         """Say where the controller's clock steps back, and how many rows were repeats."""
@@ -68,15 +69,9 @@ class Spread:
 
     def add(self, frame: pl.DataFrame) -> None:
         """Take in the columns that `frame` has."""
-        here = [name for name in dict.fromkeys(self.columns) if name in frame.columns and frame.height]
-        if not here:
-            return
-        row = frame.select(
-            *(pl.col(name).min().alias(f"{name} least") for name in here),
-            *(pl.col(name).max().alias(f"{name} most") for name in here),
-        ).row(0, named=True)
-        for name in here:
-            low, high = row[f"{name} least"], row[f"{name} most"]
-            if low is not None:
-                self.least[name] = min(low, self.least.get(name, low))
-                self.most[name] = max(high, self.most.get(name, high))
+        for name in dict.fromkeys(self.columns):
+            if name not in frame.columns or frame[name].null_count() == frame.height:
+                continue
+            low, high = float(str(frame[name].min())), float(str(frame[name].max()))
+            self.least[name] = min(low, self.least.get(name, low))
+            self.most[name] = max(high, self.most.get(name, high))

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 INDEX = "\x1findex"
 """Column of `Rows.frame`: number of the data row, from 0, blank lines and headers not counted."""
-_BEYOND = "\x1fbeyond"  # names that no column of a log has
+_BEYOND, _DOUBT = "\x1fbeyond", "\x1fdoubt"  # names that no column of a log has
 _CELL = "\x1f"  # unit separator: delimiter of the lines that were taken apart here, never part of a log
 _UNKNOWN = ("", "nan", "null", "none", "na", "n/a", "-")
 _SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
@@ -190,8 +190,23 @@ def rows_of(
         required: As in `read_rows`.
         first_line: Line of the file that the first of these is.
     """
+    lines = row_blocks(blocks, layout, numbers=numbers, texts=texts, required=required, first_line=first_line)
+    return joined(lines, numbers, texts)
+
+
+def row_blocks(
+    blocks: Iterable[bytes],
+    layout: Layout,
+    *,
+    numbers: Sequence[str],
+    texts: Sequence[str] = (),
+    required: Sequence[str] = (),
+    first_line: int = 1,
+) -> Iterator[Rows]:
+    """Yield what `rows_of` returns, piece by piece."""
     parser = _Parser(layout, numbers, texts, required, line=first_line, skip=layout.header_lines)
-    return joined((rows for block in blocks for rows in parser.rows(block)), numbers, texts)
+    for block in blocks:
+        yield from parser.rows(block)
 
 
 def joined(parts: Iterable[Rows], numbers: Sequence[str] = (), texts: Sequence[str] = ()) -> Rows:
@@ -259,40 +274,52 @@ class _Parser:
 
     def _at_once(self, block: bytes) -> Rows | None:
         """Parse whole lines at full speed; None if any row is short, long or not a number where one is due."""
-        layout, compact, lines = self.layout, block, None
-        quoted = layout.quotes and b'"' in block
-        if block.startswith((b"\n", b"\r\n")) or b"\n\n" in block or b"\n\r\n" in block:
+        table, lines = self._table(block), None
+        if table is None and _has_blank_lines(block):
             compact, lines = _without_blank_lines(block)
-            if not compact:
-                self.line += block.count(b"\n")
-                return self._rows([], [], [], rows_read=0)
-        last = layout.names[-1]
+            table = self._table(compact)
+        if table is None:
+            return None
+        if lines is not None:
+            table = table.with_columns((lines + self.line).alias("source_row"))
+        self.line += table.height if lines is None else block.count(b"\n")
+        self.row += table.height
+        return self._trusted(table, [], table.height)
+
+    def _table(self, block: bytes) -> pl.DataFrame | None:
+        layout, last = self.layout, self.layout.names[-1]
+        quoted = layout.quotes and b'"' in block
         types: dict[str, pl.DataType] = {
             name: pl.Float64() if name in self.numbers and name != last else pl.String()
             for name in (*layout.names, _BEYOND)
         }
+        # Polars fills short rows and cuts long ones without a word. So two columns are always read as text: the last
+        # one, which is empty in a short row, and one beyond it, which is empty in all but a long row.
+        short, long = pl.col(last).str.strip_chars() == "", pl.col(_BEYOND).str.strip_chars() != ""
+        number = _number(last, layout).cast(pl.Float64, strict=True).alias(last)
+        place = pl.int_range(pl.len(), dtype=pl.Int64)
+        places = (place + self.line).alias("source_row"), (place + self.row).alias(INDEX)
         try:
-            # Polars fills short rows and cuts long ones without a word. So two columns are always read as text: the
-            # last one, which is empty in a short row, and one beyond it, which is empty in all but a long row.
-            table = _scan(compact, layout, types, [*self._wanted, last, _BEYOND], quoted=quoted)
-            doubtful = (table[last].str.strip_chars() == "").any() or (table[_BEYOND].str.strip_chars() != "").any()
-            if doubtful and (quoted or not _is_even(compact, layout)):
-                return None
-            if quoted and table.height != compact.count(b"\n"):
-                return None  # a quote that was never closed
-            if last in self.numbers:
-                table = table.with_columns(_number(last, layout).cast(pl.Float64, strict=True).alias(last))
+            table = (
+                _scan(block, layout, types, quoted=quoted)
+                .with_columns((short.any() | long.any()).alias(_DOUBT), *([number] if last in self.numbers else []))
+                .select(*places, *self._clean(), _DOUBT)
+                .collect(engine="in-memory")
+            )
         except pl.exceptions.PolarsError:
             return None
-        count = table.height
-        at = lines if lines is not None else pl.int_range(count, dtype=pl.Int64, eager=True)
-        table = table.with_columns(
-            (at + self.line).alias("source_row"),
-            pl.int_range(self.row, self.row + count, dtype=pl.Int64, eager=True).alias(INDEX),
-        )
-        self.line += count if lines is None else block.count(b"\n")
-        self.row += count
-        return self._finished(table, [], count)
+        doubtful = table.height > 0 and table[_DOUBT][0]
+        if doubtful and (quoted or not _is_even(block, layout)):
+            return None
+        if quoted and table.height != block.count(b"\n"):
+            return None  # a quote that was never closed
+        return pl.DataFrame(table.get_columns()[:-1])
+
+    def _clean(self) -> list[pl.Expr]:
+        """Return the columns asked for: numbers that are finite, texts without blanks and quotes around them."""
+        finite = [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in self.numbers]
+        texts = [pl.col(name).str.strip_chars().str.strip_chars('"') for name in self.texts]
+        return [*finite, *(text.replace("", None).alias(name) for text, name in zip(texts, self.texts, strict=True))]
 
     def _one_by_one(self, block: bytes) -> Rows:
         kept: list[str] = []
@@ -355,25 +382,22 @@ class _Parser:
         table = _as_texts(kept, self.layout).select(self._wanted)
         where = pl.DataFrame(places, schema={"source_row": pl.Int64(), INDEX: pl.Int64()}, orient="row")
         table, garbled = _as_numbers(pl.concat([where, table], how="horizontal"), self.layout, self.numbers)
-        return self._finished(table, sorted(aside + garbled), rows_read)
+        return self._trusted(table.select("source_row", INDEX, *self._clean()), sorted(aside + garbled), rows_read)
 
-    def _finished(self, table: pl.DataFrame, aside: Sequence[tuple[int, str]], rows_read: int) -> Rows:
-        finite = [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in self.numbers]
-        clean = [
-            pl.col(name).str.strip_chars().str.strip_chars('"').replace("", None).alias(name) for name in self.texts
-        ]
-        table = table.select("source_row", INDEX, *finite, *clean)
+    def _trusted(self, table: pl.DataFrame, aside: Sequence[tuple[int, str]], rows_read: int) -> Rows:
         rows = Rows(table, rows_read, pl.DataFrame(aside, schema=_SET_ASIDE, orient="row"))
         for name in self.required:
-            if table[name].null_count():
+            if rows.frame[name].null_count():
                 rows = rows.without(rows.frame[name].is_null(), f"no value in column {name!r}")
         return rows
 
 
-def _scan(
-    block: bytes, layout: Layout, types: dict[str, pl.DataType], wanted: Sequence[str], *, quoted: bool
-) -> pl.DataFrame:
-    frame = pl.scan_csv(
+def _has_blank_lines(block: bytes) -> bool:
+    return block.startswith((b"\n", b"\r\n")) or b"\n\n" in block or b"\n\r\n" in block
+
+
+def _scan(block: bytes, layout: Layout, types: dict[str, pl.DataType], *, quoted: bool) -> pl.LazyFrame:
+    return pl.scan_csv(
         block,
         separator=_polars_delimiter(layout),
         has_header=False,
@@ -385,7 +409,6 @@ def _scan(
         missing_columns="insert",
         glob=False,
     )
-    return frame.select(list(dict.fromkeys(wanted))).collect(engine="in-memory")
 
 
 def _polars_delimiter(layout: Layout) -> str:

@@ -8,12 +8,13 @@ does not matter for a distance to the nearest of them.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    Place = tuple[float, float, float]
+Place = tuple[float, float, float]
 
 STRIDE_M = 0.5
 """How far a body may seem to jump between two frames, however short the time: trackers are no better."""
@@ -21,6 +22,29 @@ WALK_M_S = 3.0
 """How fast it may go beyond that."""
 FORGET_S = 1.0
 """A track not seen for so long is over: who comes next is somebody new."""
+
+
+@dataclass
+class Linker:
+    """Names the bodies of one frame after the other."""
+
+    count: int = 0
+    _last: dict[str, tuple[float, Place]] = field(default_factory=dict)
+
+    def frame(self, now_s: float, bodies: Sequence[Place]) -> list[str]:
+        """Return a track name ("1", "2", ...) for each body, positions in metres."""
+        self._last = {name: seen for name, seen in self._last.items() if now_s - seen[0] <= FORGET_S}
+        chosen = _nearest_pairs(now_s, bodies, self._last)
+        for index, place in enumerate(bodies):
+            if index not in chosen:
+                self.count += 1
+                chosen[index] = str(self.count)
+            self._last[chosen[index]] = (now_s, place)
+        return [chosen[index] for index in range(len(bodies))]
+
+    def alone(self, now_s: float, place: Place) -> None:
+        """Take note of the only body there has been so far, whose name is "1"."""
+        self.count, self._last = 1, {"1": (now_s, place)}
 
 
 def link(t_s: Sequence[float], bodies: Sequence[Sequence[Place]]) -> list[list[str]]:
@@ -32,19 +56,8 @@ def link(t_s: Sequence[float], bodies: Sequence[Sequence[Place]]) -> list[list[s
     """
     if max(map(len, bodies), default=0) <= 1:
         return [["1"] * len(frame) for frame in bodies]
-    last: dict[str, tuple[float, Place]] = {}
-    names: list[list[str]] = []
-    count = 0
-    for now_s, frame in zip(t_s, bodies, strict=True):
-        last = {name: seen for name, seen in last.items() if now_s - seen[0] <= FORGET_S}
-        chosen = _nearest_pairs(now_s, frame, last)
-        for index in range(len(frame)):
-            if index not in chosen:
-                count += 1
-                chosen[index] = str(count)
-            last[chosen[index]] = (now_s, frame[index])
-        names.append([chosen[index] for index in range(len(frame))])
-    return names
+    linker = Linker()
+    return [linker.frame(now_s, frame) for now_s, frame in zip(t_s, bodies, strict=True)]
 
 
 def _nearest_pairs(now_s: float, frame: Sequence[Place], last: dict[str, tuple[float, Place]]) -> dict[int, str]:

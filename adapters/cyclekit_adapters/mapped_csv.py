@@ -21,6 +21,7 @@ from cyclekit_adapters.csv_map import FRAME, METRES, RADIANS, SECONDS, STATES, W
 from cyclekit_adapters.delimited import INDEX, Layout, Rows, delimiter_of, header_names, read_blocks, unique
 from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.text_blocks import file_encoding, head_lines
+from cyclekit_adapters.written_time import written_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -138,7 +139,8 @@ def _timed(rows: Rows, mapping: CsvMap, rate_hz: float | None) -> Rows:
         second = 1.0 / cast("float", rate_hz) if mapping.time_unit == FRAME else SECONDS[mapping.time_unit]
         return replace(rows, frame=frame.with_columns((pl.col(column) * second).alias(_T)))
     text = pl.concat_str(mapping.time, separator=" ")
-    frame = frame.with_columns(text.alias(_JOINED), _seconds(text, mapping).alias(_T))
+    when = written_seconds(text, str(mapping.time_format), mapping.time_zone)
+    frame = frame.with_columns(text.alias(_JOINED), when.alias(_T))
     rows = replace(rows, frame=frame)
     bad = frame[_T].is_null()
     if bad.any():
@@ -146,31 +148,6 @@ def _timed(rows: Rows, mapping: CsvMap, rate_hz: float | None) -> Rows:
         pattern = mapping.time_format
         rows = rows.without(bad, f"its time is not written as {pattern!r} (the first such: {str(first)[:40]!r})")
     return replace(rows, frame=rows.frame.drop(_JOINED))
-
-
-def _seconds(text: pl.Expr, mapping: CsvMap) -> pl.Expr:
-    """Return seconds since 1970 (since midnight, where the pattern has no date) of times written as text."""
-    pattern = str(mapping.time_format)
-    if pattern == "iso":
-        text = text.str.replace(" ", "T", literal=True).str.replace(",", ".", literal=True)
-        zoned = text.str.replace("Z$", "+00:00").str.to_datetime("%+", time_unit="ns", time_zone="UTC", strict=False)
-        plain = text.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f", time_unit="ns", strict=False)
-        return pl.coalesce(_since_1970(zoned), _since_1970(_in_zone(plain, mapping.time_zone)))
-    if "%d" not in pattern and "%j" not in pattern and "%D" not in pattern and "%F" not in pattern:
-        return text.str.to_time(pattern, strict=False).cast(pl.Int64) * 1e-9
-    if "%z" in pattern or "%+" in pattern:
-        return _since_1970(text.str.to_datetime(pattern, time_unit="ns", time_zone="UTC", strict=False))
-    return _since_1970(_in_zone(text.str.to_datetime(pattern, time_unit="ns", strict=False), mapping.time_zone))
-
-
-def _in_zone(when: pl.Expr, zone: str | None) -> pl.Expr:
-    return when.dt.replace_time_zone(zone or "UTC", ambiguous="earliest", non_existent="null")
-
-
-def _since_1970(when: pl.Expr) -> pl.Expr:
-    """Whole seconds and the rest apart: nanoseconds since 1970 are more than a float holds."""
-    count = when.dt.epoch("ns")
-    return (count // 1_000_000_000).cast(pl.Float64) + (count % 1_000_000_000) * 1e-9
 
 
 def _robot(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:

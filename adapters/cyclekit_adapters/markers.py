@@ -8,13 +8,15 @@ markers, subjects without them are things. The cell file may name a subject, one
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
 from cyclekit.errors import LogError, nearest
+from cyclekit.schema import PEOPLE, conform
+from cyclekit_adapters.joints import all_joints, joint_rows
 from cyclekit_adapters.source_map import split_names, words
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.adapter import ReadOptions
+    from cyclekit_adapters.sightings import Sightings
 
 # Anterior and posterior superior iliac spines (LASI, RPSI, ASISr, L_PSIS, ...), sacrum, waist, pelvis, mid-hip.
 _PELVIS = re.compile(
@@ -36,11 +39,31 @@ _EARTH_M = 1e7  # farther away a marker is a garbled number
 
 @dataclass(frozen=True)
 class People:
-    """The people among the markers: `tracks` person -> marker indices, what `point` each is, what is no person."""
+    """The people among the markers.
+
+    Attributes:
+        tracks: Person -> the markers whose middle is the person.
+        point: What that middle is.
+        things: Subjects that are no people.
+        worn: Person -> all labelled markers of theirs: the joints of a skeleton.
+    """
 
     tracks: dict[str, list[int]]
     point: str
-    things: tuple[str, ...]
+    things: tuple[str, ...] = ()
+    worn: dict[str, list[int]] = field(default_factory=dict)
+
+    def used(self, *, skeletons: bool) -> list[int]:
+        """Return the markers whose places are needed, ascending."""
+        tracks = [*self.tracks.values(), *(self.worn.values() if skeletons else ())]
+        return sorted({index for members in tracks for index in members})
+
+    def among(self, used: Sequence[int]) -> People:
+        """Return the same people by the places of their markers in `used`."""
+        at = {index: place for place, index in enumerate(used)}
+        tracks = {who: [at[index] for index in members] for who, members in self.tracks.items()}
+        worn = {who: [at[index] for index in members if index in at] for who, members in self.worn.items()}
+        return replace(self, tracks=tracks, worn=worn)
 
 
 def marker_words(options: ReadOptions, adapter: str) -> str | None:
@@ -63,19 +86,22 @@ def choose_people(path: Path, names: Sequence[str], options: ReadOptions, adapte
     wanted, _ = split_names(options, adapter, "markers")
     subjects = _subjects(names)
     if wanted:
-        return People({options.body or _ALONE: [_find(path, names, name) for name in wanted]}, "markers named", ())
+        named = {options.body or _ALONE: [_find(path, names, name) for name in wanted]}
+        return People(named, "markers named", worn=named)
     if options.body is not None:
         if options.body in subjects:
             members = subjects[options.body]
             pelvis = [index for index in members if _is_pelvis(names[index])]
-            return People({options.body: pelvis or members}, _point(bool(pelvis)), ())
-        return People({options.body: [_find(path, (*names, *subjects), options.body)]}, "the marker named", ())
+            worn = {options.body: _labelled(members, names)}
+            return People({options.body: pelvis or members}, _point(bool(pelvis)), worn=worn)
+        return People({options.body: [_find(path, (*names, *subjects), options.body)]}, "the marker named")
     if not subjects:
         raise LogError(path, "no positions: it has no markers", cure="Export the trajectories of the markers.")
     hips = {who: [i for i in members if _is_pelvis(names[i])] for who, members in subjects.items()}
-    worn = {who: members for who, members in hips.items() if members}
-    things = tuple(who for who in subjects if worn and who not in worn)
-    return People(worn or subjects, _point(bool(worn)), things)
+    found = {who: members for who, members in hips.items() if members}
+    things = tuple(who for who in subjects if found and who not in found)
+    worn = {who: _labelled(subjects[who], names) for who in found or subjects}
+    return People(found or subjects, _point(bool(found)), things, worn)
 
 
 def _point(hips: bool) -> str:
@@ -98,6 +124,10 @@ def _subjects(names: Sequence[str]) -> dict[str, list[int]]:
     return found
 
 
+def _labelled(members: Sequence[int], names: Sequence[str]) -> list[int]:
+    return [index for index in members if not names[index].rpartition(":")[2].startswith("*")]
+
+
 def _find(path: Path, names: Sequence[str], name: str) -> int:
     if name in names:
         return list(names).index(name)
@@ -108,9 +138,7 @@ def _find(path: Path, names: Sequence[str], name: str) -> int:
     raise LogError(path, f"no body or marker {name!r}", nearest=nearest(name, names), cure=cure)
 
 
-def people_table(
-    people: People, points_m: NDArray[np.float64], t_s: NDArray[np.float64], source_row: NDArray[np.int64]
-) -> pl.DataFrame:
+def people_table(people: People, points_m: NDArray[np.float64], t_s: pl.Series, source_row: pl.Series) -> pl.DataFrame:
     """Return the rows of PEOPLE, ordered by time: the middle of what was seen, null where nothing was.
 
     Args:
@@ -127,12 +155,34 @@ def people_table(
         middle = np.full((len(t_s), 3), np.nan)
         middle[count > 0] = total[count > 0] / count[count > 0, None]
         axes = {f"{axis}_m": pl.Series(middle[:, i]).fill_nan(None) for i, axis in enumerate("xyz")}
-        tracks.append(pl.DataFrame({"t_s": t_s, "person": [person] * len(t_s), **axes, "source_row": source_row}))
-    return pl.concat(tracks).sort("source_row", maintain_order=True)
+        frame = pl.DataFrame({"t_s": t_s, **axes, "source_row": source_row})
+        tracks.append(conform(frame.with_columns(person=pl.lit(person)), PEOPLE))
+    table = pl.concat(tracks)
+    return table.sort("source_row", maintain_order=True) if len(tracks) > 1 else table
 
 
-def marker_warnings(people: People, table: pl.DataFrame, options: ReadOptions) -> list[str]:
-    """Say what a person must know about the choice of markers."""
+def skeleton_table(
+    people: People, names: Sequence[str], points_m: NDArray[np.float64], t_s: pl.Series, source_row: pl.Series
+) -> pl.DataFrame:
+    """Return the rows of SKELETONS: each person's labelled markers, by their names without the subject.
+
+    Args:
+        people: Who wears which markers.
+        names: M names.
+        points_m: As for `people_table`.
+        t_s: (T,).
+        source_row: (T,).
+    """
+    tables = []
+    for person, members in people.worn.items():
+        joints = [names[i].rpartition(":")[2].strip().lower() for i in members]
+        points = np.where(np.abs(points_m[:, members]) < _EARTH_M, points_m[:, members], np.nan)
+        tables.append(joint_rows(t_s, person, joints, points, source_row))
+    return all_joints(tables)
+
+
+def marker_warnings(people: People, seen: Sightings) -> list[str]:
+    """Say what a person must know about the choice of markers, and in how many frames they were hidden."""
     said = []
     if len(people.tracks) > 1:
         said.append(f"{len(people.tracks)} bodies tracked ({', '.join(people.tracks)}): name the operator with `body`")
@@ -140,11 +190,7 @@ def marker_warnings(people: People, table: pl.DataFrame, options: ReadOptions) -
         said.append("no pelvis marker known by name: the person is the middle of all markers; see `body` and `markers`")
     if any(len(members) > 1 for members in people.tracks.values()):
         said.append("the person is the middle of the markers seen, which shifts when one is hidden")
-    for person in people.tracks:
-        seen = table.filter(pl.col("person") == person)["x_m"]
-        if seen.has_nulls():
-            said.append(f"{person!r} is not seen in {seen.null_count()} of {len(seen)} frames")
-    return said
+    return said + seen.hidden()
 
 
 def marker_facts(people: People, names: Sequence[str]) -> dict[str, str]:

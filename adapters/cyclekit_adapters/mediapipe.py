@@ -35,6 +35,8 @@ class _MediaPipe:
             keyed = any(key in plain for key in _KEYS) or ("landmarks" in plain and '"visibility"' in head)
             return (named or keyed) and all(f'"{axis}"' in head.lower() for axis in "xyz")
         line = head.partition("\n")[0]
+        if max(map(line.count, ",;\t")) < _LANDMARKS - 1:
+            return False
         cells = [cell.strip().lower() for cell in fields_of(line, delimiter_of(line, ",;\t"))]
         if len(cells) < _LANDMARKS:
             return False

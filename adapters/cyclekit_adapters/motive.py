@@ -4,88 +4,140 @@ A person is a rigid body, the hip of a skeleton, or the middle of the seen marke
 preference; each is a track of its own, and the cell file may name the one that counts. Lengths come in the unit that
 line 1 states, Y points up, rotation stands before position. The clock is the take's: frame number over export rate.
 An empty cell is a body that no camera saw, and stays unknown. Which way the volume is turned in the cell is not in
-the file.
+the file. Where skeletons are asked for, their joints are the bones as Motive names them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import DamagedLog, LogError, UnknownName, nearest
 from cyclekit.schema import PEOPLE, conform
-from cyclekit_adapters.delimited import Layout, fields_of, read_rows
+from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, fields_of, read_blocks
+from cyclekit_adapters.frame_clock import FRAME, TIME, FrameClock
+from cyclekit_adapters.header_line import has_decimal_comma
+from cyclekit_adapters.in_parts import in_parts
+from cyclekit_adapters.joints import all_joints, joint_rows, points_of
+from cyclekit_adapters.sightings import Sightings
 from cyclekit_adapters.text_blocks import file_encoding, head_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
+_MARKS = ",;\t"  # Motive writes commas; a spreadsheet saves a take again in its own way
+_LOOKED_AT = 20  # rows
 _HEADER_BYTES = 4 << 20  # a take of many markers has header rows of megabytes
 _METRES = {"meters": 1.0, "millimeters": 1e-3, "centimeters": 1e-2}
 _BODY, _BONE, _MARKER, _EXPECTED = "Rigid Body", "Bone", "Marker", "Rigid Body Marker"
 _HIPS = {"hip", "hips", "pelvis"}
 _EXPORT = "Export the take again from Motive as CSV"
 
+_Points = list[tuple[str, str, str]]
+
 
 @dataclass(frozen=True)
 class _Header:
-    """What stands above the data: `about` from line 1, `points` as (type, name) -> its x, y, z columns."""
+    """What stands above the data.
+
+    Attributes:
+        about: Line 1.
+        layout: How the rows are written.
+        points: (type, name) -> its x, y, z columns.
+        clock: What the frames count.
+    """
 
     about: dict[str, str]
-    lines: int
     layout: Layout
     points: dict[tuple[str, str], tuple[str, str, str]]
+    clock: FrameClock
 
 
 class _MotiveCsv:
     def recognises(self, path: Path) -> bool:
-        lines = head_of(path, 4096).split("\n")
-        return lines[0].startswith("Format Version,") and "Take Name" in lines[0]
+        line = head_of(path).partition("\n")[0]
+        return line.startswith(tuple(f"Format Version{mark}" for mark in _MARKS)) and "Take Name" in line
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         for key in options.map:
             raise UnknownName("[sources.map] of a Motive log", "key", key, [], cure="Motive needs no map; use `body`.")
         header = _header(path)
         metres = _metres(path, header)
         people = _people_of(path, header, options.body)
-        cells = list(dict.fromkeys(name for points in people.values() for point in points for name in point))
-        clock = [name for name in ("Frame", "Time") if name in header.layout.names]
-        rows = read_rows(path, header.layout, numbers=[*clock, *cells], required=["Frame"]).or_refuse(path)
-        t_s, clock_said = _times(path, rows.frame, header.about)
-        tracks = [_track(rows.frame, t_s, name, points, metres) for name, points in people.items()]
-        table = pl.concat(tracks).sort("source_row", "person", maintain_order=True)
-        return Recording(
-            people=conform(table, PEOPLE),
-            clock="relative",
-            up="y",
-            rows_are="line",
-            rows_read=rows.rows_read,
-            set_aside=rows.set_aside,
-            warnings=(*clock_said, *_warnings(header, people, table, options.body)),
-            facts={key: header.about[key] for key in header.about if header.about[key]}
-            | {"tracked": ", ".join(people), "names_in_file": ", ".join(name for _, name in header.points)},
+        bones = _bones(header, options.body) if options.skeletons else {}
+        clock, seen = header.clock, Sightings()
+
+        def make(rows: Rows) -> Recording:
+            t_s = clock.seconds(rows.frame)
+            frame = rows.frame.with_columns(t_s)
+            table = pl.concat([_track(frame, name, points, metres) for name, points in people.items()])
+            table = conform(table.sort("source_row", "person", maintain_order=True), PEOPLE)
+            seen.add(table)
+            seen.clock(t_s)
+            return Recording(
+                people=table,
+                skeletons=_skeletons(frame, bones, metres) if bones else None,
+                clock="relative",
+                up="y",
+                rows_are="line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            facts = {key: value for key, value in header.about.items() if value}
+            facts |= {"tracked": ", ".join(people), "names_in_file": ", ".join(name for _, name in header.points)}
+            said = (*clock.warnings(), *_warnings(header, people, seen, options.body))
+            return replace(last, warnings=said, facts=facts)
+
+        points = [*people.values(), *(list(joints.values()) for joints in bones.values())]
+        cells = dict.fromkeys(name for track in points for point in track for name in point)
+        numbers = [*clock.names, *cells]
+        blocks = read_blocks(
+            path, header.layout, numbers=numbers, required=list(dict.fromkeys([FRAME, *clock.required]))
         )
+        yield from in_parts(path, blocks, make, finish)
 
 
 def _header(path: Path) -> _Header:
     lines = head_of(path, _HEADER_BYTES).split("\n")
-    first = fields_of(lines[0], ",")
+    mark = delimiter_of(lines[0], _MARKS)
+    first = fields_of(lines[0], mark)
     about = {key.strip(): value.strip() for key, value in zip(first[::2], first[1::2], strict=False)}
-    at = next((i for i, line in enumerate(lines[:60]) if line.startswith(("Frame,", '"Frame",'))), None)
+    at = next((i for i, line in enumerate(lines[:60]) if line.startswith((f"Frame{mark}", f'"Frame"{mark}'))), None)
     if at is None or "Length Units" not in about:
         cause = "no header" if at is None and "Length Units" not in about else "the header is incomplete"
         cure = f"{_EXPORT}, with header information switched on."
         raise DamagedLog(path, f"{cause}: bodies and length units cannot be known", cure=cure)
-    axes = [cell.strip() for cell in fields_of(lines[at], ",")]
-    above = [[cell.strip() for cell in fields_of(line, ",")] for line in lines[1:at] if line.strip(" ,\r")]
+    axes = [cell.strip() for cell in fields_of(lines[at], mark)]
+    above = [[cell.strip() for cell in fields_of(line, mark)] for line in lines[1:at] if line.strip(f" {mark}\r")]
     width = max(i for i, cell in enumerate(axes) if cell) + 1
-    time = "Time" if len(axes) > 1 and axes[1].startswith("Time") else "#1"
-    names = ("Frame", time, *(f"#{index}" for index in range(2, _width(above, width))))
-    layout = Layout(names, ",", header_lines=at + 1, encoding=file_encoding(path) or "utf-8")
-    return _Header(about, at + 1, layout, _points(path, above, axes, names))
+    time = TIME if len(axes) > 1 and axes[1].startswith(TIME) else "#1"
+    names = (FRAME, time, *(f"#{index}" for index in range(2, _width(above, width))))
+    rows = lines[at + 1 :]
+    comma = has_decimal_comma(rows[:_LOOKED_AT], mark)
+    layout = Layout(names, mark, at + 1, decimal_comma=comma, encoding=file_encoding(path) or "utf-8")
+    clock = _clock(path, about, names)
+    clock.decide(rows, mark, decimal_comma=comma)
+    return _Header(about, layout, _points(path, above, axes, names), clock)
+
+
+def _clock(path: Path, about: dict[str, str], names: tuple[str, ...]) -> FrameClock:
+    try:
+        rate_hz = float(about.get("Export Frame Rate", "").replace(",", "."))
+    except ValueError:
+        rate_hz = 0.0
+    clock = FrameClock(tuple(name for name in names if name in (FRAME, TIME)), rate_hz if rate_hz > 0.0 else None, 0)
+    if not clock.known:
+        raise DamagedLog(path, "neither an export frame rate nor a Time column", cure=f"{_EXPORT}, with its header.")
+    return clock
 
 
 def _width(above: list[list[str]], width: int) -> int:
@@ -127,9 +179,6 @@ def _metres(path: Path, header: _Header) -> float:
     return _METRES[unit.lower()]
 
 
-_Points = list[tuple[str, str, str]]
-
-
 def _people_of(path: Path, header: _Header, body: str | None) -> dict[str, _Points]:
     """Return the tracks of this take and the points that make up each."""
     tracks = _tracks(header.points)
@@ -160,28 +209,26 @@ def _tracks(points: dict[tuple[str, str], tuple[str, str, str]]) -> list[dict[st
     return [bodies, skeletons, sets, rest]
 
 
-def _times(path: Path, frame: pl.DataFrame, about: dict[str, str]) -> tuple[pl.Series, list[str]]:
-    """Return seconds since the take began: frame over rate, unless the Time column contradicts the rate."""
-    numbers = frame["Frame"]
-    try:
-        rate_hz = float(about.get("Export Frame Rate", ""))
-    except ValueError:
-        rate_hz = 0.0
-    logged = frame["Time"] if "Time" in frame.columns and not frame["Time"].has_nulls() else None
-    if rate_hz > 0.0:
-        exact = numbers / rate_hz
-        if logged is None:
-            return exact, []
-        off = ((logged - logged[0]) - (exact - exact[0])).abs().max()
-        if float(str(off)) <= max(2e-3, 0.5 / rate_hz):
-            return exact, []
-    if logged is None:
-        raise DamagedLog(path, "neither an export frame rate nor a Time column", cure=f"{_EXPORT}, with its header.")
-    stated = f"{rate_hz:g} Hz" if rate_hz > 0.0 else "none"
-    return logged, [f"the header's export rate ({stated}) does not fit the Time column: the Time column is used"]
+def _bones(header: _Header, body: str | None) -> dict[str, dict[str, tuple[str, str, str]]]:
+    """Return the bones of each skeleton, or of the one named: person -> joint -> its columns."""
+    found: dict[str, dict[str, tuple[str, str, str]]] = {}
+    for (kind, name), xyz in header.points.items():
+        owner, _, part = name.partition(":")
+        if kind == _BONE and body in (None, owner):
+            name = "hip" if part in ("", owner) else part.lower()  # the top of the hierarchy is named after it all
+            found.setdefault(owner, {})[name] = xyz
+    return found
 
 
-def _track(frame: pl.DataFrame, t_s: pl.Series, name: str, points: _Points, metres: float) -> pl.DataFrame:
+def _skeletons(frame: pl.DataFrame, bones: dict[str, dict[str, tuple[str, str, str]]], metres: float) -> pl.DataFrame:
+    tables = []
+    for person, joints in bones.items():
+        points = points_of(frame, [name for point in joints.values() for name in point]) * metres
+        tables.append(joint_rows(frame["t_s"], person, list(joints), points, frame["source_row"]))
+    return all_joints(tables)
+
+
+def _track(frame: pl.DataFrame, name: str, points: _Points, metres: float) -> pl.DataFrame:
     """Return one person's rows: the mean of those of its points that were seen, null where none was."""
     whole = [pl.all_horizontal(pl.col(point).is_not_null()) for point in points]
     axes = {
@@ -191,10 +238,10 @@ def _track(frame: pl.DataFrame, t_s: pl.Series, name: str, points: _Points, metr
         * metres
         for i, axis in enumerate("xyz")
     }
-    return frame.select(t_s.alias("t_s"), pl.lit(name).alias("person"), "source_row", **axes)
+    return frame.select("t_s", pl.lit(name).alias("person"), "source_row", **axes)
 
 
-def _warnings(header: _Header, people: dict[str, _Points], table: pl.DataFrame, body: str | None) -> list[str]:
+def _warnings(header: _Header, people: dict[str, _Points], seen: Sightings, body: str | None) -> list[str]:
     said = []
     kinds = {kind for kind, _ in header.points}
     if body is None and len(people) > 1:
@@ -203,13 +250,10 @@ def _warnings(header: _Header, people: dict[str, _Points], table: pl.DataFrame, 
         said.append("only unlabelled markers: one marker may be split over several tracks")
     if any(len(points) > 1 for points in people.values()):
         said.append("the person is the middle of the markers seen, which jumps when one is hidden")
-    for name in people:
-        seen = table.filter(pl.col("person") == name)["x_m"]
-        if seen.has_nulls():
-            said.append(f"{name!r} is not seen in {seen.null_count()} of {len(seen)} frames")
-    if (table.filter(pl.col("person") == next(iter(people)))["t_s"].diff() <= 0).any():
+    said += seen.hidden()
+    if seen.back:
         said.append("time does not increase throughout: the rows were edited or joined")
     return said
 
 
-ADAPTER: Adapter = _MotiveCsv()
+ADAPTER: StreamingAdapter = _MotiveCsv()

@@ -9,17 +9,20 @@ given as `rate_hz`. A table with a time column is not one of these; it is mapped
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import ConfigError, DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.delimited import INDEX, read_rows
+from cyclekit_adapters.delimited import INDEX, Rows, read_blocks
 from cyclekit_adapters.header_line import column_names, layout_below
+from cyclekit_adapters.in_parts import in_parts
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 _WHERE = "[sources.map] of a table of poses"
@@ -34,34 +37,46 @@ class _PoseCsv:
         return bool(_columns(column_names(path)))
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         metres = _metres(options)
         layout = layout_below(path)
         columns = _columns(layout.names)
         if not columns:
             cure = 'It holds x, y, z or O_T_EE and nothing but poses; any other table is mapped with adapter = "csv".'
             raise DamagedLog(path, "no table of poses without a time", cure=cure)
-        if options.rate_hz is None:
+        rate_hz = options.rate_hz
+        if rate_hz is None:
             cure = "The rows carry no time: give the rate they were written at in cell.toml, rate_hz = ..."
             raise MissingColumns(path, ["time"], layout.names, cure)
         places = [columns[f"tcp_{axis}_m"] for axis in "xyz"]
-        rows = read_rows(path, layout, numbers=list(columns.values()), required=places).or_refuse(path)
-        t_s = pl.col(INDEX) / options.rate_hz
-        values = [pl.col(source) * (metres if name.startswith("tcp") else 1.0) for name, source in columns.items()]
-        named = [value.alias(name) for value, name in zip(values, columns, strict=True)]
-        return Recording(
-            robot=conform(rows.frame.select(t_s.alias("t_s"), "source_row", *named), ROBOT),
-            clock="relative",
-            joint_names=tuple(source for name, source in columns.items() if re.fullmatch(r"q\d_rad", name)),
-            rows_are="line",
-            rows_read=rows.rows_read,
-            set_aside=rows.set_aside,
-            warnings=tuple(_warnings(options)),
-            facts={
-                "time": f"row / {options.rate_hz:g} Hz, as the cell file says",
+        values = {
+            name: pl.col(source) * (metres if name.startswith("tcp") else 1.0) for name, source in columns.items()
+        }
+
+        def make(rows: Rows) -> Recording:
+            t_s = pl.Series("t_s", rows.frame[INDEX].to_numpy() / rate_hz)
+            robot = rows.frame.select(t_s, "source_row", **values)
+            return Recording(
+                robot=conform(robot, ROBOT),
+                clock="relative",
+                joint_names=tuple(source for name, source in columns.items() if re.fullmatch(r"q\d_rad", name)),
+                rows_are="line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            facts = {
+                "time": f"row / {rate_hz:g} Hz, as the cell file says",
                 "place": ", ".join(places),
                 "length_unit": str(options.map.get("length_unit", "m, as libfranka writes it")),
-            },
-        )
+            }
+            return replace(last, warnings=tuple(_warnings(options)), facts=facts)
+
+        blocks = read_blocks(path, layout, numbers=list(columns.values()), required=places)
+        yield from in_parts(path, blocks, make, finish)
 
 
 def _metres(options: ReadOptions) -> float:
@@ -109,4 +124,4 @@ def _warnings(options: ReadOptions) -> list[str]:
     return said
 
 
-ADAPTER: Adapter = _PoseCsv()
+ADAPTER: StreamingAdapter = _PoseCsv()

@@ -143,7 +143,7 @@ def _robot(frame: pl.DataFrame, register: str, joints: dict[str, str]) -> pl.Dat
     whole = {_OUTPUTS: "digital_out_bits", register: "register"}
     columns += [pl.col(n).cast(pl.Int64, strict=False).alias(c) for n, c in whole.items() if n in have]
     columns += [pl.col(name).alias(column) for name, column in joints.items()]
-    return conform(frame.select(columns), ROBOT)
+    return conform(frame.lazy().select(columns), ROBOT)
 
 
 def _fraction(value: pl.Expr) -> pl.Expr:

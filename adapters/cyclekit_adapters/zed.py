@@ -6,6 +6,7 @@ Neither unit nor axes are in the file, so both are taken from the bodies themsel
 end, and stand upright. What cannot be decided so is refused; `unit` and `axes` in the cell file decide it. Time is the
 host's clock, of frames with bodies only where empty frames carry none. Ids that live one frame are no ids: those
 bodies are linked by motion. A recording without any body is refused, since nothing in it says when nobody was there.
+Where skeletons are asked for, their joints are the SDK's keypoints.
 """
 
 from __future__ import annotations
@@ -18,49 +19,33 @@ import numpy as np
 import polars as pl
 
 from cyclekit.adapter import Adapter, ReadOptions, Recording
-from cyclekit.errors import DamagedLog, LogError, nearest
+from cyclekit.errors import DamagedLog, LogError
 from cyclekit.schema import PEOPLE, conform
-from cyclekit_adapters.json_parts import BrokenJson, json_text, number, parts, point
+from cyclekit_adapters.joints import all_joints, joint_rows
+from cyclekit_adapters.json_parts import BrokenJson, json_pieces, parts
 from cyclekit_adapters.linking import link
+from cyclekit_adapters.sightings import Sightings, only
 from cyclekit_adapters.source_map import words
 from cyclekit_adapters.text_blocks import head_of
+from cyclekit_adapters.zed_body import JOINTS, Body, body_of, seconds_of
 from cyclekit_adapters.zed_frame import AXES, UNITS, axes_of, metres_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from cyclekit.adapter import ClockKind
-    from cyclekit_adapters.json_parts import Place
+    from numpy.typing import NDArray
 
 _KEYED = re.compile(r'\s*\{\s*"\d{1,20}"\s*:\s*\{')
 _NOBODY = re.compile(r"[\s\[\],]*")
-_EMPTY = re.compile(r"\s*(\[[\s\[\],]*\]|\{\s*\})\s*")
+_EMPTY = re.compile(r"\s*\[[\s\[\],]*\]\s*")
 _SDK = ('"body_list"', '"is_tracked"')
-_PELVIS = {18: (8, 11), 34: (0,), 38: (0,)}
-_NECK = {18: 1, 34: 3, 38: 4}
-_SPAN_S = (9.4e8, 4.1e9)
-"""Seconds since 1970 that a log can hold: the years 2000 to 2099."""
-
-
-@dataclass(frozen=True)
-class _Body:
-    """One body of one frame, in the file's unit and axes."""
-
-    t_s: float
-    clock: ClockKind
-    row: int
-    name: str
-    here: Place | None
-    size: float | None
-    upward: Place | None
-    joints: int
 
 
 @dataclass
 class _Dump:
     """What was found in the file, frame by frame."""
 
-    bodies: list[_Body] = field(default_factory=list)
+    bodies: list[Body] = field(default_factory=list)
     aside: list[tuple[int, str]] = field(default_factory=list)
     frames: int = 0
     empty: int = 0
@@ -79,11 +64,15 @@ class _ZedJson:
         rest = head[begin.end() :] if begin else head
         if not head.lstrip().startswith("[") or (rest and not rest.startswith("{")):
             return False
-        return not rest or any(word in head for word in _SDK) or ('"keypoint"' in head and '"id"' in head)
+        return (
+            (not rest and head.count("[") > 1)
+            or any(word in head for word in _SDK)
+            or ('"keypoint"' in head and '"id"' in head)
+        )
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         chosen = words(options, "ZED", {"unit": tuple(UNITS), "axes": tuple(AXES)})
-        dump, cut = _dump(path)
+        dump, cut = _dump(path, skeletons=options.skeletons)
         if not dump.bodies:
             _refuse_without_bodies(path, dump)
         dump.bodies.sort(key=lambda body: (body.t_s, body.row))
@@ -91,24 +80,27 @@ class _ZedJson:
         metres, unit_said = metres_of(path, sizes, chosen.get("unit"))
         upward = np.array([body.upward for body in dump.bodies if body.upward is not None]).reshape(-1, 3)
         turn, up, axes_said = axes_of(path, upward, chosen.get("axes"))
-        table, people_said = _people(path, dump.bodies, metres, options.body)
-        place = table.select("x_m", "y_m", "z_m").to_numpy() @ turn.T
-        table = table.with_columns(pl.Series(f"{axis}_m", place[:, i]).fill_nan(None) for i, axis in enumerate("xyz"))
+        tracks = _tracks(dump.bodies, metres)
+        table = _table(tracks, metres * turn)
+        seen = Sightings()
+        seen.add(table)
+        seen.require(path, options.body)
         joints = sorted({body.joints for body in dump.bodies})
         return Recording(
-            people=conform(table, PEOPLE),
+            people=conform(only(table, options.body), PEOPLE),
+            skeletons=_skeletons(tracks, metres * turn, options.body) if options.skeletons else None,
             clock=dump.bodies[0].clock,
             up=up,
             rows_are="frame",
             rows_read=dump.frames,
             set_aside=pl.DataFrame(dump.aside, schema=_SET_ASIDE, orient="row"),
-            warnings=(*cut, *_warnings(dump, table), *people_said[1:]),
+            warnings=(*cut, *_warnings(dump, tracks, seen, options.body)),
             facts={
                 "body_format": ", ".join(f"BODY_{count}" for count in joints),
                 "point": "middle of both hips, else position" if joints == [18] else "pelvis, else position",
                 "unit": unit_said,
                 "axes": axes_said,
-                "ids": people_said[0],
+                "ids": tracks.said,
                 "frames_without_bodies": str(dump.empty),
             },
         )
@@ -117,23 +109,23 @@ class _ZedJson:
 _SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
 
 
-def _dump(path: Path) -> tuple[_Dump, list[str]]:
+def _dump(path: Path, *, skeletons: bool) -> tuple[_Dump, list[str]]:
     """Take the document apart; a cut one gives the frames before the cut."""
-    text = json_text(path)
-    if (first := text.lstrip()[:1]) not in ("[", "{") or not first:
-        raise DamagedLog(path, "no JSON array or object", cure="Check how the file was written or copied.")
     dump = _Dump()
     try:
-        for key, value in parts(text):
-            _take_frame(path, dump, key, value)
+        for key, value in parts(json_pieces(path)):
+            _take_frame(path, dump, key, value, skeletons=skeletons)
             dump.frames += 1
     except BrokenJson as error:
+        if not error.at:
+            cause = "no JSON array or object"
+            raise DamagedLog(path, cause, cure="Check how the file was written or copied.") from None
         dump.aside.append((dump.frames, str(error)))
         return dump, [f"the file is cut or garbled after {dump.frames} frames: {error}"]
     return dump, []
 
 
-def _take_frame(path: Path, dump: _Dump, key: str, value: object) -> None:
+def _take_frame(path: Path, dump: _Dump, key: str, value: object, *, skeletons: bool) -> None:
     row = dump.frames
     if isinstance(value, dict):
         alone = [value] if "keypoint" in value else []  # a list of bodies without frames
@@ -150,61 +142,13 @@ def _take_frame(path: Path, dump: _Dump, key: str, value: object) -> None:
             dump.aside.append((row, "a body is no JSON object"))
             continue
         own = next((body[name] for name in ("ts", "timestamp") if body.get(name) is not None), stamp)
-        time = _seconds(own)
+        time = seconds_of(own)
         if time is None:
             dump.aside.append((row, f"a body without time: {str(own)[:40]!r} is no timestamp"))
-        elif (taken := _body(path, body, time, row)) is None:
+        elif (taken := body_of(path, body, time, row, skeletons=skeletons)) is None:
             dump.aside.append((row, "a body without keypoints and position"))
         else:
             dump.bodies.append(taken)
-
-
-def _seconds(stamp: object) -> tuple[float, ClockKind] | None:
-    """Return a timestamp in seconds: since 1970 if it is that in s, ms, us or ns, else taken as the SDK's ns."""
-    if isinstance(stamp, str):
-        if len(stamp) > 20 or not stamp.strip().isascii() or not stamp.strip().isdigit():
-            return None
-        stamp = int(stamp)
-    value = number(stamp)
-    if value is None or not 0.0 <= value < 1e19:
-        return None
-    for scale in (1, 10**3, 10**6, 10**9):
-        if _SPAN_S[0] <= value / scale <= _SPAN_S[1]:
-            return (stamp if isinstance(stamp, int) else value) / scale, "epoch"
-    return value / 10**9, "uptime"
-
-
-def _body(path: Path, body: dict[str, object], time: tuple[float, ClockKind], row: int) -> _Body | None:
-    raw = body.get("keypoint")
-    keypoints = [_seen(item) for item in raw] if isinstance(raw, list) else []
-    if keypoints and len(keypoints) not in _PELVIS:
-        cause = f"a body of {len(keypoints)} keypoints: ZED writes 18, 34 or 38"
-        raise DamagedLog(path, cause, cure='Map the table with adapter = "csv" if this is another skeleton.')
-    position = _seen(body.get("position"))
-    if not keypoints and position is None:
-        return None
-    hips = [keypoints[index] for index in _PELVIS.get(len(keypoints), ())]
-    whole = [hip for hip in hips if hip is not None]
-    pelvis = _mean(whole) if whole and len(whole) == len(hips) else None
-    neck = keypoints[_NECK[len(keypoints)]] if keypoints else None
-    upward = (neck[0] - pelvis[0], neck[1] - pelvis[1], neck[2] - pelvis[2]) if neck and pelvis else None
-    seen = np.array([item for item in keypoints if item is not None])
-    size = float((seen.max(axis=0) - seen.min(axis=0)).max()) if len(seen) >= _ENOUGH else None
-    name = str(body.get("id", ""))[:80]
-    return _Body(*time, row, name, pelvis or position, size, upward, len(keypoints))
-
-
-_ENOUGH = 5  # keypoints that show how large a body is
-
-
-def _seen(value: object) -> Place | None:
-    place = point(value)
-    return None if place == (0.0, 0.0, 0.0) else place  # senders without NaN write zeros
-
-
-def _mean(places: list[Place]) -> Place:
-    x, y, z = (sum(place[axis] for place in places) / len(places) for axis in range(3))
-    return x, y, z
 
 
 def _refuse_without_bodies(path: Path, dump: _Dump) -> None:
@@ -215,62 +159,88 @@ def _refuse_without_bodies(path: Path, dump: _Dump) -> None:
     raise LogError(path, cure="If nobody was there, leave the file out; else record again.", cause=cause)
 
 
-def _people(path: Path, bodies: list[_Body], metres: float, body: str | None) -> tuple[pl.DataFrame, list[str]]:
-    """Return one row per body, still in the file's axes, and what the ids are; warnings follow."""
-    kept = [item for item in bodies if item.here is not None]
-    frames: dict[tuple[float, int], list[int]] = {}
-    for index, item in enumerate(kept):
-        frames.setdefault((item.t_s, item.row), []).append(index)
-    here = [(metres * x, metres * y, metres * z) for x, y, z in (item.here for item in kept if item.here)]
-    rows = [(item.t_s, item.name, *place, item.row) for item, place in zip(kept, here, strict=True)]
-    table = pl.DataFrame(rows, schema=_ROW, orient="row")
-    said = ["of the tracker"]
-    if _ids_are_real(kept):
-        known = table["person"].unique().sort().to_list()
-    else:
-        places = [[here[i] for i in frame] for frame in frames.values()]
-        linked = link([t_s for t_s, _ in frames], places)
-        table = table.with_columns(pl.Series("person", [name for frame in linked for name in frame], dtype=pl.String()))
-        known = table["person"].unique().sort().to_list()
-        one = "one person, since no frame has two" if len(known) == 1 else "linked by motion"
-        said = [f"new in every frame; {one}"]
-        if len(known) > 1:
-            said.append(f"ids are new in every frame: bodies are linked by motion into {len(known)} tracks")
-    if body is not None:
-        table = table.filter(pl.col("person") == body)
-        if table.is_empty():
-            cure = f"In the file: {', '.join(known[:40])}."
-            raise LogError(path, f"no body {body!r}", nearest=nearest(body, known), cure=cure)
-    elif len(known) > 1:
-        said.append(f"{len(known)} tracks; `body` names the operator's, if it is always the same")
-    return table, said
+@dataclass(frozen=True)
+class _Tracks:
+    """The bodies that are rows, whose each is, and what is to be said of their ids."""
+
+    bodies: list[Body]
+    people: list[str]
+    said: str
+    linked: int = 0
 
 
-_ROW = {
-    "t_s": pl.Float64(),
-    "person": pl.String(),
-    "x_m": pl.Float64(),
-    "y_m": pl.Float64(),
-    "z_m": pl.Float64(),
-    "source_row": pl.Int64(),
-}
+def _tracks(bodies: list[Body], metres: float) -> _Tracks:
+    """Tell whose body is whose: by ids that last, else by motion."""
+    if _ids_are_real(bodies):
+        kept = [body for body in bodies if body.here is not None or body.hidden]
+        return _Tracks(kept, [body.name for body in kept], "of the tracker")
+    kept = [body for body in bodies if body.here is not None]
+    frames: dict[tuple[float, int], list[tuple[float, float, float]]] = {}
+    for body in kept:
+        x, y, z = body.here or (0.0, 0.0, 0.0)
+        frames.setdefault((body.t_s, body.row), []).append((metres * x, metres * y, metres * z))
+    names = [name for frame in link([t_s for t_s, _ in frames], list(frames.values())) for name in frame]
+    count = len(set(names))
+    how = "one person, since no frame has two" if count == 1 else "linked by motion"
+    return _Tracks(kept, names, f"new in every frame; {how}", count if count > 1 else 0)
 
 
-def _ids_are_real(bodies: list[_Body]) -> bool:
+def _table(tracks: _Tracks, turn: NDArray[np.float64]) -> pl.DataFrame:
+    """Return the rows of PEOPLE, null where a body was hidden; `turn` (3, 3) leads to metres and right-handed axes."""
+    here = np.array([body.here or (np.nan,) * 3 for body in tracks.bodies]).reshape(-1, 3) @ turn.T
+    return conform(
+        pl.DataFrame(
+            {
+                "t_s": pl.Series([body.t_s for body in tracks.bodies], dtype=pl.Float64()),
+                "person": pl.Series(tracks.people, dtype=pl.String()),
+                **{
+                    f"{axis}_m": pl.Series(here[:, i], dtype=pl.Float64()).fill_nan(None)
+                    for i, axis in enumerate("xyz")
+                },
+                "source_row": pl.Series([body.row for body in tracks.bodies], dtype=pl.Int64()),
+            }
+        ),
+        PEOPLE,
+    )
+
+
+def _skeletons(tracks: _Tracks, turn: NDArray[np.float64], body: str | None) -> pl.DataFrame:
+    """Return the rows of SKELETONS; a file may change its number of keypoints."""
+    tables = []
+    pairs = zip(tracks.bodies, tracks.people, strict=True)
+    mine = [(item, who) for item, who in pairs if item.keypoints is not None and body in (None, who)]
+    for count, names in JOINTS.items():
+        same = [(item, who) for item, who in mine if item.joints == count]
+        points = np.array([item.keypoints for item, _ in same]).reshape(-1, count, 3) @ turn.T
+        t_s = pl.Series([item.t_s for item, _ in same], dtype=pl.Float64())
+        row = pl.Series([item.row for item, _ in same], dtype=pl.Int64())
+        tables.append(joint_rows(t_s, pl.Series([who for _, who in same], dtype=pl.String()), names, points, row))
+    return all_joints(tables)
+
+
+def _ids_are_real(bodies: list[Body]) -> bool:
     """Tell whether an id means the same body later: seen in two frames on average, and never twice in one."""
     ids = {body.name for body in bodies}
     once = len({(body.t_s, body.row, body.name) for body in bodies}) == len(bodies)
     return once and "" not in ids and (len(bodies) == 1 or len(bodies) >= 2 * len(ids))
 
 
-def _warnings(dump: _Dump, table: pl.DataFrame) -> list[str]:
+def _warnings(dump: _Dump, tracks: _Tracks, seen: Sightings, body: str | None) -> list[str]:
     said = []
-    if unplaced := len(dump.bodies) - table.height:
-        said.append(f"{unplaced} bodies have neither pelvis nor position, or are not the one named, and are left out")
-    if len({body.clock for body in dump.bodies}) > 1:
+    if unplaced := len(dump.bodies) - len(tracks.bodies):
+        said.append(f"{unplaced} bodies have neither pelvis nor position and are left out")
+    if resting := sum(item.resting for item in dump.bodies):
+        said.append(f"{resting} bodies are in the SDK's rest pose, not yet fitted: their `position` stands for them")
+    if hidden := sum(item.hidden for item in tracks.bodies):
+        said.append(f"{hidden} bodies are searched for, not seen: their places are unknown")
+    if len({item.clock for item in dump.bodies}) > 1:
         said.append("some timestamps are since 1970 and some are not")
-    if len({body.joints for body in dump.bodies}) > 1:
+    if len({item.joints for item in dump.bodies}) > 1:
         said.append("the number of keypoints changes within the file")
+    if tracks.linked:
+        said.append(f"ids are new in every frame: bodies are linked by motion into {tracks.linked} tracks")
+    if body is None and len(seen.rows) > 1:
+        said.append(f"{len(seen.rows)} tracks; `body` names the operator's, if it is always the same")
     return said
 
 

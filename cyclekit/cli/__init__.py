@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 
     import typer
 
+ORDER = (
+    *("demo", "simulate", "calibrate", "ingest", "inspect", "trace", "convert"),
+    *("train", "evaluate", "estimate", "replay", "report", "adapters"),
+)
+"""The commands in the order of the work; each is a module of this package with a function of its name."""
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command line and leave the process with its exit code.
@@ -62,23 +68,12 @@ def run(words: list[str]) -> int:
 
 def app() -> typer.Typer:
     """Return the command line with every command, in the order of the work."""
-    from cyclekit.cli import (
-        adapters,
-        calibrate,
-        demo,
-        estimate,
-        evaluate,
-        ingest,
-        inspect,
-        replay,
-        report,
-        simulate,
-        train,
-    )
+    from importlib import import_module
+
     from cyclekit.cli.options import new_app
 
     commands = new_app()
-    for module in (demo, simulate, calibrate, ingest, inspect, train, evaluate, estimate, replay, report, adapters):
-        name = module.__name__.rpartition(".")[2]
-        commands.command(name, epilog=f"\b\nExample:\n  {module.EXAMPLE}")(getattr(module, name))
+    for command in ORDER:
+        module = import_module(f"cyclekit.cli.{command}")
+        commands.command(command, epilog=f"\b\nExample:\n  {module.EXAMPLE}")(getattr(module, command))
     return commands

@@ -21,8 +21,17 @@ def ingest(
     out: Annotated[Path, typer.Option(help="Folder of the dataset.", metavar="DATASET")],
     cell: Annotated[Path | None, typer.Option(help="Cell file; default: cell.toml in the folder of logs.")] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Logs read at the same time.")] = 1,
+    rate: Annotated[
+        float | None, typer.Option(help="Samples a second; default: that of the cell file, or 10.", metavar="HZ")
+    ] = None,
     pseudonymise: Annotated[
         bool, typer.Option("--pseudonymise", help="Keep no track ids and no wall-clock time (docs/privacy.md).")
+    ] = False,
+    keep_skeletons: Annotated[
+        bool, typer.Option("--keep-skeletons", help="Keep every joint of every person (docs/privacy.md).")
+    ] = False,
+    no_checksums: Annotated[
+        bool, typer.Option("--no-checksums", help="Leave out the SHA-256 of the logs, the slowest part of a large one.")
     ] = False,
     align_clocks: Annotated[
         Literal["coarse"] | None,
@@ -44,6 +53,9 @@ def ingest(
             out,
             cell=cell,
             jobs=jobs,
+            rate_hz=rate,
+            keep_skeletons=keep_skeletons,
+            checksums=not no_checksums,
             pseudonymise=pseudonymise,
             align_clocks=align_clocks,
             progress=progress,

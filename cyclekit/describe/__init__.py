@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from cyclekit.adapter import Recording, StreamingAdapter
 from cyclekit.atomic import recover
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.describe.facts import (
@@ -22,13 +23,13 @@ from cyclekit.describe.facts import (
     ModelDescription,
     TableFacts,
 )
+from cyclekit.describe.survey import TableSurvey
 from cyclekit.discover import cell_for, find_all, options_of
 from cyclekit.errors import LogError
 from cyclekit.models.saved import CARD as MODEL_CARD
 from cyclekit.models.saved import load_model
-from cyclekit.plausible import examined
+from cyclekit.plausible import examined_parts
 from cyclekit.registry import adapter_named
-from cyclekit.steps import find_staircase
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,8 +50,7 @@ __all__ = [
     "describe",
 ]
 
-GAP_PERIODS, GAP_S = 5.0, 0.25
-"""A silence is a gap when it is longer than both: five usual periods, and a quarter of a second."""
+MAIN = ("robot", "people", "events")
 
 
 def describe(path: Path, *, progress: Progress | None = None) -> Description:
@@ -98,54 +98,32 @@ def _describe_logs(path: Path, progress: Progress | None) -> LogsDescription:
 
 
 def _describe_log(path: Path, entry: Registered, options: ReadOptions) -> LogFacts:
-    recording = examined(entry.adapter.read(path, options))
-    tables = {"robot": recording.robot, "people": recording.people, "events": recording.events}
-    levels, share = _levels(recording.robot)
+    adapter, surveys, set_aside, rows_read = entry.adapter, dict[str, TableSurvey](), dict[str, int](), 0
+    stream = adapter.stream(path, options) if isinstance(adapter, StreamingAdapter) else [adapter.read(path, options)]
+    warnings: dict[str, None] = {}
+    last = Recording()
+    for part in examined_parts(stream):
+        last, rows_read = part, rows_read + part.rows_read
+        for name, table in part.tables().items():
+            surveys.setdefault(name, TableSurvey()).add(table)
+        if part.set_aside is not None:
+            for reason, count in part.set_aside.group_by("reason").len().iter_rows():
+                set_aside[reason] = set_aside.get(reason, 0) + count
+        warnings |= dict.fromkeys(part.warnings)
+    levels, share = surveys["robot"].levels() if "robot" in surveys else ((), ())
     return LogFacts(
         path=path,
         adapter=entry.name,
         package=f"{entry.package} {entry.version}",
-        clock=recording.clock,
-        rows_read=recording.rows_read,
-        tables={name: table_facts(table) for name, table in tables.items() if table is not None},
-        set_aside=_reasons(recording.set_aside),
+        clock=last.clock,
+        rows_read=rows_read,
+        tables={name: surveys[name].facts() for name in MAIN if name in surveys},
+        set_aside=dict(sorted(set_aside.items(), key=lambda item: (-item[1], item[0]))),
         levels=levels,
         level_share=share,
-        warnings=recording.warnings,
-        facts=dict(recording.facts),
+        warnings=tuple(warnings),
+        facts=dict(last.facts),
     )
-
-
-def _levels(robot: pl.DataFrame | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    scaling = None if robot is None or "scaling" not in robot.columns else robot["scaling"].drop_nulls()
-    if scaling is None or scaling.is_empty():
-        return (), ()
-    staircase = find_staircase(scaling.to_numpy())
-    return tuple(float(v) for v in staircase.levels), tuple(float(v) for v in staircase.share)
-
-
-def table_facts(table: pl.DataFrame) -> TableFacts:
-    """Return rate, duration, known columns and gaps of one table with a column `t_s`."""
-    rows = table.height
-    known = {name: 1 - table[name].null_count() / rows for name in table.columns} if rows else {}
-    known = {name: share for name, share in known.items() if share > 0 and name not in ("t_s", "source_row")}
-    times = table["t_s"].drop_nulls().unique().sort()
-    steps = times.diff().drop_nulls()
-    if steps.is_empty():
-        return TableFacts(rows, None, 0.0, known, ())
-    period_s = float(steps.median() or 0.0)  # type: ignore[arg-type]
-    silent = steps > max(GAP_PERIODS * period_s, GAP_S)
-    starts, lengths = times.slice(0, len(steps)).filter(silent), steps.filter(silent)
-    gaps = tuple(Gap(float(at), float(length)) for at, length in zip(starts, lengths, strict=True))
-    duration_s = float(times[-1] - times[0])
-    return TableFacts(rows, 1 / period_s if period_s > 0 else None, duration_s, known, gaps)
-
-
-def _reasons(set_aside: pl.DataFrame | None) -> dict[str, int]:
-    if set_aside is None or set_aside.is_empty():
-        return {}
-    counted = set_aside.group_by("reason").len().sort("len", "reason", descending=[True, False])
-    return {str(reason): int(count) for reason, count in counted.iter_rows()}
 
 
 def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDescription:
@@ -212,7 +190,11 @@ def _recording_gaps(dataset: Dataset, progress: Progress | None) -> dict[str, tu
         if progress:
             progress(done / len(records), str(record["id"]))
         for name in record["tables"]:
-            table = dataset.recorded(record["id"], name) if name != "events" else None
-            if table is not None and (gaps := table_facts(table).gaps):
+            if name not in ("robot", "people"):
+                continue
+            survey = TableSurvey()
+            for part in dataset.times(record["id"], name):
+                survey.add(part)
+            if gaps := survey.facts().gaps:
                 found[f"{record['id']}/{name}"] = gaps
     return found

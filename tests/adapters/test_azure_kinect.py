@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError
 from cyclekit.registry import adapters
-from cyclekit_adapters.azure_kinect import ADAPTER
+from cyclekit_adapters.azure_kinect import _SDK, ADAPTER
 
 NAMES = ["PELVIS", "SPINE_NAVEL", "SPINE_CHEST", "NECK"]
 
@@ -114,3 +114,28 @@ def test_any_json_is_read_or_refused(tmp_path_factory, frames):
     path = tmp_path_factory.getbasetemp() / "any_azure.json"
     path.write_text(json.dumps({"k4abt_sdk_version": "1", "joint_names": NAMES, "frames": frames}))
     read_or_refuse(ADAPTER, path)
+
+
+def test_all_joints_by_their_names_in_the_file_on_request(tmp_path):
+    content = dump({66_000: {1: joints(100.0, 300.0, 2000.0), 2: [[1, 2, None], *joints(0, 0, 0)[1:]]}})
+    log = read(tmp_path / "out.json", content, skeletons=True)
+    assert log.skeletons.rows()[:2] == [
+        (0.066, "1", "pelvis", 0.1, -0.3, -2.0, 0),
+        (0.066, "1", "spine_navel", 0.1, -0.05, -2.0, 0),
+    ]
+    assert log.skeletons.row(4) == (0.066, "2", "pelvis", None, None, None, 0)
+    assert read(tmp_path / "out.json", content, skeletons=True, body="2").skeletons.height == 4
+    assert read(tmp_path / "out.json", content).skeletons is None
+
+
+def test_without_names_the_joints_are_those_of_the_sdk():
+    assert len(_SDK) == 32
+    assert {i: _SDK[i] for i in (4, 10, 11, 18, 25, 26, 31)} == {
+        4: "CLAVICLE_LEFT",
+        10: "THUMB_LEFT",
+        11: "CLAVICLE_RIGHT",
+        18: "HIP_LEFT",
+        25: "FOOT_RIGHT",
+        26: "HEAD",
+        31: "EAR_RIGHT",
+    }

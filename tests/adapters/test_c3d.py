@@ -179,3 +179,22 @@ def test_any_parameters_are_read_or_refused(tmp_path_factory, noise, block, proc
     whole = plain(some_points(4, 1), np.zeros((4, 1)), processor=processor)
     path.write_bytes(whole[:514] + bytes([block]) + whole[515:516] + noise + whole[516 + len(noise) :])
     read_or_refuse(ADAPTER, path)
+
+
+def test_the_labelled_markers_of_the_subject_are_joints_on_request_and_angles_are_no_places(tmp_path):
+    path = tmp_path / "trial.c3d"
+    log = ezc3d.c3d()
+    log["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
+    log["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+    log["parameters"]["POINT"]["LABELS"]["value"] = ["Ann:LASI", "Ann:LHipAngles", "Ann:HEAD"]
+    log.add_parameter("POINT", "ANGLES", ["Ann:LHipAngles"])
+    places = np.array([[[1000.0, 0, 900], [45.0, 5, 1], [np.nan] * 3]])
+    log["data"]["points"] = np.concatenate([places.transpose(2, 1, 0), np.ones((1, 3, 1))])
+    log.write(str(path))
+    read = ADAPTER.read(path, ReadOptions(skeletons=True))
+    assert read.skeletons.rows() == [
+        (0.0, "Ann", "lasi", 1.0, 0.0, 0.9, 0),
+        (0.0, "Ann", "head", None, None, None, 0),
+    ]
+    assert "LHipAngles" not in read.facts["names_in_file"]
+    assert ADAPTER.read(path, ReadOptions()).skeletons is None

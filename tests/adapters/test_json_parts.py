@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit_adapters.json_parts import BrokenJson, number, parts, point
+from cyclekit_adapters.json_parts import BrokenJson, number, parts, point, points
 
 _LEAF = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=5)
 _ANY = st.recursive(_LEAF, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4))
@@ -59,3 +59,28 @@ def test_the_words_that_recorders_write_for_unknown_numbers_are_no_numbers():
 def test_a_point_is_three_numbers():
     assert point([1, 2.0, -3]) == (1.0, 2.0, -3.0)
     assert [point(value) for value in ([1, 2], [1, 2, None], "123", [1, 2, 1e11], None)] == [None] * 5
+
+
+_COORDINATE = st.integers(-(10**12), 10**12) | st.floats() | st.none() | st.booleans() | st.text(max_size=2)
+
+
+@given(values=st.lists(st.lists(_COORDINATE, min_size=2, max_size=4) | _COORDINATE, max_size=4))
+def test_many_points_are_what_each_of_them_is(values):
+    wanted = [point(value) for value in values]
+    found = [None if math.isnan(row[0]) else tuple(row) for row in points(values).tolist()]
+    numbers = all(isinstance(v, int | float) for value in values if isinstance(value, list) for v in value)
+    if not numbers or not any(isinstance(v, bool) for value in values if isinstance(value, list) for v in value):
+        assert found == wanted
+
+
+def test_what_is_garbled_ends_the_document_there_and_reads_no_further():
+    taken = []
+
+    def pieces():
+        for count in range(10_000):
+            taken.append(count)
+            yield '{"a": [1, 2]},' * 1000 if count else '[{"a" 1},'
+
+    with pytest.raises(BrokenJson):
+        list(parts(pieces()))
+    assert len(taken) < 20

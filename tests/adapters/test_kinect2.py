@@ -88,3 +88,19 @@ def test_any_cells_are_read_or_refused(tmp_path_factory, cells):
     path = tmp_path_factory.getbasetemp() / "any_kinect2.csv"
     path.write_text((",".join(cells) + "\n") * 3)
     read_or_refuse(ADAPTER, path)
+
+
+def test_the_joints_are_those_of_the_sdk_on_request(tmp_path):
+    log = read(tmp_path / "joints.csv", [row(10_000_000, 0.25), row(20_000_000, 0.5)], skeletons=True)
+    assert log.skeletons.height == 50
+    assert log.skeletons.row(0) == (1.0, "1", "spinebase", 0.25, -0.5, 2.0, 1)
+    assert log.skeletons.row(1) == (1.0, "1", "spinemid", 0.1, 0.01, 2.5, 1)
+    assert log.skeletons.row(3) == (1.0, "1", "head", None, None, None, 1)  # state 0
+    assert log.skeletons.row(24)[2] == "thumbright"
+    assert log.skeletons.row(49) == (2.0, "1", "thumbright", None, None, None, 2)
+
+
+def test_until_two_bodies_share_a_time_there_is_one_person_who_keeps_the_name(tmp_path):
+    rows = [row(10, 0.0), row(333_333, 0.1), row(666_666, 2.0), row(666_666, 0.2), row(999_999, 0.3)]
+    log = read(tmp_path / "joints.csv", rows)
+    assert log.people.select("person", "x_m").rows() == [("1", 0.0), ("1", 0.1), ("2", 2.0), ("1", 0.2), ("1", 0.3)]

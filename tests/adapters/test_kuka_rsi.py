@@ -90,11 +90,14 @@ def test_a_row_cut_while_being_written_is_set_aside(tmp_path):
     assert "cut" in log.set_aside["reason"][0]
 
 
-def test_numbers_with_a_decimal_comma_are_refused_and_not_taken_for_something_else(tmp_path):
+def test_between_semicolons_a_comma_in_a_number_is_decimal(tmp_path):
     path = tmp_path / "robot.csv"
-    path.write_text("IPOC;X_RIst;Y_RIst;Z_RIst\n12;1279,5;0,1;0,2\n", encoding="utf-8")
-    with pytest.raises(DamagedLog, match="'1279,5' in column 'X_RIst' is not a number"):
-        read(path)
+    path.write_text("IPOC;X_RIst;Y_RIst;Z_RIst\n12;1279,5;0,1;-0,2\n24;1280;0;80\n", encoding="utf-8")
+    log = read(path)
+    assert log.robot["tcp_x_m"].to_list() == pytest.approx([1.2795, 1.28])
+    assert log.robot["tcp_z_m"].to_list() == pytest.approx([-0.0002, 0.08])
+    path.write_text("IPOC;X_RIst;Y_RIst;Z_RIst\n12;1279.5;0.1;0.2\n", encoding="utf-8")
+    assert read(path).robot["tcp_x_m"].to_list() == pytest.approx([1.2795])
 
 
 def test_a_log_without_one_axis_names_it(tmp_path):

@@ -106,3 +106,50 @@ def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path, motive):
     log = read(tmp_path / "take.csv", text[:-4])
     assert log.people["x_m"].to_list() == [1.0]
     assert log.set_aside["source_row"].to_list() == [9]
+
+
+def test_the_bones_of_a_skeleton_are_its_joints_on_request(tmp_path, motive):
+    bones = {"Ann:Hip": [(1.0, 0.9, 0.5)], "Ann:LHand": [None], "Bo:Hip": [(2.0, 0.9, 0.5)]}
+    log = read(tmp_path / "take.csv", motive(bones, kind="Bone"), skeletons=True)
+    assert log.skeletons.rows() == [
+        (0.0, "Ann", "hip", 1.0, 0.9, 0.5, 8),
+        (0.0, "Ann", "lhand", None, None, None, 8),
+        (0.0, "Bo", "hip", 2.0, 0.9, 0.5, 8),
+    ]
+    assert set(
+        read(tmp_path / "take.csv", motive(bones, kind="Bone"), skeletons=True, body="Bo").skeletons["person"]
+    ) == {"Bo"}
+    assert read(tmp_path / "take.csv", motive(bones, kind="Bone")).skeletons is None
+
+
+def test_a_take_with_timecodes_parents_and_marker_errors_is_read_by_its_axes(tmp_path):
+    lines = [
+        "Format Version,1.25,Take Name,walk,Take Notes,,Export Frame Rate,120,Length Units,Centimeters",
+        "",
+        ",Type,,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body",
+        ",Name,,vest,vest,vest,vest,vest,vest,vest,vest",
+        ',ID,,"6D","6D","6D","6D","6D","6D","6D","6D"',
+        ",Parent,,,,,,,,,",
+        ",,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Mean Marker Error",
+        "Frame,Time (Seconds),TimeCode,X,Y,Z,W,X,Y,Z,",
+        "72210,601.75,15:26:46:12.02,0,0,0,1,150,90,-30,0.0004",
+        "72211,601.758333,15:26:46:12.03,,,,,,,,",
+    ]
+    log = read(tmp_path / "take.csv", "\r\n".join([*lines, ""]))
+    assert log.people.rows() == [(72210 / 120, "vest", 1.5, 0.9, -0.3, 9), (72211 / 120, "vest", None, None, None, 10)]
+    assert log.set_aside.is_empty()
+
+
+def test_where_time_and_frames_part_late_in_a_take_that_is_said(tmp_path, motive):
+    seconds = [i / 100 for i in range(1100)] + [11.5 + i / 100 for i in range(100)]
+    log = read(tmp_path / "take.csv", motive({"Helmet": [(1.0, 0, 0)] * 1200}, seconds=seconds))
+    assert log.people["t_s"][-1] == pytest.approx(11.99)
+    assert "departs from frame / rate by up to 0.5 s, first in line 1108" in log.warnings[0]
+
+
+def test_a_take_that_a_german_spreadsheet_saved_again_is_read_alike(tmp_path, motive):
+    text = motive({"Helmet": [(1.5, 1.75, 3.0), None]}, rate_hz=120.0)
+    saved = text.replace(",", ";").replace(".", ",").replace("\r\n\r\n", "\r\n;;;;;;;;\r\n")
+    log = read(tmp_path / "take.csv", saved)
+    assert log.people.rows() == read(tmp_path / "take.csv", text).people.rows()
+    assert log.people.select("x_m", "y_m").rows() == [(1.5, 1.75), (None, None)]

@@ -87,3 +87,23 @@ def test_any_cells_are_read_or_refused(tmp_path_factory, cells):
     path = tmp_path_factory.getbasetemp() / "any_nui.csv"
     path.write_text(table([cells, cells]))
     read_or_refuse(ADAPTER, path)
+
+
+def test_every_joint_of_the_recorder_on_request(tmp_path):
+    log = read(tmp_path / "nui.csv", table([row(0, 0.25), row(0, 0.5, who=2, torso="")]), skeletons=True)
+    assert log.skeletons.select("person", "joint", "x_m", "y_m", "z_m", "source_row").rows() == [
+        ("1", "waist", 0.25, 0.9, 2.0, 2),
+        ("1", "torso", 9.0, 1.2, 2.0, 2),
+        ("2", "waist", 0.5, 0.9, 2.0, 3),
+        ("2", "torso", None, None, None, 3),
+    ]
+    assert set(
+        read(tmp_path / "nui.csv", table([row(0, 1), row(0, 2, who=2)]), skeletons=True, body="2").skeletons["person"]
+    ) == {"2"}
+
+
+def test_a_camera_that_joins_late_has_names_of_its_own(tmp_path):
+    rows = [row(33_333 * i, 0.25) for i in range(400)] + [row(33_333 * 400, 0.5, serial="CAM2")]
+    log = read(tmp_path / "nui.csv", table(rows))
+    assert dict(log.people["person"].value_counts().rows()) == {"1": 400, "CAM2/1": 1}
+    assert any("2 cameras" in said for said in log.warnings)

@@ -141,3 +141,36 @@ def test_any_order_of_lines_is_read_or_refused(tmp_path_factory, lines):
     path = tmp_path_factory.getbasetemp() / "any_crowd.txt"
     path.write_text("\n".join(lines) + "\n")
     read_or_refuse(ADAPTER, path, ReadOptions(rate_hz=25.0))
+
+
+def walkers(order):
+    """Return two people who walk 5 cm a frame, 3 m apart, as `id frame x y` or `frame id x y`."""
+    rows = [(who, frame, 0.05 * frame + 0.5, 3.0 * who + 0.5) for who in (1, 2) for frame in range(10)]
+    rows = rows if order == "id frame" else sorted((b, a, x, y) for a, b, x, y in rows)
+    return "".join(f"{a} {b} {x:.2f} {y:.2f}\n" for a, b, x, y in rows)
+
+
+def test_nameless_columns_that_are_rather_id_and_frame_are_refused_until_that_is_said(tmp_path):
+    path = tmp_path / "crowd.txt"
+    log = read(path, walkers("frame id"), rate_hz=10.0)
+    assert log.people.filter(log.people["person"] == "2")["y_m"].to_list() == [6.5] * 10
+    with pytest.raises(LogError, match="rather id, frame") as refusal:
+        read(path, walkers("id frame"), rate_hz=10.0)
+    assert 'columns = "id frame x y"' in refusal.value.cure
+    said = read(path, walkers("id frame"), rate_hz=10.0, map={"columns": "id frame x y"})
+    assert (
+        said.people.sort("t_s", "person", maintain_order=True)
+        .drop("source_row")
+        .equals(log.people.sort("t_s", "person").drop("source_row"))
+    )
+
+
+def test_five_nameless_columns_are_read_where_the_cell_file_names_adapter_and_columns(tmp_path):
+    path = tmp_path / "crowd.txt"
+    path.write_text("1 28 -37.8 264.1 172.3\n1 29 -37.5 263.9 172.3\n")
+    assert not ADAPTER.recognises(path)
+    options = ReadOptions(rate_hz=25.0, map={"columns": "id frame x y z", "unit": "cm"})
+    people = ADAPTER.read(path, options).people
+    assert people.rows()[0] == (1.12, "1", pytest.approx(-0.378), pytest.approx(2.641), pytest.approx(1.723), 1)
+    with pytest.raises(LogError, match="no table"):
+        ADAPTER.read(path, ReadOptions(rate_hz=25.0))

@@ -82,14 +82,74 @@ def test_nameless_markers_are_taken_together_and_that_is_said(tmp_path):
     assert one.people["x_m"].to_list() == [0.004]
 
 
+@pytest.mark.parametrize("titles", [True, False])
+def test_a_locale_with_a_decimal_comma_is_read_alike(tmp_path, titles):
+    head, _, body = tsv(HIPS, titles=titles, rate="100").partition("TRAJECTORY_TYPES")
+    log = read(tmp_path / "walk.tsv", head + "TRAJECTORY_TYPES" + body.replace(".", ","))
+    assert log.people.select("t_s", "x_m", "y_m", "z_m").rows()[1] == pytest.approx((0.01, 1.005, 0.3, 0.95))
+
+
 def test_filled_trajectories_are_no_measurement_and_that_is_said(tmp_path):
     log = read(tmp_path / "walk.tsv", tsv(HIPS, types=["Measured", "Mixed"]))
     assert any("not measured: WaistR" in said for said in log.warnings)
 
 
-def test_bodies_of_six_degrees_of_freedom_are_refused(tmp_path):
-    with pytest.raises(DamagedLog, match="6D"):
-        read(tmp_path / "walk.tsv", tsv(HIPS, included="6D"))
+BODY = ["X", "Y", "Z", "Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{i}]" for i in range(9)), ""]
+
+
+def bodies(places, *, titles=True, apart=True):
+    """Return what QTM writes of rigid bodies: sixteen columns each and an empty one; the name stands before X."""
+    columns = BODY if apart else BODY[:-1]
+    frames = len(next(iter(places.values())))
+    head = [f"NO_OF_FRAMES\t{frames}", "NO_OF_CAMERAS\t4", f"NO_OF_BODIES\t{len(places)}", "FREQUENCY\t100"]
+    head += ["DATA_INCLUDED\t6D", "\t".join(["BODY_NAMES", *places])]
+    if titles:
+        head.append("\t".join(["Frame", "Time", *(t for n in places for t in [f"{n} X", *columns[1:]])]))
+    for i in range(frames):
+        cells = [c for track in places.values() for c in [*map(str, track[i]), *["0.5"] * 13, *columns[16:]]]
+        head.append("\t".join([str(i + 1), f"{i / 100:.5f}", *cells]))
+    return "\r\n".join(head) + "\r\n"
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_rigid_bodies_are_people_by_their_names_at_their_origin(tmp_path, apart):
+    text = bodies({"helmet": [(1000.0, 200.0, 1700.0), (0, 0, 0)], "box": [(5, 5, 5), ("", "", "")]}, apart=apart)
+    log = read(tmp_path / "walk.tsv", text)
+    assert log.people.select("t_s", "person", "x_m", "y_m", "z_m").rows() == [
+        (0.0, "helmet", 1.0, 0.2, 1.7),
+        (0.0, "box", 0.005, 0.005, 0.005),
+        (0.01, "helmet", None, None, None),
+        (0.01, "box", None, None, None),
+    ]
+    assert any("2 bodies tracked" in said for said in log.warnings)
+    assert log.facts["point"] == "origin of the rigid body"
+    assert read(tmp_path / "walk.tsv", text, body="box").people["x_m"].to_list() == [0.005, None]
+    with pytest.raises(LogError, match="'helm'") as refusal:
+        read(tmp_path / "walk.tsv", text, body="helm")
+    assert refusal.value.nearest == "helmet"
+
+
+def test_rigid_bodies_without_column_names_and_skeletons_are_refused(tmp_path):
+    with pytest.raises(DamagedLog, match="no columns X, Y, Z of the body 'helmet'"):
+        read(tmp_path / "walk.tsv", bodies({"helmet": [(1, 2, 3)]}, titles=False))
+    with pytest.raises(DamagedLog, match="holds SKELETON data"):
+        read(tmp_path / "walk.tsv", tsv(HIPS, included="SKELETON"))
+
+
+def test_a_first_row_that_begins_with_a_gap_is_no_row_of_column_names(tmp_path):
+    log = read(tmp_path / "walk.tsv", tsv({"A": [("", "", "")], "Pelvis": [(1, 2, 3)]}, titles=False, clock=False))
+    assert log.people["x_m"].to_list() == [0.001]
+
+
+def test_the_labelled_markers_of_a_subject_are_the_joints_of_a_skeleton_on_request(tmp_path):
+    markers = {"Ann:LASI": [(1000.0, 0, 900)], "Ann:Head": [(0, 0, 0)], "box:1": [(9.0, 9, 9)]}
+    log = read(tmp_path / "walk.tsv", tsv(markers), skeletons=True)
+    last = len(tsv(markers).splitlines())
+    assert log.skeletons.rows() == [
+        (0.0, "Ann", "lasi", 1.0, 0.0, 0.9, last),
+        (0.0, "Ann", "head", None, None, None, last),
+    ]
+    assert read(tmp_path / "walk.tsv", tsv(markers)).skeletons is None
 
 
 def test_rows_that_do_not_fit_the_markers_are_refused_where_no_names_tell_the_columns(tmp_path):

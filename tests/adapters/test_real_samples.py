@@ -67,8 +67,8 @@ def test_a_logger_killed_while_writing_leaves_whole_rows_only():
 def test_a_motive_take_is_where_its_rigid_body_was():
     log = read("motive/Take 2022-07-01 11_07_07 (5974).csv", "motive")
     assert log.people.height == 10460
-    assert log.people.row(0) == (0.0, "RigidBody", 0.047597, 0.607298, 0.329784, 0)
-    assert log.people.row(10459)[2:] == (-0.065706, 0.730724, 0.312436, 10459)
+    assert log.people.row(0) == (0.0, "RigidBody", 0.047597, 0.607298, 0.329784, 8)
+    assert log.people.row(10459)[2:] == (-0.065706, 0.730724, 0.312436, 10467)
     assert log.people.row(5000)[:5] == (5000 / 240, "RigidBody", -0.055315, 0.631462, 0.358502)
     assert log.people["t_s"][-1] == pytest.approx(10459 / 240)
     assert log.up == "y"

@@ -84,8 +84,8 @@ def test_an_empty_zed_recording_is_said_to_be_one():
 def test_kinect_v2_rows_are_the_base_of_the_spine_at_ticks_of_100_ns():
     log = read("kinect2/joints.csv", "kinect2")
     assert log.people.height == 371
-    assert log.people.row(0) == (pytest.approx(3186.7373716), "1", 0.0710328, -0.600598, 0.978207, 0)
-    assert log.people.row(370) == (pytest.approx(3199.1373804), "1", 0.17904, -0.495084, 0.771162, 370)
+    assert log.people.row(0) == (pytest.approx(3186.7373716), "1", 0.0710328, -0.600598, 0.978207, 1)
+    assert log.people.row(370) == (pytest.approx(3199.1373804), "1", 0.17904, -0.495084, 0.771162, 371)
     assert log.people["t_s"].diff().median() == pytest.approx(1 / 30, abs=2e-3)
     assert log.set_aside.is_empty()
     assert "in 47 of 371 rows" in log.warnings[0]

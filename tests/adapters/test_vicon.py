@@ -56,6 +56,11 @@ def test_lengths_come_in_the_unit_of_the_units_row(tmp_path, unit, metres):
         read(tmp_path / "trial.csv", section({"a:PELVIS": [(1, 0, 0)]}, unit="V"))
 
 
+def test_semicolons_alone_do_not_make_a_comma_decimal(tmp_path):
+    log = read(tmp_path / "trial.csv", section({"a:PELVIS": [(100.5, 0, 0)]}, mark=";"))
+    assert log.people["x_m"].to_list() == [0.1005]
+
+
 def test_german_locales_separate_by_semicolon_and_write_a_decimal_comma(tmp_path):
     log = read(tmp_path / "trial.csv", section({"a:PELVIS": [(100.5, 0, 0)]}, mark=";", decimal=","))
     assert log.people["x_m"].to_list() == [0.1005]
@@ -120,3 +125,28 @@ def test_any_order_of_lines_is_read_or_refused(tmp_path_factory, lines):
     path = tmp_path_factory.getbasetemp() / "any_vicon.csv"
     path.write_text("\n".join(lines) + "\n")
     read_or_refuse(ADAPTER, path)
+
+
+def test_the_markers_of_a_subject_are_the_joints_of_a_skeleton_on_request(tmp_path):
+    lines = section(HIPS | {"Subject:*7": [(1, 1, 1)] * 2, "box:1": [(500, 0, 0), (600, 0, 0)]})
+    log = read(tmp_path / "trial.csv", lines, skeletons=True)
+    assert log.skeletons.rows() == [
+        (0.0, "Subject", "lasi", 0.0, 0.1, 0.9, 6),
+        (0.0, "Subject", "rasi", 0.2, 0.1, 1.0, 6),
+        (0.01, "Subject", "lasi", 0.01, 0.1, 0.9, 7),
+        (0.01, "Subject", "rasi", None, None, None, 7),
+    ]
+
+
+def test_a_blank_line_among_the_rows_ends_nothing(tmp_path):
+    lines = section({"a:PELVIS": [(100, 0, 0), (200, 0, 0)]})
+    log = read(tmp_path / "trial.csv", [*lines[:6], "", *lines[6:], "", "Model Outputs", "100", "LHipAngles"])
+    assert log.people.select("x_m", "source_row").rows() == [(0.1, 6), (0.2, 8)]
+    assert log.facts["sections"] == "Trajectories, Model Outputs"
+
+
+def test_a_trial_with_events_on_top_is_read_as_well(tmp_path):
+    events = ["Events", "100", "Subject,Context,Name,Time (s),Description", "Ann,Left,Foot Strike,0.51,", ""]
+    log = read(tmp_path / "trial.csv", [*events, *section(HIPS)])
+    assert log.people["x_m"].to_list() == pytest.approx([0.1, 0.01])
+    assert log.people["source_row"].to_list() == [11, 12]

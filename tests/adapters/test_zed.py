@@ -1,3 +1,4 @@
+import gzip
 import json
 
 import pytest
@@ -161,7 +162,7 @@ def test_real_ids_are_kept_and_body_chooses_one(tmp_path):
         read(tmp_path / "bodies.json", dump, body="5")
 
 
-@pytest.mark.parametrize("empty", ["[]", "[[], []]", "{}", '{"1700000000000": {"is_new": true, "is_tracked": false}}'])
+@pytest.mark.parametrize("empty", ["[]", "[[], []]", '{"1700000000000": {"is_new": true, "is_tracked": false}}'])
 def test_a_recording_without_anybody_is_said_to_be_one(tmp_path, empty):
     with pytest.raises(LogError, match="an empty recording") as refusal:
         read(tmp_path / "bodies.json", empty)
@@ -190,7 +191,9 @@ def test_depth_and_digits_without_end_are_refused(tmp_path, content):
         ADAPTER.read(path, ReadOptions())
 
 
-@pytest.mark.parametrize("other", ['{"a": 1}', "[1, 2]", '[{"x": 1}]', '{"frames": []}', "", "no json", '"[]"', "null"])
+@pytest.mark.parametrize(
+    "other", ['{"a": 1}', "[1, 2]", '[{"x": 1}]', '{"frames": []}', "", "no json", '"[]"', "null", "{}", "["]
+)
 def test_other_json_is_not_recognised(tmp_path, other):
     path = tmp_path / "a.json"
     path.write_text(other)
@@ -214,3 +217,66 @@ def test_any_json_is_read_or_refused(tmp_path_factory, content):
     path = tmp_path_factory.getbasetemp() / "any.json"
     path.write_text(json.dumps(content))
     read_or_refuse(ADAPTER, path, ReadOptions(map={"unit": "m"}))
+
+
+def resting(joints=34):
+    """Return the pose in which the SDK writes a body that it has not fitted: its neck at the camera."""
+    points = [[0.05 * (i % 3 - 1), 0.1 - 1.6 * i / joints, 0.1] for i in range(joints)]
+    points[0], points[NECK[joints]] = [0.0, -0.55, 0.0], [0.0, -1.5e-08, 0.0]
+    return points
+
+
+def test_a_body_not_fitted_yet_is_where_the_sdk_says_and_not_at_the_camera(tmp_path):
+    dump = python_dump(
+        {0: [body(0, 1.0) | {"keypoint": resting(), "position": [0.07, -0.02, -0.57]}], 50: [body(0, 1.0)]}
+    )
+    log = read(tmp_path / "bodies.json", dump, skeletons=True)
+    assert places(log) == [(0.07, -0.02, -0.57), (1.0, 0.0, -2.0)]
+    assert any("1 bodies are in the SDK's rest pose" in said for said in log.warnings)
+    assert log.skeletons.filter(log.skeletons["source_row"] == 0)["x_m"].null_count() == 34
+
+
+@pytest.mark.parametrize("state", [2, "SEARCHING", "OBJECT_TRACKING_STATE.SEARCHING"])
+def test_a_body_that_is_searched_for_is_hidden_and_its_place_unknown(tmp_path, state):
+    dump = python_dump({ms: [body(4, 1.0) | {"tracking_state": state if ms else 1}] for ms in (0, 50)})
+    log = read(tmp_path / "bodies.json", dump)
+    assert log.people.select("person", "x_m").rows() == [("4", 1.0), ("4", None)]
+    assert any("1 bodies are searched for" in said for said in log.warnings)
+
+
+@pytest.mark.parametrize(
+    ("joints", "names"),
+    [
+        (18, {0: "nose", 8: "right_hip", 11: "left_hip", 17: "left_ear"}),
+        (34, {0: "pelvis", 8: "left_hand", 18: "left_hip", 22: "right_hip", 26: "head", 33: "right_heel"}),
+        (
+            38,
+            {
+                0: "pelvis",
+                4: "neck",
+                16: "left_wrist",
+                19: "right_hip",
+                30: "left_hand_thumb_4",
+                37: "right_hand_pinky_1",
+            },
+        ),
+    ],
+)
+def test_the_keypoints_have_the_names_of_the_sdk_on_request(tmp_path, joints, names):
+    dump = python_dump({ms: [body(4, 0.25, joints=joints, scale=1000.0)] for ms in (0, 50)})
+    dump[str(NOON_MS)]["body_list"][0]["keypoint"][5] = [float("nan")] * 3
+    log = read(tmp_path / "bodies.json", dump, skeletons=True)
+    assert log.skeletons.height == 2 * joints
+    assert {index: log.skeletons["joint"][index] for index in names} == names
+    assert log.skeletons["x_m"][5] is None
+    pelvis = log.skeletons.row(joints + PELVIS[joints][0], named=True)
+    assert pelvis["x_m"] == pytest.approx(0.15 if joints == 18 else 0.25)
+    assert (pelvis["person"], pelvis["z_m"], pelvis["source_row"]) == ("4", pytest.approx(-2.0), 1)
+    assert read(tmp_path / "bodies.json", dump).skeletons is None
+
+
+def test_a_packed_dump_is_read_as_well(tmp_path):
+    path = tmp_path / "bodies.json.gz"
+    path.write_bytes(gzip.compress(json.dumps(python_dump({0: [body(1, 1.0)]})).encode()))
+    assert ADAPTER.recognises(path)
+    assert ADAPTER.read(path, ReadOptions()).people["x_m"].to_list() == [1.0]

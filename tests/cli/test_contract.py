@@ -20,8 +20,10 @@ if TYPE_CHECKING:
 COMMANDS = typer.main.get_command(app()).commands  # type: ignore[attr-defined]
 CONTRACT = {
     "simulate": (["scene"], ["--out", "--executions", "--seed", "--operator-log"]),
-    "ingest": (["logs"], ["--out", "--cell", "--jobs", "--align-clocks"]),
+    "ingest": (["logs"], ["--out", "--cell", "--jobs", "--rate", "--align-clocks", "--keep-skeletons"]),
     "inspect": (["path"], ["--write-cell"]),
+    "convert": (["log"], ["--out", "--table", "--rate", "--columns", "--cell"]),
+    "trace": (["dataset"], ["--execution", "--at", "--logs"]),
     "train": (["dataset"], ["--out", "--problem", "--network", "--horizon", "--seed"]),
     "evaluate": (["model", "dataset"], []),
     "estimate": (["model", "sequences"], ["--dataset", "--out"]),

@@ -52,9 +52,9 @@ def test_a_clock_offset_that_the_cell_file_does_not_tell_shows_as_late_positions
     assert 0.2 < np.quantile(late, 0.9) < 0.7  # half a second at walking speed
 
 
-def test_noise_of_the_tracker_comes_through_neither_smoothed_nor_grown(cells: Cells):
+def test_noise_of_the_tracker_is_that_of_the_mean_of_the_six_frames_of_a_sample(cells: Cells):
     apart = distance_to_truth_m(cells("laser-zones", 2, delta_m=0.05))
-    assert np.sqrt(np.mean(apart**2)) == pytest.approx(0.05 * np.sqrt(3), rel=0.25)
+    assert np.sqrt(np.mean(apart**2)) == pytest.approx(0.05 * np.sqrt(3) / np.sqrt(6), rel=0.1)
 
 
 def test_a_frame_turned_by_90_degrees_turns_points_and_then_moves_them():

@@ -15,7 +15,7 @@ from cyclekit.align import place_in_time
 from cyclekit.config import Cell, Source, load_cell
 from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
-from cyclekit.privacy import without_names
+from cyclekit.privacy import Nameless
 from cyclekit.session import Session
 from cyclekit_sim import simulate
 
@@ -145,7 +145,7 @@ def test_a_kuka_with_the_seconds_of_its_pc_is_placed_beside_a_tracker_in_epoch_t
 def test_the_joints_of_a_person_get_the_number_of_the_person() -> None:
     people = pl.DataFrame({"t_s": [0.0, 0.0], "person": ["Ann", "Bob"]})
     joints = pl.DataFrame({"t_s": [0.0, 0.0], "person": ["Bob", "Cy"], "joint": ["head", "head"]})
-    hidden = without_names(Recording(people=people, skeletons=joints))
+    hidden = Nameless().part(Recording(people=people, skeletons=joints))
     assert hidden.people is not None
     assert hidden.skeletons is not None
     assert hidden.people["person"].to_list() == ["person_1", "person_2"]

@@ -34,17 +34,25 @@ def three_runs(tmp_path: Path, robot_log: Any) -> Path:
 
 
 @pytest.fixture
+def large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every log counts as one that takes long to read."""
+    monkeypatch.setattr("cyclekit.intake.shelf.WORTH_BYTES", 0)
+
+
+@pytest.fixture
 def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the logs that adapters read while the test runs."""
     names: list[str] = []
     for entry in registry.adapters().values():
-        read = entry.adapter.read
+        for method in ("read", "stream"):
+            read = getattr(entry.adapter, method, None)
 
-        def counted(path: Path, options: Any, read: Any = read) -> Any:
-            names.append(path.name)
-            return read(path, options)
+            def counted(path: Path, options: Any, read: Any = read) -> Any:
+                names.append(path.name)
+                return read(path, options)
 
-        monkeypatch.setattr(entry.adapter, "read", counted, raising=False)
+            if read is not None:
+                monkeypatch.setattr(entry.adapter, method, counted, raising=False)
     return names
 
 
@@ -374,3 +382,95 @@ def test_progress_goes_from_nothing_to_the_whole(three_runs: Path, tmp_path: Pat
     ingest([three_runs], tmp_path / "dataset", progress=lambda fraction, text: told.append(fraction))
     assert told == sorted(told)
     assert 0 <= told[0] < told[-1] <= 1
+
+
+def stop_at(monkeypatch: pytest.MonkeyPatch, name: str, reads: list[str]) -> None:
+    """Let the next ingest be interrupted when it comes to a log."""
+    from cyclekit.intake import keep
+
+    parts = keep._parts
+
+    def interrupted(log: Any, how: Any) -> Any:
+        if log.path.name == name:
+            monkeypatch.setattr(keep, "_parts", parts)
+            raise KeyboardInterrupt
+        return parts(log, how)
+
+    monkeypatch.setattr(keep, "_parts", interrupted)
+
+
+@pytest.mark.usefixtures("large")
+def test_an_interrupted_ingest_goes_on_where_it_was(
+    three_runs: Path, tmp_path: Path, reads: list[str], monkeypatch: pytest.MonkeyPatch
+):
+    out = tmp_path / "out" / "dataset"
+    stop_at(monkeypatch, "run_2.csv", reads)
+    with pytest.raises(KeyboardInterrupt):
+        ingest([three_runs], out)
+    assert not out.exists()
+    assert reads == ["run_0.csv", "run_1.csv"]
+    reads.clear()
+    report = ingest([three_runs], out)
+    assert reads == ["run_2.csv"]
+    assert (report.recordings_new, report.recordings_kept) == (1, 2)
+    assert only_bytes(out) == only_bytes(Path(ingest([three_runs], tmp_path / "afresh").dataset))
+    assert [entry.name for entry in out.parent.iterdir()] == ["dataset"]
+
+
+@pytest.mark.usefixtures("large")
+def test_what_an_interrupted_ingest_had_read_is_not_taken_for_a_log_that_has_changed_since(
+    three_runs: Path, tmp_path: Path, reads: list[str], monkeypatch: pytest.MonkeyPatch, robot_log: Any
+):
+    out = tmp_path / "dataset"
+    stop_at(monkeypatch, "run_2.csv", reads)
+    with pytest.raises(KeyboardInterrupt):
+        ingest([three_runs], out)
+    robot_log(three_runs / "run_0.csv", [*ROUND_TRIP, ("move", 0.3), ("stand", 1.0)])
+    reads.clear()
+    ingest([three_runs], out)
+    assert reads == ["run_0.csv", "run_2.csv"]
+    assert only_bytes(out) == only_bytes(Path(ingest([three_runs], tmp_path / "afresh").dataset))
+
+
+@pytest.mark.usefixtures("large")
+def test_a_cell_file_that_was_wrong_costs_no_second_reading(three_runs: Path, tmp_path: Path, reads: list[str]):
+    with pytest.raises(UnknownName):
+        ingest([three_runs], tmp_path / "dataset", cell=Cell(executions=Executions(home="nowhere")))
+    assert len(reads) == 3
+    reads.clear()
+    assert ingest([three_runs], tmp_path / "dataset").recordings_kept == 3
+    assert reads == []
+
+
+@pytest.mark.usefixtures("large")
+def test_nothing_that_names_a_person_stays_beside_an_interrupted_ingest(
+    three_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: list[str]
+):
+    stop_at(monkeypatch, "run_2.csv", reads)
+    with pytest.raises(KeyboardInterrupt):
+        ingest([three_runs], tmp_path / "out" / "dataset", pseudonymise=True)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_another_rate_gives_other_samples_of_the_same_recordings(three_runs: Path, tmp_path: Path, reads: list[str]):
+    ten = Dataset.open(ingest([three_runs], tmp_path / "dataset").dataset).samples()
+    reads.clear()
+    fifty = Dataset.open(ingest([three_runs], tmp_path / "dataset", rate_hz=50.0).dataset)
+    assert reads == []
+    assert fifty.card["rate_hz"] == 50.0
+    assert fifty.samples().height == pytest.approx(5 * ten.height, rel=0.05)
+    with pytest.raises(ConfigError, match=r"0\.1 to 1000"):
+        ingest([three_runs], tmp_path / "dataset", rate_hz=0.0)
+
+
+def test_checksums_can_be_left_out_and_are_made_good_later(three_runs: Path, tmp_path: Path, reads: list[str]):
+    def sums(dataset: Path) -> list[str | None]:
+        return [source["sha256"] for entry in Dataset.open(dataset).recordings for source in entry["sources"]]
+
+    true = [hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(three_runs.glob("*.csv"))]
+    assert sums(ingest([three_runs], tmp_path / "dataset", checksums=False).dataset) == [None, None, None]
+    reads.clear()
+    assert sums(ingest([three_runs], tmp_path / "dataset").dataset) == true
+    assert reads == []
+    assert sums(ingest([three_runs], tmp_path / "dataset", checksums=False).dataset) == true
+    assert sums(ingest([three_runs], tmp_path / "two", jobs=2).dataset) == true

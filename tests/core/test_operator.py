@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Source
 from cyclekit.dataset import Dataset, Place
 from cyclekit.ingest import ingest
 from cyclekit.people import (
+    REASONS,
     Track,
     at_times,
     find_spots,
@@ -183,11 +184,62 @@ def test_no_position_of_somebody_who_walks_is_disbelieved(seed: int, speed_m_s: 
 
 def test_the_reason_of_a_gap_is_what_the_log_shows_around_it():
     track = with_holes(walk(np.arange(0, 60, 0.02)), [(10.0, 12.0), (20.0, 40.0)])
-    counts = gap_reasons([track], np.arange(-5.0, 65.0, 0.1), (0.0, 59.98), bridge_s=0.3)
-    assert counts["occluded"] == pytest.approx(20, abs=1)
-    assert counts["absent"] == pytest.approx(200, abs=1)
-    assert counts["outside"] == pytest.approx(100, abs=2)
-    assert sum(counts.values()) == 700
+    t_s = np.arange(-5.0, 65.0, 0.1)
+    why = np.array(REASONS)[gap_reasons([track], t_s, (0.0, 59.98), bridge_s=0.3)]
+    inside = (t_s > 0.05) & (t_s < 59.9)
+    assert set(why[(t_s < -0.05) | (t_s > 60.05)]) == {"outside"}
+    assert set(why[(t_s > 10.05) & (t_s < 11.95)]) == {"occluded"}
+    assert set(why[(t_s > 20.05) & (t_s < 39.95)]) == {"absent"}
+    assert (why[inside & ~((t_s > 9.9) & (t_s < 12.1)) & ~((t_s > 19.9) & (t_s < 40.1))] == "seen").all()
+
+
+@pytest.mark.parametrize("shaking_hz", [7.0, 10.0, 13.0])
+def test_a_tracker_that_shakes_faster_than_the_samples_makes_no_slow_motion_of_it(shaking_hz: float):
+    t = np.arange(0.0, 30.0, 1 / 120)
+    xyz = np.column_stack([0.5 * t, 0.1 * np.sin(2 * np.pi * shaking_hz * t), 0 * t])
+    t_s = np.arange(1.0, 29.0, 0.1)
+    sampled = at_times(Track("1", t, xyz), t_s, bridge_s=0.3)
+    averaged = at_times(Track("1", t, xyz), t_s, bridge_s=0.3, width_s=0.1)
+    assert np.abs(averaged[:, 1]).max() < 0.041  # what is left of a box of a tenth of a second at 7 Hz
+    assert np.abs(averaged[:, 1]).max() < 0.5 * max(np.abs(sampled[:, 1]).max(), 0.05)
+    assert averaged[:, 0] == pytest.approx(0.5 * t_s)  # and a walk is where it was, not earlier or later
+
+
+def test_noise_of_a_fast_tracker_is_averaged_out():
+    rng, t = np.random.default_rng(2), np.arange(0.0, 60.0, 1 / 100)
+    xyz = np.column_stack([1.0 * t, 0 * t, 0 * t]) + rng.normal(0.0, 0.05, (len(t), 3))
+    t_s = np.arange(0.5, 59.5, 0.1)
+    off = at_times(Track("1", t, xyz), t_s, bridge_s=0.3, width_s=0.1)[:, 1]
+    assert off.std() == pytest.approx(0.05 / np.sqrt(10), rel=0.15)
+
+
+def test_an_average_never_looks_across_a_gap_or_beyond_the_log():
+    track = with_holes(walk(np.arange(0, 10, 0.02)), [(4.99, 6.01)])
+    jump = Track("1", track.t_s, track.xyz_m + np.where(track.t_s > 5.5, 100.0, 0.0)[:, None])
+    t_s = np.array([0.0, 0.03, 4.9, 4.96, 4.98, 6.021, 6.05, 6.5, 9.97, 9.98])
+    found = at_times(jump, t_s, bridge_s=0.3, width_s=0.1)[:, 0]
+    assert found == pytest.approx(t_s + np.where(t_s > 5.5, 100.0, 0.0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(0.001, 0.5), min_size=2, max_size=60), st.lists(st.floats(0, 10), min_size=1, max_size=30))
+def test_the_average_of_a_straight_walk_is_the_walk_whatever_the_frames_and_times(steps: list[float], at: list[float]):
+    t = np.cumsum(steps)
+    found = at_times(walk(t), np.array(at), bridge_s=0.3, width_s=0.1)[:, 0]
+    known = np.isfinite(found)
+    assert found[known] == pytest.approx(np.array(at)[known], abs=1e-6)
+    assert (known == np.isfinite(at_times(walk(t), np.array(at), bridge_s=0.3)[:, 0])).all()
+
+
+def test_a_sample_without_an_operator_says_why(tmp_path: Path, robot_log: Any, motive_log: Any):
+    robot_log(tmp_path / "logs" / "robot.csv", [("stand", 1.0), ("move", 4.0), ("stand", 11.0)])
+    seen = [(2.0, 0.01 * i, 0.0) for i in range(300)]
+    seen[100:200] = [None] * 100
+    motive_log(tmp_path / "logs" / "take.csv", seen)
+    found = Dataset.open(ingest([tmp_path / "logs"], tmp_path / "dataset").dataset).samples()
+    why = dict(zip(found["t_s"].round(1).to_list(), found["human_gap"].to_list(), strict=True))
+    assert (why[1.5], why[3.0], why[5.0], why[7.0]) == (None, "occluded", None, "outside")
+    assert (found["human_gap"].is_null() == found["human_x_m"].is_not_null()).all()
 
 
 def test_ids_that_change_every_frame_still_make_one_operator_in_the_samples(tmp_path: Path, robot_log: Any):

@@ -13,7 +13,8 @@ from cyclekit.config import Cell, Executions, NamedPlace, load_cell
 from cyclekit.dataset import Dataset
 from cyclekit.errors import UnknownName
 from cyclekit.ingest import ingest
-from cyclekit.segment import cluster, split_runs, tcp_speed
+from cyclekit.motion import tcp_speed
+from cyclekit.segment import cluster
 from cyclekit_sim import SCENES, scene_places
 
 if TYPE_CHECKING:
@@ -232,12 +233,6 @@ def test_a_robot_that_does_no_task_is_an_execution_to_look_at_all_the_same(
     assert found.executions["complete"].to_list() == [False]
     assert found.tasks().height == 0
     assert found.samples()["robot_x_m"].null_count() == 0
-
-
-def test_a_clock_that_jumps_ahead_or_back_cuts_the_log():
-    t_s = np.array([0.0, 0.1, 0.2, 9.0, 9.1, 4.0, 4.1])
-    assert split_runs(t_s, gap_s=2.0) == [slice(0, 3), slice(3, 5), slice(5, 7)]
-    assert split_runs(t_s[:0], gap_s=2.0) == []
 
 
 @pytest.mark.parametrize("rate_hz", [125, 500])

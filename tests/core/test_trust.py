@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit.adapter import Recording
+from cyclekit.adapter import Recording, whole
 from cyclekit.atomic import locked, replaced, staged, write_parquet, write_text
 from cyclekit.dataset import Dataset
 from cyclekit.describe import describe
 from cyclekit.errors import BusyPlace, CyclekitError
 from cyclekit.ingest import ingest
-from cyclekit.plausible import examined
+from cyclekit.plausible import examined, examined_parts
 from cyclekit.schema import PEOPLE, QUARANTINE, ROBOT, conform
 from cyclekit_sim import SimulationOptions, simulate
 
@@ -239,17 +239,17 @@ def test_a_log_that_goes_away_between_finding_and_reading_is_named(
 
 
 def test_a_log_that_grows_while_it_is_read_is_named(logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from cyclekit import intake
+    from cyclekit.intake.digests import Digests
 
-    provenance = intake._provenance
+    sources = Digests.sources
 
-    def and_the_logger_writes_on(log: Any) -> Any:
-        found = provenance(log)
+    def and_the_logger_writes_on(digests: Digests, log: Any) -> Any:
+        found = sources(digests, log)
         with log.path.open("ab") as file:
             file.write(b"0\r\n")
         return found
 
-    monkeypatch.setattr(intake, "_provenance", and_the_logger_writes_on)
+    monkeypatch.setattr(Digests, "sources", and_the_logger_writes_on)
     report = ingest([logs / "a.csv"], tmp_path / "dataset")
     assert any("changed while it was read" in text for text in report.warnings)
 
@@ -441,3 +441,39 @@ def test_a_bag_with_checksums_says_so_and_a_csv_says_that_it_has_none(tmp_path: 
     assert protected["facts"]["checksum"].startswith("CRC-32")
     ingest([simulate("box-picking", tmp_path / "csv", executions=1, seed=1)], tmp_path / "from_csv")
     assert all(r["facts"]["checksum"].startswith("none") for r in Dataset.open(tmp_path / "from_csv").recordings)
+
+
+def _in_parts(log: Recording, cuts: list[int]) -> list[Recording]:
+    (name, table), edges = next(iter(log.tables().items())), sorted({0, *cuts})
+    pieces = [table[a:b] for a, b in zip(edges, [*edges[1:], table.height], strict=True) if b > a or a == 0]
+    return [Recording(**{name: piece}, rows_read=piece.height) for piece in pieces]
+
+
+FAULTS = [float("nan"), float("inf"), -3.0, 1e9, 7.5, 40.0, 0.8]
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(0, 59), st.sampled_from(FAULTS)), max_size=4),
+    st.lists(st.tuples(st.integers(0, 59), st.sampled_from(FAULTS)), max_size=4),
+    st.lists(st.integers(12, 59), max_size=6),
+    st.integers(1, 3),
+)
+def test_what_cannot_be_does_not_depend_on_where_a_log_was_cut_into_parts(times, places, cuts, persons: int):
+    log = robot(60)
+    columns = {"t_s": log.robot["t_s"].to_list(), "tcp_x_m": log.robot["tcp_x_m"].to_list()}
+    for row, value in times:
+        columns["t_s"][row] = value if row > 11 else columns["t_s"][row]
+    for row, value in places:
+        columns["tcp_x_m"][row] = value if row > 11 else columns["tcp_x_m"][row]
+    tracks = pl.concat([walk(20, person=f"{number}") for number in range(persons)]).sort("t_s", maintain_order=True)
+    moved = tracks["x_m"].to_list()
+    for row, value in places:
+        moved[row % len(moved)] = value if row > 11 else moved[row % len(moved)]
+    people = Recording(people=tracks.with_columns(x_m=pl.Series(moved)))
+    for one in (robot(60, **columns), people):
+        at_once, name = examined(one), next(iter(one.tables()))
+        in_parts = whole(examined_parts(_in_parts(one, cuts)))
+        assert in_parts.tables()[name].equals(at_once.tables()[name])
+        assert sorted(aside(in_parts)) == sorted(aside(at_once))
+        assert in_parts.warnings == at_once.warnings

@@ -16,10 +16,15 @@ from cyclekit.atomic import recover
 def test_a_command_killed_at_any_moment_leaves_the_old_result_or_the_new_one(
     command: str, times: int, kill_nine: Any, terminal: Any, victims: dict[str, Any]
 ):
-    count = kill_nine.kill(victims[command], times, terminal, recover, seed=11)
-    assert count.broken == []
-    assert count.killed > 0
-    assert count.old + count.new == times
+    killed = 0
+    for seed in range(11, 16):  # on a busy machine a command may end before it is killed
+        count = kill_nine.kill(victims[command], times, terminal, recover, seed=seed)
+        assert count.broken == []
+        assert count.old + count.new == times
+        killed += count.killed
+        if killed:
+            break
+    assert killed > 0
 
 
 def test_a_half_written_result_would_be_noticed(kill_nine: Any, terminal: Any, victims: dict[str, Any]):

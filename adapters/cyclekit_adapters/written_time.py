@@ -1,0 +1,38 @@
+"""Times written as text, as seconds: since 1970, or since midnight where they have no date.
+
+Which pattern a log is written in, and what its clock is worth without a zone, is the adapters' business.
+"""
+
+from __future__ import annotations
+
+import polars as pl
+
+
+def written_seconds(text: pl.Expr, pattern: str, zone: str | None) -> pl.Expr:
+    """Return seconds since 1970 (since midnight, where the pattern has no date) of times written as text.
+
+    Args:
+        text: The times; null stays null, and so does what is not written like that.
+        pattern: `iso`, or a pattern of strftime.
+        zone: Zone of times that name none; without it they are taken as UTC, which nobody may rely on.
+    """
+    if pattern == "iso":
+        text = text.str.replace(" ", "T", literal=True).str.replace(",", ".", literal=True)
+        zoned = text.str.replace("Z$", "+00:00").str.to_datetime("%+", time_unit="ns", time_zone="UTC", strict=False)
+        plain = text.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f", time_unit="ns", strict=False)
+        return pl.coalesce(_since_1970(zoned), _since_1970(_in_zone(plain, zone)))
+    if "%d" not in pattern and "%j" not in pattern and "%D" not in pattern and "%F" not in pattern:
+        return text.str.to_time(pattern, strict=False).cast(pl.Int64) * 1e-9
+    if "%z" in pattern or "%+" in pattern:
+        return _since_1970(text.str.to_datetime(pattern, time_unit="ns", time_zone="UTC", strict=False))
+    return _since_1970(_in_zone(text.str.to_datetime(pattern, time_unit="ns", strict=False), zone))
+
+
+def _in_zone(when: pl.Expr, zone: str | None) -> pl.Expr:
+    return when.dt.replace_time_zone(zone or "UTC", ambiguous="earliest", non_existent="null")
+
+
+def _since_1970(when: pl.Expr) -> pl.Expr:
+    """Whole seconds and the rest apart: nanoseconds since 1970 are more than a float holds."""
+    count = when.dt.epoch("ns")
+    return (count // 1_000_000_000).cast(pl.Float64) + (count % 1_000_000_000) * 1e-9

@@ -1,0 +1,50 @@
+"""`cyclekit convert`: one log to one table, for other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.terminal import Terminal
+
+EXAMPLE = "cyclekit convert logs/robot.csv --out robot.parquet --rate 10"
+
+
+def convert(
+    log: Annotated[Path, typer.Argument(help="A log: a file, or a folder that is one.", metavar="LOG")],
+    out: Annotated[Path, typer.Option(help="The table, .parquet or .csv.", metavar="FILE")],
+    table: Annotated[
+        str | None, typer.Option(help="robot, people, events or skeletons; default: the first there is.")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="Rows a second, averaged; default: every row.", metavar="HZ")
+    ] = None,
+    columns: Annotated[str, typer.Option(help="Columns to write, with commas between; default: all.")] = "",
+    cell: Annotated[Path | None, typer.Option(help="Cell file that says how the log is to be read.")] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write one table of a log as Parquet or CSV: SI units, the log's own clock and frame.
+
+    For a look with other tools; `ingest` is what makes a dataset.
+    """
+    from cyclekit.config import load_cell
+    from cyclekit.convert import convert as convert_log
+
+    terminal = Terminal(json=json, quiet=quiet)
+    with terminal.progress("converting") as progress:
+        done = convert_log(
+            log,
+            out,
+            table=table,
+            rate_hz=rate,
+            columns=[name.strip() for name in columns.split(",") if name.strip()],
+            cell=load_cell(cell) if cell else None,
+            progress=progress,
+        )
+    terminal.warnings(done.warnings)
+    aside = f", {done.rows_set_aside} of {done.rows_read} set aside" if done.rows_set_aside else ""
+    terminal.done(done.to_json(), f"{done.out}: {done.rows} rows of {done.table}, read by {done.adapter}{aside}")

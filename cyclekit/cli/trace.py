@@ -1,0 +1,57 @@
+"""`cyclekit trace`: the lines of the logs that a sample was made of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cyclekit.cli.options import Json, Quiet, seconds
+from cyclekit.cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from cyclekit.trace import Trace
+
+EXAMPLE = "cyclekit trace dataset --execution 1 --at 12.5s --logs logs"
+
+
+def trace(
+    dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", metavar="DATASET")],
+    execution: Annotated[str, typer.Option(help="Name of the execution, or its number from 1.", metavar="ID")],
+    at: Annotated[str, typer.Option(help="Time since the execution began: 12.5s, 2min.", metavar="TIME")] = "1ms",
+    logs: Annotated[
+        Path | None, typer.Option(help="Folder of the logs, to show the lines themselves.", metavar="LOGS")
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Say which lines of which logs a sample was made of.
+
+    Robot: the row it stands on. People and events: the rows around it.
+    """
+    at_s = seconds(at)
+    from cyclekit.dataset import Dataset
+    from cyclekit.trace import trace as trace_sample
+
+    terminal = Terminal(json=json, quiet=quiet)
+    found = trace_sample(Dataset.open(dataset), execution, at_s, logs=logs)
+    terminal.answer(found.to_json(), page(found))
+
+
+def page(found: Trace) -> str:
+    """Return the sample and its origins as text."""
+    lines = [f"execution {found.execution}, sample at {found.sample['t_s']:.3f} s of its session"]
+    lines += [f"  {name}: {_shown(value)}" for name, value in found.sample.items() if name not in ("execution", "t_s")]
+    for origin in found.origins:
+        place = f"{origin.row_is} {origin.source_row}" if origin.source_row is not None else "no row"
+        lines.append(f"{origin.table}: {origin.file}, {place}, {origin.t_s:.3f} s")
+        if origin.text is not None:
+            lines.append(f"  {origin.text[:400]}")
+        else:
+            lines += [f"  {name}: {_shown(value)}" for name, value in origin.values.items()]
+    return "\n".join(lines)
+
+
+def _shown(value: Any) -> str:  # noqa: ANN401 - whatever a table holds
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

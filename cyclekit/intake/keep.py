@@ -1,0 +1,206 @@
+"""One log -> its tables on the disk and its entry of provenance.
+
+The adapter reads, in parts if it can; what cannot be is taken out (`plausible`); the parts are written as they come, so
+a log may be larger than memory.
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.adapter import StreamingAdapter
+from cyclekit.discover import Log, options_of
+from cyclekit.errors import LogError
+from cyclekit.plausible import examined_parts
+from cyclekit.privacy import Nameless
+from cyclekit.registry import adapter_named
+from cyclekit.tables import TableWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from cyclekit.adapter import Recording
+    from cyclekit.config import Source
+    from cyclekit.intake.digests import Digests
+
+TABLES = {
+    "robot": schema.ROBOT,
+    "people": schema.PEOPLE,
+    "events": schema.EVENTS,
+    "skeletons": schema.SKELETONS,
+    "stamps": schema.STAMPS,
+}
+MAIN = ("robot", "people", "events")
+"""Tables one of which a log must hold; the first there is tells its rate."""
+QUARANTINE = "quarantine"
+UNPROTECTED = "none: a flipped bit passes unnoticed unless it makes a value impossible"
+"""What a recording's fact `checksum` says where its adapter knows of none."""
+
+
+@dataclass(frozen=True)
+class How:
+    """What of each log is kept.
+
+    Attributes:
+        pseudonymise: Replace the names that trackers give.
+        skeletons: Keep every joint of every person, where a tracker has them.
+        checksums: Compute the SHA-256 of each file.
+    """
+
+    pseudonymise: bool = False
+    skeletons: bool = False
+    checksums: bool = True
+
+
+@dataclass(frozen=True)
+class Kept:
+    """The entry of a recording whose tables are on the disk."""
+
+    entry: dict[str, Any]
+
+
+def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How) -> Kept | LogError:
+    """Read a log into `staging/recordings/<id>`, or return why that cannot be; then nothing of it is left there."""
+    folder = staging / "recordings" / log.id
+    try:
+        return _keep(log, digests, folder, how)
+    except LogError as error:
+        problem = LogError(error.path, error.cause, nearest=error.nearest, cure=error.cure)
+    except (OSError, MemoryError) as error:
+        if _is_ours(error, folder):
+            raise
+        told = getattr(error, "strerror", None) or error or "too large for the memory"
+        problem = LogError(log.path, f"cannot be read ({told})", cure="Check the file.")
+    shutil.rmtree(folder, ignore_errors=True)
+    return problem
+
+
+def _is_ours(error: BaseException, folder: Path) -> bool:
+    """Tell whether it was our own file that could not be written, not the log that could not be read."""
+    name = getattr(error, "filename", None)
+    return name is not None and str(folder.parent.parent) in str(name)
+
+
+def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
+    sources = digests.sources(log)
+    written: dict[str, _Table] = {}
+    aside, counts, rows_read = None, dict[str, int](), 0
+    last: Recording | None = None
+    nameless = Nameless(keep=log.source.sees_as if log.source else None) if how.pseudonymise else None
+    try:
+        for part in examined_parts(_parts(log, how)):
+            last = nameless.part(part) if nameless else part
+            rows_read += last.rows_read
+            for name, frame in last.tables().items():
+                if name not in written:
+                    written[name] = _Table(folder, name, frame)
+                written[name].write(frame)
+            if last.set_aside is not None and last.set_aside.height:
+                aside = aside or TableWriter(folder / f"{QUARANTINE}.parquet", schema.QUARANTINE)
+                aside.write(_quarantined(last, log))
+                for reason, count in last.set_aside.group_by("reason", maintain_order=True).len().iter_rows():
+                    counts[reason] = counts.get(reason, 0) + count
+        _check(log, written)
+        for writer in [*(table.writer for table in written.values()), *([aside] if aside else [])]:
+            writer.close()
+    except BaseException:
+        for writer in [*(table.writer for table in written.values()), *([aside] if aside else [])]:
+            writer.abandon()
+        raise
+    assert last is not None
+    return Kept(_entry(log, last, written, sources, rows_read, counts))
+
+
+def _parts(log: Log, how: How) -> Iterator[Recording]:
+    adapter, options = adapter_named(log.adapter).adapter, options_of(log.source, skeletons=how.skeletons)
+    if isinstance(adapter, StreamingAdapter):
+        yield from adapter.stream(log.path, options)
+    else:
+        yield adapter.read(log.path, options)
+
+
+class _Table:
+    """A table in the making, and what is known of its times."""
+
+    def __init__(self, folder: Path, name: str, first: pl.DataFrame) -> None:
+        self._columns = TABLES[name]
+        joints = sorted(filter(schema.is_joint, first.columns), key=schema.joint_order) if name == "robot" else []
+        self.writer = TableWriter(folder / f"{name}.parquet", self._columns, more=joints)
+        self.first_s, self.last_s = float("inf"), -float("inf")
+        self.instants, self._last_s = 0, float("nan")
+
+    def write(self, frame: pl.DataFrame) -> None:
+        self.writer.write(schema.conform(frame, self._columns))
+        if not frame.height:
+            return
+        times = frame["t_s"].to_numpy()
+        self.first_s, self.last_s = min(self.first_s, float(times.min())), max(self.last_s, float(times.max()))
+        self.instants += int((np.diff(times, prepend=self._last_s) != 0.0).sum())
+        self._last_s = float(times[-1])
+
+
+def _check(log: Log, written: dict[str, _Table]) -> None:
+    if not written.keys() & set(MAIN):
+        raise LogError(log.path, "holds neither robot, people nor events", cure="Check what was recorded.")
+    if not any(written[name].writer.rows for name in MAIN if name in written):
+        raise LogError(log.path, "holds a header and no data", cure="Record again, or remove the file.")
+
+
+def _quarantined(part: Recording, log: Log) -> pl.DataFrame:
+    assert part.set_aside is not None
+    named = {"recording": log.id, "file": log.shown, "row_is": part.rows_are}
+    rows = part.set_aside.with_columns(pl.lit(value).alias(name) for name, value in named.items())
+    return schema.conform(rows, schema.QUARANTINE)
+
+
+def _entry(
+    log: Log,
+    last: Recording,
+    written: dict[str, _Table],
+    sources: list[dict[str, Any]],
+    rows_read: int,
+    set_aside: dict[str, int],
+) -> dict[str, Any]:
+    main = next(written[name] for name in MAIN if name in written and written[name].writer.rows)
+    duration_s = main.last_s - main.first_s
+    periods = max(main.instants - 1, 1)
+    return {
+        "id": log.id,
+        "session": "",
+        "tables": list(written),
+        "sources": sources,
+        "adapter": log.adapter,
+        "adapter_package": log.package,
+        "adapter_version": log.version,
+        "clock": {"kind": last.clock},
+        "frame": _frame_card(log.source, last),
+        "up": last.up,
+        "joint_names": list(last.joint_names),
+        "rows": {name: table.writer.rows for name, table in written.items()},
+        "rows_are": last.rows_are,
+        "rows_read": rows_read,
+        "rows_set_aside": [{"reason": reason, "count": count} for reason, count in set_aside.items()],
+        "first_s": main.first_s,
+        "last_s": main.last_s,
+        "duration_s": duration_s,
+        "rate_hz": round(periods / duration_s, 3) if duration_s > 0 else None,
+        "warnings": list(last.warnings),
+        "facts": {"checksum": UNPROTECTED, **last.facts},
+        "key": log.key,
+    }
+
+
+def _frame_card(source: Source | None, recording: Recording) -> dict[str, Any]:
+    if recording.people is None:
+        return {"method": "robot base"}
+    if source is None or source.frame is None:
+        return {"method": "assumed base frame", "up": recording.up}
+    frame = source.frame
+    return {"method": "cell-file", "up": recording.up, "xyz_m": list(frame.xyz_m), "rotation": list(frame.rotation)}

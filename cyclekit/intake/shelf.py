@@ -1,0 +1,80 @@
+"""Recordings that an ingest has read, kept beside the dataset until it is in place: a killed ingest goes on from here.
+
+One folder per recording under `.NAME.read`, named by the key of its log: the tables and the entry. What is there is
+whole, since it is put there by a rename. The key changes when the log, its reader or its options do, so that nothing
+else is ever taken for it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from cyclekit.atomic import write_parquet
+from cyclekit.intake.keep import QUARANTINE
+from cyclekit.intake.take_over import as_read, link_folder, named_anew
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cyclekit.discover import Log
+
+_ENTRY = "entry.json"
+WORTH_BYTES = 1 << 20
+"""A smaller log is sooner read again than put on the shelf."""
+
+
+class Shelf:
+    """The recordings beside one dataset; for one who holds its lock."""
+
+    def __init__(self, out: Path, options: str) -> None:
+        """Open the shelf.
+
+        Args:
+            out: The dataset.
+            options: What else than the log decides what is kept of it; other options, another recording.
+        """
+        out = out.resolve()
+        self._folder = out.with_name(f".{out.name}.read")
+        self._options = options
+
+    def find(self, log: Log) -> Path | None:
+        """Return where the recording of a log stands, None if it does not."""
+        place = self._folder / f"{log.key[:32]}-{self._options}"
+        return place if (place / _ENTRY).is_file() else None
+
+    def take(self, place: Path, log: Log, staging: Path) -> dict[str, Any]:
+        """Link a recording into the dataset in the making; return its entry."""
+        entry: dict[str, Any] = json.loads((place / _ENTRY).read_text(encoding="utf-8"))
+        target = staging / "recordings" / log.id
+        link_folder(place, target)
+        (target / _ENTRY).unlink()
+        aside = target / f"{QUARANTINE}.parquet"
+        if aside.is_file() and entry["id"] != log.id:
+            rows = pl.read_parquet(aside, glob=False)
+            aside.unlink()  # it is a link
+            write_parquet(named_anew(rows, log), aside)
+        return as_read(entry, log)
+
+    def put(self, entry: dict[str, Any], log: Log, staging: Path) -> None:
+        """Keep a recording that is in the dataset in the making; where that fails nothing is lost but the shortcut."""
+        if log.size < WORTH_BYTES:
+            return
+        place = self._folder / f"{log.key[:32]}-{self._options}"
+        making = self._folder / f"tmp-{os.getpid()}-{secrets.token_hex(3)}"
+        try:
+            self._folder.mkdir(exist_ok=True)
+            link_folder(staging / "recordings" / log.id, making)
+            (making / _ENTRY).write_text(json.dumps(entry, ensure_ascii=False), encoding="utf-8")
+            making.rename(place)
+        except OSError:
+            shutil.rmtree(making, ignore_errors=True)
+
+    def clear(self) -> None:
+        """Forget everything: the dataset is in place."""
+        shutil.rmtree(self._folder, ignore_errors=True)

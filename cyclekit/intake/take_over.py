@@ -1,0 +1,72 @@
+"""Recordings taken over without reading their logs: links to files that were written before."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.activity import OPERATOR
+from cyclekit.align import CLOCK
+from cyclekit.atomic import write_parquet
+from cyclekit.intake.keep import QUARANTINE
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from cyclekit.discover import Log
+
+_ALL = f"{QUARANTINE}.parquet"
+
+
+def is_whole(entry: dict[str, Any], old: Path) -> bool:
+    """Tell whether everything that an entry of the dataset `old` speaks of is still there."""
+    folder = old / "recordings" / entry["id"]
+    aside = not entry["rows_set_aside"] or (old / _ALL).is_file()
+    return aside and all((folder / f"{name}.parquet").is_file() for name in entry["tables"])
+
+
+def take_over(entry: dict[str, Any], log: Log, old: Path, staging: Path) -> dict[str, Any]:
+    """Link the tables of a recording of the dataset `old` into `staging`; return its entry as it was after reading."""
+    target = staging / "recordings" / log.id
+    link_folder(old / "recordings" / entry["id"], target)
+    if entry["rows_set_aside"]:
+        rows = pl.scan_parquet(old / _ALL, glob=False).filter(pl.col("recording") == entry["id"]).collect()
+        write_parquet(named_anew(rows, log), target / _ALL)
+    return as_read(entry, log)
+
+
+def named_anew(quarantine: pl.DataFrame, log: Log) -> pl.DataFrame:
+    """Return rows set aside under the name that their log has now."""
+    rows = quarantine.with_columns(recording=pl.lit(log.id), file=pl.lit(log.shown))
+    return schema.conform(rows, schema.QUARANTINE)
+
+
+def as_read(entry: dict[str, Any], log: Log) -> dict[str, Any]:
+    """Return the entry without what was found out later: session, clock and operator."""
+    clock = {"kind": entry["clock"]["kind"]}
+    warnings = [text for text in entry["warnings"] if not text.startswith((CLOCK, OPERATOR))]
+    return {**entry, "id": log.id, "session": "", "clock": clock, "warnings": warnings}
+
+
+def link_folder(source: Path, target: Path) -> None:
+    """Give the files of a folder a second name in another one, or copies where there are no links."""
+    target.mkdir(parents=True)
+    for file in sorted(source.iterdir()):
+        try:
+            os.link(file, target / file.name)
+        except OSError:  # another file system, or one without hard links
+            shutil.copy2(file, target / file.name)
+
+
+def gather_quarantine(entries: Sequence[dict[str, Any]], staging: Path) -> None:
+    """Put what each recording set aside into one table of the dataset."""
+    files = [staging / "recordings" / entry["id"] / _ALL for entry in entries if entry["rows_set_aside"]]
+    parts = [pl.read_parquet(file, glob=False) for file in files]
+    write_parquet(pl.concat([schema.empty(schema.QUARANTINE), *parts]), staging / _ALL)
+    for file in files:
+        file.unlink()

@@ -1,0 +1,58 @@
+"""The rows of a table that comes in parts, each with the rows beside it.
+
+Whether a row can be is told by its neighbours. So the last rows of a part wait for those of the next one, and the last
+rows that were judged, whatever came of it, go along once more, to be looked at and not judged again.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+PLACE = "\x1fplace"
+"""Column of a window: BEFORE (judged already), HERE (to be judged) or AHEAD (to be judged with the next part)."""
+BEFORE, HERE, AHEAD = 0, 1, 2
+
+
+class Sliding:
+    """Makes windows of consecutive parts."""
+
+    def __init__(self, beside: Callable[[pl.DataFrame], int]) -> None:
+        """Begin.
+
+        Args:
+            beside: How many rows before and behind a row are its neighbours, told from a part of the table.
+        """
+        self._beside = beside
+        self._before: pl.DataFrame | None = None
+        self._waiting: pl.DataFrame | None = None
+
+    def with_neighbours(self, frame: pl.DataFrame, *, last: bool) -> pl.DataFrame:
+        """Return the next window: rows judged before, those that waited and those of `frame`."""
+        rows = frame if self._waiting is None else pl.concat([self._waiting, frame])
+        ahead = 0 if last else min(self._beside(rows), rows.height)
+        here = rows.height - ahead
+        self._waiting, before = rows[here:], self._before
+        known = rows[:here] if before is None else pl.concat([before, rows[:here]])
+        self._before = known.tail(self._beside(known))
+        window = _placed(rows, [HERE] * here + [AHEAD] * ahead)
+        if before is None:
+            return window
+        return pl.concat([_placed(before, [BEFORE] * before.height), window])
+
+
+def _placed(rows: pl.DataFrame, place: list[int]) -> pl.DataFrame:
+    return rows.hstack([pl.Series(PLACE, np.array(place, np.int8))])
+
+
+def let_through(window: pl.DataFrame) -> pl.DataFrame:
+    """Return the rows of a window that were judged and are still there."""
+    place = window[PLACE].to_numpy()
+    first, end = np.searchsorted(place, HERE), np.searchsorted(place, AHEAD)  # they stand in this order
+    rows = window[int(first) : int(end)]
+    return pl.DataFrame([column for column in rows.get_columns() if column.name != PLACE])

@@ -1,0 +1,210 @@
+"""Parquet tables larger than memory: written piece by piece, read by ranges of rows.
+
+Same rows in the same pieces, same bytes. Row groups are large enough for a scan to be fast and small enough for a few
+of them to be nothing; numbers are split by bytes before they are compressed, which makes measured values a fifth
+smaller. What the tables mean is the business of `schema`.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections import OrderedDict
+from contextlib import contextmanager, suppress
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+    from types import TracebackType
+    from typing import IO, Self
+
+    from numpy.typing import NDArray
+
+    from cyclekit.schema import Column
+
+    Columns = Mapping[str, NDArray[np.float64]]
+
+GROUP_ROWS = 1 << 17
+_KEPT_BYTES = 64 << 20  # of decoded row groups
+_LEVEL = 1  # of zstd: higher ones take longer and save a hundredth
+
+
+class TableWriter:
+    """One Parquet file in the making. Close it, or leave its `with` block, to have it whole.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+
+    def __init__(self, file: Path, columns: Mapping[str, Column], *, more: Sequence[str] = ()) -> None:
+        """Open a table.
+
+        Args:
+            file: Where; its folder is made.
+            columns: Its columns, in order.
+            more: Columns of numbers behind them (joints).
+        """
+        types = {name: column.dtype for name, column in columns.items()} | dict.fromkeys(more, pl.Float64())
+        self.rows, self._pieces, self._waiting, self._path = 0, list[pl.DataFrame](), 0, file
+        self._empty = pl.DataFrame(schema=types)
+        layout = self._empty.to_arrow(compat_level=pl.CompatLevel.oldest()).schema
+        texts = [name for name, dtype in types.items() if dtype == pl.String()]
+        numbers = [name for name, dtype in types.items() if dtype.is_float()]
+        with _as_os_error(file):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            self._file = file.open("wb")
+            self._parquet = _writer(self._file, layout, texts, numbers)
+
+    def write(self, frame: pl.DataFrame) -> None:
+        """Append rows; the frame has exactly the columns of the table."""
+        self._pieces.append(frame)
+        self._waiting += frame.height
+        self.rows += frame.height
+        while self._waiting >= GROUP_ROWS:
+            self._put(GROUP_ROWS)
+
+    def close(self) -> None:
+        """Write what is left; `atomic.built` sees to it that it is on the disk before it is in place."""
+        if self._waiting or self.rows == 0:
+            self._put(self._waiting)
+        with _as_os_error(self._path):
+            self._parquet.close()
+            self._file.close()
+
+    def abandon(self) -> None:
+        """Give up: what is there is half a table, and whoever began it removes it."""
+        with suppress(Exception):
+            self._file.close()
+
+    def _put(self, count: int) -> None:
+        frame = pl.concat(self._pieces) if self._pieces else self._empty
+        rest = frame[count:]
+        self._pieces, self._waiting = ([rest] if rest.height else []), rest.height
+        table = frame[:count].to_arrow(compat_level=pl.CompatLevel.oldest())
+        with _as_os_error(self._path):
+            self._parquet.write_table(table, row_group_size=GROUP_ROWS)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abandon()
+
+
+@contextmanager
+def _as_os_error(file: Path) -> Iterator[None]:
+    try:
+        yield
+    except pa.ArrowException as error:
+        raise OSError(errno.EIO, str(error), str(file)) from error
+    except OSError as error:  # from below Parquet, without saying which file
+        raise OSError(error.errno, error.strerror or str(error), str(file)) from error
+
+
+class StoredTable:
+    """Numbers of a Parquet table, read by ranges of rows; what was read last stays decoded, up to _KEPT_BYTES of it.
+
+    The file is open only while it is read: a dataset has thousands of them.
+    """
+
+    def __init__(self, file: Path, columns: Sequence[str]) -> None:
+        """Look at the table.
+
+        Args:
+            file: The Parquet file.
+            columns: The columns that will be read, all of numbers.
+        """
+        self._file, self._columns = file, list(columns)
+        with pq.ParquetFile(file) as parquet:
+            about, layout = parquet.metadata, parquet.schema_arrow
+        starts = [0]
+        for group in range(about.num_row_groups):
+            starts.append(starts[-1] + about.row_group(group).num_rows)
+        self.rows = starts[-1]
+        self.groups = [(begin, end) for begin, end in pairwise(starts) if end > begin]
+        self._unknown = {name: _unknown(about, layout.get_field_index(name)) for name in columns}
+
+    def unknown(self, column: str) -> int:
+        """Return how many rows have no value in a column, as far as the file says; all where it does not."""
+        return self._unknown[column]
+
+    def read(self, first: int, end: int) -> Columns:
+        """Return rows `first` to before `end` as float64, NaN = unknown; not to be written to."""
+        parts = [
+            {name: values[max(first - begin, 0) : end - begin] for name, values in self._group(number).items()}
+            for number, (begin, after) in enumerate(self.groups)
+            if begin < end and after > first
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in self._columns}
+
+    def whole_numbers(self, number: int, column: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return a column of whole numbers in one row group, all 64 bits of them, and which are known, shape (N,)."""
+        with pq.ParquetFile(self._file) as parquet:
+            values = pl.DataFrame(parquet.read_row_group(number, columns=[column], use_threads=False))[column]
+        return values.fill_null(0).cast(pl.Int64).to_numpy(), values.is_not_null().to_numpy()
+
+    def _group(self, number: int) -> Columns:
+        key = (self._file, tuple(self._columns), number)
+        if key in _decoded:
+            _decoded.move_to_end(key)
+            return _decoded[key]
+        with pq.ParquetFile(self._file) as parquet:
+            table = parquet.read_row_group(number, columns=self._columns, use_threads=False)
+        frame = pl.DataFrame(table)  # not by Arrow's own way to numpy, which imports pandas where there is one
+        _decoded[key] = {name: frame[name].cast(pl.Float64).to_numpy() for name in self._columns}
+        while len(_decoded) > 1 and sum(v.nbytes for part in _decoded.values() for v in part.values()) > _KEPT_BYTES:
+            _decoded.popitem(last=False)
+        return _decoded[key]
+
+
+_decoded: OrderedDict[tuple[Path, tuple[str, ...], int], Columns] = OrderedDict()
+
+
+def _unknown(about: pq.FileMetaData, column: int) -> int:
+    total = 0
+    for group in range(about.num_row_groups):
+        said = about.row_group(group).column(column).statistics
+        total += said.null_count if said is not None and said.has_null_count else about.row_group(group).num_rows
+    return total
+
+
+def shift_times(file: Path, shift_s: float, *, column: str = "t_s") -> None:
+    """Subtract `shift_s` from the times in a column of a table that is not in place yet."""
+    table = pq.ParquetFile(file)
+    about, part = table.schema_arrow, file.with_suffix(".part")
+    texts = [field.name for field in about if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)]
+    numbers = [field.name for field in about if pa.types.is_floating(field.type)]
+    with part.open("wb") as handle, _as_os_error(file), _writer(handle, about, texts, numbers) as writer:
+        for group in range(table.metadata.num_row_groups):
+            rows = table.read_row_group(group, use_threads=False)
+            place = rows.schema.get_field_index(column)
+            shifted = pc.subtract(rows.column(place), shift_s)
+            writer.write_table(rows.set_column(place, rows.schema.field(place), shifted), row_group_size=GROUP_ROWS)
+    table.close()
+    part.replace(file)
+
+
+def _writer(handle: IO[bytes], layout: pa.Schema, texts: Sequence[str], numbers: Sequence[str]) -> pq.ParquetWriter:
+    return pq.ParquetWriter(
+        handle,
+        layout,
+        compression="zstd",
+        compression_level=_LEVEL,
+        use_dictionary=list(texts),
+        use_byte_stream_split=list(numbers),
+        store_schema=False,
+    )

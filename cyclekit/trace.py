@@ -1,0 +1,126 @@
+"""Where a sample comes from: the lines (rows, messages, frames) of the logs that it was made of.
+
+A sample stands on a row of the robot's log; its operator is the mean of the tracker's rows around it. Every row of a
+recording knows its place in its file, so a number that looks wrong can be looked up where it was written.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from cyclekit.errors import DatasetError
+
+if TYPE_CHECKING:
+    from cyclekit.dataset import Dataset
+
+AROUND_S = 0.2
+"""Rows of people and events this near to a sample are shown."""
+_SHOWN = 12
+_LONGEST_LINE = 2000
+
+
+@dataclass(frozen=True)
+class Origin:
+    """One row of a recording that a sample was made of, or that stands beside it.
+
+    Attributes:
+        table: robot, people or events.
+        recording: Id of the recording.
+        file: The log, relative to the folder of logs.
+        row_is, source_row: Where in it: line (from 1), row, message or frame (from 0).
+        t_s: Session time of the row, seconds.
+        values: What is known in it.
+        text: The line itself, where the folder of logs was given and it is a text; None otherwise.
+    """
+
+    table: str
+    recording: str
+    file: str
+    row_is: str
+    source_row: int | None
+    t_s: float
+    values: dict[str, Any]
+    text: str | None = None
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A sample and its origins."""
+
+    execution: str
+    sample: dict[str, Any]
+    origins: tuple[Origin, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return asdict(self)
+
+
+def trace(dataset: Dataset, execution: str, at_s: float, *, logs: Path | str | None = None) -> Trace:
+    """Return the sample of an execution nearest to a time, and the rows of the logs behind it.
+
+    Args:
+        dataset: Where to look.
+        execution: Its name, or its number from 1.
+        at_s: Seconds since the execution began.
+        logs: Folder of the logs, to show the lines themselves.
+
+    Raises:
+        UnknownName: There is no such execution.
+        DatasetError: It has no samples.
+    """
+    name = dataset.find_execution(execution)
+    entry = next(entry for entry in dataset.card["executions"] if entry["execution"] == name)
+    samples = dataset.samples([name])
+    if samples.is_empty():
+        raise DatasetError(f"{dataset.path}: execution {name} has no samples", cure="Choose another one.")
+    wanted = float(entry["start_s"]) + at_s
+    sample = samples.row(int((samples["t_s"] - wanted).abs().arg_min() or 0), named=True)
+    found: list[Origin] = []
+    for record in dataset.recordings:
+        if record["session"] == entry["session"]:
+            found += _of_recording(dataset, record, float(sample["t_s"]), logs)
+    return Trace(name, {key: value for key, value in sample.items() if value is not None}, tuple(found))
+
+
+def _of_recording(dataset: Dataset, record: dict[str, Any], at_s: float, logs: Path | str | None) -> list[Origin]:
+    rate, offset_s = record["clock"]["rate"], record["clock"]["offset_s"]
+    own_s = (at_s - offset_s) / rate
+    found = []
+    for table in ("robot", "people", "events"):
+        file = dataset.path / "recordings" / record["id"] / f"{table}.parquet"
+        if table not in record["tables"]:
+            continue
+        near = pl.col("t_s").is_between(own_s - AROUND_S / rate, own_s + AROUND_S / rate)
+        rows = pl.scan_parquet(file, glob=False).filter(near).collect()
+        if table == "robot":  # the row that the sample stands on
+            rows = rows.filter(pl.col("t_s") <= own_s + 1e-6).tail(1)
+        for row in _nearest(rows, own_s).iter_rows(named=True):
+            t_s, line = row.pop("t_s"), row.pop("source_row")
+            values = {key: value for key, value in row.items() if value is not None}
+            shown = record["sources"][0]["path"]
+            if len(record["sources"]) > 1:
+                shown = shown.rpartition("/")[0]
+            text = _line(Path(logs) / shown, line) if logs is not None and record["rows_are"] == "line" else None
+            where = (table, record["id"], shown, record["rows_are"], line)
+            found.append(Origin(*where, t_s * rate + offset_s, values, text))
+    return found
+
+
+def _nearest(rows: pl.DataFrame, own_s: float) -> pl.DataFrame:
+    return rows.sort((pl.col("t_s") - own_s).abs(), maintain_order=True).head(_SHOWN).sort("t_s", maintain_order=True)
+
+
+def _line(file: Path, number: int | None) -> str | None:
+    """Return one line of a text, counted from 1."""
+    if number is None or not file.is_file():
+        return None
+    with file.open("rb") as log:
+        for count, line in enumerate(log, 1):
+            if count == number:
+                return line[:_LONGEST_LINE].decode("utf-8", "replace").rstrip("\r\n")
+    return None

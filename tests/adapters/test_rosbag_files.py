@@ -586,3 +586,37 @@ def test_metadata_that_cannot_be_read_is_done_without(tmp_path, text):
     folder = folder_of(tmp_path)
     assert [file.name for file in folder.files] == ["run_0.mcap"]
     assert "cannot be read" in folder.warnings[0]
+
+
+OLD_JOINTS = """Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: roslib/Header
+uint32 seq
+time stamp
+string frame_id
+"""
+
+
+def test_a_bag_of_2010_whose_headers_are_those_of_roslib_is_read(tmp_path):
+    store, path = get_typestore(Stores.ROS1_NOETIC), tmp_path / "run.bag"
+    kind = "sensor_msgs/msg/JointState"
+    with Writer1(path) as writer:
+        md5sum = "3066dcd76a6cfaef579bd0f34173e9fd"
+        connection = writer.add_connection("/joint_states", kind, msgdef=OLD_JOINTS, md5sum=md5sum)
+        for number in range(50):
+            stamp = store.types["builtin_interfaces/msg/Time"](sec=T0 + number, nanosec=250_000_000)
+            header = store.types["std_msgs/msg/Header"](seq=number, stamp=stamp, frame_id="")
+            angles = np.array([number / 10, -1.0])
+            said = store.types[kind](
+                header=header, name=["a", "b"], position=angles, velocity=angles * 2, effort=angles
+            )
+            writer.write(connection, (T0 + number) * 10**9 + 300_000_000, bytes(store.serialize_ros1(said, kind)))
+    assert b"roslib/Header" in path.read_bytes()
+    log = ADAPTER.read(path, ReadOptions())
+    assert log.robot["q0_rad"].to_list() == [number / 10 for number in range(50)]
+    assert log.robot["t_s"].to_list() == [T0 + number + 0.25 for number in range(50)]
+    assert log.facts["time"] == "header stamp"

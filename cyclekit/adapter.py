@@ -33,6 +33,8 @@ class ReadOptions:
         body: Name of the rigid body, marker or topic that is the person, where a log has several.
         rate_hz: Rate of a log without any clock; must be given, is never invented.
         skeletons: Fill `Recording.skeletons` too, where the log has them. Personal data: only on request.
+        frame_given: The cell file says where this log's frame stands, so positions stay in it, even where the log
+            itself knows the way to the robot's base.
     """
 
     role: Role | None = None
@@ -40,6 +42,7 @@ class ReadOptions:
     body: str | None = None
     rate_hz: float | None = None
     skeletons: bool = False
+    frame_given: bool = False
 
 
 @dataclass(frozen=True)

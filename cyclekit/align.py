@@ -1,9 +1,10 @@
 """Which clock each recording of a session gets: what the cell file asks for, found in the logs themselves.
 
 The robot log's clock is the session's. Another log is placed by what its source says (an offset, events, the motion of
-a body on the flange, another source's clock, a start by the calendar), else by epoch time, else by a common start. What
-was asked for and cannot be done is refused, never replaced by something weaker. How a line is fitted to events or
-motion is the business of `clock`.
+a body on the flange, another source's clock, a start by the calendar), else by epoch time, else by the stamps of both
+clocks that a log may hold (its device's and its host's), else by a common start. What was asked for and cannot be done
+is refused, never replaced by something weaker. How a line is fitted to events, motion or stamps is the business of
+`clock`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from cyclekit.clock import ClockFit, LogClock, coarse_fit, fit_clock, fit_events, fit_motion, fit_pairs
+from cyclekit.clock import (
+    MAX_DRIFT,
+    ClockFit,
+    LogClock,
+    coarse_fit,
+    fit_clock,
+    fit_events,
+    fit_motion,
+    fit_pairs,
+    lower_envelope,
+)
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.frames import to_base
 
@@ -38,6 +49,10 @@ OUTPUT = "digital-output "
 _ON = {"1", "1.0", "true", "on", "high"}
 _OFF = {"0", "0.0", "false", "off", "low"}
 START_GOOD_TO_S = 1.0
+LATE_S = 0.1
+"""Stamps that typically lie further above the line under their delays are worth a word."""
+RESTART_S = 1.0
+"""A device's clock that steps back by more than this began anew."""
 
 
 def place_in_time(
@@ -103,7 +118,14 @@ def _fit(
     if source is not None and source.start is not None and source.clock_offset_s is None:
         return _by_start(log, main, source.start, master_source)
     plain = fit_clock(log, main, source)
-    if coarse_step_s is None or plain.method != "assumed-common-start" or "people" not in entry["tables"]:
+    if plain.method != "assumed-common-start":
+        return plain
+    if (stamped := _by_stamps(entry, master, read)) is not None:
+        return stamped.since(main.first_s)
+    if any(_restarts(_stamps_of(one, read)) for one in (entry, master)):
+        said = "a device's clock was restarted while recording, so its stamps place no clock: split the log there; "
+        plain = replace(plain, warning=said + str(plain.warning))
+    if coarse_step_s is None or "people" not in entry["tables"]:
         return plain
     return _coarse(entry, master, source, read, coarse_step_s) or plain
 
@@ -218,6 +240,45 @@ def flange(people: pl.DataFrame, source: Source) -> pl.DataFrame:
         several = ", ".join(sorted(names)[:6])
         raise ConfigError(f'sees = "tcp", and the log holds {len(names)} bodies ({several})', cure="Add sees_as.")
     return people
+
+
+def _by_stamps(entry: dict[str, Any], master: dict[str, Any], read: Read) -> ClockFit | None:
+    """Return the line from one log's clock to the other's over the epoch time of their hosts; None without one."""
+    mine, theirs = _to_epoch(entry, read), _to_epoch(master, read)
+    if mine is None or theirs is None:
+        return None
+    known = [fit for fit in (mine, theirs) if fit.method == "lower-envelope"]
+    late_s = max(fit.residual_s or 0.0 for fit in known)
+    warning = None
+    if late_s > LATE_S:
+        warning = f"its stamps typically lie {late_s:.2g} s above the line that places its clock: delays, or a poor fit"
+    return ClockFit(
+        "lower-envelope",
+        (mine.offset_s - theirs.offset_s) / theirs.rate,
+        mine.rate / theirs.rate,
+        warning,
+        residual_s=late_s,
+        events=min(fit.events or 0 for fit in known),
+    )
+
+
+def _to_epoch(entry: dict[str, Any], read: Read) -> ClockFit | None:
+    """Return the line from a log's clock to epoch time; None if nothing tells it."""
+    if entry["clock"]["kind"] == "epoch":
+        return ClockFit("epoch", 0.0)
+    stamps = _stamps_of(entry, read)
+    if stamps is None or stamps.height < 2 or _restarts(stamps):
+        return None
+    return lower_envelope(stamps["t_s"].to_numpy(), stamps["host_s"].to_numpy(), max_drift=MAX_DRIFT)
+
+
+def _stamps_of(entry: dict[str, Any], read: Read) -> pl.DataFrame | None:
+    return read(entry["id"], "stamps") if "stamps" in entry["tables"] else None
+
+
+def _restarts(stamps: pl.DataFrame | None) -> bool:
+    """Tell whether the device's clock began anew: then each part of the log has a line of its own."""
+    return stamps is not None and bool((np.diff(stamps["t_s"].to_numpy()) < -RESTART_S).any())
 
 
 def _by_start(log: LogClock, main: LogClock, start: str, robot: Source | None) -> ClockFit:

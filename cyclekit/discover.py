@@ -160,4 +160,11 @@ def options_of(source: Source | None, *, skeletons: bool = False) -> ReadOptions
     """Return what an adapter is told about a source of the cell file."""
     if source is None:
         return ReadOptions(skeletons=skeletons)
-    return ReadOptions(source.role, source.map, source.body, source.rate_hz, skeletons)
+    return ReadOptions(
+        role=source.role,
+        map=source.map,
+        body=source.body,
+        rate_hz=source.rate_hz,
+        frame_given=source.frame is not None,
+        skeletons=skeletons,
+    )

@@ -61,12 +61,16 @@ def _unquoted(text: str) -> str:
 
 
 def without_wall_clock(entries: Sequence[dict[str, Any]], staging: Path) -> None:
-    """Let every recording in epoch time begin at 0, its tables under `staging` and its entry alike.
+    """Let every recording in epoch time begin at 0, its tables under `staging` and its entry alike; hosts' times too.
 
     How it lies in the time of its session stays the same: what the times lose, the clock's offset gains.
     """
     for entry in entries:
         entry["key"] = ""  # made of the times of files; what is pseudonymised is read again anyway
+        if "stamps" in entry["tables"]:
+            file = staging / "recordings" / entry["id"] / "stamps.parquet"
+            first = pl.scan_parquet(file, glob=False).select(pl.col("host_s").min()).collect().item()
+            shift_times(file, first or 0.0, column="host_s")
         if entry["clock"]["kind"] != "epoch":
             continue
         clock, shift_s = entry["clock"], entry["first_s"]

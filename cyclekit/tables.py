@@ -182,8 +182,8 @@ def _unknown(about: pq.FileMetaData, column: int) -> int:
     return total
 
 
-def shift_times(file: Path, shift_s: float) -> None:
-    """Subtract `shift_s` from the times of a table that is not in place yet."""
+def shift_times(file: Path, shift_s: float, *, column: str = "t_s") -> None:
+    """Subtract `shift_s` from the times in a column of a table that is not in place yet."""
     table = pq.ParquetFile(file)
     about, part = table.schema_arrow, file.with_suffix(".part")
     texts = [field.name for field in about if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)]
@@ -191,7 +191,7 @@ def shift_times(file: Path, shift_s: float) -> None:
     with part.open("wb") as handle, _as_os_error(file), _writer(handle, about, texts, numbers) as writer:
         for group in range(table.metadata.num_row_groups):
             rows = table.read_row_group(group, use_threads=False)
-            place = rows.schema.get_field_index("t_s")
+            place = rows.schema.get_field_index(column)
             shifted = pc.subtract(rows.column(place), shift_s)
             writer.write_table(rows.set_column(place, rows.schema.field(place), shifted), row_group_size=GROUP_ROWS)
     table.close()

@@ -2,8 +2,9 @@
 
 RSI itself is a stream and has no file format, so the columns are those of the client; the names of the values are
 KUKA's. `RIst` is where the robot is (mm, base chosen in the RSI configuration), `RSol` only the set point of the next
-cycle. The clock is `IPOC`, the controller's count of milliseconds; a `Timestamp` beside it is the PC's and often has
-whole seconds only. RSI does not carry the override: it stays unknown.
+cycle. The clock is `IPOC`, the controller's count of milliseconds; a `Timestamp` beside it is the PC's, often in whole
+seconds of an unnamed zone: with `time_zone` in `[sources.map]` both stamps are kept, and the log can be placed among
+logs in epoch time. RSI does not carry the override: it stays unknown.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.controller_time import Once, Spread
 from cyclekit_adapters.delimited import Rows, read_blocks
 from cyclekit_adapters.header_line import column_names, layout_below
+from cyclekit_adapters.host_clock import HostClock
 from cyclekit_adapters.in_parts import in_parts
 
 if TYPE_CHECKING:
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 
 _POSITION = ("X_RIst", "Y_RIst", "Z_RIst")
 _TIME, _LATE = "IPOC", "Delay"
+_HOST = "timestamp"
 _OVERRIDES = ("OV_PRO", "OV_ROB", "OV_JOG")
 _MM, _MS = 1e-3, 1e-3
 
@@ -40,9 +43,7 @@ class _KukaRsiCsv:
         return whole(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
-        for key in options.map:
-            cure = 'Columns of your own are mapped with adapter = "csv".'
-            raise UnknownName("[sources.map] of a KUKA RSI log", "key", key, [], cure=cure)
+        zone = _zone(options)
         layout = layout_below(path)
         if missing := {_TIME, *_POSITION}.difference(layout.names):
             raise MissingColumns(
@@ -50,13 +51,16 @@ class _KukaRsiCsv:
             )
         numbers = [_TIME, *_POSITION, *([_LATE] if _LATE in layout.names else [])]
         once, late, cycles = Once(_TIME), Spread((_LATE,)), list[float]()
+        host = next((HostClock(name, zone) for name in layout.names if name.lower() == _HOST), None)
 
         def make(rows: Rows) -> Recording:
             rows = once.rows(rows)
             late.add(rows.frame)
             cycles.append(_number(rows.frame[_TIME].diff().median()))
+            stamps = None if host is None else host.stamps(rows.frame[_TIME] * _MS, rows.frame[host.column])
             return Recording(
                 robot=_robot(rows.frame),
+                stamps=stamps,
                 clock="uptime",
                 rows_are="line",
                 rows_read=rows.rows_read,
@@ -69,11 +73,43 @@ class _KukaRsiCsv:
                 "cycle": f"{cycles[0]:g} ms",
                 "point": "RIst: the active tool in the base of the RSI configuration, mm",
             }
-            said = [*once.warnings(), *_warnings(layout.names, late.most.get(_LATE, 0.0))]
-            return replace(last, warnings=tuple(said), facts=facts)
+            said = [*once.warnings(), *_warnings(layout.names, late.most.get(_LATE, 0.0)), *_no_zone(host)]
+            return replace(last, warnings=tuple(said), facts=facts | _host_fact(host))
 
-        blocks = read_blocks(path, layout, numbers=numbers, required=[_TIME])
+        blocks = read_blocks(path, layout, numbers=numbers, texts=[host.column] if host else [], required=[_TIME])
         yield from in_parts(path, blocks, make, finish)
+
+
+def _zone(options: ReadOptions) -> str | None:
+    """Return the time zone that the cell file gives; refuse any other key."""
+    from zoneinfo import available_timezones
+
+    where = "[sources.map] of a KUKA RSI log"
+    for key in options.map:
+        if key != "time_zone":
+            cure = 'Known: time_zone. Columns of your own are mapped with adapter = "csv".'
+            raise UnknownName(where, "key", key, ["time_zone"], cure=cure)
+    zone = options.map.get("time_zone")
+    if zone is not None and zone not in available_timezones():
+        cure = "As in the IANA list: Europe/Rome."
+        raise UnknownName(where, "time_zone", str(zone), available_timezones(), cure=cure)
+    return None if zone is None else str(zone)
+
+
+def _no_zone(host: HostClock | None) -> list[str]:
+    if host is None or host.read or not host.unread or host.zone is not None:
+        return []
+    return [
+        f"column {host.column!r} is the PC's time in a zone that the log does not name: give time_zone, as "
+        '"Europe/Rome", in [sources.map], and the log can be placed among logs in epoch time'
+    ]
+
+
+def _host_fact(host: HostClock | None) -> dict[str, str]:
+    if host is None or not host.read:
+        return {}
+    zone = f" in {host.zone}" if host.zone else ""
+    return {"host_clock": f"{host.column}{zone}: kept at the rows where it changes, early by up to one cycle"}
 
 
 def _robot(frame: pl.DataFrame) -> pl.DataFrame:

@@ -157,7 +157,7 @@ def _clock(clock: Mapping[str, Any]) -> str:
         parts.append(f"residual {1000 * clock['residual_s']:.1f} ms")
     if "events" in clock:
         rejected = f" ({clock['events_rejected']} rejected)" if clock.get("events_rejected") else ""
-        parts.append(f"{clock['events']} events{rejected}")
+        parts.append(f"{clock['events']} {_counted(clock)}{rejected}")
     if "correlation" in clock:
         parts.append(f"correlation {clock['correlation']:.2f}")
     if "second_best" in clock:
@@ -165,6 +165,10 @@ def _clock(clock: Mapping[str, Any]) -> str:
     if "same_as" in clock:
         parts.append(f"that of {clock['same_as']}")
     return ", ".join(parts)
+
+
+def _counted(clock: Mapping[str, Any]) -> str:
+    return "stamps" if clock["method"] == "lower-envelope" else "events"
 
 
 def _operator(seen: Mapping[str, Mapping[str, int]]) -> str:

@@ -124,7 +124,8 @@ def _clock_fits(records: Iterable[Mapping[str, Any]]) -> str:
         parts.append(f"residual {'up to ' if len(residuals) > 1 else ''}{1000 * max(residuals):.1f} ms")
     events = [int(clock["events"]) for clock in clocks if clock.get("events") is not None]
     if events:
-        parts.append(f"{min(events)} events" + (" or more" if len(events) > 1 else ""))
+        counted = "stamps" if all(clock.get("method") == "lower-envelope" for clock in clocks) else "events"
+        parts.append(f"{min(events)} {counted}" + (" or more" if len(events) > 1 else ""))
     doubts = [clock for clock in clocks if clock.get("second_best") is not None]
     if doubts:
         worst = max(doubts, key=lambda clock: float(clock["second_best"]))

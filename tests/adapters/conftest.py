@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import settings
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
@@ -149,6 +150,28 @@ class BagWriter:
             stamped = self.type("geometry_msgs/msg/TransformStamped")
             items.append(stamped(header=self.header(t_s, parent), child_frame_id=child, transform=value))
         self.say(topic, "tf2_msgs/msg/TFMessage", t_s, transforms=items)
+
+    def define(self, kind: str, text: str) -> None:
+        """Register the types of a definition that this store does not know yet."""
+        found = get_types_from_msg(text, kind)
+        self.store.register({name: fields for name, fields in found.items() if name not in self.store.types})
+
+    def random(self, kind: str, **fields: object) -> Any:
+        """Return a message of a type with these fields, and of all others something that tells where it came from."""
+        made = {name: self._value(name, description) for name, description in self.store.get_msgdef(kind).fields}
+        return self.type(kind)(**(made | fields))
+
+    def _value(self, name: str, description: Any) -> Any:
+        kind, what = description
+        if kind == Nodetype.NAME:
+            return self.random(what)
+        if kind == Nodetype.BASE:
+            return name[:3] if what[0] == "string" else False if what[0] == "bool" else 1
+        item, count = what
+        count = count if kind == Nodetype.ARRAY else 0
+        if item[0] == Nodetype.BASE and item[1][0] != "string":
+            return np.arange(count).astype(item[1][0])
+        return [self._value(name, item) for _ in range(count)]
 
     def close(self) -> None:
         self.writer.close()

@@ -1,12 +1,19 @@
+from datetime import datetime
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import polars as pl
 import pytest
 from damage import damaged, read_or_refuse
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
+from cyclekit.clock import lower_envelope
 from cyclekit.errors import DamagedLog, LogError, MissingColumns, UnknownName
 from cyclekit.registry import find_adapter
 from cyclekit.schema import ROBOT
+from cyclekit_adapters.host_clock import HostClock
 from cyclekit_adapters.kuka_rsi import ADAPTER
 
 COLUMNS = (
@@ -106,6 +113,79 @@ def test_a_header_without_rows_and_an_unknown_key_are_refused(tmp_path):
         read(path)
     with pytest.raises(UnknownName, match="scaling"):
         read(path, map={"scaling": "OV_PRO"})
+
+
+def stamped(seconds, *, late_s=0.0, begin=1_715_000_000.3, decimals=0, gap=None, seed=1):
+    """Rows of a 12 ms cycle with the PC's time, cut to whole seconds, in Rome; and what it was when IPOC was zero."""
+    rng = np.random.default_rng(seed)
+    device_ms = np.arange(0, seconds * 1000, 12) + 5_000
+    true_s = begin + device_ms / 1000 + late_s + rng.exponential(0.002, device_ms.size)
+    rows = []
+    for ipoc, host_s in zip(device_ms.tolist(), true_s.tolist(), strict=True):
+        if gap and gap[0] <= ipoc <= gap[1]:
+            continue
+        shown = datetime.fromtimestamp(int(host_s * 10**decimals) / 10**decimals, ZoneInfo("Europe/Rome"))
+        text = shown.strftime("%Y-%m-%d %H:%M:%S") + (f".{shown.microsecond // 1000:03d}" if decimals else "")
+        rows.append(row(ipoc).replace("2024-05-06 14:05:15", text))
+    return rows, begin + late_s
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("decimals", "worst_s"), [(0, 0.012), (3, 0.001)])
+def test_the_second_in_which_the_pc_wrote_places_the_log_to_a_cycle(tmp_path, seed, decimals, worst_s):
+    rows, offset_s = stamped(60, decimals=decimals, seed=seed)
+    log = read(write(tmp_path / "robot.csv", *rows), map={"time_zone": "Europe/Rome"})
+    assert log.stamps.height == pytest.approx(len(rows) if decimals else 60, abs=20 if decimals else 1)
+    fit = lower_envelope(log.stamps["t_s"].to_numpy(), log.stamps["host_s"].to_numpy())
+    at = np.array([5.0, 65.0])
+    error = fit.rate * at + fit.offset_s - (at + offset_s)
+    assert (error > -worst_s - 1e-4).all()  # never earlier than by a cycle
+    assert (error < 0.003).all()
+    assert log.clock == "uptime"
+    assert "Europe/Rome" in log.facts["host_clock"]
+
+
+def test_a_second_that_changed_while_rows_were_missing_tells_nothing(tmp_path):
+    rows, offset_s = stamped(60, gap=(20_000, 23_800))
+    log = read(write(tmp_path / "robot.csv", *rows), map={"time_zone": "Europe/Rome"})
+    apart = (log.stamps["host_s"] - log.stamps["t_s"]).to_numpy() - offset_s
+    assert apart.min() > -0.0121
+    assert 54 <= log.stamps.height <= 57
+
+
+def test_a_time_of_day_without_a_zone_is_not_guessed_at(tmp_path):
+    rows, _ = stamped(3)
+    log = read(write(tmp_path / "robot.csv", *rows))
+    assert log.stamps is None
+    assert [said for said in log.warnings if "'Timestamp'" in said and "time_zone" in said]
+    with pytest.raises(UnknownName, match="Rom"):
+        read(tmp_path / "robot.csv", map={"time_zone": "Rome"})
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("2024-05-06T12:53:20Z", "2024-05-06T12:53:21Z"),
+        ("2024-05-06 14:53:20+02:00", "2024-05-06 14:53:21+02:00"),
+        ("1715000000", "1715000001.0"),
+    ],
+)
+def test_a_time_that_names_its_zone_needs_none(tmp_path, before, after):
+    rows = [row(12 * n).replace("2024-05-06 14:05:15", before if n < 5 else after) for n in range(9)]
+    log = read(write(tmp_path / "robot.csv", *rows))
+    assert log.stamps["t_s"].to_list() == pytest.approx([0.06])
+    assert log.stamps["host_s"].to_list() == pytest.approx([1_715_000_001.0])
+
+
+def test_the_stamps_of_a_log_in_parts_are_those_of_the_whole(tmp_path):
+    rows, _ = stamped(30)
+    path = write(tmp_path / "robot.csv", *rows)
+    whole = read(path, map={"time_zone": "Europe/Rome"}).stamps
+    host = HostClock("Timestamp", "Europe/Rome")
+    t_s = pl.Series([float(one.split(",")[14]) for one in rows]) * 1e-3
+    text = pl.Series([one.split(",")[0] for one in rows])
+    parts = [host.stamps(t_s[n : n + 100], text[n : n + 100]) for n in range(0, len(rows), 100)]
+    assert pl.concat(parts).equals(whole)
 
 
 def test_other_tables_and_folders_are_not_mine(tmp_path):

@@ -1,4 +1,5 @@
 import math
+import struct
 
 import numpy as np
 import pytest
@@ -127,18 +128,20 @@ def test_without_a_pose_the_tool_is_found_through_the_transforms(tmp_path, bag):
     assert robot["tcp_z_m"].to_list() == pytest.approx([1.0] * 3)
 
 
-def test_the_header_time_is_used_only_where_every_topic_has_one(tmp_path, bag):
-    for name, scaled in (("stamped", False), ("received", True)):
-        writer = bag(tmp_path / name, "mcap")
-        pose = writer.pose(1.0, 0.0, 0.0)
-        topic, kind = "/tcp_pose_broadcaster/pose", "geometry_msgs/msg/PoseStamped"
-        writer.say(topic, kind, T0 + 0.5, header=writer.header(T0), pose=pose)
-        if scaled:
-            writer.number("/speed_scaling_factor", "Float64", T0, 1.0)
-        writer.close()
-    assert read(tmp_path / "stamped").robot["t_s"][0] == pytest.approx(T0)
-    assert read(tmp_path / "received").robot["t_s"][0] == pytest.approx(T0 + 0.5)
-    assert read(tmp_path / "received").facts["time"] == "receive time"
+def test_each_topic_is_timed_by_its_header_or_else_by_the_moment_of_recording(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    pose = writer.pose(1.0, 0.0, 0.0)
+    topic, kind = "/tcp_pose_broadcaster/pose", "geometry_msgs/msg/PoseStamped"
+    for i in range(3):
+        writer.say(topic, kind, T0 + i + 0.04, header=writer.header(T0 + i), pose=pose)
+    writer.number("/speed_scaling_factor", "Float64", T0 + 0.9, 0.25)
+    writer.number("/speed_scaling_factor", "Float64", T0 + 1.02, 0.5)  # after the second pose was measured
+    writer.close()
+    log = read(tmp_path / "run")
+    assert log.robot["t_s"].to_list() == pytest.approx([T0, T0 + 1, T0 + 2])
+    assert log.robot["scaling"].to_list() == [None, 0.25, 0.5]
+    assert log.facts["time"] == "header stamp and receive time"
+    assert log.facts[f"time of {topic}"].startswith("header stamp (of the recorder's clock, received 0.040 s later")
 
 
 def test_an_array_with_fewer_people_has_people_not_seen_and_an_empty_one_nobody(tmp_path, bag):
@@ -198,14 +201,19 @@ def test_a_bag_of_nothing_we_need_is_refused_with_the_topics_found(tmp_path, bag
 
 
 @pytest.mark.parametrize("kind", ["mcap", "bag"])
-def test_a_bag_cut_within_its_first_chunk_is_refused_with_a_cure(tmp_path, bag, kind):
+def test_a_bag_cut_within_its_first_chunk_is_read_up_to_there_and_before_any_message_refused(tmp_path, bag, kind):
     path = tmp_path / ("run.bag" if kind == "bag" else "run")
     writer = bag(path, kind)
     for i in range(300):
         writer.joints(T0 + i, [f"joint_{j}" for j in range(6)], [float(i)] * 6)
     writer.close()
     file = path if kind == "bag" else next(path.glob(f"*.{kind}"))
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    content = file.read_bytes()
+    file.write_bytes(content[: content.index(struct.pack("<6d", *[150.0] * 6)) + 20])
+    log = ADAPTER.read(file, ReadOptions())
+    assert log.robot["q5_rad"].to_list() == [float(i) for i in range(150)]
+    assert any("the bag is cut" in said for said in log.warnings)
+    file.write_bytes(content[: content.index(struct.pack("<6d", *[0.0] * 6)) + 20])
     with pytest.raises(DamagedLog) as refusal:
         ADAPTER.read(file, ReadOptions())
     assert refusal.value.cure

@@ -3,9 +3,10 @@
 Robot: the TCP pose (`tcp_pose_broadcaster/pose`, or the transforms from the base to the tool), JointState by joint
 name (else a controller's state), the speed scaling in the unit of the driver that writes it, whether the program runs,
 and UR's modes. People: PoseArray, PoseStamped and PointStamped whose topic speaks of people; the messages of Azure
-Kinect, SPENCER, people_msgs and ZED; the bodies of ROS4HRI. Events: String, Bool and modes. Metres, radians, seconds
-since 1970; the time is the header's where every topic in use has one, else the moment of recording. Topics that
-nobody needs are skipped; which topic means what can be set in `[sources.map]`.
+Kinect, SPENCER, people_msgs and ZED; the bodies of ROS4HRI; brought into the robot's base where transforms lead there.
+Events: String, Bool and modes. Metres, radians, seconds since 1970; the time of each topic is its header's, put on the
+recorder's clock where it is of another one, else the moment of recording. Topics that nobody needs are skipped; which
+topic means what can be set in `[sources.map]`.
 """
 
 from __future__ import annotations
@@ -13,19 +14,26 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 from cyclekit.adapter import Adapter, ClockKind, ReadOptions, Recording
 from cyclekit.errors import DamagedLog
+from cyclekit.schema import STAMPS, conform
+from cyclekit_adapters.rosbag.clocks import EPOCH_S, Source, choose_times, simulated
 from cyclekit_adapters.rosbag.container import Bag, is_bag, opened
-from cyclekit_adapters.rosbag.roles import CLOCK, CUSTOM, Factor, Roles, roles_in
-from cyclekit_adapters.rosbag.tables import events_table, people_table, robot_table
+from cyclekit_adapters.rosbag.envelope import middle
+from cyclekit_adapters.rosbag.facts import facts_of
+from cyclekit_adapters.rosbag.frames import Frames, find_frames
+from cyclekit_adapters.rosbag.people_tables import people_table, skeletons_table
+from cyclekit_adapters.rosbag.roles import Roles, roles_in
+from cyclekit_adapters.rosbag.tables import events_table, robot_table
 from cyclekit_adapters.rosbag.tracks import Contents, collect
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-_EPOCH_S = 1e8  # a clock below this (1973) counts from the start of something, not from 1970
+_NEAR_S = 1.0  # a recorder whose moments are this near to `/clock` recorded in simulated time
 
 
 class _RosBag:
@@ -34,14 +42,13 @@ class _RosBag:
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         with opened(path) as bag:
-            skipped = [topic for topic in bag.undefined(CUSTOM) if bag.counts.get(topic)]
-            counts = {**bag.counts, **dict.fromkeys(skipped, 0)}
-            roles = _wanted(roles_in(path, bag.topics, counts, options.map, options.body), options)
-            contents = collect(bag, roles)
-            contents.warnings += [_not_defined(topic, bag.topics[topic]) for topic in skipped]
-            contents.warnings += _clock_warning(bag, contents)
-            robot = robot_table(contents, roles) if options.role in (None, "robot") else None
-            people = people_table(contents, roles) if roles.people or roles.bodies else None
+            roles, lost = _roles(bag, path, options)
+            contents = collect(bag, roles, skeletons=options.skeletons)
+            contents.warnings += [f"{topic} is not read: {why}; convert the bag to mcap" for topic, why in lost.items()]
+            frames = find_frames(contents, roles, skeletons=options.skeletons, frame_given=options.frame_given)
+            is_simulated = _choose_times(contents, roles, frames)
+            robot = robot_table(contents, roles, frames) if options.role in (None, "robot") else None
+            people = people_table(contents, roles, frames) if roles.people or roles.bodies else None
             events = events_table(contents, roles) if roles.events else None
             if robot is None and people is None and events is None:
                 raise _nothing_usable(bag)
@@ -49,42 +56,87 @@ class _RosBag:
                 robot=robot,
                 people=people,
                 events=events,
-                clock=_clock(robot, people, events),
+                skeletons=skeletons_table(contents, roles, frames)
+                if people is not None and options.skeletons
+                else None,
+                stamps=_stamps(contents, frames),
+                clock=_clock(robot, people, events, own=contents.times.own),
                 joint_names=contents.joint_names,
                 rows_are="message",
                 rows_read=bag.messages_read,
                 set_aside=_set_aside(bag),
                 warnings=tuple(contents.warnings),
-                facts=_facts(bag, roles, contents),
+                facts=facts_of(bag, roles, contents, frames, is_simulated=is_simulated),
             )
+
+
+def _roles(bag: Bag, path: Path, options: ReadOptions) -> tuple[Roles, dict[str, str]]:
+    """Decide what the topics are for; return that, and the topics that would be of use and cannot be decoded."""
+    lost: dict[str, str] = {}
+    while True:
+        counts = {**bag.counts, **dict.fromkeys(lost, 0)}
+        roles = _wanted(roles_in(path, bag.topics, counts, options.map, options.body), options)
+        found = bag.settle(roles.topics() - set(lost))
+        if not found:
+            return roles, lost
+        lost |= found
 
 
 def _wanted(roles: Roles, options: ReadOptions) -> Roles:
     """Keep only what the cell file wants of this bag, where it says so."""
     if options.role == "people":
-        bodies = bool(roles.transforms) and (roles.bodies or not roles.people)
-        transforms = roles.transforms if bodies else ()
-        return Roles(people=roles.people, transforms=transforms, bodies=bodies, base_frame=roles.base_frame)
+        return replace(
+            roles, tcp=None, joints=None, scaling=(), running=None, events=(), modes=(),
+            bodies=bool(roles.transforms) and (roles.bodies or not roles.people),
+        )  # fmt: skip
     if options.role == "events":
-        return Roles(events=roles.events, modes=tuple(topic for topic in roles.modes if topic in roles.events))
+        modes = tuple(topic for topic in roles.modes if topic in roles.events)
+        return Roles(events=roles.events, modes=modes, clocks=roles.clocks, time=roles.time)
     if options.role == "robot":
         return replace(roles, people=(), events=(), bodies=False)
     return roles
 
 
-def _not_defined(topic: str, kind: str) -> str:
-    return f"{topic} is not read: its type {kind} is defined neither in the bag nor in ROS; convert the bag to mcap"
+def _choose_times(contents: Contents, roles: Roles, frames: Frames) -> bool:
+    """Choose the clock of every topic and link in use; return whether time was simulated."""
+    clocks = [topic for topic in roles.clocks if topic in contents.tracks]
+    said = [(contents.tracks[topic].receive_s, contents.tracks[topic].joined()) for topic in clocks]
+    for topic in clocks:
+        del contents.tracks[topic]
+    ticks = [np.concatenate(part) for part in zip(*said, strict=True)] if said else []
+    if ticks and middle(np.abs(ticks[0] - ticks[1])) > _NEAR_S:
+        for track in contents.tracks.values():
+            track.receive_s = simulated(track.receive_s, ticks[0], ticks[1])
+        for link in contents.transforms.links.values():
+            link.receive_s = simulated(link.receive_s, ticks[0], ticks[1])
+        contents.warnings.append(
+            f"{', '.join(clocks)}: time was simulated, so header stamps and moments of recording are different clocks; "
+            "all times are simulated ones, those without a header by the moment at which the clock showed them"
+        )
+    sources = {topic: contents.source(topic) for topic in contents.tracks}
+    links = {link.name: link for link in frames.links()}
+    asked = dict(roles.time)
+    for name, link in links.items():
+        sources[name] = Source(link.receive_s, np.where(link.stamp_s > 0.0, link.stamp_s, np.nan))
+        if link.topic in roles.time:
+            asked[name] = roles.time[link.topic]
+    contents.times = choose_times(sources, asked)
+    for name, link in links.items():
+        link.times = contents.times.chosen[name].times(sources[name])
+    contents.warnings += contents.times.warnings
+    return bool(ticks)
 
 
-def _simulated_clocks(bag: Bag) -> list[str]:
-    return [topic for topic, kind in bag.topics.items() if kind == CLOCK and bag.counts.get(topic)]
-
-
-def _clock_warning(bag: Bag, contents: Contents) -> list[str]:
-    clocks = _simulated_clocks(bag)
-    used = "header stamps" if contents.stamped else "moments of recording"
-    said = f"{', '.join(clocks)}: time was simulated, so header stamps and moments of recording may be different clocks"
-    return [f"{said}; the {used} are used"] if clocks else []
+def _stamps(contents: Contents, frames: Frames) -> pl.DataFrame | None:
+    """Return table STAMPS where the log keeps a clock that is not the recorder's; None where it does not."""
+    if not contents.times.own:
+        return None
+    both = [contents.source(topic) for topic in contents.tracks]
+    both += [Source(link.receive_s, link.stamp_s) for link in frames.links()]
+    t_s, host_s = (np.concatenate(part) for part in zip(*((s.stamp_s, s.receive_s) for s in both), strict=True))
+    if float(host_s.min()) < EPOCH_S:
+        return None
+    return conform(pl.DataFrame({"t_s": t_s, "host_s": host_s}).sort("t_s", "host_s"), STAMPS)
 
 
 def _nothing_usable(bag: Bag) -> DamagedLog:
@@ -93,9 +145,11 @@ def _nothing_usable(bag: Bag) -> DamagedLog:
     return DamagedLog(bag.path, f"no topic of robot, people or events; topics in the bag: {found}", cure=cure)
 
 
-def _clock(*tables: pl.DataFrame | None) -> ClockKind:
+def _clock(*tables: pl.DataFrame | None, own: bool) -> ClockKind:
     first = [float(str(table["t_s"].min())) for table in tables if table is not None and table.height]
-    return "epoch" if first and min(first) > _EPOCH_S else "relative"
+    if first and min(first) > EPOCH_S:
+        return "epoch"
+    return "uptime" if own else "relative"
 
 
 def _set_aside(bag: Bag) -> pl.DataFrame:
@@ -104,28 +158,6 @@ def _set_aside(bag: Bag) -> pl.DataFrame:
     rows += [(int(order[topic][number]), reason) for topic, number, reason in bag.undecodable]
     rows += [(None, reason) for reason in bag.set_aside()]  # a damaged chunk has no row
     return pl.DataFrame(rows, schema={"source_row": pl.Int64(), "reason": pl.String()}, orient="row")
-
-
-def _facts(bag: Bag, roles: Roles, contents: Contents) -> dict[str, str]:
-    def scale(factor: Factor) -> str:
-        return f"{factor.topic} / {factor.full:g}"
-
-    unused = sorted(set(bag.topics) - roles.topics())
-    checked = {"checksum": "CRC-32 of every chunk, verified"} if bag.has_checksums() else {}
-    return {
-        **checked,
-        "time": "header stamp" if contents.stamped else "receive time",
-        "time_because": contents.why_time or "every topic in use has a header time",
-        "simulated_time": "yes" if _simulated_clocks(bag) else "no sign of it",
-        "tcp": roles.tcp or (contents.tool_chain or "none"),
-        "joints": roles.joints or "none",
-        "speed_scaling": " * ".join(map(scale, roles.scaling)) or "not recorded",
-        "program_running": roles.running or "not recorded",
-        "people": ", ".join([*roles.people, *(["body_<id> in transforms"] if roles.bodies else [])]) or "none",
-        "events": ", ".join(roles.events) or "none",
-        "frames": ", ".join(f"{topic}: {frame}" for topic, frame in sorted(contents.frames.items())) or "none",
-        "skipped_topics": ", ".join(unused) or "none",
-    }
 
 
 ADAPTER: Adapter = _RosBag()

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from io import BufferedReader
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cyclekit_adapters.rosbag.inflate import STORED, check_size, inflate
+from cyclekit_adapters.rosbag.inflate import MAX_BYTES, MAX_RATIO, STORED, check_size, inflate
 from cyclekit_adapters.rosbag.payloads import BLOCK_BYTES, Bytes, Channel, Damage, Ints, Payloads, distinct
 
 MAX_RECORDS = 4_000_000
@@ -36,6 +36,7 @@ class Chunk:
         compression: See `inflate`.
         crc: CRC-32 of the unpacked bytes; 0 where the writer computed none.
         index: Channel, file offset and bytes of each index of this chunk.
+        cut: The file ends within it: there is no more of it than `size` says, and the last record is not whole.
     """
 
     place: int
@@ -44,6 +45,7 @@ class Chunk:
     compression: str = ""
     crc: int = 0
     index: tuple[tuple[int, int, int], ...] = ()
+    cut: bool = False
 
 
 @dataclass(frozen=True)
@@ -93,13 +95,15 @@ class ChunkedFile:
     set_aside: list[str] = field(default_factory=list)
     chunks: list[Chunk] = field(default_factory=list)
     last_ns: int | None = None
+    _piece: bytes = b""
 
     def refuse_bombs(self) -> None:
         """Set aside the chunks that announce more than any logger writes; call it before any chunk is opened."""
         kept = []
         for chunk in self.chunks:
             try:
-                check_size(chunk.stored, chunk.size)
+                if not chunk.cut:
+                    check_size(chunk.stored, chunk.size)
             except Damage as damage:
                 self.drop(chunk, damage)
             else:
@@ -118,10 +122,29 @@ class ChunkedFile:
             if chunk.stored != chunk.size or log.readinto(into.data) != chunk.size:
                 raise Damage(f"it holds less than the {chunk.size} bytes it announces")
         else:
-            inflate(log.read(chunk.stored), chunk.compression, into)
+            _, self._piece = inflate(log.read(chunk.stored), chunk.compression, into, whole=not chunk.cut)
         if chunk.crc and zlib.crc32(into.data) != chunk.crc:
             raise Damage("its checksum does not match")
         return into
+
+    def add_cut(self, log: BufferedReader, chunk: Chunk) -> None:
+        """Add what there is of a chunk within which the file ends; what it announced may be more than any holds.
+
+        Its checksum is of all of it, so it cannot be checked.
+        """
+        size = min(chunk.size, chunk.stored * MAX_RATIO, MAX_BYTES)
+        if chunk.compression in STORED:
+            size = min(size, chunk.stored)
+        else:
+            log.seek(chunk.place)
+            try:
+                size, _ = inflate(log.read(chunk.stored), chunk.compression, np.empty(size, np.uint8), whole=False)
+            except Damage as damage:
+                self.drop(chunk, damage)
+                return
+        stored = size if chunk.compression in STORED else chunk.stored
+        if size:
+            self.chunks.append(replace(chunk, stored=stored, size=size, crc=0, cut=True))
 
     def drop(self, chunk: Chunk, reason: object) -> None:
         """Say once that a chunk, or its rest, is not used."""
@@ -131,12 +154,14 @@ class ChunkedFile:
 
     def blocks(self, wanted: set[int]) -> Iterator[Mapping[int, Payloads]]:
         """Yield the messages of the wanted channels in the order of the file, about BLOCK_BYTES at a time."""
+        room = np.empty(0, np.uint8)
         with self.path.open("rb") as log:
             for group in _in_blocks(self.chunks):
-                yield self._block(log, group, wanted)
+                size = sum(chunk.size for chunk in group)
+                room = np.empty(size, np.uint8) if room.size < size else room
+                yield self._block(log, group, wanted, room[:size])
 
-    def _block(self, log: BufferedReader, chunks: list[Chunk], wanted: set[int]) -> dict[int, Payloads]:
-        buffer = np.empty(sum(chunk.size for chunk in chunks), np.uint8)
+    def _block(self, log: BufferedReader, chunks: list[Chunk], wanted: set[int], buffer: Bytes) -> dict[int, Payloads]:
         found, base = [], 0
         for chunk in chunks:
             end = base + chunk.size
@@ -146,7 +171,7 @@ class ChunkedFile:
                 self.drop(chunk, damage)
             else:
                 start, reached = records(self.form, raw, self._indexed(log, chunk))
-                if reached != chunk.size:
+                if reached != chunk.size and not chunk.cut:
                     self.drop(chunk, f"its records break off at byte {reached} of {chunk.size}")
                 found.append(start + base)
             base = end

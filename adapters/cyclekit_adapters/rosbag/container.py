@@ -21,7 +21,9 @@ from cyclekit_adapters.rosbag.chunks import ChunkedFile
 from cyclekit_adapters.rosbag.decode import Decoder, Group
 from cyclekit_adapters.rosbag.definitions import is_known
 from cyclekit_adapters.rosbag.folder import Folder, folder_of
-from cyclekit_adapters.rosbag.payloads import BagFile, Damage, Ints
+from cyclekit_adapters.rosbag.known import KNOWN
+from cyclekit_adapters.rosbag.payloads import BagFile, Channel, Damage, Ints
+from cyclekit_adapters.rosbag.undefined import decide
 
 _LFS = b"version https://git-lfs.github.com/spec/"
 _AGAIN = "Copy it again from where it was recorded"
@@ -48,6 +50,7 @@ class Bag:
         warnings: What is not whole in the bag, one sentence each.
         messages_read: Messages of wanted topics met so far, decoded or not.
         undecodable: (topic, arrival number within the topic, reason) of every message that cannot be used.
+        layouts: Of topics without a definition in the bag, what was found out about their messages.
     """
 
     path: Path
@@ -57,7 +60,8 @@ class Bag:
     warnings: list[str] = field(default_factory=list)
     messages_read: int = 0
     undecodable: list[tuple[str, int, str]] = field(default_factory=list)
-    _received: dict[str, list[Ints]] = field(default_factory=dict)
+    layouts: dict[str, str] = field(default_factory=dict)
+    _received: dict[str, list[tuple[int, Ints]]] = field(default_factory=dict)
 
     def has_checksums(self) -> bool:
         """Tell whether every chunk of the bag carries a checksum, so that a flipped bit cannot pass unnoticed."""
@@ -72,14 +76,14 @@ class Bag:
             DamagedLog: The container is broken and nothing of it can be recovered.
         """
         try:
-            for file in self.files:
-                yield from self._of_file(file, wanted)
+            for number, file in enumerate(self.files):
+                yield from self._of_file(number, file, wanted)
         except (LogError, GeneratorExit):
             raise
         except Exception as error:
             raise damaged(self.path, error) from error
 
-    def _of_file(self, file: BagFile, wanted: set[str]) -> Iterator[Arrived]:
+    def _of_file(self, place: int, file: BagFile, wanted: set[str]) -> Iterator[Arrived]:
         decoders = {number: Decoder(one) for number, one in file.channels.items() if one.topic in wanted}
         if not decoders:
             return
@@ -88,28 +92,70 @@ class Bag:
                 decoder = decoders[number]
                 topic, kind = decoder.channel.topic, decoder.channel.kind
                 received = self._received.setdefault(topic, [])
-                before = sum(part.size for part in received)
-                received.append(payloads.receive_ns)
+                before = sum(part.size for _, part in received)
+                received.append((place, payloads.receive_ns))
                 self.messages_read += payloads.size.size
                 for group in decoder.groups(payloads):
                     yield Arrived(topic, kind, group.rows + before, group)
                 self.undecodable += [(topic, before + row, reason) for row, reason in decoder.broken]
 
     def order(self, topic: str) -> Ints:
-        """Return for each arrival number of a topic its index in time; complete once all messages were taken."""
-        received = np.concatenate(self._received[topic])
+        """Return for each arrival number of a topic its index; complete once all messages were taken.
+
+        Messages are counted file by file, in the order in which the files begin, and by time within a file.
+        """
+        parts = self._received[topic]
+        received = np.concatenate([part for _, part in parts])
+        if len({place for place, _ in parts}) == 1 and (received[1:] >= received[:-1]).all():
+            return np.arange(received.size)
+        ranks = self._ranks()
+        file = np.repeat([ranks[place] for place, _ in parts], [part.size for _, part in parts])
         index = np.empty(received.size, np.int64)
-        index[np.argsort(received, kind="stable")] = np.arange(received.size)
+        index[np.lexsort((received, file))] = np.arange(received.size)
         return index
 
-    def undefined(self, kinds: set[str]) -> list[str]:
-        """Return the topics of these message types that cannot be decoded, for no definition of the type is known."""
-        channels = [channel for file in self.files for channel in file.channels.values()]
-        return sorted({one.topic for one in channels if one.kind in kinds and not is_known(one)})
+    def parts(self, topic: str) -> list[tuple[str, int]]:
+        """Return the files that hold messages of a topic, in the order of their index, and how many each holds."""
+        counts: dict[int, int] = {}
+        for place, part in self._received.get(topic, []):
+            counts[place] = counts.get(place, 0) + part.size
+        ranks = self._ranks()
+        return [(self.files[place].path.name, counts[place]) for place in sorted(counts, key=lambda one: ranks[one])]
+
+    def _ranks(self) -> dict[int, int]:
+        """Return for each file the place of its beginning among all files."""
+        begins: dict[int, int] = {}
+        for parts in self._received.values():
+            for place, part in parts:
+                if part.size:
+                    begins[place] = min(begins.get(place, int(part[0])), int(part.min()))
+        ordered = sorted(range(len(self.files)), key=lambda place: (begins.get(place, 0), place))
+        return {place: rank for rank, place in enumerate(ordered)}
+
+    def settle(self, topics: set[str]) -> dict[str, str]:
+        """Decide on the layout of topics without a definition; return those that cannot be read, and why."""
+        lost: dict[str, str] = {}
+        for file in self.files:
+            for number, channel in file.channels.items():
+                if channel.topic in topics and not _is_defined(channel) and channel.notation != "known":
+                    verdict = decide(file, channel) if channel.kind in KNOWN and channel.coding == "cdr" else None
+                    if verdict is None:
+                        lost[channel.topic] = f"its type {channel.kind} is defined neither in the bag nor in ROS"
+                    elif verdict.channel is None:
+                        lost[channel.topic] = verdict.said
+                    else:
+                        file.channels[number] = verdict.channel
+                        self.layouts[channel.topic] = verdict.said
+        return lost
 
     def set_aside(self) -> list[str]:
         """Return the reason for every part of the container that cannot be used."""
         return [reason for file in self.files for reason in file.set_aside]
+
+
+def _is_defined(channel: Channel) -> bool:
+    """Tell whether it is known what the messages of a channel look like; of types that changed, only by the bag."""
+    return is_known(channel) and bool(channel.definition or channel.kind not in KNOWN)
 
 
 @contextmanager

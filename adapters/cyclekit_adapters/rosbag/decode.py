@@ -1,8 +1,8 @@
-"""Decode messages in bulk: groups of equal form at once, the odd ones by the rosbags library.
+"""Decode messages in bulk: groups of equal form at once, the odd ones one by one.
 
-The library is the slow path and the judge: the first message of every group is decoded by it, so a group is only read
-at once if the library can read it, and the texts and lengths of a group are those that the library found. Groups too
-small to be worth a layout, and messages without one, are decoded one by one.
+The first message of a group is walked through, field by field; its texts and lengths are those of the whole group, and
+the numbers of all are read in one go. Groups too small to be worth that, and messages that cannot be walked through,
+are decoded by the rosbags library, which is the slow path here and the judge in the tests.
 """
 
 from __future__ import annotations
@@ -12,15 +12,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from rosbags.typesys.store import Typestore
 
-from cyclekit_adapters.rosbag.definitions import types_of
-from cyclekit_adapters.rosbag.layout import Layout, NoLayout, Numbers, trace
+from cyclekit_adapters.rosbag.definitions import NoDefinition, Types, types_of
+from cyclekit_adapters.rosbag.layout import Layout, NoLayout, Numbers, TooMany, trace
 from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Ints, Payloads, distinct
 
 MIN_ROWS = 32
 """A smaller group is decoded one by one: finding its layout would take as long."""
 _MAX_MISSES = 8  # so many groups that came out small, and the rest of that size is decoded one by one
+_FEW = 16  # so few messages are walked through: the library first writes itself code for their type
+_LARGE = 1 << 16  # bytes; a message beyond is walked through, since the walk knows when to stop
+
+_CODINGS = ("cdr", "ros1")
 
 # A message of a bag has whatever fields its recorded definition has.
 Message = Any
@@ -60,6 +63,11 @@ class Group:
         except KeyError:
             raise TypeError(f"{'.'.join(map(str, path))} holds no numbers") from None
 
+    def has_places_of(self, other: Group) -> bool:
+        """Tell whether the numbers of both groups stand at the same places under the same names."""
+        mine, theirs = ({} if one._layout is None else one._layout.leaves for one in (self, other))
+        return mine == theirs
+
     def first(self, *path: str | int) -> Any:  # noqa: ANN401 - a field is whatever its definition says
         """Return a field of the first message: for texts and lengths, that of all.
 
@@ -88,11 +96,25 @@ class Decoder:
         """Yield the messages in groups of equal form, those with the earliest first row of each size first."""
         self.broken = []
         types = types_of(self.channel)
+        try:
+            self._check(types)
+        except (NoDefinition, RecursionError) as error:
+            self._leave(np.arange(payloads.size.size), error)
+            return
         for size in distinct(payloads.size).tolist():
             rows = np.flatnonzero(payloads.size == size)
             yield from self._of_one_size(types, payloads, rows)
 
-    def _of_one_size(self, types: Typestore, payloads: Payloads, rows: Ints) -> Iterator[Group]:
+    def _check(self, types: Types) -> None:
+        if self.channel.coding not in _CODINGS:
+            raise NoDefinition(f"it is coded as {self.channel.coding!r}, which is not read")
+        types.check(self.channel.kind)
+
+    def _leave(self, rows: Ints, error: object) -> None:
+        reason = f"{self.channel.topic}: message cannot be decoded ({error!r:.80})"
+        self.broken += [(row, reason) for row in rows.tolist()]
+
+    def _of_one_size(self, types: Types, payloads: Payloads, rows: Ints) -> Iterator[Group]:
         block = payloads.block(rows) if len(rows) >= MIN_ROWS else None
         misses = 0
         while block is not None and len(rows) >= MIN_ROWS and misses < _MAX_MISSES:
@@ -105,35 +127,40 @@ class Decoder:
             rows, block = (rows[:0], None) if alike.all() else (rows[~alike], block[~alike])
         yield from self._one_by_one(types, payloads, rows)
 
-    def _leading(self, types: Typestore, payloads: Payloads, rows: Ints, block: Bytes) -> tuple[Group | None, Any]:
+    def _leading(self, types: Types, payloads: Payloads, rows: Ints, block: Bytes) -> tuple[Group | None, Any]:
         """Return the group of the first row, None if it is none, and which rows it covers, shape (N,)."""
-        raw = block[0].tobytes()
-        alone = np.arange(len(rows)) == 0
         try:
-            message = self._judge(types, raw)
-            layout = trace(types, self.channel.kind, raw, cdr=self.channel.coding == "cdr")
-        except NoLayout:
+            layout, message = trace(types, self.channel.kind, block[0].tobytes(), cdr=self.channel.coding == "cdr")
+        except TooMany:
             return None, np.ones(len(rows), bool)
-        except Exception:  # the slow path says why
-            return None, alone
+        except NoLayout:  # the slow path says why
+            return None, np.arange(len(rows)) == 0
         alike = layout.alike(block)
         if np.count_nonzero(alike) < MIN_ROWS:
             return None, alike
         chosen, same = (rows, block) if alike.all() else (rows[alike], block[alike])
         return Group(chosen, payloads.receive_ns[chosen], message, layout, same), alike
 
-    def _one_by_one(self, types: Typestore, payloads: Payloads, rows: Ints) -> Iterator[Group]:
-        for row in rows.tolist():
+    def _one_by_one(self, types: Types, payloads: Payloads, rows: Ints) -> Iterator[Group]:
+        walked = len(rows) <= _FEW
+        for number, row in enumerate(rows.tolist()):
             try:
-                message = self._judge(types, payloads.one(row))
+                message = self._one(types, payloads.one(row), walked=walked)
+            except TooMany as error:
+                self._leave(rows[number:], error)  # the others of this size would take as long
+                return
             except Exception as error:  # a broken payload raises anything
-                self.broken.append((row, f"{self.channel.topic}: message cannot be decoded ({error!r:.80})"))
+                self._leave(rows[number : number + 1], error)
                 continue
             yield Group(np.array([row]), payloads.receive_ns[row : row + 1], message)
 
-    def _judge(self, types: Typestore, raw: bytes) -> Message:
-        if self.channel.coding == "cdr":
-            return types.deserialize_cdr(raw, self.channel.kind)
-        if self.channel.coding == "ros1":
-            return types.deserialize_ros1(raw, self.channel.kind)
-        raise ValueError(f"it is coded as {self.channel.coding!r}, which is not read")
+    def _one(self, types: Types, raw: bytes, *, walked: bool) -> Message:
+        kind, cdr = self.channel.kind, self.channel.coding == "cdr"
+        if walked or len(raw) > _LARGE:
+            try:
+                return trace(types, kind, raw, cdr=cdr)[1]
+            except NoLayout:
+                if len(raw) > _LARGE:
+                    raise
+        store = types.store(kind)
+        return store.deserialize_cdr(raw, kind) if cdr else store.deserialize_ros1(raw, kind)

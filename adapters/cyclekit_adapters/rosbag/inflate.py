@@ -28,32 +28,43 @@ MAX_RATIO = 1000
 """Messages of a robot do not compress a thousandfold; zeros do."""
 
 
-def inflate(stored: bytes, compression: str, into: Bytes) -> None:
+def inflate(stored: bytes, compression: str, into: Bytes, *, whole: bool = True) -> tuple[int, bytes]:
     """Unpack a chunk piece by piece into an array of the size that the chunk announces.
+
+    Returns how many bytes that are, and the last piece.
+
+    Whoever unpacks many chunks should hold that piece until the next is there: if it is freed before, the memory goes
+    back to the system and has to be asked for again, which takes as long as unpacking.
 
     Args:
         stored: The chunk as it is in the file.
         compression: `lz4` (frames), `zstd`, `bz2`.
         into: Where its bytes go, shape (announced size,).
+        whole: False = the file ends within the chunk, and as much of it is unpacked as there is.
 
     Raises:
-        Damage: It announces too much, holds less or more than it announces, or cannot be unpacked.
+        Damage: It announces too much, holds less or more than it announces, cannot be unpacked, or is not cut.
     """
-    check_size(len(stored), into.size)
+    if whole:
+        check_size(len(stored), into.size)
     decompressor, filled, rest = _decompressor(compression), 0, stored
     while True:
         try:
             part = decompressor.decompress(rest, max_length=min(_STEP, into.size - filled + 1))
         except Exception as error:  # each of the three libraries has errors of its own
             raise Damage(f"it cannot be unpacked ({compression}: {str(error)[:60]})") from error
-        if filled + len(part) > into.size:
+        if filled + len(part) > into.size and whole:
             raise Damage(f"it holds more than the {into.size} bytes it announces")
+        part = part[: into.size - filled]
         into[filled : filled + len(part)] = np.frombuffer(part, np.uint8)
         filled, rest = filled + len(part), b""
         if decompressor.eof or decompressor.needs_input or not part:
             break
-    if filled < into.size:
+    if decompressor.eof and not whole:
+        raise Damage("it ends before the file does, so it is not cut: its length is wrong")
+    if filled < into.size and whole:
         raise Damage(f"it holds less than the {into.size} bytes it announces")
+    return filled, bytes(part)
 
 
 def check_size(stored: int, size: int) -> None:

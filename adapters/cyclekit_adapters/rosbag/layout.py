@@ -5,19 +5,22 @@ sequences) before it, and on nothing else. So one message is traced, field by fi
 with the same length words has the same layout, by induction over its fields; if its texts are the same too, then its
 numbers are all that can differ. Those are read as one strided view over the whole group.
 
-What the numbers mean is the business of `tracks`; what does not fit in here is decoded by rosbags, one by one.
+What the numbers mean is the business of `tracks`; what cannot be traced is left to the rosbags library, one by one.
 """
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from rosbags.interfaces import Nodetype
-from rosbags.typesys.store import Typestore
 
+from cyclekit_adapters.rosbag.definitions import Types
+from cyclekit_adapters.rosbag.msg_text import FILLER, Description
 from cyclekit_adapters.rosbag.payloads import Bytes
 
 Path = tuple[str | int, ...]
@@ -39,8 +42,9 @@ _DTYPES = {
     "float32": "f4",
     "float64": "f8",
 }
-_MAX_FIELDS = 20_000  # a message of more numbers than this gains nothing from a layout
-_FILLER = "structure_needs_at_least_one_member"  # in CDR an empty message holds one byte, in ROS 1 none
+_LETTERS = {"?": "?", "i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q"}
+_LETTERS |= {"f4": "f", "f8": "d"}
+_MAX_STEPS = 20_000  # a message of more fields than this was not written by a robot or a tracker
 _CDR_HEAD = 4
 _PADDING = 3  # bytes at most between a text and the length word after it
 _SLAB = 1024  # rows compared at once: what is compared then stays in the processor's cache
@@ -115,82 +119,105 @@ def _spans(fixed: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return spans
 
 
-def trace(types: Typestore, kind: str, raw: bytes, *, cdr: bool) -> Layout:
-    """Walk through one message and note where its numbers stand.
+class TooMany(ValueError):
+    """The message has more fields than any that is of use here."""
+
+
+def trace(types: Types, kind: str, raw: bytes, *, cdr: bool) -> tuple[Layout, SimpleNamespace]:
+    """Walk through one message; return where its numbers stand, and what it says.
 
     Args:
         types: The definitions in force.
         kind: Type of the message.
-        raw: The message; it should be one that the library can decode.
+        raw: The message.
         cdr: CDR with its head of four bytes, else ROS 1.
 
     Raises:
         NoLayout: It cannot be traced.
+        TooMany: It has too many fields.
+        NoDefinition: Its type is not defined, or in a way that no message has.
     """
+    types.check(kind)
+    walk = _Walk(types, raw, cdr=cdr)
     try:
-        walk = _Walk(types, raw, cdr=cdr)
-        walk.message(kind, ())
-    except (KeyError, RecursionError) as error:
-        raise NoLayout(f"no definition of {error}") from error
-    spare = len(raw) - walk.position
-    if spare < 0 or spare > (3 if cdr else 0):
+        said = walk.message(kind, ())
+    except UnicodeDecodeError as error:
+        raise NoLayout("a text is not UTF-8") from error
+    if len(raw) - walk.position > (3 if cdr else 0):
         raise NoLayout("the message is not as long as its definition says")
-    return walk.layout
+    return walk.layout, said
 
 
 class _Walk:
-    def __init__(self, types: Typestore, raw: bytes, *, cdr: bool) -> None:
+    def __init__(self, types: Types, raw: bytes, *, cdr: bool) -> None:
         self.types, self.raw, self.cdr = types, raw, cdr
         self.layout = Layout(len(raw))
         self.base = self.position = _CDR_HEAD if cdr else 0
         self.order = "<"
+        self.steps = 0
         if cdr:
             if len(raw) < _CDR_HEAD or raw[0] != 0 or raw[1] > 1:
                 raise NoLayout("not the CDR that ROS 2 writes")
             self.order = "<" if raw[1] else ">"
             self.layout.fixed.append((0, 2))
 
-    def message(self, kind: str, path: Path) -> None:
-        for name, description in self.types.get_msgdef(kind).fields:
-            if self.cdr or name != _FILLER:
-                self.field(description, (*path, name))
+    def message(self, kind: str, path: Path) -> SimpleNamespace:
+        said = SimpleNamespace()
+        for name, description in self.types.fields[kind]:
+            if self.cdr or name != FILLER:
+                setattr(said, name, self.field(description, (*path, name)))
+        return said
 
-    def field(self, description: Any, path: Path) -> None:  # noqa: ANN401 - nested tuples of four kinds
+    def field(self, description: Description, path: Path) -> Any:  # noqa: ANN401 - a field is what its type says
+        self.steps += 1
+        if self.steps > _MAX_STEPS:
+            raise TooMany(f"more than {_MAX_STEPS} fields")
         kind, what = description
         if kind == Nodetype.NAME:
-            self.message(what, path)
-        elif kind == Nodetype.BASE:
-            self.single(what[0], path)
-        else:
-            item, count = what
-            self.many(item, count if kind == Nodetype.ARRAY else self.length(), path)
-        if len(self.layout.leaves) > _MAX_FIELDS:
-            raise NoLayout("too many fields")
+            return self.message(what, path)
+        if kind == Nodetype.BASE:
+            return self.text() if what[0] == "string" else self.number(what[0], path)
+        item, count = what
+        return self.many(item, count if kind == Nodetype.ARRAY else self.length(), path)
 
-    def single(self, name: str, path: Path) -> None:
-        if name == "string":
-            self.skip_fixed(self.length())
-        else:
-            self.leaf(name, None, path)
-
-    def many(self, item: Any, count: int, path: Path) -> None:  # noqa: ANN401
+    def many(self, item: Description, count: int, path: Path) -> Any:  # noqa: ANN401
         if item[0] == Nodetype.BASE and item[1][0] != "string":
-            self.leaf(item[1][0], count, path)
-            return
-        if count > _MAX_FIELDS:
-            raise NoLayout("too many fields")
-        for number in range(count):
-            self.field(item, (*path, number))
+            return self.numbers(item[1][0], count, path)
+        if count > len(self.raw):
+            raise NoLayout("the message is cut")
+        if self.steps + count > _MAX_STEPS:
+            raise TooMany(f"more than {_MAX_STEPS} fields")
+        return [self.field(item, (*path, number)) for number in range(count)]
 
-    def leaf(self, name: str, count: int | None, path: Path) -> None:
+    def number(self, name: str, path: Path) -> Any:  # noqa: ANN401
+        dtype = self.leaf(name, None, path)
+        return struct.unpack_from(self.order + _LETTERS[dtype], self.raw, self.layout.leaves[path].offset)[0]
+
+    def numbers(self, name: str, count: int, path: Path) -> Numbers:
+        dtype = np.dtype(self.order + self.leaf(name, count, path))
+        values = np.frombuffer(self.raw, dtype, count, self.layout.leaves[path].offset if count else 0)
+        return values.astype(dtype.newbyteorder("="))
+
+    def leaf(self, name: str, count: int | None, path: Path) -> str:
         if name not in _DTYPES:
             raise NoLayout(f"numbers of type {name}")
-        dtype = self.order + _DTYPES[name]
-        width = np.dtype(dtype).itemsize
+        dtype = _DTYPES[name]
+        width = 1 if dtype == "?" else int(dtype[1:])
         if count != 0:  # an empty sequence adds no padding
             self.align(width)
-        self.layout.leaves[path] = Leaf(self.position, dtype, count)
+        self.layout.leaves[path] = Leaf(self.position, self.order + dtype, count)
         self.forward(width * (1 if count is None else count))
+        return dtype
+
+    def text(self) -> str:
+        size = self.length()
+        begin = self.position
+        self.skip_fixed(size)
+        if not self.cdr:
+            return self.raw[begin : begin + size].decode()
+        if not size or self.raw[begin + size - 1]:
+            raise NoLayout("a text without its end")
+        return self.raw[begin : begin + size - 1].decode()
 
     def length(self) -> int:
         self.align(4)

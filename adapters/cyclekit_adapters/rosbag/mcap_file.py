@@ -153,6 +153,8 @@ def _heads(log: BufferedReader, survey: _Survey, end: int) -> int | None:
         op, length = _RECORD.unpack(head)
         after = position + 9 + length
         if after > end or op == 0:
+            if op == _CHUNK and not _closed(log, end):
+                _cut_chunk(log, survey.found, position, length)
             return position
         if op == _MESSAGE:
             after = _loose(log, survey, position, after - position)
@@ -186,6 +188,28 @@ def _chunk(log: BufferedReader, found: ChunkedFile, position: int, after: int) -
     found.last_ns = max(found.last_ns or 0, until_ns)
     place = position + 9 + 40 + letters
     return Chunk(place, min(stored, after - place), size, compression, crc)
+
+
+def _closed(log: BufferedReader, end: int) -> bool:
+    """Return whether the file has its own end: then it is not cut, and what says otherwise is damaged."""
+    log.seek(max(0, end - len(MAGIC)))
+    return log.read() == MAGIC
+
+
+def _cut_chunk(log: BufferedReader, found: ChunkedFile, position: int, length: int) -> None:
+    """Keep what there is of a chunk within which the file ends."""
+    last_ns, end = found.last_ns, log.seek(0, 2)
+    log.seek(position + 9)
+    try:
+        chunk = _chunk(log, found, position, position + 9 + length)
+    except (struct.error, UnicodeDecodeError):
+        return
+    finally:
+        found.last_ns = last_ns  # the chunk tells of messages that are not there
+    log.seek(chunk.place - 8)
+    # the length of the chunk is written twice: if they differ, a bit is wrong and the file may not be cut at all
+    if chunk.place < end and struct.unpack("<Q", log.read(8))[0] == position + 9 + length - chunk.place:
+        found.add_cut(log, replace(chunk, stored=end - chunk.place))
 
 
 def _loose(log: BufferedReader, survey: _Survey, position: int, first: int) -> int:
@@ -222,14 +246,19 @@ def _open(log: BufferedReader, survey: _Survey, chunk: Chunk) -> None:
 
 def _how_much(found: ChunkedFile, log: BufferedReader, cut: int, end: int) -> str:
     """Say what a cut bag has lost, as far as it can be known."""
-    said = f"the bag is cut: its last {end - cut} of {end} bytes cannot be read"
+    said = f"its last {end - cut} of {end} bytes cannot be read"
+    if _closed(log, end):
+        return f"the bag is damaged at byte {cut}: {said}; copy the bag again if the original is whole"
+    said = f"the bag is cut: {said}"
+    if any(chunk.cut for chunk in found.chunks):
+        said = f"the bag is cut: it ends within a chunk, at byte {end}, whose checksum so cannot be checked"
     if found.last_ns is None:
         return said
     said += f"; messages up to {moment(found.last_ns)} are recovered, what came after is lost"
     log.seek(cut)
     head = log.read(9 + 16)
     if len(head) == 25 and head[0] == _CHUNK:
-        lost_ns = struct.unpack_from("<Q", head, 17)[0] - found.last_ns
+        lost_ns = struct.unpack_from("<Q", head, 17)[0] - found.last_ns  # the last time in the chunk that is cut
         if 0 < lost_ns < 10**13:
             said += f" (at least {lost_ns / 1e9:.1f} s)"
     return f"{said}; copy the bag again if the original is whole"

@@ -14,9 +14,6 @@ if TYPE_CHECKING:
 ROBOT_MODE, SAFETY_MODE = "ur_dashboard_msgs/msg/RobotMode", "ur_dashboard_msgs/msg/SafetyMode"
 RUNNING = "RUNNING"
 
-DEFINITIONS = {ROBOT_MODE: "int8 mode\n", SAFETY_MODE: "int8 mode\n"}
-"""For bags that carry none: a single field, whose values all fit one byte, which stands first."""
-
 _ROBOT = dict(
     enumerate(
         (

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -66,19 +67,24 @@ class BagFile(Protocol):
     """One file of a recording, looked through and ready to be read.
 
     Attributes:
+        path: Where it is.
         channels: By their number.
         counts: Messages by channel number, or some of them where counting all would mean reading all; absent is none.
         warnings: What is not whole, one sentence each.
         set_aside: The reason for every part that cannot be used; complete once all blocks were read.
     """
 
+    path: Path
     channels: dict[int, Channel]
     counts: dict[int, int]
     warnings: list[str]
     set_aside: list[str]
 
     def blocks(self, wanted: set[int]) -> Iterator[Mapping[int, Payloads]]:
-        """Yield the messages of the wanted channels in the order of the file, about BLOCK_BYTES at a time."""
+        """Yield the messages of the wanted channels in the order of the file, about BLOCK_BYTES at a time.
+
+        The payloads of a block hold until the next one is asked for: their memory is used again.
+        """
         ...
 
 
@@ -96,7 +102,8 @@ def gather(buffer: Bytes, start: Ints, width: int) -> Bytes:
     """Return `width` bytes from each start, shape (N, width); the starts must leave room for them."""
     if not start.size or not width:
         return np.zeros((start.size, width), np.uint8)
-    return np.lib.stride_tricks.sliding_window_view(buffer, width)[start]
+    places = np.ndarray((buffer.size - width + 1,), f"V{width}", buffer, strides=(1,))  # one at every byte
+    return places[start].view(np.uint8).reshape(start.size, width)
 
 
 def column(rows: Bytes, offset: int, dtype: str) -> Ints:

@@ -1,21 +1,27 @@
 """Who stands where, out of the messages of people trackers, each by its own numbering.
 
-One group of messages becomes the names and places of its people. A place that the tracker only predicts (occluded,
-searching) is not one it has seen: that person is there, the place unknown. Metres, in the frame of the message.
+One group of messages becomes the names and places of its people, and of their joints where those are wanted. A place
+that the tracker only predicts (occluded, searching) is not one it has seen: that person is there, the place unknown.
+Metres, in the frame of the message, or of the entry where that has one of its own.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from cyclekit_adapters.rosbag.joints import AZURE_KINECT
+from cyclekit_adapters.rosbag.joints import ZED as ZED_JOINTS
+
 if TYPE_CHECKING:
     from cyclekit_adapters.rosbag.decode import Group
 
 Array = npt.NDArray[np.float64]
+Names = npt.NDArray[np.str_]
 Step = str | int
 
 MARKERS, TRACKED = "visualization_msgs/msg/MarkerArray", "spencer_tracking_msgs/msg/TrackedPersons"
@@ -30,31 +36,60 @@ _JOINTS_PER_BODY = 100  # Azure Kinect: id = body * 100 + joint, and joint 0 is 
 _UNSET_VARIANCE = 99999.0  # SPENCER: a planar tracker says so of the height
 _HEIGHT_VARIANCE = 14  # zz of a 6 x 6 covariance
 _ZED_OK = 1
-_HIPS = {0: (8, 11), 1: (0,), 2: (0,)}  # ZED's BODY_18, 34 and 38
+_HIPS = {0: (8, 11), 1: (0,), 2: (0,), 3: (0,)}  # ZED's BODY_18, 34, 38 and 70
+_LISTS = {MARKERS: "markers", TRACKED: "tracks", ZED: "objects", ZED_EARLIER: "objects", PEOPLE: "people"}
 
 
 @dataclass(frozen=True)
 class Persons:
-    """N messages about K people: names, shape (N, K), empty for none; places, shape (N, K, 3), m, NaN = not seen."""
+    """N messages about K people, or about K joints of people.
 
-    names: npt.NDArray[np.str_]
+    Attributes:
+        names: Shape (N, K), empty for none.
+        places: Shape (N, K, 3), m; NaN = not seen.
+        frames: Frame of each entry where it says its own, else empty; length K, or none for all.
+        said: Why places are unknown.
+        joints: Name of the joint, shape (N, K); None for people.
+        bodies: The joints of these people, where they are wanted.
+    """
+
+    names: Names
     places: Array
+    frames: tuple[str, ...] = ()
     said: str = ""
+    joints: Names | None = None
+    bodies: Persons | None = None
 
 
-def persons(kind: str, group: Group) -> Persons:
+def persons(kind: str, group: Group, *, skeletons: bool = False) -> Persons:
     """Return the people of a group of messages of one of the `TRACKERS`, or of markers.
+
+    Args:
+        kind: Type of the messages.
+        group: The messages.
+        skeletons: The joints too, where the type has any.
 
     Raises:
         AttributeError, TypeError, ValueError: The messages have other fields than the type is known for.
     """
     if kind == LEG:
         return _joined(group, [_measured(group, (), 0)])
-    field = {MARKERS: "markers", TRACKED: "tracks", ZED: "objects", ZED_EARLIER: "objects"}.get(kind) or _list(group)
-    read = {MARKERS: _marker, TRACKED: _track, PEOPLE: _person, LEGS: _measured}.get(kind, _zed)
+    field = _LISTS.get(kind) or _list(group)
+    entries: list[tuple[Step, ...]] = [(field, number) for number in range(len(group.first(field)) if field else 0)]
+    readers: dict[str, Callable[[Group, tuple[Step, ...], int], Entry]] = {
+        MARKERS: _marker,
+        TRACKED: _track,
+        PEOPLE: _person,
+        LEGS: _measured,
+    }
+    read = readers.get(kind, _zed)
+    found = _joined(group, [read(group, at, number) for number, at in enumerate(entries)], _frames(group, entries))
     said = {TRACKED: "people said to be occluded", ZED: "objects not in tracking state OK"}
-    found = [read(group, (field, number), number) for number in range(len(group.first(field)) if field else 0)]
-    return _joined(group, found, said.get(ZED if kind == ZED_EARLIER else kind, ""))
+    found = replace(found, said=said.get(ZED if kind == ZED_EARLIER else kind, ""))
+    if skeletons and kind in (MARKERS, ZED, ZED_EARLIER):
+        bodies = _marker_joints(group, entries, found) if kind == MARKERS else _zed_joints(group, entries, found)
+        return replace(found, bodies=bodies)
+    return found
 
 
 def headers(group: Group) -> list[tuple[Step, ...]]:
@@ -72,22 +107,45 @@ def _list(group: Group) -> str:
     return next(lists, "")
 
 
-Entry = tuple[npt.NDArray[np.str_], Array]
+Entry = tuple[Names, Array]
 
 
-def _joined(group: Group, found: list[Entry], said: str = "") -> Persons:
+def _frames(group: Group, entries: list[tuple[Step, ...]]) -> tuple[str, ...]:
+    return tuple(
+        str(group.first(*at, "header", "frame_id")) if hasattr(group.first(*at), "header") else "" for at in entries
+    )
+
+
+def _joined(group: Group, found: list[Entry], frames: tuple[str, ...] = ()) -> Persons:
     if not found:
         count = group.rows.size
         return Persons(np.zeros((count, 0), "U1"), np.zeros((count, 0, 3)))
     names = np.stack([name for name, _ in found], axis=1)
     places = np.stack([place for _, place in found], axis=1)
-    return Persons(names, places, said)
+    return Persons(names, places, frames)
+
+
+def _marker_numbers(group: Group, at: tuple[Step, ...]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Return the id of a marker and whether it is added (0); the other actions take markers away."""
+    return group.numbers(*at, "id").astype(np.int64), group.numbers(*at, "action") == 0
 
 
 def _marker(group: Group, at: tuple[Step, ...], number: int) -> Entry:
-    marker = group.numbers(*at, "id").astype(np.int64)
-    pelvis = (marker % _JOINTS_PER_BODY == 0) & (group.numbers(*at, "action") == 0)  # 0 adds, the others take away
+    marker, added = _marker_numbers(group, at)
+    pelvis = (marker % _JOINTS_PER_BODY == 0) & added
     return np.where(pelvis, (marker // _JOINTS_PER_BODY).astype(str), ""), _point(group, *at, "pose", "position")
+
+
+def _marker_joints(group: Group, entries: list[tuple[Step, ...]], found: Persons) -> Persons:
+    """Every marker of a body tracker is a joint; numbers that the tracker does not have are none."""
+    known = np.array([*AZURE_KINECT, *[""] * (_JOINTS_PER_BODY - len(AZURE_KINECT))])
+    names, joints = np.zeros(found.names.shape, "U20"), np.zeros(found.names.shape, known.dtype)
+    for number, at in enumerate(entries):
+        marker, added = _marker_numbers(group, at)
+        joints[:, number] = known[marker % _JOINTS_PER_BODY]
+        is_joint = added & (joints[:, number] != "")
+        names[:, number] = np.where(is_joint, (marker // _JOINTS_PER_BODY).astype(str), "")
+    return Persons(names, found.places, found.frames, joints=joints)
 
 
 def _track(group: Group, at: tuple[Step, ...], number: int) -> Entry:
@@ -108,32 +166,60 @@ def _measured(group: Group, at: tuple[Step, ...], number: int) -> Entry:
 
 def _zed(group: Group, at: tuple[Step, ...], number: int) -> Entry:
     place = group.numbers(*at, "position").astype(np.float64)
-    for form, hips in _HIPS.items():
-        middle, known = _hips(group, at, hips)
-        chosen = known & (group.numbers(*at, "body_format") == form) if known.any() else known
-        place[chosen] = middle[chosen]
+    form, skeleton = _zed_form(group, at)
+    for number_of_form, hips in _HIPS.items():
+        chosen = skeleton & (form == number_of_form)
+        if chosen.any():
+            joints = [_zed_joint(group, at, hip)[chosen] for hip in hips]
+            known = np.all([np.isfinite(joint).all(1) for joint in joints], axis=0)
+            place[chosen] = np.where(known[:, None], np.mean(joints, axis=0), place[chosen])
     place[group.numbers(*at, "tracking_state") != _ZED_OK] = np.nan
     return _names(group, at, ("instance_id", "label_id"), number), place
 
 
-def _hips(group: Group, at: tuple[Step, ...], hips: tuple[int, ...]) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Return the middle of the hips and whether there is a skeleton; the array is there, as zeros, without one too."""
-    here = group.first(*at)
-    if not hasattr(here, "skeleton_3d"):
-        return np.zeros((group.rows.size, 3)), np.zeros(group.rows.size, bool)
-    joints = [group.numbers(*at, "skeleton_3d", "keypoints", hip, "kp").astype(np.float64) for hip in hips]
-    known: Any = np.all([np.isfinite(joint).all(1) & (joint != 0.0).any(1) for joint in joints], axis=0)
+def _zed_form(group: Group, at: tuple[Step, ...]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Return the body format and whether there is a skeleton, shape (N,); the array is there, as zeros, without too."""
+    here, count = group.first(*at), group.rows.size
+    form = group.numbers(*at, "body_format") if hasattr(here, "body_format") else np.zeros(count)
+    there = np.full(count, hasattr(here, "skeleton_3d"))
     if hasattr(here, "skeleton_available"):
-        known = known & group.numbers(*at, "skeleton_available").astype(bool)
-    return np.mean(joints, axis=0), known
+        there &= group.numbers(*at, "skeleton_available").astype(bool)
+    return form.astype(np.int64), there
 
 
-def _names(group: Group, at: tuple[Step, ...], fields: tuple[str, ...], number: int) -> npt.NDArray[np.str_]:
+def _zed_joint(group: Group, at: tuple[Step, ...], joint: int) -> Array:
+    """Return the place of a joint, shape (N, 3); exact zeros are a joint that was not seen."""
+    place = group.numbers(*at, "skeleton_3d", "keypoints", joint, "kp").astype(np.float64)
+    place[(place == 0.0).all(1)] = np.nan
+    return place
+
+
+def _zed_joints(group: Group, entries: list[tuple[Step, ...]], found: Persons) -> Persons:
+    """Of the array of keypoints as many as the body format has."""
+    names, joints, places = [], [], []
+    for number, at in enumerate(entries):
+        form, skeleton = _zed_form(group, at)
+        seen = skeleton & (group.numbers(*at, "tracking_state") == _ZED_OK)
+        if not seen.any():
+            continue
+        for joint in range(len(group.first(*at, "skeleton_3d", "keypoints"))):
+            called = {kind: known[joint] for kind, known in ZED_JOINTS.items() if joint < len(known)}
+            name = np.array([called.get(kind, "") for kind in form.tolist()])
+            names.append(np.where(seen & (name != ""), found.names[:, number], ""))
+            joints.append(name)
+            places.append(_zed_joint(group, at, joint))
+    if not names:
+        return Persons(np.zeros((group.rows.size, 0), "U1"), np.zeros((group.rows.size, 0, 3)))
+    return Persons(np.stack(names, axis=1), np.stack(places, axis=1), joints=np.stack(joints, axis=1))
+
+
+def _names(group: Group, at: tuple[Step, ...], fields: tuple[str, ...], number: int) -> Names:
     """Return the id of an entry as text, shape (N,); its place in the array where it has none."""
     field = next((name for name in fields if hasattr(group.first(*at), name)), None)
     if field is None:
         return np.full(group.rows.size, str(number))
-    if isinstance(text := group.first(*at, field), str):
+    text: Any = group.first(*at, field)
+    if isinstance(text, str):
         return np.full(group.rows.size, text or str(number))
     return group.numbers(*at, field).astype(str)
 

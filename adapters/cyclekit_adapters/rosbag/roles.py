@@ -8,10 +8,11 @@ ending (drivers prefix their names), and what no rule knows is left to the cell 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import ConfigError, LogError, UnknownName, nearest
+from cyclekit_adapters.rosbag.clocks import HOWS, How
 from cyclekit_adapters.rosbag.modes import ROBOT_MODE, SAFETY_MODE
 from cyclekit_adapters.rosbag.people import MARKERS, TRACKERS
 
@@ -23,11 +24,10 @@ POINT = "geometry_msgs/msg/PointStamped"
 TRANSFORMS, TEXT, FLAG = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String", "std_msgs/msg/Bool"
 _TF1 = "tf/msg/tfMessage"
 CONTROLLER, CLOCK = "control_msgs/msg/JointTrajectoryControllerState", "rosgraph_msgs/msg/Clock"
-CUSTOM = {*TRACKERS, CONTROLLER, "control_msgs/msg/SpeedScalingFactor", ROBOT_MODE, SAFETY_MODE}
-"""Types with a use here that no ROS distribution brings along: without a definition in the bag they are not read."""
 _NUMBERS = {f"std_msgs/msg/{kind}" for kind in ("Float64", "Float32", "Int64", "Int32", "Int16", "UInt8")}
 _PEOPLE_WORDS = {"poses", "people", "persons", "humans", "bodies", "human", "person", "operator"}
-_KEYS = ("tcp", "joints", "scaling", "scaling_max", "running", "people", "events", "base_frame", "tool_frame")
+_TOPICS = ("tcp", "joints", "scaling", "running", "people", "events")
+_KEYS = (*_TOPICS, "scaling_max", "base_frame", "tool_frame", "time")
 _WHERE = "[sources.map] of a bag"
 
 
@@ -53,16 +53,18 @@ class Roles:
     people: tuple[str, ...] = ()
     events: tuple[str, ...] = ()
     modes: tuple[str, ...] = ()
+    clocks: tuple[str, ...] = ()
     bodies: bool = False  # the transforms hold people
     base_frame: str | None = None
     tool_frame: str | None = None
+    time: Mapping[str, How] = field(default_factory=dict)
 
     def topics(self) -> set[str]:
         """Return every topic in use."""
         single = [topic for topic in (self.tcp, self.joints, self.running) if topic]
         factors = [factor.topic for factor in self.scaling]
-        transforms = self.transforms if self.bodies or not self.tcp else ()
-        return {*single, *transforms, *factors, *self.people, *self.events, *self.modes}
+        transforms = self.transforms if self.bodies or self.people or not self.tcp else ()
+        return {*single, *transforms, *factors, *self.people, *self.events, *self.modes, *self.clocks}
 
 
 def roles_in(
@@ -85,7 +87,7 @@ def roles_in(
     for key in chosen:
         if key not in _KEYS:
             raise UnknownName(_WHERE, "key", key, _KEYS)
-    named = {key: _named(path, types, chosen[key]) for key in _KEYS[:2] + _KEYS[2:3] + _KEYS[4:7] if key in chosen}
+    named = {key: _named(path, types, chosen[key]) for key in _TOPICS if key in chosen}
     live = {topic: kind for topic, kind in types.items() if counts.get(topic, 0) > 0}
     people = _named(path, types, body) if body else named.get("people", _people(live))
     transforms = tuple(topic for topic, kind in live.items() if kind in (TRANSFORMS, _TF1))
@@ -106,10 +108,25 @@ def roles_in(
         people=tuple(topic for topic in people if topic not in transforms),
         events=tuple(named.get("events", events + modes)),
         modes=tuple(modes),
+        clocks=tuple(_ending_of_type(live, CLOCK)),
         bodies=bodies and bool(transforms),
         base_frame=frames.get("base_frame"),
         tool_frame=frames.get("tool_frame"),
+        time=_times(path, types, chosen.get("time", {})),
     )
+
+
+def _times(path: Path, types: Mapping[str, str], asked: object) -> dict[str, How]:
+    """Return which of its times each topic is to be read by, as the cell file says."""
+    if not isinstance(asked, Mapping):
+        cure = f'Write time = {{ "/topic" = "{HOWS[0]}" }}; known: {", ".join(HOWS)}.'
+        raise ConfigError(f"{_WHERE}: time = {asked!r} is no table", cure=cure)
+    found: dict[str, How] = {}
+    for topic, how in asked.items():
+        if how not in HOWS:
+            raise UnknownName(f"{_WHERE}: time", "choice", str(how), HOWS)
+        found[_named(path, types, topic)[0]] = how
+    return found
 
 
 def _named(path: Path, types: Mapping[str, str], value: object) -> list[str]:

@@ -17,6 +17,7 @@ import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
 from cyclekit_adapters.rosbag.chunks import MAX_RECORDS, Chunk, ChunkedFile, Messages, moment, records
+from cyclekit_adapters.rosbag.inflate import STORED
 from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Damage, Ints, column, distinct, gather
 
 MAGIC = b"#ROSBAG V"
@@ -134,7 +135,7 @@ def look(path: Path) -> ChunkedFile:
         if version is None or version[1] != b"2.0":
             raise Damage("only format 2.0 of ROS 1 bags is read")
         cut, about = _heads(log, found, end)
-        written = len(found.chunks)
+        written = sum(not chunk.cut for chunk in found.chunks)
         found.refuse_bombs()
         for chunk in found.chunks:
             if not chunk.index or any(number not in found.channels for number, _, _ in chunk.index):
@@ -146,7 +147,12 @@ def look(path: Path) -> ChunkedFile:
             there = f"{written} of {promised} chunks are there"
             if unclosed:
                 there = f"its last {end - (end if cut is None else cut)} bytes cannot be read"
-            found.warnings.append(_how_much(found, there, unclosed=unclosed))
+            if written < len(found.chunks):
+                there += ", and the begin of one more"
+            what = "was never closed" if unclosed else "is cut"
+            if cut is not None and cut < _chunks_end(about, end):
+                what = f"is damaged at byte {cut}"
+            found.warnings.append(_how_much(found, f"the bag {what}: {there}"))
     return found
 
 
@@ -161,16 +167,17 @@ def _heads(log: BufferedReader, found: ChunkedFile, end: int) -> tuple[int | Non
         size = log.read(4)
         place = log.tell()
         after = place + _SIZE.unpack(size)[0] if len(size) == 4 else end + 1
-        if after > end:
-            return position, about
         op = fields.get(b"op")
+        if after > end:
+            if op == _CHUNK and place < end and not _chunks_end(about, end):
+                _cut_chunk(log, found, Chunk(place, end - place, _number(fields, b"size"), _compression(fields)), after)
+            return position, about
         if op == _BAG:
             about = fields
             if fields.get(b"encryptor"):
                 raise Damage("the bag is encrypted")
         elif op == _CHUNK:
-            compression, size_in = fields[b"compression"].decode(), _number(fields, b"size")
-            found.chunks.append(Chunk(place, after - place, size_in, compression))
+            found.chunks.append(Chunk(place, after - place, _number(fields, b"size"), _compression(fields)))
         elif op == _INDEX and found.chunks:
             number, count = _number(fields, b"conn"), _number(fields, b"count")
             found.counts[number] = found.counts.get(number, 0) + count
@@ -180,6 +187,23 @@ def _heads(log: BufferedReader, found: ChunkedFile, end: int) -> tuple[int | Non
             _connect(found, fields, log.read(after - place))
         position = after
     return None, about
+
+
+def _chunks_end(about: dict[bytes, bytes], end: int) -> int:
+    """Return where the chunks of a file end that reaches beyond them, so that none of them is cut; 0 if unknown."""
+    at = _number(about, b"index_pos")
+    return at if at < end else 0
+
+
+def _cut_chunk(log: BufferedReader, found: ChunkedFile, chunk: Chunk, after: int) -> None:
+    """Keep what there is of a chunk within which the file ends; `after` is where it would end."""
+    # the length of a chunk that is not compressed is written twice: if they differ, a bit is wrong
+    if chunk.compression not in STORED or chunk.size == after - chunk.place:
+        found.add_cut(log, chunk)
+
+
+def _compression(fields: dict[bytes, bytes]) -> str:
+    return fields.get(b"compression", b"").decode("ascii", "replace")
 
 
 def _header(log: BufferedReader) -> dict[bytes, bytes] | None:
@@ -251,9 +275,8 @@ def _last(log: BufferedReader, found: ChunkedFile) -> None:
             return
 
 
-def _how_much(found: ChunkedFile, there: str, *, unclosed: bool) -> str:
+def _how_much(found: ChunkedFile, said: str) -> str:
     """Say what a cut bag has lost, as far as it can be known."""
-    said = f"the bag was never closed: {there}" if unclosed else f"the bag is cut: {there}"
     if found.last_ns is not None:
         said += f"; messages up to {moment(found.last_ns)} are recovered, what came after is lost"
     return f"{said}; copy the bag again if the original is whole"

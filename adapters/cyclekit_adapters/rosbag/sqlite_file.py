@@ -1,9 +1,8 @@
 """Look through a sqlite3 bag (.db3) and read it topic by topic.
 
-One SELECT per topic hands the rows over without a step of Python in between. A file that was cut is read up to the
-first page that is missing; where the cut goes through a page, sqlite would take what is missing of it for zeros, so a
-temporary copy that ends with the last whole page is read instead. The bags of older ROS 2 versions record no
-definitions; the well-known ones are used then.
+One SELECT per topic hands the rows over without a step of Python in between. What sqlite does not open any more, or not
+to its end, is read page by page instead (`sqlite_pages`). The bags of older ROS 2 versions record no definitions; what
+stands in for them is the business of `undefined`.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ import sqlite3
 import tempfile
 import weakref
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from contextlib import closing
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import quote
@@ -22,40 +21,56 @@ from urllib.parse import quote
 import numpy as np
 
 from cyclekit_adapters.rosbag.chunks import moment
-from cyclekit_adapters.rosbag.payloads import BLOCK_BYTES, Channel, Ints, Payloads
+from cyclekit_adapters.rosbag.payloads import BLOCK_BYTES, Channel, Damage, Ints, Payloads
+from cyclekit_adapters.rosbag.sqlite_pages import NoPages, Pages, Value
 
 MAGIC = b"SQLite format 3\0"
 _NOTATIONS = {"ros2msg": "msg", "ros2idl": "idl"}
 _ROWS = 512  # rows fetched at once; many more, and they leave the processor's cache before they are joined
 _GLANCE = 10_000  # rows looked at before all of them are counted
+_MAX_ROW = 64 << 20  # bytes; sqlite makes no larger value, whatever a table promises
 _SELECT = "SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY rowid"
+_DATABASE = "no tables of topics and messages"
 
 
 @dataclass
 class SqliteFile:
-    """A .db3 as far as it is whole; meets `payloads.BagFile`."""
+    """A .db3 as far as it is whole; meets `payloads.BagFile`.
+
+    Attributes:
+        salvaged: Sqlite does not read it: its pages are read one by one.
+        copy: What is read instead, where the recorder was killed.
+    """
 
     path: Path
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     set_aside: list[str] = field(default_factory=list)
-    cut: bool = False
+    salvaged: bool = False
+    copy: Path | None = None
 
     def blocks(self, wanted: set[int]) -> Iterator[Mapping[int, Payloads]]:
         """Yield the messages of the wanted channels in the order of the file, about BLOCK_BYTES at a time."""
-        with closing(_connect(self.path, cut=self.cut)) as bag:
+        if self.salvaged:
+            yield from self._from_pages(wanted, {})
+            return
+        broken: dict[int, int] = {}
+        with closing(_connect(self.copy or self.path)) as bag:
             for number in sorted(wanted):
                 batches: list[_Batch] = []
-                for batch in self._batches(bag, number):
+                for batch in self._batches(bag, number, broken):
                     batches.append(batch)
                     if sum(len(one.raw) for one in batches) >= BLOCK_BYTES:
                         yield {number: _joined(batches)}
                         batches = []
                 if batches:
                     yield {number: _joined(batches)}
+        if broken:
+            yield from self._from_pages(set(broken), broken)
 
-    def _batches(self, bag: sqlite3.Connection, number: int) -> Iterator[_Batch]:
+    def _batches(self, bag: sqlite3.Connection, number: int, broken: dict[int, int]) -> Iterator[_Batch]:
+        """Yield the rows of a topic; where sqlite stops, note the last row that it gave."""
         done = 0
         try:
             cursor = bag.execute(_SELECT, (number,))
@@ -63,17 +78,9 @@ class SqliteFile:
                 done += len(rows)
                 yield self._batch(rows)
         except sqlite3.DatabaseError as error:
-            if not self.cut:
-                self.set_aside.append(f"{self.channels[number].topic}: the rest cannot be read ({error})")
-            yield from self._one_by_one(bag, number, done)
-
-    def _one_by_one(self, bag: sqlite3.Connection, number: int, done: int) -> Iterator[_Batch]:
-        """Fetch the whole rows that were lost with the one that broke their batch."""
-        try:
-            for row in bag.execute(f"{_SELECT} LIMIT {_ROWS} OFFSET {done}", (number,)):
-                yield self._batch([row])
-        except sqlite3.DatabaseError:
-            return
+            said = f"{self.channels[number].topic}: a page of the bag is damaged ({error}); the others are read"
+            self.set_aside += [said] if said not in self.set_aside else []
+            broken[number] = _last_row(bag, number, done)
 
     def _batch(self, rows: list[tuple[object, object]]) -> _Batch:
         """Join rows; those whose columns are not what they should be, as in a damaged file, are set aside."""
@@ -84,6 +91,17 @@ class SqliteFile:
             times, messages = [t for t, _ in sound], [data for _, data in sound]  # type: ignore[assignment]
         size = np.fromiter(map(len, messages), np.int64, len(messages))
         return _Batch(np.array(times, np.int64), size, b"".join(messages))
+
+    def _from_pages(self, wanted: set[int], after: Mapping[int, int]) -> Iterator[Mapping[int, Payloads]]:
+        """Yield the messages behind some row of each topic, out of the pages."""
+        with (self.copy or self.path).open("rb") as log:
+            rows = _messages(Pages(log), set(self.channels))
+            found = ((t, at, raw) for row, t, at, raw in rows if t in wanted and row > after.get(t, -1))
+            while some := list(_up_to(found, BLOCK_BYTES)):
+                block = {}
+                for number in sorted({topic for topic, _, _ in some}):
+                    block[number] = _joined([self._batch([(at, raw) for topic, at, raw in some if topic == number])])
+                yield block
 
 
 @dataclass(frozen=True)
@@ -101,35 +119,51 @@ def _joined(batches: list[_Batch]) -> Payloads:
     return Payloads(buffer, np.cumsum(size) - size, size, np.concatenate([batch.receive_ns for batch in batches]))
 
 
+def _up_to(rows: Iterable[tuple[int, int, bytes]], most: int) -> Iterator[tuple[int, int, bytes]]:
+    size = 0
+    for row in rows:
+        size += len(row[2])
+        yield row
+        if size >= most:
+            return
+
+
 def look(path: Path) -> SqliteFile:
-    """Return what a sqlite3 bag holds, as far as it is whole.
+    """Return what a sqlite3 bag holds.
 
     Raises:
         sqlite3.Error: The tables of topics cannot be read.
+        Damage: It is a database, and no bag.
     """
     found = SqliteFile(path)
-    try:
-        with closing(_connect(path, cut=False)) as bag:
-            found.channels = _channels(bag)
-            found.counts = _present(bag, set(found.channels), torn=_torn(path) > 0)
-    except sqlite3.DatabaseError as error:
-        found.cut = True
-        found.path = _whole_pages(found)
-        with closing(_connect(found.path, cut=True)) as bag:
-            found.channels = _channels(bag)
-            last_ns = _count(bag, found)
-        if last_ns is None:
-            raise
-        found.warnings.append(
-            f"the bag is cut or damaged ({error}); messages up to {moment(last_ns)} are recovered, "
-            "what came after is lost"
-        )
     beside = path.with_name(path.name + "-wal")
     if beside.is_file() and beside.stat().st_size:
-        found.warnings.append(
-            f"the recorder was killed: what stands in {beside.name} is not in the bag and is not read"
-        )
+        found.copy = _recovered(found, beside)
+    try:
+        with closing(_connect(found.copy or path)) as bag:
+            found.channels = _channels(bag)
+            found.counts = _present(bag, set(found.channels), torn=_torn(path) > 0 and found.copy is None)
+    except sqlite3.DatabaseError as error:
+        _salvage(found, error)
     return found
+
+
+def _recovered(found: SqliteFile, beside: Path) -> Path | None:
+    """Let sqlite put what a killed recorder had not yet moved into the bag into a copy of it; None if it cannot."""
+    folder = tempfile.mkdtemp(prefix="cyclekit-")
+    weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
+    copy = Path(folder, found.path.name)
+    try:
+        for file in (found.path, beside):
+            shutil.copyfile(file, Path(folder, file.name))
+        with closing(sqlite3.connect(copy)) as bag:
+            bag.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+    except (sqlite3.Error, OSError):
+        said = f"the recorder was killed: what stands in {beside.name} is not in the bag and cannot be read"
+        found.warnings.append(said)
+        return None
+    found.warnings.append(f"the recorder was killed: what stands in {beside.name} is read too")
+    return copy
 
 
 def _torn(path: Path) -> int:
@@ -139,42 +173,44 @@ def _torn(path: Path) -> int:
         return log.seek(0, 2) % {0: 512, 1: 65536}.get(page, page)
 
 
-def _whole_pages(found: SqliteFile) -> Path:
-    """Return the file, or a temporary copy without its torn page that lives as long as `found`."""
-    torn = _torn(found.path)
-    if not torn:
-        return found.path
-    folder = tempfile.mkdtemp(prefix="cyclekit-")
-    weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
-    copy = Path(folder, found.path.name)
-    shutil.copyfile(found.path, copy)
-    with copy.open("r+b") as out:
-        out.truncate(copy.stat().st_size - torn)
-    return copy
-
-
-def _connect(path: Path, *, cut: bool) -> sqlite3.Connection:
-    """Open for reading alone; `cut` lets sqlite begin on a file that is shorter than its first page says."""
+def _connect(path: Path) -> sqlite3.Connection:
+    """Open for reading alone."""
     bag = sqlite3.connect(f"file:{quote(str(path.absolute()))}?immutable=1&mode=ro", uri=True)
-    if cut:
-        bag.execute("PRAGMA writable_schema = ON")
+    bag.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MAX_ROW)
     return bag
+
+
+def _last_row(bag: sqlite3.Connection, number: int, done: int) -> int:
+    """Return the number of the last row of a topic that was handed over, -1 for none."""
+    select = "SELECT rowid FROM messages WHERE topic_id = ? ORDER BY rowid LIMIT ?"
+    with suppress(sqlite3.DatabaseError):
+        return max((int(row) for (row,) in bag.execute(select, (number, done))), default=-1)
+    return -1
 
 
 def _channels(bag: sqlite3.Connection) -> dict[int, Channel]:
     tables = {name for (name,) in bag.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     if not {"messages", "topics"} <= tables:
-        raise sqlite3.DatabaseError("no tables of topics and messages")
-    definitions: dict[str, tuple[str, str]] = {}
+        raise Damage(_DATABASE)
+    if any(hidden for *_, hidden in bag.execute("PRAGMA table_xinfo(messages)")):
+        raise Damage("its messages are computed, not recorded")
+    definitions: list[tuple[Value, ...]] = []
     if "message_definitions" in tables:
         select = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY id"
-        for kind, encoding, text in bag.execute(select):
-            if encoding in _NOTATIONS:
-                definitions.setdefault(kind, (str(text), _NOTATIONS[encoding]))
+        definitions = list(bag.execute(select))
+    return _made(bag.execute("SELECT id, name, type, serialization_format FROM topics"), definitions)
+
+
+def _made(topics: Iterable[tuple[Value, ...]], definitions: Iterable[tuple[Value, ...]]) -> dict[int, Channel]:
+    """Return channels out of (number, name, type, coding) and (type, notation, text)."""
+    known: dict[object, tuple[str, str]] = {}
+    for kind, encoding, text in definitions:
+        if encoding in _NOTATIONS:
+            known.setdefault(kind, (str(text), _NOTATIONS[str(encoding)]))
     channels = {}
-    for number, topic, kind, coding in bag.execute("SELECT id, name, type, serialization_format FROM topics"):
-        text, notation = definitions.get(kind, ("", "msg"))
-        channels[int(number)] = Channel(int(number), str(topic), str(kind), text, notation, str(coding))
+    for number, topic, kind, coding in topics:
+        text, notation = known.get(kind, ("", "msg"))
+        channels[int(str(number))] = Channel(int(str(number)), str(topic), str(kind), text, notation, str(coding))
     return channels
 
 
@@ -189,16 +225,44 @@ def _present(bag: sqlite3.Connection, topics: set[int], *, torn: bool) -> dict[i
     return counts
 
 
-def _count(bag: sqlite3.Connection, found: SqliteFile) -> int | None:
-    """Count the messages before the first missing page; return the last time among them."""
-    counts: Counter[int] = Counter()
-    last_ns: int | None = None
-    try:
-        for number, time in bag.execute("SELECT topic_id, timestamp FROM messages ORDER BY rowid"):
-            if number in found.channels and isinstance(time, int):
-                counts[number] += 1
-                last_ns = max(last_ns or 0, time)
-    except sqlite3.DatabaseError:
-        pass
+def _salvage(found: SqliteFile, error: sqlite3.DatabaseError) -> None:
+    """Look through the pages of a file that sqlite does not read.
+
+    Raises:
+        sqlite3.DatabaseError: Not even the topics can be read.
+    """
+    found.salvaged, counts, numbers, last_ns = True, Counter[int](), 0, 0
+    with (found.copy or found.path).open("rb") as log:
+        try:
+            pages = Pages(log)
+        except NoPages as reason:
+            raise sqlite3.DatabaseError(str(reason)) from error
+        tables = pages.tables()
+        if not {"messages", "topics"} <= set(tables):
+            raise error
+        rows = ((number, *row[1:4]) for number, row in pages.below(tables["topics"]) if len(row) >= 4)
+        root = tables.get("message_definitions", 0)
+        found.channels = _made(rows, (tuple(row[1:4]) for _, row in pages.below(root) if len(row) >= 4))
+        for number, topic, time, _ in _messages(pages, set(found.channels)):
+            counts[topic] += 1
+            numbers, last_ns = max(numbers, number), max(last_ns, time)
+        missing = pages.missing
+    if not counts:
+        raise error
     found.counts = dict(counts)
-    return last_ns
+    said = f"the bag is cut or damaged ({error}): {missing} of its pages are missing; " if missing else ""
+    said = said or f"the bag is cut or damaged ({error}); "
+    between = numbers - sum(counts.values())
+    said += f"messages up to {moment(last_ns)} are recovered"
+    said += f", but for {between} in between, and" if between > 0 else ","
+    found.warnings.append(f"{said} what came after is lost")
+
+
+def _messages(pages: Pages, topics: set[int]) -> Iterator[tuple[int, int, int, bytes]]:
+    """Yield row number, topic, time (ns) and bytes of every message, on whatever page it stands."""
+    others = {page for name, root in pages.tables().items() if name != "messages" for page in pages.pages_below(root)}
+    for number, row in pages.everywhere(but=others):
+        if len(row) == 4:
+            _, topic, time, raw = row
+            if isinstance(topic, int) and isinstance(time, int) and isinstance(raw, bytes) and topic in topics:
+                yield number, topic, time, raw

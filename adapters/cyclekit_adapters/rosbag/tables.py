@@ -1,4 +1,4 @@
-"""The canonical tables out of the messages of a bag.
+"""The tables of robot and events out of the messages of a bag.
 
 Topics come at rates of their own. The robot's table stands on the time of its TCP pose (of its joints, where there
 is none): a position is taken from the nearest message, a scaling or a program state holds until the next message.
@@ -8,72 +8,113 @@ What was not recorded, or not yet, stays unknown.
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import polars as pl
 
-from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
-from cyclekit_adapters.rosbag.chain import Array, chain_path
+from cyclekit.schema import EVENTS, ROBOT, conform
+from cyclekit_adapters.rosbag.chain import followed, leading
+from cyclekit_adapters.rosbag.envelope import middle
+from cyclekit_adapters.rosbag.frames import unknown
 from cyclekit_adapters.rosbag.modes import ROBOT_MODE, RUNNING
-from cyclekit_adapters.rosbag.people import Persons
 from cyclekit_adapters.rosbag.tracks import Joints
+from cyclekit_adapters.rosbag.transforms import Array
 
 if TYPE_CHECKING:
+    from cyclekit_adapters.rosbag.frames import Frames
+    from cyclekit_adapters.rosbag.payloads import Ints
     from cyclekit_adapters.rosbag.roles import Factor, Roles
     from cyclekit_adapters.rosbag.tracks import Contents
 
 _NEAR_PERIODS = 2.0  # a position further away in time than this many of its periods is unknown
+_NEAR_S = 0.1  # the same, where one message tells no period
 _SLACK = 1e-3
+_STATES = ("stopped", "playing")
+_UNKNOWN = -1
 
 
-def robot_table(contents: Contents, roles: Roles) -> pl.DataFrame | None:
+@dataclass(frozen=True)
+class _Rows:
+    """Rows of a table in the making, one per instant.
+
+    Attributes:
+        t_s: Times, ascending, shape (T,), s; `index`: of the message, shape (T,).
+        numbers: Shape (T, C); `columns`: what they are called, C names.
+    """
+
+    t_s: Array
+    index: Ints
+    numbers: Array
+    columns: list[str]
+
+    def series(self) -> list[pl.Series]:
+        """Return the numbers as columns, NaN as null."""
+        found = zip(self.columns, self.numbers.T, strict=True)
+        return [pl.Series(name, np.ascontiguousarray(values), nan_to_null=True) for name, values in found]
+
+
+def robot_table(contents: Contents, roles: Roles, frames: Frames) -> pl.DataFrame | None:
     """Return table ROBOT, None where the bag says nothing of where the robot is."""
-    table = _tcp(contents, roles)
-    joints = _joints(contents, roles.joints) if roles.joints in contents.tracks else None
-    if table is None:
-        table = joints
-    elif joints is not None:
-        table = _nearest(table, joints.drop("source_row"))
-    if table is None:
+    rows = _tcp(contents, roles, frames)
+    joints = _joints(contents, str(roles.joints)) if roles.joints in contents.tracks else None
+    numbers = rows.series() if rows is not None else []
+    if rows is None:
+        rows, joints = joints, None
+        contents.rows_of["robot"] = str(roles.joints)
+        numbers = rows.series() if rows is not None else []
+    if rows is None:
         return None
-    if roles.running in contents.tracks:
-        running = _series(contents, str(roles.running)).select(
-            "t_s", state=pl.when(pl.col("value") > 0.5).then(pl.lit("playing")).otherwise(pl.lit("stopped"))
-        )
-        table = table.join_asof(running, on="t_s", strategy="backward")
-    table = _with_modes(contents, roles, table)
-    table = _with_scaling(contents, roles, table)
+    if joints is not None:
+        numbers += _nearest(joints, rows.t_s).series()
+    state = _state(contents, roles, rows.t_s)
+    scaling = _scaling(contents, roles, rows.t_s, state)
+    numbers += [pl.Series("scaling", scaling, nan_to_null=True)] if scaling is not None else []
+    table = pl.DataFrame([pl.Series("t_s", rows.t_s), pl.Series("source_row", rows.index), *numbers])
+    if state is not None:
+        words = pl.Series("state", state).replace_strict(dict(enumerate(_STATES)), default=None, return_dtype=pl.String)
+        table = table.with_columns(words)
     return conform(table, ROBOT)
 
 
-def _tcp(contents: Contents, roles: Roles) -> pl.DataFrame | None:
+def _tcp(contents: Contents, roles: Roles, frames: Frames) -> _Rows | None:
     if roles.tcp in contents.tracks:
-        track = contents.tracks[str(roles.tcp)]
-        return _in_order(_placed(contents.times(str(roles.tcp)), track.joined(), track.index))
-    chain = contents.transforms.chain(roles.base_frame, roles.tool_frame)
-    if not chain:
+        topic = str(roles.tcp)
+        track = contents.tracks[topic]
+        contents.rows_of["robot"] = topic
+        return _placed(contents.at(topic), track.index, track.joined())
+    if not frames.tool:
         return None
-    times, place = chain_path(chain, stamped=contents.stamped)
-    contents.tool_chain = f"transforms from {chain[0].parent} over {len(chain)} link(s)"
-    return _in_order(_placed(times, place, np.arange(times.size, dtype=np.int64)))
+    link = leading(frames.tool)
+    place, _ = followed(frames.tool, link.times)
+    if lost := unknown(place):
+        contents.warnings.append(f"the TCP is unknown at {lost} moments: a transform was not published for a while")
+    contents.rows_of["robot"] = link.topic
+    return _placed(link.times, link.index, place)
 
 
-def _placed(times: Array, place: Array, index: npt.NDArray[np.int64]) -> pl.DataFrame:
-    columns = {f"tcp_{axis}_m": place[:, i] for i, axis in enumerate("xyz")}
-    return pl.DataFrame({"t_s": times, "source_row": index, **columns})
+def _placed(times: Array, index: Ints, place: Array) -> _Rows:
+    kept = in_order(times)
+    return _Rows(times[kept], index[kept], place[kept], [f"tcp_{axis}_m" for axis in "xyz"])
 
 
-def _in_order(table: pl.DataFrame) -> pl.DataFrame:
-    """Sort by time and keep one row per instant; NaN becomes null."""
-    return table.fill_nan(None).drop_nulls("t_s").unique("t_s", keep="first").sort("t_s")
+def in_order(times: Array) -> Ints | slice:
+    """Return the rows by which times ascend, the first of each instant; all of them where they do so already."""
+    if (times[1:] > times[:-1]).all() and np.isfinite(times).all():
+        return slice(None)
+    order = np.argsort(times, kind="stable")
+    order = order[np.isfinite(times[order])]
+    first = np.append(True, times[order][1:] > times[order][:-1])[: order.size]
+    kept: Ints = order[first]
+    return kept
 
 
-def _joints(contents: Contents, topic: str | None) -> pl.DataFrame | None:
+def _joints(contents: Contents, topic: str) -> _Rows | None:
     """Return joint angles by name; messages of other joints (a gripper on the same topic) are left out."""
-    track = contents.tracks[str(topic)]
-    parts = [(rows, said) for rows, said in track.parts if isinstance(said, Joints)]
+    track = contents.tracks[topic]
+    parts = [(part.rows, part.value) for part in track.parts if isinstance(part.value, Joints)]
     written: Counter[tuple[str, ...]] = Counter()
     for rows, said in parts:
         written[said.names] += rows.size
@@ -82,18 +123,19 @@ def _joints(contents: Contents, topic: str | None) -> pl.DataFrame | None:
         return None
     order = max(written, key=lambda names: (written[names] * len(names), names))
     ours = [part for part in parts if len(part[1].names) == len(order) and set(part[1].names) == set(order)]
-    rows = np.concatenate([rows for rows, _ in ours])
-    angles = np.concatenate([_ordered(said.angles, said.names, order) for _, said in ours])
-    speeds = np.concatenate([_ordered(said.speeds, said.names, order) for _, said in ours])
+    rows, count = np.concatenate([rows for rows, _ in ours]), len(order)
+    numbers, done = np.empty((rows.size, 2 * count)), 0
+    for part, said in ours:
+        here = slice(done, done := done + part.size)
+        numbers[here, :count] = _ordered(said.angles, said.names, order)
+        numbers[here, count:] = _ordered(said.speeds, said.names, order)
     if others := track.index.size - rows.size:
         contents.warnings.append(f"{others} messages of {topic} are about other joints and are left out")
     contents.joint_names = order
-    by_time = np.argsort(rows)
-    rows, angles, speeds = rows[by_time], angles[by_time], speeds[by_time]
-    columns = {f"q{i}_rad": angles[:, i] for i in range(len(order))}
-    columns |= {f"qd{i}_rad_s": speeds[:, i] for i in range(len(order))}
-    times = contents.times(str(topic))[rows]
-    return _in_order(pl.DataFrame({"t_s": times, "source_row": track.index[rows], **columns}))
+    times = contents.at(topic)[rows]
+    kept = in_order(times)
+    columns = [*(f"q{i}_rad" for i in range(count)), *(f"qd{i}_rad_s" for i in range(count))]
+    return _Rows(times[kept], track.index[rows][kept], numbers[kept], columns)
 
 
 def _ordered(values: Array, names: tuple[str, ...], order: tuple[str, ...]) -> Array:
@@ -103,29 +145,44 @@ def _ordered(values: Array, names: tuple[str, ...], order: tuple[str, ...]) -> A
     return values if names == order else values[:, [names.index(name) for name in order]]
 
 
-def _nearest(table: pl.DataFrame, other: pl.DataFrame) -> pl.DataFrame:
-    period = other["t_s"].diff().median()
-    near = _NEAR_PERIODS * float(str(period)) if period is not None else 0.1
-    return table.join_asof(other, on="t_s", strategy="nearest", tolerance=near)
+def _nearest(rows: _Rows, at_s: Array) -> _Rows:
+    """Return the nearest row at each moment, NaN where none is near."""
+    near = _NEAR_PERIODS * middle(np.diff(rows.t_s)) if rows.t_s.size > 1 else _NEAR_S
+    after = np.clip(np.searchsorted(rows.t_s, at_s), 0, rows.t_s.size - 1)
+    before = np.maximum(after - 1, 0)
+    chosen = np.where(at_s - rows.t_s[before] <= rows.t_s[after] - at_s, before, after)
+    numbers = rows.numbers[chosen]
+    numbers[np.abs(rows.t_s[chosen] - at_s) > near] = np.nan
+    return _Rows(at_s, rows.index[chosen], numbers, rows.columns)
 
 
-def _series(contents: Contents, topic: str) -> pl.DataFrame:
-    values = contents.tracks[topic].joined()
-    series = pl.DataFrame({"t_s": contents.times(topic), "value": values}).fill_nan(None)
-    return series.sort("t_s", maintain_order=True)
+def _held(times: Array, at_s: Array) -> Ints:
+    """Return for each moment the row that holds then, shape (T,): the last one before it; -1 before the first."""
+    order = np.argsort(times, kind="stable")
+    order = order[np.isfinite(times[order])]
+    place = np.searchsorted(times[order], at_s, side="right") - 1
+    return np.where(place >= 0, np.append(order, _UNKNOWN)[place], _UNKNOWN)
 
 
-def _with_modes(contents: Contents, roles: Roles, table: pl.DataFrame) -> pl.DataFrame:
-    """Mark the program as stopped while the robot is in a mode in which none moves it; a mode holds until the next."""
+def _state(contents: Contents, roles: Roles, at_s: Array) -> npt.NDArray[np.int8] | None:
+    """Return the program's state at each moment, an index of `_STATES`, -1 = unknown; None if nothing tells it.
+
+    While the robot is in a mode in which no program moves it, the program counts as stopped; modes and states hold
+    until the next one.
+    """
+    state: npt.NDArray[np.int8] | None = None
+    if roles.running in contents.tracks:
+        topic = str(roles.running)
+        row = _held(contents.at(topic), at_s)
+        running = (contents.tracks[topic].joined() > 0.5).astype(np.int8)
+        state = np.where(row >= 0, running[row], _UNKNOWN).astype(np.int8)
     for topic in roles.modes:
-        if topic not in contents.tracks or contents.kinds[topic] != ROBOT_MODE:
-            continue
-        held = pl.DataFrame({"t_s": contents.times(topic), "_mode": [str(m) for m in contents.tracks[topic].each()]})
-        table = table.join_asof(held.sort("t_s", maintain_order=True), on="t_s", strategy="backward")
-        known = pl.col("state") if "state" in table.columns else pl.lit(None, pl.String())
-        state = pl.when(pl.col("_mode") != RUNNING).then(pl.lit("stopped")).otherwise(known)
-        table = table.with_columns(state=state).drop("_mode")
-    return table
+        if topic in contents.tracks and contents.kinds[topic] == ROBOT_MODE:
+            row = _held(contents.at(topic), at_s)
+            still = np.array([mode != RUNNING for mode in contents.tracks[topic].each()])
+            state = np.full(at_s.size, _UNKNOWN, np.int8) if state is None else state
+            state[(row >= 0) & still[row]] = _STATES.index("stopped")
+    return state
 
 
 def _factors(contents: Contents, roles: Roles) -> list[Factor]:
@@ -137,118 +194,37 @@ def _factors(contents: Contents, roles: Roles) -> list[Factor]:
     return used or found
 
 
-def _with_scaling(contents: Contents, roles: Roles, table: pl.DataFrame) -> pl.DataFrame:
-    """Add the product of all factors in force; unknown before the first message and while the program is stopped."""
+def _scaling(contents: Contents, roles: Roles, at_s: Array, state: npt.NDArray[np.int8] | None) -> Array | None:
+    """Return the product of all factors in force; NaN before the first message and while the program is stopped."""
     factors = _factors(contents, roles)
     if not factors:
         contents.warnings.append("no speed scaling in the bag: it stays unknown")
-        return table
+        return None
     if any(factor.family == "command" for factor in factors):
         contents.warnings.append("the speed scaling is the one commanded: what the robot made of it was not recorded")
-    names = []
-    for number, factor in enumerate(factors):
-        series = _series(contents, factor.topic).select("t_s", (pl.col("value") / factor.full).alias(f"_{number}"))
-        table = table.join_asof(series, on="t_s", strategy="backward")
-        names.append(_clamped(pl.col(f"_{number}"), factor))
-        if factor.family not in ("cnr", "command") and (series[f"_{number}"] > 1.0 + _SLACK).any():
+    known = []
+    for factor in factors:
+        said = contents.tracks[factor.topic].joined() / factor.full
+        row = _held(contents.at(factor.topic), at_s)
+        if factor.family not in ("cnr", "command") and (said > 1.0 + _SLACK).any():
             contents.warnings.append(f"{factor.topic} exceeds {factor.full:g} in places: left unknown there")
+        known.append(np.where(row >= 0, _clamped(said, factor)[row], np.nan))
     if all(factor.family == "cnr" for factor in factors) and len(factors) > 1:
         # An override that has not spoken yet does not slow: the controllers start from 100 percent.
-        spoken = pl.any_horizontal([name.is_not_null() for name in names])
-        names = [pl.when(spoken).then(name.fill_null(1.0)) for name in names]
-    product = names[0]
-    for name in names[1:]:
-        product = product * name
-    if "state" in table.columns:
-        product = pl.when(pl.col("state").fill_null("playing") == "playing").then(product)
-    columns = table.with_columns(scaling=product)
-    return columns.drop([f"_{number}" for number in range(len(factors))])
+        spoken = ~np.all([np.isnan(values) for values in known], axis=0)
+        known = [np.where(spoken & np.isnan(values), 1.0, values) for values in known]
+    product: Array = np.prod(known, axis=0)
+    if state is not None:
+        product[state == _STATES.index("stopped")] = np.nan
+    return product
 
 
-def _clamped(value: pl.Expr, factor: Factor) -> pl.Expr:
+def _clamped(value: Array, factor: Factor) -> Array:
     """Clamp as the controllers do; a state beyond its range is not that state, and unknown."""
-    if factor.family in ("cnr", "command"):
-        return value.clip(0.0, 1.0)
-    return pl.when(value.is_between(0.0, 1.0 + _SLACK)).then(value.clip(0.0, 1.0))
-
-
-def people_table(contents: Contents, roles: Roles) -> pl.DataFrame:
-    """Return table PEOPLE; of an array the index is the person, and one with fewer entries has people not seen."""
-    columns: dict[str, list[npt.NDArray[np.generic]]] = {"t_s": [], "person": [], "source_row": [], "place": []}
-    for topic in roles.people:
-        if topic not in contents.tracks:
-            continue
-        track = contents.tracks[topic]
-        prefix = f"{topic} " if len(roles.people) > 1 else ""
-        if any(isinstance(value, Persons) for _, value in track.parts):
-            _add_named(contents, topic, prefix, columns)
-            continue
-        seen = [(rows, _several(value)) for rows, value in track.parts if isinstance(value, np.ndarray)]
-        most = max((places.shape[1] for _, places in seen), default=1)
-        if most > 1:
-            contents.warnings.append(f"{topic} holds up to {most} places without identity: each index is one person")
-        place: Array = np.full((track.index.size, most, 3), np.nan)
-        for rows, places in seen:
-            place[rows, : places.shape[1]] = places
-        names = np.array([f"{prefix}{person}" for person in range(most)])
-        columns["t_s"].append(np.repeat(contents.times(topic), most))
-        columns["person"].append(np.tile(names, track.index.size))
-        columns["source_row"].append(np.repeat(track.index, most))
-        columns["place"].append(place.reshape(-1, 3))
-    if roles.bodies:
-        _add_bodies(contents, roles, columns)
-    return _people(columns)
-
-
-def _add_named(contents: Contents, topic: str, prefix: str, columns: dict[str, list[npt.NDArray[np.generic]]]) -> None:
-    """Add the people of a topic whose messages name them; who is not named is not there."""
-    track, times = contents.tracks[topic], contents.times(topic)
-    hidden, why = 0, ""
-    for rows, value in track.parts:
-        if not isinstance(value, Persons):
-            continue
-        message, entry = np.nonzero(value.names != "")
-        place = value.places[message, entry]
-        columns["t_s"].append(times[rows[message]])
-        columns["person"].append(np.char.add(prefix, value.names[message, entry]))
-        columns["source_row"].append(track.index[rows[message]])
-        columns["place"].append(place)
-        if unseen := np.count_nonzero(np.isnan(place[:, 0])):
-            hidden, why = hidden + int(unseen), value.said or "no position"
-    if hidden:
-        contents.warnings.append(f"{hidden} places on {topic} are left unknown: {why}")
-
-
-def _add_bodies(contents: Contents, roles: Roles, columns: dict[str, list[npt.NDArray[np.generic]]]) -> None:
-    """Add the bodies among the transforms, each at the moments it was tracked."""
-    adrift = set()
-    for name, (chain, from_base) in contents.transforms.bodies(roles.base_frame).items():
-        times, place = chain_path(chain, stamped=contents.stamped, own_times=True)
-        columns["t_s"].append(times)
-        columns["person"].append(np.full(times.size, f"transforms {name}" if roles.people else name))
-        columns["source_row"].append(np.arange(times.size))
-        columns["place"].append(place)
-        if not from_base:
-            adrift.add(chain[0].parent)
-    if adrift:
-        frames = ", ".join(sorted(adrift))
-        contents.warnings.append(f"no transforms from the robot's base to the bodies: they are in frame {frames}")
-
-
-def _several(value: Array | npt.NDArray[np.bool_]) -> Array:
-    """Return places as (N, K, 3), those of one person too."""
-    places = np.asarray(value, dtype=np.float64)
-    return places[:, None, :] if places.ndim == 2 else places
-
-
-def _people(columns: dict[str, list[npt.NDArray[np.generic]]]) -> pl.DataFrame:
-    schema = pl.Schema({name: column.dtype for name, column in PEOPLE.items()})
-    if not columns["t_s"]:
-        return conform(pl.DataFrame(schema=schema), PEOPLE)
-    joined = {name: np.concatenate(parts) for name, parts in columns.items()}
-    place = joined.pop("place")
-    table = pl.DataFrame({**joined, **{f"{axis}_m": place[:, i] for i, axis in enumerate("xyz")}}).fill_nan(None)
-    return conform(table.select(list(schema)).cast(schema).sort("t_s", "person", maintain_order=True), PEOPLE)
+    clipped: Array = np.clip(value, 0.0, 1.0)
+    if factor.family not in ("cnr", "command"):
+        clipped[~((value >= 0.0) & (value <= 1.0 + _SLACK))] = np.nan
+    return clipped
 
 
 def events_table(contents: Contents, roles: Roles) -> pl.DataFrame:
@@ -257,15 +233,17 @@ def events_table(contents: Contents, roles: Roles) -> pl.DataFrame:
     for topic in roles.events:
         if topic not in contents.tracks:
             continue
-        track = contents.tracks[topic]
+        track, times = contents.tracks[topic], contents.at(topic)
+        said = track.each()
         last: object = None
-        for t_s, index, value in zip(contents.times(topic).tolist(), track.index.tolist(), track.each(), strict=True):
+        for row in np.argsort(times, kind="stable").tolist():
+            value = said[row]
             if isinstance(value, bool | np.bool_):
                 if value != last:
-                    rows.append((t_s, topic, "true" if value else "false", index))
+                    rows.append((float(times[row]), topic, "true" if value else "false", int(track.index[row])))
                 last = value
             elif topic not in roles.modes or value != last:  # a latched mode is said again to each listener
-                rows.append((t_s, topic, str(value), index))
+                rows.append((float(times[row]), topic, str(value), int(track.index[row])))
                 last = value
     schema = {name: column.dtype for name, column in EVENTS.items()}
     return conform(pl.DataFrame(rows, schema=schema, orient="row").sort("t_s", maintain_order=True), EVENTS)

@@ -1,8 +1,8 @@
-"""What the topics in use say, as arrays: one track per topic, in the order of time.
+"""What the topics in use say, as arrays: one track per topic, in the order of their messages.
 
 A track holds when its messages were received and stamped, and the part of them that is used. Messages come in groups
 of equal form, so the parts do too; parts of one shape can be joined. What the tracks mean together is the business of
-`tables`.
+`tables`, which of their times counts that of `clocks`.
 """
 
 from __future__ import annotations
@@ -14,18 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from cyclekit_adapters.rosbag.chain import Array, Transforms
+from cyclekit_adapters.rosbag.clocks import Source, Times
 from cyclekit_adapters.rosbag.modes import ROBOT_MODE, SAFETY_MODE, mode_names
 from cyclekit_adapters.rosbag.payloads import Ints
 from cyclekit_adapters.rosbag.people import MARKERS, TRACKERS, Persons, headers, persons
-from cyclekit_adapters.rosbag.roles import CONTROLLER, FLAG, JOINTS, POINT, POSE, POSES, TEXT
+from cyclekit_adapters.rosbag.roles import CLOCK, CONTROLLER, FLAG, JOINTS, POINT, POSE, POSES, TEXT
+from cyclekit_adapters.rosbag.transforms import Array, Transforms
 
 if TYPE_CHECKING:
     from cyclekit_adapters.rosbag.container import Arrived, Bag
     from cyclekit_adapters.rosbag.decode import Group
     from cyclekit_adapters.rosbag.roles import Factor, Roles
-
-_BACK_S = 1.0  # a header clock that jumps back by more than this is no clock
 
 
 @dataclass(frozen=True)
@@ -44,26 +43,42 @@ class Joints:
 Value = Array | Joints | Persons | list[str] | npt.NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class Part:
+    """What M messages of one form say.
+
+    Attributes:
+        rows: Rows of the track, shape (M,).
+        value: Places (M, 3), places of several (M, K, 3), numbers (M,), flags (M,), texts, joints, or people by name.
+        frame: The frame in their headers, empty where they have none.
+    """
+
+    rows: Ints
+    value: Value
+    frame: str = ""
+
+
 @dataclass
 class Track:
     """The messages of one topic.
 
     Attributes:
         receive_s, stamp_s: When received and stamped (NaN: no header or an unset one), shape (N,), s.
-        index: Index within the topic, shape (N,).
-        parts: Rows of this track, shape (M,), and what those messages say: places (M, 3), places of several
-            (M, K, 3), numbers (M,), flags (M,), texts, joints, or people by name.
+        index: Index within the topic, shape (N,), ascending.
+        parts: What they say.
     """
 
     receive_s: Array = field(default_factory=lambda: np.zeros(0))
     stamp_s: Array = field(default_factory=lambda: np.zeros(0))
     index: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
-    parts: list[tuple[Ints, Value]] = field(default_factory=list)
+    parts: list[Part] = field(default_factory=list)
 
     def joined(self) -> Array:
         """Return places or numbers of all messages in order, shape (N, 3) or (N,); of joints the scaling."""
-        rows = np.concatenate([rows for rows, _ in self.parts])
-        said = [value.scaling if isinstance(value, Joints) else value for _, value in self.parts]
+        said = [part.value.scaling if isinstance(part.value, Joints) else part.value for part in self.parts]
+        rows = np.concatenate([part.rows for part in self.parts])
+        if len(said) == 1 and (rows[1:] > rows[:-1]).all():
+            return np.asarray(said[0], dtype=np.float64)
         values = np.concatenate([np.asarray(value, dtype=np.float64) for value in said])
         ordered = np.empty_like(values)
         ordered[rows] = values
@@ -72,31 +87,44 @@ class Track:
     def each(self) -> list[object]:
         """Return what each message says, in order: a text, a flag, or places of several, shape (K, 3)."""
         found: list[object] = [None] * self.index.size
-        for rows, value in self.parts:
-            items: Sequence[object] = value if isinstance(value, list) else list(np.asarray(value))
-            for row, item in zip(rows.tolist(), items, strict=True):
+        for part in self.parts:
+            items: Sequence[object] = part.value if isinstance(part.value, list) else list(np.asarray(part.value))
+            for row, item in zip(part.rows.tolist(), items, strict=True):
                 found[row] = item
         return found
 
 
 @dataclass
 class Contents:
-    """What was collected from a bag, and what is to be said about it."""
+    """What was collected from a bag, and what is to be said about it.
+
+    Attributes:
+        tracks: By topic.
+        times: The clock of each track, once it is chosen.
+        joint_names: Names of the joints behind the angles, once the tables are made.
+        rows_of: For each table the topic whose messages its rows are.
+    """
 
     tracks: dict[str, Track]
     transforms: Transforms
-    stamped: bool = False
-    why_time: str = ""
+    times: Times = field(default_factory=Times)
     kinds: dict[str, str] = field(default_factory=dict)
-    frames: dict[str, str] = field(default_factory=dict)
     joint_names: tuple[str, ...] = ()
-    tool_chain: str = ""
+    rows_of: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
-    def times(self, topic: str) -> Array:
-        """Return the times of a topic's messages, shape (N,), s, in the clock chosen for this bag."""
-        track = self.tracks[topic]
-        return track.stamp_s if self.stamped else track.receive_s
+    def source(self, topic: str) -> Source:
+        """Return the times of a topic's messages."""
+        return Source(self.tracks[topic].receive_s, self.tracks[topic].stamp_s)
+
+    def at(self, topic: str) -> Array:
+        """Return the times of a topic's messages, shape (N,), s, in the log's clock."""
+        return self.times.chosen[topic].times(self.source(topic))
+
+    def frame_of(self, topic: str | None) -> str:
+        """Return the frame in the headers of a topic."""
+        parts = self.tracks[topic].parts if topic in self.tracks else []
+        return next((part.frame for part in parts if part.frame), "")
 
 
 @dataclass
@@ -105,10 +133,11 @@ class _Piece:
     receive_ns: Ints
     stamp_s: Array
     value: Value
+    frame: str
 
 
-def collect(bag: Bag, roles: Roles) -> Contents:
-    """Decode every topic in use."""
+def collect(bag: Bag, roles: Roles, *, skeletons: bool = False) -> Contents:
+    """Decode every topic in use; `skeletons`: the joints of people too."""
     contents = Contents({}, Transforms(), kinds=dict(bag.topics))
     factors = {factor.topic: factor for factor in roles.scaling}
     pieces: dict[str, list[_Piece]] = {}
@@ -116,10 +145,10 @@ def collect(bag: Bag, roles: Roles) -> Contents:
         topic, group = arrived.topic, arrived.group
         try:
             if topic in roles.transforms:
-                contents.transforms.add(group)
+                contents.transforms.add(topic, arrived.number, group)
                 continue
-            value = _value(arrived.kind, group, factors.get(topic))
-            stamp_s = _stamps(contents, arrived)
+            value = _value(arrived.kind, group, factors.get(topic), skeletons=skeletons)
+            stamp_s, frame = _stamps(arrived)
         except (AttributeError, TypeError, ValueError, IndexError) as error:  # not the definition that we know
             said = f"{topic}: message has other fields ({error})"
             bag.undecodable += [(topic, number, said) for number in arrived.number.tolist()]
@@ -127,11 +156,9 @@ def collect(bag: Bag, roles: Roles) -> Contents:
         if isinstance(value, Persons) and not value.places.shape[1]:
             continue  # nobody there, and with nobody there may be no header either
         if value is not None:
-            pieces.setdefault(topic, []).append(_Piece(arrived.number, group.receive_ns, stamp_s, value))
+            pieces.setdefault(topic, []).append(_Piece(arrived.number, group.receive_ns, stamp_s, value, frame))
     contents.tracks = {topic: _track(parts, bag.order(topic)) for topic, parts in pieces.items()}
-    contents.transforms.finish()
-    contents.why_time = _why_received(contents)
-    contents.stamped = not contents.why_time
+    contents.transforms.finish(bag.order)
     contents.warnings += bag.warnings
     if lost := bag.set_aside():
         contents.warnings.append(f"{len(lost)} parts of the bag are damaged and are left out: {lost[0]}")
@@ -141,22 +168,24 @@ def collect(bag: Bag, roles: Roles) -> Contents:
 
 
 def _track(pieces: list[_Piece], order: Ints) -> Track:
-    """Put the pieces of one topic into the order of time; `order` is the index of each arrival number."""
+    """Put the pieces of one topic into the order of their index; `order` is the index of each arrival number."""
     index = [order[piece.number] for piece in pieces]
     known = np.concatenate(index)
-    by_time = np.argsort(known)
+    by_index = np.argsort(known, kind="stable")
     ends = np.cumsum([part.size for part in index])
     row = np.empty(known.size, np.int64)
-    row[by_time] = np.arange(known.size)
+    row[by_index] = np.arange(known.size)
     return Track(
-        receive_s=np.concatenate([piece.receive_ns for piece in pieces])[by_time] * 1e-9,
-        stamp_s=np.concatenate([piece.stamp_s for piece in pieces])[by_time],
-        index=known[by_time],
-        parts=[(rows, piece.value) for rows, piece in zip(np.split(row, ends[:-1]), pieces, strict=True)],
+        receive_s=np.concatenate([piece.receive_ns for piece in pieces])[by_index] * 1e-9,
+        stamp_s=np.concatenate([piece.stamp_s for piece in pieces])[by_index],
+        index=known[by_index],
+        parts=[
+            Part(rows, piece.value, piece.frame) for rows, piece in zip(np.split(row, ends[:-1]), pieces, strict=True)
+        ],
     )
 
 
-def _value(kind: str, group: Group, factor: Factor | None) -> Value | None:
+def _value(kind: str, group: Group, factor: Factor | None, *, skeletons: bool) -> Value | None:
     """Return the part of the messages that is used, None if they have no such part."""
     if kind == CONTROLLER:
         return _controller(group)
@@ -167,7 +196,7 @@ def _value(kind: str, group: Group, factor: Factor | None) -> Value | None:
         angles, speeds = (group.numbers(part).astype(np.float64) for part in ("position", "velocity"))
         return Joints(names, angles, speeds)
     if kind == MARKERS or kind in TRACKERS:
-        return persons(kind, group)
+        return persons(kind, group, skeletons=skeletons)
     if kind in (ROBOT_MODE, SAFETY_MODE):
         return mode_names(kind, group)
     if kind == POSE:
@@ -181,6 +210,8 @@ def _value(kind: str, group: Group, factor: Factor | None) -> Value | None:
         return [str(group.first("data"))] * group.rows.size
     if kind == FLAG:
         return _scalars(group, "data").astype(bool)
+    if kind == CLOCK:
+        return _seconds(group, "clock")
     return None
 
 
@@ -205,31 +236,16 @@ def _xyz(group: Group, *path: str | int) -> Array:
     return np.stack([_scalars(group, *path, axis) for axis in "xyz"], axis=1)
 
 
-def _stamps(contents: Contents, arrived: Arrived) -> Array:
+def _stamps(arrived: Arrived) -> tuple[Array, str]:
+    """Return the header times, shape (N,), s, NaN where there is none or it is unset, and the frame."""
     group = arrived.group
-    found = np.full(group.rows.size, np.nan)
+    found, frame = np.full(group.rows.size, np.nan), ""
     for path in headers(group):
-        contents.frames.setdefault(arrived.topic, group.first(*path, "frame_id"))
-        stamp_s = stamps(group, *path)
+        frame = frame or str(group.first(*path, "frame_id"))
+        stamp_s = _seconds(group, *path, "stamp")
         found = np.where(np.isnan(found) & (stamp_s > 0.0), stamp_s, found)
-    return found
+    return found, frame
 
 
-def stamps(group: Group, *path: str | int) -> Array:
-    """Return the times in the headers at `path`, shape (N,), s."""
-    return _scalars(group, *path, "stamp", "sec") + _scalars(group, *path, "stamp", "nanosec") * 1e-9
-
-
-def _why_received(contents: Contents) -> str:
-    """Return why the header times do not serve; empty if every message in use has one, and they go forward."""
-    tracks = {topic: track.stamp_s for topic, track in contents.tracks.items()}
-    links = contents.transforms.links.items()
-    tracks |= {f"transforms of {child}": link.stamp_s for child, link in links if link.stamp_s.size > 1}
-    if not tracks:
-        return "no message in use"
-    if bare := [topic for topic, stamp_s in tracks.items() if np.isnan(stamp_s).any()]:
-        return f"no header time on {', '.join(sorted(bare))}"
-    if any((np.diff(stamp_s) < -_BACK_S).any() for stamp_s in tracks.values()):
-        contents.warnings.append("the header times jump back: the moments of recording are used instead")
-        return "the header times jump back"
-    return ""
+def _seconds(group: Group, *path: str | int) -> Array:
+    return _scalars(group, *path, "sec") + _scalars(group, *path, "nanosec") * 1e-9

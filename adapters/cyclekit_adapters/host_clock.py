@@ -1,0 +1,80 @@
+"""The clock of the computer that wrote a log, beside the device's: what each said of the same rows.
+
+A client that writes the time of day often writes whole seconds: all rows of a second then carry the time at which it
+began, up to a second early. Only a row at which the second changes tells when it was: the change lies between it and
+the row before. So of such a log those rows alone are kept, and only where no row is missing before them; their host
+times are early by one cycle of the device at most. What is made of both clocks is not decided here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import polars as pl
+
+from cyclekit.schema import STAMPS, conform
+
+_EPOCH_S = 1e8  # a number below this is no time since 1970
+_GAP_CYCLES = 2.5
+_TIME_OF_DAY = r"\d:\d\d"
+
+
+@dataclass
+class HostClock:
+    """Collects the stamps of a log, block after block.
+
+    Attributes:
+        column: The host's time: ISO text, or seconds since 1970.
+        zone: Time zone of texts that carry none, as "Europe/Rome"; None = such texts tell no time.
+        read: Texts so far that told a time; `unread`: those that look like one and did not.
+    """
+
+    column: str
+    zone: str | None
+    read: int = 0
+    unread: int = 0
+    _last: tuple[float, float] | None = None
+    _cycle_s: float | None = None
+    _tells: bool | None = None
+
+    def stamps(self, t_s: pl.Series, text: pl.Series) -> pl.DataFrame | None:
+        """Return table STAMPS of the next rows; None, from the first block on, if the column tells no time.
+
+        Args:
+            t_s: The device's time, shape (N,), s.
+            text: The host's time as written, shape (N,).
+        """
+        host = pl.select(seconds_since_1970(text, self.zone).alias("host_s")).to_series()
+        self.read += len(host) - host.null_count()
+        self.unread += int((host.is_null() & text.str.contains(_TIME_OF_DAY)).sum())
+        self._tells = self.zone is not None or self.read > 0 if self._tells is None else self._tells
+        if not self._tells:
+            return None
+        both = pl.DataFrame({"t_s": t_s, "host_s": host}).drop_nulls()
+        if both.is_empty():
+            return conform(both, STAMPS)
+        if self._cycle_s is None:
+            cycle = both["t_s"].diff().median()
+            self._cycle_s = None if cycle is None else float(str(cycle))
+        before = self._last or (None, None)
+        shifted = both.shift(1).with_columns(
+            pl.when(pl.int_range(pl.len()) == 0).then(pl.lit(old)).otherwise(pl.col(name)).alias(name)
+            for name, old in zip(("t_s", "host_s"), before, strict=True)
+        )
+        self._last = both.row(-1)
+        step = both["t_s"] - shifted["t_s"]
+        changed = (both["host_s"] != shifted["host_s"]) & (step > 0) & (step <= _GAP_CYCLES * (self._cycle_s or 0.0))
+        return conform(both.filter(changed.fill_null(value=False)), STAMPS)
+
+
+def seconds_since_1970(text: pl.Series, zone: str | None) -> pl.Expr:
+    """Return times of day written as text in seconds since 1970, null where they tell none."""
+    iso = pl.lit(text).str.strip_chars().str.replace(" ", "T", literal=True).str.replace(",", ".", literal=True)
+    zoned = iso.str.replace("Z$", "+00:00").str.to_datetime("%+", time_unit="us", time_zone="UTC", strict=False)
+    number = pl.lit(text).cast(pl.Float64, strict=False)
+    known = [zoned.dt.epoch("us") * 1e-6, pl.when(number > _EPOCH_S).then(number)]
+    if zone is not None:
+        plain = iso.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f", time_unit="us", strict=False)
+        placed = plain.dt.replace_time_zone(zone, ambiguous="null", non_existent="null")
+        known.append(placed.dt.convert_time_zone("UTC").dt.epoch("us") * 1e-6)
+    return pl.coalesce(known)

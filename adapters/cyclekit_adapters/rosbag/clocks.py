@@ -1,0 +1,237 @@
+"""Which clock each topic's times are in, and how they come into one.
+
+Every message has the moment at which the recorder received it, most have a header with a time of their own. A header
+of the recorder's own clock is the better time: it is when something was measured. A header of another clock (a camera
+that counts from when it was switched on, a second computer) must not be mixed with it: it runs ahead of the moments
+of recording, further behind than messages take, or apart from them. Such a topic is put on the recorder's clock by the
+line under its delays; where all topics in use share one other clock, the log keeps that one, and both stamps are kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from cyclekit_adapters.rosbag.envelope import MAX_DRIFT, Array, Line, least_delays, line_under, middle
+
+How = Literal["header", "receive", "own-clock"]
+HOWS: tuple[How, ...] = ("header", "receive", "own-clock")
+
+EPOCH_S = 1e8
+"""A clock below this (1973) counts from the start of something, not from 1970; a recorder's does in a simulation."""
+AHEAD_S = 0.02
+"""A message received this long before its stamp was stamped by another clock; but simulated time goes in steps."""
+BEHIND_S = 0.5
+"""Messages that all take longer than this were stamped by another clock."""
+SLOW_S = 0.2
+"""Messages that all take longer than this are worth a word."""
+BACK_S = 1.0
+"""A header clock that jumps back by more than this is no clock."""
+DRIFT_S = 0.01
+"""A clock that moves by less than this against the recorder's, over all of the recording, does no harm."""
+STEP_S = 0.25
+"""A clock that was set by less than this while recording is taken for delays."""
+BACKLOG = 0.05
+"""A recorder that falls behind lets delays grow; by more than this per second it is the header's clock that is slow."""
+AGREE_S = 0.1
+"""Topics whose clocks differ by less share one."""
+_LEAST_S, _LEAST_MESSAGES = 20.0, 100  # a rate told from less is noise
+_PARTS = 16
+
+
+@dataclass(frozen=True)
+class Source:
+    """The times of a topic, or of a link of the transforms: received and stamped (NaN: no header), shape (N,), s."""
+
+    receive_s: Array
+    stamp_s: Array
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Which time of a source is used, and why.
+
+    Attributes:
+        line: From the header's clock to the recorder's, where it is another one.
+        least_s: Least time between stamp and receipt; None without stamps.
+    """
+
+    how: How
+    why: str
+    line: Line | None = None
+    least_s: float | None = None
+
+    def times(self, source: Source) -> Array:
+        """Return the times of a source in the log's clock, shape (N,), s."""
+        if self.how == "receive":
+            return source.receive_s
+        return source.stamp_s if self.line is None else self.line.of(source.stamp_s)
+
+    def fact(self) -> str:
+        """Return what is known of it, for people to read."""
+        if self.line is None:
+            said = f", received {self.least_s:.3f} s later at least" if self.least_s is not None else ""
+            return f"{'header stamp' if self.how == 'header' else 'receive time'} ({self.why}{said})"
+        line = self.line
+        return (
+            f"lower-envelope: header stamp * {line.rate:.9f} {line.offset_s:+.4f} s, typically {line.delay_s:.4f} s "
+            f"above it, {line.steps} messages ({self.why})"
+        )
+
+
+@dataclass
+class Times:
+    """The clock of a log.
+
+    Attributes:
+        chosen: By the name of the source.
+        own: The log keeps the clock of its headers, which is not the recorder's.
+        warnings: What a person must know of it, one sentence each.
+    """
+
+    chosen: dict[str, Chosen] = field(default_factory=dict)
+    own: bool = False
+    warnings: list[str] = field(default_factory=list)
+
+
+def choose_times(sources: Mapping[str, Source], asked: Mapping[str, How]) -> Times:
+    """Decide for every source which of its times to use.
+
+    Args:
+        sources: By name; none is empty.
+        asked: What the cell file says of some of them.
+    """
+    times = Times({name: _choice(source, asked.get(name)) for name, source in sources.items()})
+    fitted = {name: chosen.line for name, chosen in times.chosen.items() if chosen.line is not None}
+    if fitted and len(fitted) == len(times.chosen) and _one_clock(sources, fitted):
+        times.own = True
+        kept = {name: Chosen("header", "one clock for all topics in use") for name in sources}
+        times.warnings.append(_other_clock(sources, fitted))
+        times.chosen = kept
+        return times
+    for name, chosen in times.chosen.items():
+        if chosen.line is not None:
+            times.warnings.append(f"{name} is stamped by another clock ({chosen.why}): {_put(chosen.line)}")
+        elif chosen.how == "header" and chosen.least_s is not None and chosen.least_s > SLOW_S:
+            times.warnings.append(
+                f"{name} is received {chosen.least_s:.2f} s or more after its stamps, which are used: a slow tracker, "
+                "or a clock of its own (then say so in [sources.map]: time)"
+            )
+        elif chosen.how == "receive" and chosen.least_s is not None:
+            times.warnings.append(f"{name}: {chosen.why}; the moments of recording are used instead")
+    return times
+
+
+def _choice(source: Source, asked: How | None) -> Chosen:
+    stamped = np.isfinite(source.stamp_s)
+    if not stamped.all():
+        without = np.count_nonzero(~stamped)
+        return Chosen("receive", "no header time" + (f" on {without} messages" if stamped.any() else ""))
+    delay = source.receive_s - source.stamp_s
+    least = float(delay.min())
+    ahead_s = AHEAD_S if float(source.receive_s.min()) > EPOCH_S else BEHIND_S
+    if asked == "receive":
+        return Chosen("receive", "as the cell file says")
+    if asked == "header":
+        return Chosen("header", "as the cell file says", least_s=least)
+    if (np.diff(source.stamp_s) < -BACK_S).any():
+        return Chosen("receive", "the header times jump back", least_s=least)
+    line = line_under(source.stamp_s, source.receive_s, drifts=_long_enough(source))
+    if asked == "own-clock":
+        return Chosen("own-clock", "as the cell file says", line, least)
+    if unsteady := _unsteady(source, delay):
+        return Chosen("receive", unsteady, least_s=least)
+    if least < -ahead_s:
+        return Chosen("own-clock", f"{-least:.3f} s ahead of the moments of recording", line, least)
+    if least > BEHIND_S:
+        return Chosen("own-clock", f"{least:.3f} s behind the moments of recording", line, least)
+    if _drifts(source, delay, line):
+        return Chosen("own-clock", f"it drifts by {(1 / line.rate - 1) * 1e6:+.1f} ppm", line, least)
+    return Chosen("header", "of the recorder's clock", least_s=least)
+
+
+def _long_enough(source: Source) -> bool:
+    """Tell whether a rate can be told at all."""
+    return _span_s(source) >= _LEAST_S and source.stamp_s.size >= _LEAST_MESSAGES
+
+
+def _span_s(source: Source) -> float:
+    return float(source.receive_s.max() - source.receive_s.min())
+
+
+def _floors(delay: Array) -> Array:
+    """Return the least delay in each of up to 16 consecutive parts."""
+    lowest = delay[least_delays(delay)]
+    return np.array([part.min() for part in np.array_split(lowest, min(_PARTS, lowest.size))])
+
+
+def _unsteady(source: Source, delay: Array) -> str:
+    """Return why the header clock is none that a line can follow: it was set, or runs at another speed; else empty."""
+    if not _long_enough(source):
+        return ""
+    floors = _floors(delay)
+    steps = np.abs(np.diff(floors))
+    jump = int(steps.argmax())
+    moved = float(floors[-1] - floors[0])
+    inside = 0 < jump < steps.size - 1  # in the first or last part, delays that build up look the same
+    if inside and abs(moved) > STEP_S and steps[jump] > 0.6 * steps.sum():
+        return f"the header clock was set by about {-moved:+.2f} s while recording"
+    speed = moved / (_span_s(source) * (1.0 - 1.0 / floors.size))
+    if speed < -2 * MAX_DRIFT or speed > BACKLOG:
+        return f"the header clock runs at {1 - speed:.3f} times the speed of the recorder's"
+    return ""
+
+
+def _drifts(source: Source, delay: Array, line: Line) -> bool:
+    """Tell whether header and receive times move apart steadily, and not by more than clocks do."""
+    if not _long_enough(source) or abs(line.rate - 1.0) >= MAX_DRIFT:
+        return False
+    moved = abs(line.rate - 1.0) * _span_s(source)
+    above = _floors(delay - (line.rate - 1.0) * (source.stamp_s - source.stamp_s[0]))
+    return moved > max(DRIFT_S, 4.0 * middle(above - above.min()))
+
+
+def _one_clock(sources: Mapping[str, Source], lines: Mapping[str, Line]) -> bool:
+    """Tell whether the header clocks of all sources are one: their lines agree wherever either has messages."""
+    ends = [float(end) for name in lines for end in (sources[name].stamp_s.min(), sources[name].stamp_s.max())]
+    at = np.array([[line.of(np.array([end]))[0] for end in ends] for line in lines.values()])
+    return bool(float(np.ptp(at, axis=0).max()) < AGREE_S)
+
+
+def _other_clock(sources: Mapping[str, Source], lines: Mapping[str, Line]) -> str:
+    name, line = max(lines.items(), key=lambda item: sources[item[0]].stamp_s.size)
+    return (
+        f"the header stamps are of another clock than the recorder's ({_off(line, sources[name])}); "
+        "they are used, and both stamps are kept"
+    )
+
+
+def _off(line: Line, source: Source) -> str:
+    first = float(source.stamp_s.min())
+    return f"{float(line.of(np.array([first]))[0]) - first:+.3f} s, {(line.rate - 1) * 1e6:+.1f} ppm"
+
+
+def _put(line: Line) -> str:
+    return (
+        f"put on the recorder's by the line under its delays (rate {line.rate:.6f}, typically {line.delay_s * 1e3:.1f}"
+        " ms above it); the least delay is not known and stays in it"
+    )
+
+
+def simulated(source_s: Array, clock_receive_s: Array, clock_s: Array) -> Array:
+    """Return moments of recording in simulated time, by what `/clock` said when; shape (N,), s.
+
+    Args:
+        source_s: Moments of recording, shape (N,).
+        clock_receive_s: When `/clock` was received, shape (M,), M >= 1.
+        clock_s: What it said, shape (M,).
+    """
+    order: npt.NDArray[np.int64] = np.argsort(clock_receive_s, kind="stable")
+    at, said = clock_receive_s[order], clock_s[order]
+    inside: Array = np.interp(source_s, at, said)
+    inside += np.minimum(source_s - at[0], 0.0) + np.maximum(source_s - at[-1], 0.0)
+    return inside

@@ -1,0 +1,90 @@
+"""The line from a header's clock to the recorder's: nothing arrives before it was sent, so it lies under the cloud.
+
+Of all lines that no message arrives before, the one is taken that is nearest to the cloud on the whole (E. Olson, A
+Passive Solution to the Sensor Synchronization Problem, 2010): an edge of its lower convex hull. The least delay
+cannot be told from an offset, and stays in it. Which clock a topic gets is the business of `clocks`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+MAX_DRIFT = 5e-3
+"""The worst clock that anybody published ran 0.3 % off; delays that grow faster are no clock."""
+PARTS = 512
+_TYPICAL = 20_000  # messages looked at for the typical delay
+
+
+@dataclass(frozen=True)
+class Line:
+    """t_receive = rate * t_header + offset_s, for the messages that took no longer than they must.
+
+    Attributes:
+        delay_s: Median of what messages took longer.
+        steps: Messages in whose delays the line was looked for.
+    """
+
+    offset_s: float
+    rate: float
+    delay_s: float
+    steps: int
+
+    def of(self, stamp_s: Array) -> Array:
+        """Return header times, shape (N,), in the recorder's clock."""
+        return self.rate * stamp_s + self.offset_s
+
+
+def middle(values: Array) -> float:
+    """Return the median, the upper of two; `numpy.median` would import a part of numpy that nothing here needs."""
+    return float(np.partition(values, values.size // 2)[values.size // 2])
+
+
+def least_delays(delay_s: Array) -> npt.NDArray[np.int64]:
+    """Return the row of the least delay in each of up to PARTS consecutive parts of a recording, ascending."""
+    size = -(-delay_s.size // PARTS)
+    rows = [begin + int(delay_s[begin : begin + size].argmin()) for begin in range(0, delay_s.size, size)]
+    return np.array(rows, np.int64)
+
+
+def line_under(stamp_s: Array, receive_s: Array, *, drifts: bool = True) -> Line:
+    """Return the line under the cloud of (header, receive) times.
+
+    Args:
+        stamp_s: Header times, shape (N,), N >= 1, finite, s; in the order of receipt.
+        receive_s: When each was received, shape (N,), finite, s.
+        drifts: False = a rate of 1 (for a recording too short to tell one).
+    """
+    x0, y0 = float(stamp_s[0]), float(receive_s[0])
+    x, y = stamp_s - x0, receive_s - y0
+    lowest = least_delays(y - x)
+    rate = _slope(x[lowest], y[lowest]) if drifts and lowest.size > 1 else 1.0
+    rate = float(np.clip(rate, 1.0 - MAX_DRIFT, 1.0 + MAX_DRIFT))
+    above = y - rate * x
+    level = float(above.min())
+    typical = middle(above[:: max(1, above.size // _TYPICAL)])
+    return Line(y0 + level - rate * x0, rate, typical - level, stamp_s.size)
+
+
+def _slope(x: Array, y: Array) -> float:
+    """Return the slope of the lower hull's edge below the middle of the cloud."""
+    order = np.lexsort((y, x))
+    hull: list[tuple[float, float]] = []
+    for px, py in zip(x[order].tolist(), y[order].tolist(), strict=True):
+        if hull and px <= hull[-1][0]:
+            continue
+        while len(hull) > 1:
+            (ax, ay), (bx, by) = hull[-2], hull[-1]
+            if (bx - ax) * (py - ay) > (by - ay) * (px - ax):
+                break
+            hull.pop()
+        hull.append((px, py))
+    if len(hull) < 2:
+        return 1.0
+    middle = next((k for k in range(1, len(hull) - 1) if hull[k][0] >= float(x.mean())), len(hull) - 1)
+    (ax, ay), (bx, by) = hull[middle - 1], hull[middle]
+    return (by - ay) / (bx - ax)

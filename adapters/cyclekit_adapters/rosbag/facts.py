@@ -1,0 +1,94 @@
+"""What a bag states about itself, for people to read: which topic was used for what, on which clock, in which frame."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from cyclekit_adapters.rosbag.clocks import EPOCH_S
+from cyclekit_adapters.rosbag.frames import described
+
+if TYPE_CHECKING:
+    from cyclekit_adapters.rosbag.container import Bag
+    from cyclekit_adapters.rosbag.frames import Frames
+    from cyclekit_adapters.rosbag.roles import Factor, Roles
+    from cyclekit_adapters.rosbag.tracks import Contents
+
+_HOW = {"header": "header stamp", "receive": "receive time", "own-clock": "header stamp on the recorder's clock"}
+
+
+def facts_of(bag: Bag, roles: Roles, contents: Contents, frames: Frames, *, is_simulated: bool) -> dict[str, str]:
+    """Return the facts of a bag by name."""
+    unused = sorted(set(bag.topics) - roles.topics())
+    checked = {"checksum": "CRC-32 of every chunk, verified"} if bag.has_checksums() else {}
+    return {
+        **checked,
+        **_times(contents),
+        "simulated_time": _simulated(contents, is_simulated=is_simulated),
+        **_frames(roles, contents, frames),
+        "joints": roles.joints or "none",
+        "speed_scaling": " * ".join(map(_scale, roles.scaling)) or "not recorded",
+        "program_running": roles.running or "not recorded",
+        "people": ", ".join([*roles.people, *(["body_<id> in transforms"] if roles.bodies else [])]) or "none",
+        "events": ", ".join(roles.events) or "none",
+        **{f"layout of {topic}": said for topic, said in sorted(bag.layouts.items())},
+        **_rows(bag, roles, contents),
+        "skipped_topics": ", ".join(unused) or "none",
+    }
+
+
+def _simulated(contents: Contents, *, is_simulated: bool) -> str:
+    begin = min((float(track.receive_s.min()) for track in contents.tracks.values()), default=EPOCH_S)
+    if is_simulated:
+        return "yes"
+    return "likely: the recorder's clock does not count from 1970" if begin < EPOCH_S else "no sign of it"
+
+
+def _scale(factor: Factor) -> str:
+    return f"{factor.topic} / {factor.full:g}"
+
+
+def _times(contents: Contents) -> dict[str, str]:
+    """Say which time was used: of the whole bag, and of every topic."""
+    chosen = contents.times.chosen
+    ways = Counter(_HOW[one.how] for one in chosen.values())
+    reasons = dict.fromkeys(one.why for one in chosen.values() if one.how == "receive")
+    why = [f"{said} on {', '.join(sorted(name for name in chosen if chosen[name].why == said))}" for said in reasons]
+    if contents.times.own:
+        why = ["the header stamps share one clock, which is not the recorder's"]
+    return {
+        "time": " and ".join(sorted(ways)) or "none",
+        "time_because": "; ".join(why) or "every topic in use has a header time",
+        **{f"time of {name}": one.fact() for name, one in sorted(chosen.items())},
+    }
+
+
+def _frames(roles: Roles, contents: Contents, frames: Frames) -> dict[str, str]:
+    said = {topic: contents.frame_of(topic) for topic in sorted(contents.tracks)}
+    named = ", ".join(f"{topic}: {frame}" for topic, frame in said.items() if frame)
+    ways = [described(way, frames.base) for way in frames.people.values()]
+    ways += [described(body.way, str(body.way[0].link.parent)) for body in frames.bodies if body.way and not body.joint]
+    stay = sorted(frames.adrift | frames.kept)
+    whose = "; ".join([*(f"transforms {way}" for way in ways), *stay]) or "that of the robot's base"
+    return {
+        "tcp": roles.tcp or (f"transforms {described(frames.tool, frames.base)}" if frames.tool else "none"),
+        "frames": named or "none",
+        "base_frame": frames.base or "unknown",
+        **({"people_frame": whose} if roles.people or roles.bodies else {}),
+    }
+
+
+def _rows(bag: Bag, roles: Roles, contents: Contents) -> dict[str, str]:
+    """Say what `source_row` counts, and in which file of a recording of several a message lies."""
+    found = {f"rows of {table}": f"messages of {topics}" for table, topics in contents.rows_of.items() if topics}
+    if len(bag.files) < 2:
+        return {**found, "message_index": "within its topic, by the moment of recording, from 0"}
+    found["message_index"] = "within its topic from 0, file by file in the order of time"
+    for topic in sorted(roles.topics() & set(bag.topics)):
+        begin, ranges = 0, []
+        for name, count in bag.parts(topic):
+            ranges.append(f"{name} {begin} to {begin + count - 1}")
+            begin += count
+        if ranges:
+            found[f"messages of {topic}"] = ", ".join(ranges)
+    return found

@@ -1,0 +1,157 @@
+"""In which frame the people are, and how they come into the robot's base.
+
+The robot's base is the frame that the cell file names, else the one in the headers of the TCP pose, else the one that
+the transforms lead to the tool from. Where the transforms of the bag lead from there to the frame of the people, the
+people are brought into the base; where they do not, or the cell file says itself where the log's frame stands, they
+stay where they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit_adapters.rosbag.chain import brought
+from cyclekit_adapters.rosbag.joints import of_human
+from cyclekit_adapters.rosbag.people import Persons
+from cyclekit_adapters.rosbag.transforms import BASES, Array, is_named
+
+if TYPE_CHECKING:
+    from cyclekit_adapters.rosbag.roles import Roles
+    from cyclekit_adapters.rosbag.tracks import Contents
+    from cyclekit_adapters.rosbag.transforms import Link, Step
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body among the transforms, or a joint of it.
+
+    Attributes:
+        person: Its id.
+        way: From the frame that its places are given in.
+        joint: Name of the joint; empty for the body.
+    """
+
+    person: str
+    way: list[Step]
+    joint: str = ""
+
+    @property
+    def link(self) -> Link:
+        """The link that tells the moments at which it was tracked."""
+        return self.way[-1].link
+
+
+@dataclass
+class Frames:
+    """The ways through the transforms that a bag needs.
+
+    Attributes:
+        base: The robot's base frame, empty where nothing tells it.
+        tool: From the base to the tool, where no topic tells the TCP.
+        people: From the base to each frame that people are in and that is another one.
+        adrift: Frames that people are in, without a way to the base.
+        kept: Frames that people are in and stay in, since the cell file says where they stand.
+        bodies: The bodies among the transforms, and their joints where those are wanted.
+    """
+
+    base: str = ""
+    tool: list[Step] = field(default_factory=list)
+    people: dict[str, list[Step]] = field(default_factory=dict)
+    adrift: set[str] = field(default_factory=set)
+    kept: set[str] = field(default_factory=set)
+    bodies: list[Body] = field(default_factory=list)
+
+    def links(self) -> list[Link]:
+        """Return the links that move, of all ways, each once."""
+        ways = [self.tool, *self.people.values(), *(body.way for body in self.bodies)]
+        found = {id(step.link): step.link for way in ways for step in way}
+        own = {id(body.link) for body in self.bodies}
+        return [link for key, link in found.items() if key in own or not link.is_still()]
+
+    def placed(self, frame: str, at_s: Array, places: Array) -> Array:
+        """Return places of people, shape (T, 3) or (T, K, 3), in the frame that they are to be given in."""
+        way = self.people.get(frame.strip("/"))
+        return brought(way, at_s, places) if way else places
+
+
+def find_frames(contents: Contents, roles: Roles, *, skeletons: bool, frame_given: bool) -> Frames:
+    """Find the robot's base and the ways to the tool and to the people.
+
+    Args:
+        contents: The tracks and transforms of the bag; what is to be said is added to its warnings.
+        roles: What the topics are used for.
+        skeletons: Whether the joints of bodies are wanted.
+        frame_given: Whether the cell file says where the log's frame stands.
+    """
+    tree, frames = contents.transforms, Frames()
+    if roles.tcp not in contents.tracks and (found := tree.tool_way(roles.base_frame, roles.tool_frame)):
+        frames.base, frames.tool = found
+    frames.base = (roles.base_frame or contents.frame_of(roles.tcp) or frames.base).strip("/")
+    seen = sorted(set(_people_frames(contents, roles)))
+    candidates = [frames.base] if frames.base else tree.bases(None)
+    for frame in seen:
+        base = frames.base or next((base for base in candidates if tree.way(base, frame) is not None), "")
+        base = base or next((frame for name in BASES if is_named(frame, name)), "")
+        way = tree.way(base, frame) if base else None
+        if frame_given:
+            frames.kept.add(frame)
+        elif way is None:
+            frames.adrift.add(frame)
+        elif way:
+            frames.people[frame] = way
+            frames.base = base
+    if roles.bodies:
+        _add_bodies(contents, frames, candidates, skeletons=skeletons, frame_given=frame_given)
+    contents.warnings += _said(contents, frames)
+    return frames
+
+
+def _people_frames(contents: Contents, roles: Roles) -> Iterator[str]:
+    for topic in roles.people:
+        for part in contents.tracks[topic].parts if topic in contents.tracks else []:
+            entries = part.value.frames if isinstance(part.value, Persons) else ()
+            yield from (frame.strip("/") for frame in (part.frame, *entries) if frame)
+
+
+def _add_bodies(
+    contents: Contents, frames: Frames, candidates: list[str], *, skeletons: bool, frame_given: bool
+) -> None:
+    tree = contents.transforms
+    for person, body in tree.bodies().items():
+        begin = "" if frame_given else next((base for base in candidates if tree.way(base, body)), "")
+        frames.base = frames.base or begin
+        if not begin:
+            begin = tree.root(body)
+            (frames.kept if frame_given else frames.adrift).add(begin)
+        frames.bodies.append(Body(person, tree.way(begin, body) or []))
+        for child in sorted(tree.links) if skeletons else []:
+            joint = of_human(child, person)
+            if joint and (way := tree.way(begin, child)):
+                frames.bodies.append(Body(person, way, joint))
+
+
+def _said(contents: Contents, frames: Frames) -> Iterator[str]:
+    if frames.adrift:
+        names = ", ".join(repr(name) for name in sorted(frames.adrift))
+        of = f"the robot's base ({frames.base!r})" if frames.base else "the robot's base"
+        yield f"no transforms from {of} to the people: they are in frame {names}; give frame in cell.toml"
+    used = {step.link.child for way in (frames.tool, *frames.people.values()) for step in way}
+    used |= {step.link.child for body in frames.bodies for step in body.way}
+    for child in sorted(used & set(contents.transforms.rivals)):
+        taken = contents.transforms.links[child].parent
+        parents = ", ".join(repr(name) for name in contents.transforms.rivals[child])
+        yield f"frame {child!r} has several parents in the transforms ({parents}): {taken!r}, said most often, is taken"
+
+
+def described(way: list[Step], begin: str) -> str:
+    """Return a way as people read it: `base <- world <- camera`."""
+    return " <- ".join([begin, *map(str, way)])
+
+
+def unknown(places: Array) -> int:
+    """Return how many places became unknown, shape (..., 3)."""
+    return int(np.count_nonzero(np.isnan(places[..., 0])))

@@ -1,0 +1,158 @@
+"""Layouts of messages that no ROS distribution brings along, for bags that carry no definitions.
+
+ROS 2 up to Humble stores none in its sqlite3 bags. Then a type is read only if exactly one of the layouts that it ever
+had decodes every message of its topic to the last byte; which one is the business of `undefined`. Field names and
+types are those of the packages named; only the fields are given here, in the language of message definitions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+RULE = "=" * 80
+
+
+@dataclass(frozen=True)
+class Known:
+    """A layout that a type had.
+
+    Attributes:
+        name: Since when, or in which version, for people to read.
+        text: Its definition; types of other packages are those of `distribution`.
+        distribution: The ROS distribution whose common types it is made of.
+    """
+
+    name: str
+    text: str = ""
+    distribution: str = "humble"
+
+
+def _joined(first: str, **others: str) -> str:
+    """Put the definition of a type and of the others of its package into one text."""
+    return f"\n{RULE}\n".join([first, *(f"MSG: {kind.replace('__', '/')}\n{text}" for kind, text in others.items())])
+
+
+def _lines(*fields: str) -> str:
+    return "\n".join(fields)
+
+
+_POINT, _MULTI = "trajectory_msgs/JointTrajectoryPoint", "trajectory_msgs/MultiDOFJointTrajectoryPoint"
+_HEAD = ("std_msgs/Header header", "string[] joint_names")
+
+
+def _controller(*names: str, many: bool = True, scaling: bool = False) -> str:
+    """A controller's state with these points, and again for joints of several degrees of freedom."""
+    multi = ["string[] multi_dof_joint_names", *(f"{_MULTI} multi_dof_{name}" for name in names)] if many else []
+    return _lines(*_HEAD, *(f"{_POINT} {name}" for name in names), *multi, *["float64 speed_scaling_factor"] * scaling)
+
+
+_PRESENT = ("reference", "feedback", "error", "output")
+_CONTROLLERS = (
+    Known("control_msgs up to 3", _controller("desired", "actual", "error", many=False)),
+    Known("control_msgs 4.4, Humble", _controller(*_PRESENT, "desired", "actual")),
+    Known("control_msgs 5.0", _controller(*_PRESENT)),
+    Known("control_msgs 5.3, Jazzy", _controller(*_PRESENT, scaling=True)),
+)
+
+
+def _tracked(*more: str) -> str:
+    ids = ("uint64 track_id", "bool is_occluded", "bool is_matched", "uint64 detection_id", *more)
+    moves = ("geometry_msgs/PoseWithCovariance pose", "geometry_msgs/TwistWithCovariance twist")
+    person = _lines(*ids, "duration age", *moves)
+    head = _lines("std_msgs/Header header", "TrackedPerson[] tracks")
+    return _joined(head, spencer_tracking_msgs__TrackedPerson=person)
+
+
+_PERSON = _lines(
+    "string name",
+    "geometry_msgs/Point position",
+    "geometry_msgs/Point velocity",
+    "float64 reliability",
+    "string[] tagnames",
+    "string[] tags",
+)
+_LEG = _lines(
+    "std_msgs/Header header",
+    "string name",
+    "string object_id",
+    "geometry_msgs/Point pos",
+    "float64 reliability",
+    "float64[9] covariance",
+    "byte initialization",
+)
+_LEGS = _lines("std_msgs/Header header", "PositionMeasurement[] people", "float32[] cooccurrence")
+
+
+def _objects(package: str, joints: int, *, form: bool, confidence: bool) -> str:
+    seen = _lines(
+        "string label",
+        "int16 label_id",
+        "string sublabel",
+        "float32 confidence",
+        "float32[3] position",
+        "float32[6] position_covariance",
+        "float32[3] velocity",
+        "bool tracking_available",
+        "int8 tracking_state",
+        "int8 action_state",
+        "BoundingBox2Di bounding_box_2d",
+        "BoundingBox3D bounding_box_3d",
+        "float32[3] dimensions_3d",
+        "bool skeleton_available",
+        *["int8 body_format"] * form,
+        "BoundingBox2Df head_bounding_box_2d",
+        "BoundingBox3D head_bounding_box_3d",
+        "float32[3] head_position",
+        "Skeleton2D skeleton_2d",
+        "Skeleton3D skeleton_3d",
+        *["float32[70] skeleton_keypoint_confidence"] * confidence,
+    )
+    parts = {
+        "Object": seen,
+        "BoundingBox2Di": "Keypoint2Di[4] corners",
+        "BoundingBox2Df": "Keypoint2Df[4] corners",
+        "BoundingBox3D": "Keypoint3D[8] corners",
+        "Skeleton2D": f"Keypoint2Df[{joints}] keypoints",
+        "Skeleton3D": f"Keypoint3D[{joints}] keypoints",
+        "Keypoint2Di": "uint32[2] kp",
+        "Keypoint2Df": "float32[2] kp",
+        "Keypoint3D": "float32[3] kp",
+    }
+    head = _lines("std_msgs/Header header", "Object[] objects")
+    return _joined(head, **{f"{package}__{name}": text for name, text in parts.items()})
+
+
+def _zed(package: str) -> tuple[Known, ...]:
+    return (
+        Known("ZED SDK 3, 18 joints", _objects(package, 18, form=False, confidence=False)),
+        Known("ZED SDK 4, 70 joints", _objects(package, 70, form=True, confidence=False)),
+        Known("ZED SDK 5, 70 joints", _objects(package, 70, form=True, confidence=True)),
+    )
+
+
+KNOWN: dict[str, tuple[Known, ...]] = {
+    "ur_dashboard_msgs/msg/RobotMode": (Known("ur_dashboard_msgs", "int8 mode"),),
+    "ur_dashboard_msgs/msg/SafetyMode": (Known("ur_dashboard_msgs", "uint8 mode"),),
+    "control_msgs/msg/JointTrajectoryControllerState": _CONTROLLERS,
+    "control_msgs/msg/SpeedScalingFactor": (Known("control_msgs", "float64 factor"),),
+    "spencer_tracking_msgs/msg/TrackedPersons": (
+        Known("spencer_tracking_msgs", _tracked()),
+        Known("spencer_tracking_msgs with detection_ids", _tracked("uint64[] detection_ids")),
+    ),
+    "people_msgs/msg/People": (
+        Known("people_msgs", _joined("std_msgs/Header header\nPerson[] people", people_msgs__Person=_PERSON)),
+    ),
+    "people_msgs/msg/PositionMeasurement": (Known("people_msgs", _LEG),),
+    "people_msgs/msg/PositionMeasurementArray": (
+        Known("people_msgs", _joined(_LEGS, people_msgs__PositionMeasurement=_LEG)),
+    ),
+    "zed_msgs/msg/ObjectsStamped": _zed("zed_msgs"),
+    "zed_interfaces/msg/ObjectsStamped": _zed("zed_interfaces"),
+    "visualization_msgs/msg/MarkerArray": (Known("Galactic and later"), Known("up to Foxy", distribution="foxy")),
+}
+"""By type; the markers of ROS 2 itself changed once too."""
+
+
+def known(kind: str, name: str) -> Known:
+    """Return a layout by its name."""
+    return next(layout for layout in KNOWN[kind] if layout.name == name)

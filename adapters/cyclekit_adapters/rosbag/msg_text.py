@@ -1,0 +1,158 @@
+"""Read the text of a message definition: the fields of a type and of all types that it is made of.
+
+The text is what a recorder stores beside the messages: `type name` per line, then each type used, below a rule and a
+line `MSG: package/Type`. Lines that are not of this plain form (annotations, wide strings, odd constants) are not
+guessed at: whoever asked falls back to the rosbags library's own parser, which is complete and slower.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import keyword
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from rosbags.interfaces import Nodetype
+
+# As the library writes it: (BASE, (name, limit)), (NAME, type), (ARRAY or SEQUENCE, (item, count)).
+Description = Any
+Fields = list[tuple[str, Description]]
+
+FILLER = "structure_needs_at_least_one_member"
+"""In CDR an empty message holds one byte, in ROS 1 none."""
+TIMES: dict[str, Fields] = {
+    f"builtin_interfaces/msg/{kind}": [
+        ("sec", (Nodetype.BASE, ("int32", 0))),
+        ("nanosec", (Nodetype.BASE, ("uint32", 0))),
+    ]
+    for kind in ("Time", "Duration")
+}
+"""The types that definitions use without defining them."""
+_NOTHING: Fields = [(FILLER, (Nodetype.BASE, ("uint8", 0)))]
+_RULE = re.compile(r"^={80}\n", re.MULTILINE)
+_BASES = "bool|byte|char|float32|float64|u?int8|u?int16|u?int32|u?int64|string"
+_BASE = re.compile(_BASES)
+_TYPE = r"(?P<kind>(?:[a-zA-Z]\w*/)*[a-zA-Z]\w*)(?P<limit><=\d+)?(?P<many>\[(?P<most><=)?(?P<count>\d*)\])?"
+_FIELD = re.compile(rf"[ \t]*{_TYPE}[ \t]+(?P<name>[A-Za-z]\w*)(?:[ \t]+[^ \t#=].*|[ \t]*(?:#.*)?)", re.ASCII)
+_CONSTANT = re.compile(rf"[ \t]*(?P<kind>{_BASES})[ \t]+(?P<name>[A-Za-z]\w*)[ \t]*=(?P<value>.*)", re.ASCII)
+_NAME = re.compile(r"[A-Za-z]\w*(?:/\w+)+", re.ASCII)
+_SHORT = {
+    "time": "builtin_interfaces/msg/Time",
+    "duration": "builtin_interfaces/msg/Duration",
+    "Header": "std_msgs/msg/Header",
+}
+_UNKNOWN = ("wstring", "wchar", "float128")
+
+
+class Unfamiliar(ValueError):
+    """The text is not of the plain form."""
+
+
+@dataclass
+class Texts:
+    """The types that one text defines, by their full names.
+
+    Attributes:
+        fields: Fields by type.
+        lines: What each type is hashed by in ROS 1, constants first: a line and the type that it is of; where that is
+            a message, its hash stands before the line.
+    """
+
+    fields: dict[str, Fields] = field(default_factory=dict)
+    lines: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+
+    def digest(self, kind: str) -> str:
+        """Return the hash by which ROS 1 tells definitions apart."""
+        said = [f"{self.digest(of)} {line}" if of in self.lines else line for line, of in self.lines[kind]]
+        return hashlib.md5("\n".join(said).encode(), usedforsecurity=False).hexdigest()
+
+
+def read_text(text: str, kind: str, beside: Mapping[str, Fields] = TIMES) -> Texts:
+    """Return the types that a text defines.
+
+    Args:
+        text: The definition of `kind`, followed by those of the types in it.
+        kind: Full name, `package/msg/Type`.
+        beside: Types that it may use without defining them.
+
+    Raises:
+        Unfamiliar: It is not of the plain form, or speaks of a type that it does not define.
+    """
+    found = Texts(dict(beside))
+    for number, part in enumerate(_RULE.split(text.replace("\r\n", "\n"))):
+        name, body = (kind, part) if number == 0 else _headed(part)
+        if not _NAME.fullmatch(name):
+            raise Unfamiliar(f"{name!r} is no name of a type")
+        found.fields[name], found.lines[name] = _read_part(name, body)
+    for name, fields in found.fields.items():
+        for _, description in fields:
+            item = item_of(description)
+            if item[0] == Nodetype.NAME and item[1] not in found.fields:
+                raise Unfamiliar(f"{name} has a {item[1]}, which is not defined")
+    return found
+
+
+def item_of(description: Description) -> Description:
+    """Return what an array or a sequence holds; any other field is what it is."""
+    return description[1][0] if description[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else description
+
+
+def _headed(part: str) -> tuple[str, str]:
+    head, _, body = part.partition("\n")
+    if not head.startswith("MSG: "):
+        raise Unfamiliar("a part without its name")
+    return _full(head[5:].strip(), ""), body
+
+
+def _read_part(owner: str, body: str) -> tuple[Fields, list[tuple[str, str]]]:
+    fields: Fields = []
+    constants, lines = [], []
+    for line in body.split("\n"):
+        bare = line.strip()
+        if not bare or bare.startswith("#"):
+            continue
+        if constant := _CONSTANT.fullmatch(line):
+            constants.append((f"{constant['kind']} {constant['name']}={_value(constant)}", ""))
+        elif match := _FIELD.fullmatch(line):
+            name = match["name"]
+            description = _field(owner, match)
+            fields.append((f"{name}_" if keyword.iskeyword(name) else name, description))
+            kind = item_of(description)[1]
+            named = item_of(description)[0] == Nodetype.NAME and kind not in TIMES
+            written = f"{match['kind']}{match['limit'] or ''}{match['many'] or ''} {name}"
+            lines.append((name, kind) if named else (written, ""))
+        else:
+            raise Unfamiliar(f"{bare[:60]!r} is no field")
+    if len({name for name, _ in fields}) < len(fields):
+        raise Unfamiliar(f"{owner} has two fields of one name")
+    return fields or list(_NOTHING), constants + lines
+
+
+def _value(constant: re.Match[str]) -> str:
+    """Return a constant as ROS 1 hashes it: a text keeps everything, a number loses its comment."""
+    value = constant["value"]
+    return value.strip() if constant["kind"] == "string" else value.partition("#")[0].strip()
+
+
+def _field(owner: str, match: re.Match[str]) -> Description:
+    kind, limit = match["kind"], int((match["limit"] or "<=0")[2:])
+    if (limit and kind != "string") or kind in _UNKNOWN:
+        raise Unfamiliar(f"a field of type {kind}")
+    item: Description
+    item = (Nodetype.BASE, (kind, limit)) if _BASE.fullmatch(kind) else (Nodetype.NAME, _full(kind, owner))
+    if match["many"] is None:
+        return item
+    fixed = match["most"] is None and match["count"]
+    return (Nodetype.ARRAY if fixed else Nodetype.SEQUENCE, (item, int(match["count"] or 0)))
+
+
+def _full(kind: str, owner: str) -> str:
+    """Return the full name of a type that is used by `owner`."""
+    if kind in _SHORT:
+        return _SHORT[kind]
+    *packages, name = kind.split("/")
+    if not packages:
+        return f"{owner.rpartition('/')[0]}/{name}"
+    return kind if packages[-1] in ("msg", "action") else "/".join((*packages, "msg", name))

@@ -1,0 +1,173 @@
+"""The transforms of a bag as a tree of frames: who stands where in whom, and the way from one frame to another.
+
+A driver publishes either one transform from the base to the tool, or one per link; a calibrated camera comes once, on
+`/tf_static`. A frame has one parent; where a bag names several (two cameras that see one body), the one named most
+often counts, and that is said. What a way comes to at each moment is the business of `chain`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from cyclekit_adapters.rosbag.decode import Group
+    from cyclekit_adapters.rosbag.payloads import Ints
+
+Array = npt.NDArray[np.float64]
+TOOLS = ("tool0_controller", "tool0", "tcp", "flange", "ee_link")
+BASES = ("base", "base_link")
+
+
+@dataclass
+class Link:
+    """The transforms of one frame in its parent, in the order of their messages.
+
+    Attributes:
+        parent, child: Names of the frames.
+        topic: Where it was published; `index`: the messages within that topic, shape (N,).
+        receive_s, stamp_s: When received and stamped, shape (N,), s.
+        pose: x, y, z in m and the rotation as x, y, z, w, shape (N, 7).
+        times: The times in the log's clock, shape (N,), s; set by whoever chooses that clock.
+    """
+
+    parent: str
+    child: str
+    topic: str = ""
+    index: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    receive_s: Array = field(default_factory=lambda: np.zeros(0))
+    stamp_s: Array = field(default_factory=lambda: np.zeros(0))
+    pose: Array = field(default_factory=lambda: np.zeros((0, 7)))
+    times: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def name(self) -> str:
+        """How messages name this link."""
+        return f"transform {self.parent} -> {self.child} on {self.topic}"
+
+    def is_still(self) -> bool:
+        """Tell whether it says the same place all the time, however often."""
+        return bool((self.pose == self.pose[:1]).all())
+
+
+@dataclass(frozen=True)
+class Step:
+    """One link of a way; `back`: from the child to its parent."""
+
+    link: Link
+    back: bool = False
+
+    def __str__(self) -> str:
+        return self.link.parent if self.back else self.link.child
+
+
+class Transforms:
+    """All links of a bag, by the name of the child frame; complete once `finish` was called."""
+
+    def __init__(self) -> None:
+        self.links: dict[str, Link] = {}
+        self.rivals: dict[str, list[str]] = {}
+        self._parts: dict[tuple[str, str, str], list[tuple[Ints, Array, Array, Array]]] = {}
+
+    def add(self, topic: str, number: Ints, group: Group) -> None:
+        """Take in a group of TFMessages; `number` is the arrival number of each, shape (N,)."""
+        found = []
+        for entry, item in enumerate(group.first("transforms")):
+            child, parent = _plain(item.child_frame_id), _plain(item.header.frame_id)
+            here = ("transforms", entry, "transform")
+            moves = [group.numbers(*here, "translation", axis) for axis in "xyz"]
+            turns = [group.numbers(*here, "rotation", axis) for axis in "xyzw"]
+            stamp = [group.numbers("transforms", entry, "header", "stamp", part) for part in ("sec", "nanosec")]
+            stamp_s: Array = np.add(stamp[0], stamp[1] * 1e-9, dtype=np.float64)
+            pose: Array = np.stack([*moves, *turns], axis=1).astype(np.float64)
+            found.append((child, parent, stamp_s, pose))
+        receive_s = group.receive_ns.astype(np.float64) * 1e-9
+        for child, parent, stamp_s, pose in found:
+            self._parts.setdefault((child, parent, topic), []).append((number, receive_s, stamp_s, pose))
+
+    def finish(self, order: Callable[[str], Ints]) -> None:
+        """Make the links of what was taken in; `order` gives the index of each arrival number of a topic."""
+        best: dict[str, tuple[int, str, str]] = {}
+        for (child, parent, topic), parts in self._parts.items():
+            said = sum(number.size for number, *_ in parts)
+            best[child] = max(best.get(child, (0, "", "")), (said, parent, topic))
+            self.rivals.setdefault(child, []).append(parent)
+        for child, (_, parent, topic) in best.items():
+            number, receive_s, stamp_s, pose = (
+                np.concatenate(part) for part in zip(*self._parts[child, parent, topic], strict=True)
+            )
+            index = order(topic)[number]
+            by_index = np.argsort(index, kind="stable")
+            link = Link(parent, child, topic, index[by_index], receive_s[by_index], stamp_s[by_index], pose[by_index])
+            link.times = link.receive_s
+            self.links[child] = link
+        self.rivals = {child: sorted(set(parents)) for child, parents in self.rivals.items() if len(set(parents)) > 1}
+
+    def frames(self) -> set[str]:
+        """Return the names of all frames."""
+        return set(self.links) | {link.parent for link in self.links.values()}
+
+    def way(self, base: str, frame: str) -> list[Step] | None:
+        """Return the way from one frame to another, empty if they are one; None if no transforms lead there."""
+        there, back = self._up(_plain(frame)), self._up(_plain(base))
+        above = [_plain(frame), *(link.parent for link in there)]
+        common = next((name for name in [_plain(base), *(link.parent for link in back)] if name in above), None)
+        if common is None:
+            return None
+        begin = [_plain(base), *(link.parent for link in back)].index(common)
+        forth = there[: above.index(common)]
+        return [*(Step(link, back=True) for link in back[:begin]), *(Step(link) for link in reversed(forth))]
+
+    def tool_way(self, base: str | None, tool: str | None) -> tuple[str, list[Step]] | None:
+        """Return the base frame and the way from it to the tool; None if there is none.
+
+        Args:
+            base: Frame of the base; by default `base`, then `base_link`, with any prefix.
+            tool: Frame of the tool; by default the first known name, with any prefix.
+        """
+        tools = [tool] if tool else [child for name in TOOLS for child in self.links if is_named(child, name)]
+        for start in tools:
+            above = [link.parent for link in reversed(self._up(_plain(start)))]
+            for end in self.bases(base, above):
+                if way := self.way(end, start):
+                    return end, way
+        return None
+
+    def bases(self, base: str | None, first: Iterable[str] = ()) -> list[str]:
+        """Return the frames that may be the robot's base, those in `first` before others."""
+        if base:
+            return [_plain(base)]
+        above = list(first)
+        others = sorted(self.frames() - set(above))
+        return [frame for names in (above, others) for name in BASES for frame in names if is_named(frame, name)]
+
+    def bodies(self) -> dict[str, str]:
+        """Return the frame of each person's body (ROS4HRI), by id; a `person_<id>` is the face, and no body."""
+        names = {child: child.rpartition("/")[2] for child in sorted(self.links)}
+        return {name.removeprefix("body_"): child for child, name in names.items() if name.startswith("body_")}
+
+    def root(self, frame: str) -> str:
+        """Return the frame that a frame hangs from at last."""
+        above = self._up(_plain(frame))
+        return above[-1].parent if above else _plain(frame)
+
+    def _up(self, frame: str) -> list[Link]:
+        """Return the links from a frame to the root."""
+        found: list[Link] = []
+        while frame in self.links and len(found) <= len(self.links):
+            found.append(self.links[frame])
+            frame = self.links[frame].parent
+        return found
+
+
+def _plain(frame: str) -> str:
+    return frame.strip("/")
+
+
+def is_named(frame: str, name: str) -> bool:
+    """Tell whether a frame goes by a name, with any prefix; a base only with one that ends in a slash."""
+    return frame == name or frame.endswith(f"/{name}") or (name not in BASES and frame.endswith(f"_{name}"))

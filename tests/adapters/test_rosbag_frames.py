@@ -1,0 +1,168 @@
+"""People in another frame than the robot's base are brought into it where the transforms of the bag lead there."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cyclekit.adapter import ReadOptions
+from cyclekit_adapters.rosbag import ADAPTER
+
+T0 = 1_700_000_000.0
+QUARTER = (0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))  # a quarter turn about z
+OPTICAL = (-0.5, 0.5, -0.5, 0.5)  # a camera that looks along x: its z is forward, its y down
+
+
+def read(path, **options):
+    return ADAPTER.read(path, ReadOptions(**options))
+
+
+def places(table, columns=("x_m", "y_m", "z_m")):
+    return table.select(columns).to_numpy()
+
+
+def poses(writer, t_s, place, frame):
+    header = writer.header(t_s, frame)
+    writer.say("/poses", "geometry_msgs/msg/PoseArray", t_s, header=header, poses=[writer.pose(*place)])
+
+
+@pytest.mark.parametrize("kind", ["mcap", "db3", "bag"])
+@pytest.mark.parametrize("role", [None, "people"])
+def test_people_seen_by_a_camera_come_into_the_base_over_a_chain_that_is_not_below_it(tmp_path, bag, kind, role):
+    path = tmp_path / ("run.bag" if kind == "bag" else "run")
+    writer = bag(path, kind)
+    writer.transform(T0, ("world", "base", (1.0, 0.0, 0.0, *QUARTER)), topic="/tf_static")
+    writer.transform(T0, ("world", "camera", (0.0, 2.0, 3.0)), topic="/tf_static")
+    writer.transform(T0, ("camera", "camera_optical", (0.0, 0.0, 0.0, *OPTICAL)), topic="/tf_static")
+    for i in range(3):
+        writer.tcp(T0 + i, x=0.5)
+        poses(writer, T0 + i, (0.0, 2.0, 4.0 + i), "/camera_optical")  # 2 m below the camera, ahead of it along world x
+    writer.close()
+    log = read(path, role=role)
+    # In the world the person is at (4 + i, 2, 1); the base is at (1, 0, 0) there, its x along the world's y.
+    assert places(log.people) == pytest.approx(np.array([[2.0, -3.0 - i, 1.0] for i in range(3)]))
+    assert log.facts["people_frame"] == "transforms base <- world <- camera <- camera_optical"
+    assert log.facts["base_frame"] == "base"
+    assert not [said for said in log.warnings if "frame" in said]
+
+
+def test_the_frame_in_the_headers_of_the_tcp_is_the_robots_base(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.transform(T0, ("cell", "base", (9.0, 9.0, 9.0)), topic="/tf_static")
+    writer.transform(T0, ("cell", "camera", (0.0, 0.0, 1.0)), topic="/tf_static")
+    pose, header = writer.pose(1.0, 0.0, 0.0), writer.header(T0, "cell")
+    writer.say("/tcp_pose_broadcaster/pose", "geometry_msgs/msg/PoseStamped", T0, header=header, pose=pose)
+    poses(writer, T0, (1.0, 2.0, 3.0), "camera")
+    writer.close()
+    assert places(read(tmp_path / "run").people).tolist() == [[1.0, 2.0, 4.0]]
+    chosen = read(tmp_path / "run", map={"base_frame": "base"})
+    assert places(chosen.people).tolist() == [[-8.0, -7.0, -5.0]]
+
+
+def test_where_the_cell_file_says_where_the_frame_stands_the_people_stay_in_it(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.transform(T0, ("base", "camera", (0.0, 0.0, 1.0)), topic="/tf_static")
+    writer.tcp(T0, x=0.5)
+    poses(writer, T0, (1.0, 2.0, 3.0), "camera")
+    writer.close()
+    log = read(tmp_path / "run", frame_given=True)
+    assert places(log.people).tolist() == [[1.0, 2.0, 3.0]]
+    assert log.facts["people_frame"] == "camera"
+    assert not [said for said in log.warnings if "frame" in said]
+
+
+def test_people_in_a_frame_that_no_transform_leads_to_stay_there_and_that_is_said(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.tcp(T0, x=0.5)
+    poses(writer, T0, (1.0, 2.0, 3.0), "camera")
+    writer.close()
+    log = read(tmp_path / "run")
+    assert places(log.people).tolist() == [[1.0, 2.0, 3.0]]
+    said = "no transforms from the robot's base ('base') to the people: they are in frame 'camera'"
+    assert [warning for warning in log.warnings if warning.startswith(said)]
+
+
+def test_a_camera_that_moves_is_taken_where_it_was_and_not_where_nobody_said(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    for i in range(60):
+        if not 20 <= i < 40:
+            writer.transform(T0 + i / 10, ("base", "camera", (i / 10, 0.0, 0.0)))
+        poses(writer, T0 + i / 10, (0.0, 1.0, 1.0), "camera")
+    writer.tcp(T0, x=0.5)
+    writer.close()
+    log = read(tmp_path / "run")
+    x = log.people["x_m"].to_list()
+    assert x[:20] == pytest.approx([i / 10 for i in range(20)])
+    assert x[40:] == pytest.approx([i / 10 for i in range(40, 60)])
+    assert x[26:34] == [None] * 8  # more than half a second from any transform
+    assert [said for said in log.warnings if "/poses are left unknown: a transform" in said]
+
+
+def test_each_part_of_a_topic_is_in_the_frame_of_its_own_header(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.transform(T0, ("base", "left", (0.0, 10.0, 0.0)), topic="/tf_static")
+    writer.tcp(T0, x=0.5)
+    poses(writer, T0, (1.0, 0.0, 0.0), "left")
+    poses(writer, T0 + 1, (1.0, 0.0, 0.0), "base")
+    writer.close()
+    assert places(read(tmp_path / "run").people).tolist() == [[1.0, 10.0, 0.0], [1.0, 0.0, 0.0]]
+
+
+def test_each_marker_of_an_array_is_in_the_frame_of_its_own_header(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.transform(T0, ("base", "left", (0.0, 10.0, 0.0)), ("base", "right", (0.0, -10.0, 0.0)), topic="/tf_static")
+    writer.tcp(T0, x=0.5)
+    kind = "visualization_msgs/msg/Marker"
+    markers = [
+        writer.random(kind, id=number, action=0, header=writer.header(T0, frame), pose=writer.pose(1.0, 0.0, 0.0))
+        for number, frame in ((100, "left"), (200, "right"))
+    ]
+    writer.say("/k4a/body_tracking_data", "visualization_msgs/msg/MarkerArray", T0, markers=markers)
+    writer.close()
+    people = read(tmp_path / "run").people
+    assert people.select("person", "y_m").rows() == [("1", 10.0), ("2", -10.0)]
+
+
+def test_a_frame_with_two_parents_is_taken_where_it_was_said_most_often_and_that_is_said(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.tcp(T0, x=0.5)
+    for i in range(4):
+        parent = "base" if i else "other_camera"
+        writer.transform(T0 + i, (parent, "camera", (float(i), 0.0, 0.0)))
+        poses(writer, T0 + i, (0.0, 1.0, 1.0), "camera")
+    writer.close()
+    log = read(tmp_path / "run")
+    assert log.people["x_m"].to_list()[1:] == [1.0, 2.0, 3.0]
+    assert [said for said in log.warnings if "'camera' has several parents" in said and "'base', said most" in said]
+
+
+def test_a_ring_of_transforms_leads_nowhere(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.tcp(T0, x=0.5)
+    writer.transform(T0, ("a", "b", (1.0, 0.0, 0.0)), ("b", "a", (1.0, 0.0, 0.0)))
+    poses(writer, T0, (1.0, 2.0, 3.0), "a")
+    writer.close()
+    assert places(read(tmp_path / "run").people).tolist() == [[1.0, 2.0, 3.0]]
+
+
+def test_the_tool_is_found_between_chosen_frames_in_any_direction(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.transform(T0, ("world", "table", (1.0, 0.0, 0.0, *QUARTER)), topic="/tf_static")
+    for i in range(3):
+        writer.transform(T0 + i, ("world", "wrist", (float(i), 2.0, 1.0)), ("wrist", "gripper", (0.0, 0.0, 0.5)))
+    writer.close()
+    log = read(tmp_path / "run", map={"base_frame": "table", "tool_frame": "gripper"})
+    tcp = places(log.robot, ("tcp_x_m", "tcp_y_m", "tcp_z_m"))
+    assert tcp == pytest.approx(np.array([[2.0, 1.0 - i, 1.5] for i in range(3)]))
+    assert log.facts["tcp"] == "transforms table <- world <- wrist <- gripper"
+    assert log.robot["source_row"].to_list() == [0, 1, 2]
+    assert log.facts["rows of robot"] == "messages of /tf"
+
+
+def test_a_row_from_the_transforms_names_the_message_that_it_was_in(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    for i in range(4):
+        writer.transform(T0 + i, ("world", "something_else", (0.0, 0.0, 0.0)))
+        writer.transform(T0 + i + 0.5, ("base", "tool0", (float(i), 0.0, 0.0)))
+    writer.close()
+    assert read(tmp_path / "run").robot["source_row"].to_list() == [1, 3, 5, 7]

@@ -72,7 +72,7 @@ class _KukaRsiCsv:
             said = [*once.warnings(), *_warnings(layout.names, late.most.get(_LATE, 0.0))]
             return replace(last, warnings=tuple(said), facts=facts)
 
-        blocks = read_blocks(path, layout, numbers=numbers, required=[_TIME])
+        blocks = read_blocks(path, layout, numbers=numbers, required=[_TIME], any_of=_POSITION)
         yield from in_parts(path, blocks, make, finish)
 
 

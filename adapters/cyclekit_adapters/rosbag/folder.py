@@ -28,6 +28,10 @@ class Folder:
     warnings: list[str] = field(default_factory=list)
 
 
+_MOST_BYTES = 1 << 20
+"""Of a metadata.yaml: thousands of parts and topics. The parser needs seconds for each MiB."""
+
+
 def folder_of(path: Path) -> Folder:
     """Return the files of the recording in a folder.
 
@@ -55,6 +59,9 @@ def folder_of(path: Path) -> Folder:
 
 
 def _about(file: Path) -> dict[str, Any]:
+    if file.stat().st_size > _MOST_BYTES:
+        msg = "no recorder writes so much"
+        raise ValueError(msg)
     loaded = YAML(typ="safe").load(file.read_text(encoding="utf-8"))
     about: dict[str, Any] = loaded["rosbag2_bagfile_information"]
     return about

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 PRELOAD = ["cyclekit.ingest", "cyclekit.train", "cyclekit.estimate.rollout", "cyclekit.replay", "cyclekit.report",
-           "cyclekit.evaluate", "cyclekit.cli", "cyclekit_sim"]  # fmt: skip
+           "cyclekit.evaluate", "cyclekit.convert", "cyclekit.cli", "cyclekit_sim"]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,18 @@ class Victim:
 
 @dataclass
 class Count:
-    """What came of the kills of one command."""
+    """What came of the kills of one command.
+
+    Attributes:
+        name: Of the command.
+        took_s: How long it takes when left alone, s.
+        killed: Times that it was still running.
+        ended_first: Times that it was not.
+        old: Times that the earlier result was there.
+        new: Times that the new one was.
+        readings: Times that recordings were left beside the place, for the next run to go on from.
+        broken: What else was there.
+    """
 
     name: str
     took_s: float
@@ -53,6 +64,7 @@ class Count:
     ended_first: int = 0
     old: int = 0
     new: int = 0
+    readings: int = 0
     broken: list[str] = field(default_factory=list)
 
 
@@ -123,6 +135,10 @@ def _beside(target: Path) -> list[str]:
     return sorted(entry.name for entry in target.parent.iterdir() if entry != target)
 
 
+def _readings(target: Path) -> bool:
+    return any(target.with_name(f".{target.name}.read").glob("*/entry.json"))
+
+
 def kill(victim: Victim, times: int, terminal: Terminal, settle: Callable[[Path], None], seed: int = 0) -> Count:
     """Kill a command `times` times and look at what it left.
 
@@ -151,6 +167,7 @@ def kill(victim: Victim, times: int, terminal: Terminal, settle: Callable[[Path]
             count.ended_first += 1
         process.kill()
         process.join()
+        count.readings += _readings(victim.target)
         settle(victim.target)
         left = state_of(victim.target)
         if left not in whole:
@@ -173,10 +190,11 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3) -> Iterator[
     """Make a small cell under `root` and yield every command that writes, each with a folder of its own."""
     from cyclekit.dataset import Dataset
 
-    logs, data, model = root / "logs", root / "dataset", root / "model"
+    logs, others, data, model = root / "logs", root / "others", root / "dataset", root / "model"
     quiet = "--quiet"
     simulate = ["simulate", "box-picking", "--executions", str(executions), quiet]
     terminal.run([*simulate, "--out", str(logs)])
+    terminal.run([*simulate, "--seed", "7", "--out", str(others)])
     terminal.run(["ingest", str(logs), "--out", str(data), quiet])
     train = ["train", str(data), "--problem", "now", quiet]
     terminal.run([*train, "--out", str(model)])
@@ -191,15 +209,19 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3) -> Iterator[
         return root / name / "result"
 
     def victim(name: str, one: list[str], two: list[str], suffix: str = "") -> Victim:
-        target = place(name).with_suffix(suffix)
+        target, command = place(name).with_suffix(suffix), name.partition(" ")[0]
         out = ["--out", str(target), quiet]
-        return Victim(name, ([name, *one, *out], [name, *two, *out]), target)
+        return Victim(name, ([command, *one, *out], [command, *two, *out]), target)
 
     estimate = [str(model), str(sequence), "--dataset", str(data), "--extrapolate"]
+    robot = str(logs / "session_000" / "robot.csv")
     report = [str(data), "--model", str(model)]
     yield [
         victim("simulate", ["box-picking", "--executions", "2"], ["box-picking", "--executions", "2", "--seed", "5"]),
-        victim("ingest", [str(logs)], [str(logs / "session_000" / "robot.csv")]),
+        victim("ingest", [str(logs)], [robot]),
+        victim("ingest of other logs", [str(logs)], [str(others)]),  # each reads two logs of more than 1 MiB
+        victim("convert to csv", [robot], [robot, "--rate", "50"], ".csv"),
+        victim("convert to parquet", [robot], [robot, "--rate", "50"], ".parquet"),
         victim("train", train[1:-1], [*train[1:-1], "--seed", "1"]),
         victim("estimate", estimate, [*estimate, "--seed", "1"], ".json"),
         victim("replay", [str(data), "--execution", names[0]], [str(data), "--execution", names[1]], ".rrd"),
@@ -211,18 +233,18 @@ def main() -> None:
     """Kill each command and print the count."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--times", type=int, default=20, help="kills per command")
-    parser.add_argument("--only", help="one command")
+    parser.add_argument("--only", nargs="*", help="these commands")
     times, only = parser.parse_args().times, parser.parse_args().only
     from cyclekit.atomic import recover
 
     terminal = Terminal()
-    table = Table("command", "runs for", "killed", "ended before", "old", "new", "broken")
+    table = Table("command", "runs for", "killed", "ended before", "old", "new", "readings left", "broken")
     with tempfile.TemporaryDirectory() as folder, victims(Path(folder), terminal) as found:
         for victim in found:
-            if only in (None, victim.name):
+            if only is None or victim.name in only:
                 count = kill(victim, times, terminal, recover)
-                table.add_row(count.name, f"{count.took_s:.2f} s", str(count.killed), str(count.ended_first),
-                              str(count.old), str(count.new), ", ".join(count.broken) or "0")  # fmt: skip
+                numbers = (count.killed, count.ended_first, count.old, count.new, count.readings)
+                table.add_row(count.name, f"{count.took_s:.2f} s", *map(str, numbers), ", ".join(count.broken) or "0")
     Console().print(table)
 
 

@@ -17,7 +17,7 @@ from cyclekit.account import Leg, account, halts_at_places, slowest_speed, usual
 from cyclekit.activity import with_operator
 from cyclekit.align import place_in_time
 from cyclekit.dataset import Place
-from cyclekit.errors import ConfigError
+from cyclekit.errors import ConfigError, EstimateError
 from cyclekit.motion import COLUMNS, runs_of, sampled
 from cyclekit.override import infer_overrides
 from cyclekit.segment import Execution, find_executions, find_places, find_stops, find_visits
@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     Rows = NDArray[np.int64]
     Read = Callable[[str, str], pl.DataFrame | None]
     Stored = Callable[[str, Sequence[str]], StoredTable]
+
+_MOST_SAMPLES = 10_000_000
+"""Of one execution: eleven days at 10 Hz. A time that cannot be would ask for more memory than there is."""
 
 
 @dataclass(frozen=True)
@@ -221,6 +224,9 @@ def _grid(
     else:
         run = runs[execution.run]
         start, end = run.time_at(0), run.time_at(run.rows - 1)
+    if (end - start) * cell.rate_hz > _MOST_SAMPLES:
+        msg = f"{name}: lasts {(end - start) / 86400:.0f} days, more than {_MOST_SAMPLES:,} samples"
+        raise EstimateError(msg, cure="Look for a time that jumps ahead with `cyclekit inspect`, or cut the log.")
     t = start + np.arange(int((end - start) * cell.rate_hz + 1e-6) + 1) / cell.rate_hz
     columns: dict[str, Any] = {}
     if execution is not None:

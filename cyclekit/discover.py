@@ -69,20 +69,22 @@ def find_all(roots: Sequence[Path], cell: Cell) -> tuple[list[Log], list[tuple[s
     not_read: list[tuple[str, str]] = []
     unknown: LogError | None = None
     prefixes = _prefixes(roots)
-    seen: set[Path] = set()
+    seen: set[str] = set()
     for root in roots:
         base = root if root.is_dir() else root.parent
         for path, registered in _candidates(root, base, cell):
-            if path.resolve() in seen:  # given as a file and once more by its folder
+            real = os.path.realpath(path)  # of a link that leads to itself as well
+            if real in seen:  # given as a file and once more by its folder
                 continue
-            seen.add(path.resolve())
+            seen.add(real)
             shown = path.relative_to(base).as_posix() if path != base else path.name
             source = next((s for s in cell.sources if matches(shown, path, s.path)), None)
-            shown = prefixes[base] + shown
+            shown, is_text = _as_text(prefixes[base] + shown)
             reader = adapter_named(source.adapter) if source and source.adapter else registered
             try:
-                log = _log(path, shown, reader, source, logs) if reader else None
-                unknown = why_unknown(path) if log is None else unknown
+                known = reader if is_text and (path.is_file() or path.is_dir()) else None
+                log = _log(path, shown, known, source, logs) if known else None
+                unknown = unknown if log is not None else why_unknown(path) if is_text else _no_text(path)
             except OSError as error:  # it went away, or was never to be read, since its folder was listed
                 log, unknown = None, LogError(path, f"cannot be read ({error.strerror})", cure="Check the file.")
             if log is not None:
@@ -96,6 +98,16 @@ def find_all(roots: Sequence[Path], cell: Cell) -> tuple[list[Log], list[tuple[s
         cause = f"holds no log that can be read ({_some(not_read)})" if not_read else "holds no file"
         raise unknown if unknown and len(not_read) == 1 else LogError(roots[0], cause, cure=cure)
     return list(logs.values()), not_read
+
+
+def _as_text(name: str) -> tuple[str, bool]:
+    """Return a name as it can be written down, and whether that is what it is."""
+    text = name.encode("utf-8", "backslashreplace").decode()
+    return text, text == name
+
+
+def _no_text(path: Path) -> LogError:
+    return LogError(path, "its name is no text in UTF-8, and could not be written down", cure="Rename it.")
 
 
 def _some(not_read: Sequence[tuple[str, str]], count: int = 3) -> str:

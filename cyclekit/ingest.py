@@ -108,18 +108,18 @@ def ingest(
     found, not_read = find_all(roots, settings)
     how = How(pseudonymise=pseudonymise, skeletons=keep_skeletons, checksums=checksums)
     wanted = _Wanted(settings, tuple(found), tuple(not_read), jobs, how, align_clocks)
-    if not unsettled(out) and (card := _up_to_date(out, wanted)):
+    shelf = Shelf(out, "skeletons" if keep_skeletons else "plain")
+    if not unsettled(out) and not shelf.is_left and (card := _up_to_date(out, wanted)):
         return _report(out, card, new=0, kept=len(found), unchanged=True)
     with locked(out):
         settle(out)
         if card := _up_to_date(out, wanted):
+            shelf.clear()
             return _report(out, card, new=0, kept=len(found), unchanged=True)
         with built(out) as staging:
             explicit = {path for path in roots if path.is_file()}
-            shelf = None if pseudonymise else Shelf(out, "skeletons" if keep_skeletons else "plain")
-            card, kept = _build(wanted, staging, _old(out), explicit, shelf, tell)
-        if shelf is not None:
-            shelf.clear()
+            card, kept = _build(wanted, staging, _old(out), explicit, None if pseudonymise else shelf, tell)
+        shelf.clear()
     return _report(out, card, new=len(card["recordings"]) - kept, kept=kept, unchanged=False)
 
 

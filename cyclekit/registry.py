@@ -77,28 +77,40 @@ def find_adapter(path: Path) -> Registered | None:
 
 
 def find_logs(path: Path) -> Iterator[tuple[Path, Registered | None]]:
-    """Walk `path`; yield each log with the adapter that reads it, None for a file nobody reads.
+    """Walk `path`; yield each log with the adapter that reads it, None for what nobody reads.
 
     A folder that is itself a log (a ROS 2 bag, a folder of one file per signal) is yielded as one. Below `path`,
-    hidden files and datasets are passed over.
+    hidden files and datasets are passed over, and so is a folder that was seen already: links may lead in circles.
+    Nothing is opened but files: a pipe or a device would wait for ever, or never end.
     """
-    if (found := find_adapter(path)) or not path.is_dir():
-        yield path, found
-        return
-    for child in sorted(path.iterdir()):
-        if not child.name.startswith(".") and not (child / CARD).is_file():
-            yield from find_logs(child)
+    waiting, seen = [path], set[tuple[int, int]]()
+    while waiting:
+        here = waiting.pop()
+        try:
+            is_folder = here.is_dir()
+            found = find_adapter(here) if is_folder or here.is_file() else None
+            if found or not is_folder:
+                yield here, found
+                continue
+            about = here.stat()
+            children = sorted(here.iterdir(), reverse=True) if (about.st_dev, about.st_ino) not in seen else []
+            seen.add((about.st_dev, about.st_ino))
+            waiting += [c for c in children if not c.name.startswith(".") and not (c / CARD).is_file()]
+        except OSError:  # a name that is too long, a folder that may not be listed
+            yield here, None
 
 
 def why_unknown(path: Path) -> UnknownFormat:
     """Return the error for a file that no adapter recognises, with the likeliest reason first."""
-    head = b""
-    if path.is_file():
-        with path.open("rb") as file:
-            head = file.read(4096)
+    if path.is_dir():
+        return UnknownFormat(path, "the folder cannot be listed", cure="Check its rights.")
+    if not path.is_file():
+        return UnknownFormat(path, "neither a file nor a folder: a pipe, a socket, a device or a broken link")
+    with path.open("rb") as file:
+        head = file.read(4096)
     known = ", ".join(adapters())
     cure = f"cyclekit reads: {known} (see `cyclekit adapters`)."
-    if path.is_file() and not head:
+    if not head:
         return UnknownFormat(path, "the file is empty", cure="Check the copy, or remove the file.")
     if head.startswith(_LFS):
         return UnknownFormat(

@@ -27,6 +27,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})", cure="Check the path.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: not valid TOML ({error})", cure="Mend the line named above.") from error
+    except RecursionError as error:
+        raise ConfigError(f"{path}: nested too deeply for TOML", cure="Check what the file is.") from error
 
 
 def list_at(where: str, raw: Mapping[str, Any], key: str) -> list[Any]:

@@ -68,6 +68,8 @@ _Parameters = dict[tuple[str, str], _Parameter]
 def is_c3d(path: Path) -> bool:
     """Tell whether a file begins like a C3D file and has its parameters where its first byte says."""
     try:
+        if not path.is_file():
+            return False
         with path.open("rb") as log:
             head = log.read(_BLOCK)
             if len(head) < _BLOCK or head[1] != _KEY or not 2 <= head[0] <= 100:

@@ -15,6 +15,7 @@ import polars as pl
 if TYPE_CHECKING:
     from cyclekit_adapters.delimited import Rows
 
+DAY_S = 86_400.0
 REPEATED = "repeats the controller sample before it"
 
 
@@ -54,6 +55,49 @@ class Once:
             )
         if self.repeated:
             said.append(f"{self.repeated} rows repeat the controller sample before them and are left out")
+        return said
+
+
+@dataclass
+class Back:
+    """How often the time of rows that may share an instant steps back, block after block of one log.
+
+    Attributes:
+        time: Name of the time column; it has no nulls.
+        of: Name of the column that tells tracks apart; the rows of each have their own order.
+        count: How often so far, within a track.
+        days: How often so far by more than a day, whatever the track: no track ends so long before another.
+    """
+
+    time: str
+    of: str | None = None
+    count: int = 0
+    days: int = 0
+
+    def __post_init__(self) -> None:
+        self._last: dict[object, float] = {}
+        self._before: float | None = None
+
+    def add(self, frame: pl.DataFrame) -> None:
+        """Take in the rows of a block."""
+        if frame.is_empty():
+            return
+        far = frame[self.time].diff() < -DAY_S
+        self.days += int(far.sum()) + (self._before is not None and frame[self.time][0] < self._before - DAY_S)
+        self._before = float(frame[self.time][-1])
+        track = pl.lit("") if self.of is None else pl.col(self.of)
+        back = (pl.col(self.time).diff() < 0).sum().alias("back")
+        ends = (pl.col(self.time).first().alias("first"), pl.col(self.time).last().alias("last"))
+        for name, count, first, last in frame.group_by(track.alias("track")).agg(back, *ends).iter_rows():
+            self.count += count + (first < self._last.get(name, first))
+            self._last[name] = last
+
+    def warnings(self) -> list[str]:
+        """Say how often the time steps back."""
+        likely = "rows out of order, or several recordings in one file"
+        said = [f"time steps back {self.count} time(s): {likely}"] if self.count else []
+        if self.days and not self.count:
+            said.append(f"time steps back by more than a day {self.days} time(s): {likely}")
         return said
 
 

@@ -75,7 +75,8 @@ class _FrankaLogCsv:
             }
             return replace(last, warnings=said, facts=facts)
 
-        blocks = read_blocks(path, layout, numbers=[_TIME, *_ANGLES, *speeds], required=[_TIME])
+        numbers = [_TIME, *_ANGLES, *speeds]
+        blocks = read_blocks(path, layout, numbers=numbers, required=[_TIME], any_of=_ANGLES)
         yield from in_parts(path, blocks, make, finish)
 
 

@@ -11,14 +11,17 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog
-from cyclekit_adapters.delimited import Layout, delimiter_of, fields_of, header_names
 from cyclekit_adapters.text_blocks import file_encoding, head_lines, head_of
+from cyclekit_adapters.text_layout import Layout, delimiter_of, fields_of, header_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
+MOST_COLUMNS = 100_000
+"""No logger writes more; a million of them would take gigabytes to read."""
 _COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+_POINT = re.compile(r"[+-]?\d+\.\d+(?:[eE][+-]?\d+)?")
 _LOOKED_AT = 20  # rows
 
 
@@ -36,22 +39,40 @@ def _names_in(line: str, delimiters: str) -> tuple[str, ...]:
     return header_names(line, delimiter_of(line, delimiters))
 
 
+def names_in(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
+    """Return the names in a header line.
+
+    Raises:
+        DamagedLog: There are more than any logger writes, or it is no text.
+    """
+    if "\0" in line:
+        raise DamagedLog(path, "its header holds NUL bytes: it is damaged, or no text", cure="Check the copy.")
+    if line.count(delimiter) >= MOST_COLUMNS:
+        cause = f"a header of more than {MOST_COLUMNS:,} columns: no logger writes that"
+        raise DamagedLog(path, cause, cure="Check what the file is.")
+    return header_names(line, delimiter)
+
+
 def has_decimal_comma(rows: Iterable[str], delimiter: str) -> bool:
-    """Tell whether numbers are written `0,5`: where commas do not separate the fields, one in a number is decimal."""
-    return delimiter != "," and any(
-        _COMMA.fullmatch(cell.strip()) for row in rows for cell in fields_of(row, delimiter)
-    )
+    """Tell whether numbers are written `0,5`: where commas do not separate the fields, one in a number is decimal.
+
+    Where some numbers have a comma and others a point, the more frequent one is the decimal mark.
+    """
+    if delimiter == ",":
+        return False
+    cells = [cell.strip() for row in rows if "," in row for cell in fields_of(row, delimiter)]
+    return sum(map(bool, map(_COMMA.fullmatch, cells))) > sum(map(bool, map(_POINT.fullmatch, cells)))
 
 
 def layout_below(path: Path, delimiters: str = ",;\t ") -> Layout:
-    """Return how the rows below the first line are written.
+    """Return how the rows below the first line are written; where the names stand in quotes, cells may as well.
 
     Args:
         path: The log.
         delimiters: Those that may separate; leave out what occurs inside names.
 
     Raises:
-        DamagedLog: The first line is empty or binary.
+        DamagedLog: The first line is empty or binary, or has more names than any logger writes.
         LogError: The file cannot be opened.
     """
     encoding = file_encoding(path)
@@ -59,5 +80,5 @@ def layout_below(path: Path, delimiters: str = ",;\t ") -> Layout:
     if encoding is None or not line.strip():
         raise DamagedLog(path, "the file is empty or not text", cure="Check the copy.")
     delimiter = delimiter_of(line, delimiters)
-    comma = has_decimal_comma(rows, delimiter)
-    return Layout(header_names(line, delimiter), delimiter, header_lines=1, decimal_comma=comma, encoding=encoding)
+    names, comma = names_in(path, line, delimiter), has_decimal_comma(rows, delimiter)
+    return Layout(names, delimiter, 1, decimal_comma=comma, encoding=encoding, quotes='"' in line)

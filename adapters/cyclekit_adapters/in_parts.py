@@ -7,6 +7,7 @@ business.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -39,10 +40,11 @@ def in_parts(
         DamagedLog: No row of the log is usable.
     """
     last: Recording | None = None
-    rows_read, usable = 0, 0
+    rows_read, usable, unknown = 0, 0, 0
     aside: pl.DataFrame | None = None
     for rows in blocks:
         rows_read, usable = rows_read + rows.rows_read, usable + rows.frame.height
+        unknown += rows.not_finite
         if aside is None and rows.set_aside.height:
             aside = rows.set_aside
         if last is not None:
@@ -50,4 +52,8 @@ def in_parts(
         last = make(rows)
     if last is None or not usable:
         raise nothing_usable(path, rows_read, pl.DataFrame() if aside is None else aside)
-    yield finish(last)
+    done = finish(last)
+    if unknown:
+        said = f"{unknown} values are written as NaN or infinity: unknown there"
+        done = replace(done, warnings=(*done.warnings, said))
+    yield done

@@ -76,7 +76,8 @@ class _KukaRsiCsv:
             said = [*once.warnings(), *_warnings(layout.names, late.most.get(_LATE, 0.0)), *_no_zone(host)]
             return replace(last, warnings=tuple(said), facts=facts | _host_fact(host))
 
-        blocks = read_blocks(path, layout, numbers=numbers, texts=[host.column] if host else [], required=[_TIME])
+        texts = [host.column] if host else []
+        blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=[_TIME], any_of=_POSITION)
         yield from in_parts(path, blocks, make, finish)
 
 

@@ -8,6 +8,7 @@ be named.
 
 from __future__ import annotations
 
+import codecs
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, cast
 
@@ -16,9 +17,10 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, Role, StreamingAdapter, whole
 from cyclekit.errors import ConfigError, DamagedLog, MissingColumns
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
-from cyclekit_adapters.controller_time import Once, Spread
+from cyclekit_adapters.controller_time import Back, Once, Spread
 from cyclekit_adapters.csv_map import FRAME, METRES, RADIANS, SECONDS, STATES, WHERE, CsvMap, csv_map
 from cyclekit_adapters.delimited import INDEX, Layout, Rows, delimiter_of, header_names, read_blocks, unique
+from cyclekit_adapters.header_line import names_in
 from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.text_blocks import file_encoding, head_lines
 from cyclekit_adapters.written_time import written_seconds
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _SLACK = 1e-3
+_LINES_SEARCHED = 50  # for the header, where it is not in the line that it should be in
 _T = "\x1ft_s"  # a name that no column of a file can have
 _JOINED = "\x1fwhen"
 
@@ -42,23 +45,26 @@ class _MappedCsv:
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         mapping = csv_map(options)
         role = options.role or mapping.role()
-        layout = _layout(path, mapping)
         numbers, texts, required = _columns(mapping, role)
+        layout = _layout(path, mapping, {*numbers, *texts})
         if both := set(numbers).intersection(texts):
             raise ConfigError(f"{WHERE}: column {min(both)!r} is mapped to a number and to a text")
         if missing := {*numbers, *texts}.difference(layout.names):
-            raise MissingColumns(path, missing, layout.names, f"Columns of the file: {', '.join(layout.names[:60])}.")
+            raise MissingColumns(path, missing, layout.names, _cure(path, layout, {*numbers, *texts}, mapping))
         if not mapping.time and not options.rate_hz:
             cure = 'Map it in cell.toml (time = "..."), or give rate_hz = ... if the rows have a fixed rate.'
             raise MissingColumns(path, ["time"], layout.names, cure)
-        once, seen = Once(_T), _Seen(mapping, role)
+        once, seen, back = Once(_T), _Seen(mapping, role), Back(_T, mapping.person)
         table: Callable[[pl.DataFrame, CsvMap], pl.DataFrame] = {"robot": _robot, "people": _people, "events": _events}[
             role
         ]
 
         def make(rows: Rows) -> Recording:
             rows = _timed(rows, mapping, options.rate_hz)
-            rows = once.rows(rows, "repeats the time of the row before it") if role == "robot" else rows
+            if role == "robot":
+                rows = once.rows(rows, "repeats the time of the row before it")
+            else:
+                back.add(rows.frame)
             seen.add(rows.frame)
             return Recording(
                 **{role: table(rows.frame, mapping)},  # type: ignore[arg-type]  # the three roles are three fields
@@ -71,13 +77,15 @@ class _MappedCsv:
 
         def finish(last: Recording) -> Recording:
             facts = {
-                "columns": ", ".join(layout.names[:60]),
+                "columns": ", ".join(name[:80] for name in layout.names[:60]),
                 "delimiter": repr(layout.delimiter),
                 "encoding": layout.encoding,
             }
-            return replace(last, warnings=tuple(seen.warnings(once.back)), facts=facts)
+            return replace(last, warnings=(*seen.warnings(once.back), *back.warnings()), facts=facts)
 
-        blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=required)
+        some = [*numbers, *texts] if role == "robot" else []
+        some = [name for name in some if name not in mapping.time]
+        blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=required, any_of=some)
         yield from in_parts(path, blocks, make, finish)
 
 
@@ -107,11 +115,22 @@ def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[st
     return list(dict.fromkeys([*number_time, *numbers])), [*text_time, *state], time
 
 
-def _layout(path: Path, mapping: CsvMap) -> Layout:
+def _cure(path: Path, layout: Layout, wanted: set[str], mapping: CsvMap) -> str:
+    """Say what to do where a mapped column is not in the header."""
+    if any("\ufffd" in name for name in layout.names):
+        return f'The header is not written in {layout.encoding}: give encoding, for example "latin-1".'
+    for number, line in enumerate(head_lines(path, _LINES_SEARCHED, layout.encoding)):
+        for mark in dict.fromkeys((layout.delimiter, ",", ";", "\t", "|", " ")):
+            if wanted.issubset(header_names(line, mark)) and not mapping.columns:
+                return f"They stand in line {number + 1}: give skip_rows = {number}, delimiter = {mark!r}."
+    return f"Columns of line {mapping.skip_rows + 1}: {', '.join(name[:40] for name in layout.names[:60])}."
+
+
+def _layout(path: Path, mapping: CsvMap, wanted: set[str]) -> Layout:
     try:
         encoding = mapping.encoding or file_encoding(path)
-        "".encode(encoding or "utf-8")
-    except LookupError as error:
+        codecs.getincrementaldecoder(encoding or "utf-8")("replace").decode("".encode(encoding or "utf-8"))
+    except (LookupError, UnicodeError) as error:
         raise ConfigError(
             f"{WHERE}: unknown encoding {mapping.encoding!r}", cure="For example utf-8 or latin-1."
         ) from error
@@ -122,11 +141,22 @@ def _layout(path: Path, mapping: CsvMap) -> Layout:
         cause = f"no header in line {mapping.skip_rows + 1}"
         raise DamagedLog(path, cause, cure="The header line comes after skip_rows lines.")
     line = lines[mapping.skip_rows]
-    candidates = ";\t " if mapping.decimal == "," else ",;\t "
-    delimiter = mapping.separator() or delimiter_of(line, candidates)
-    names = unique(mapping.columns) if mapping.columns else header_names(line, delimiter)
+    delimiter = mapping.separator() or _delimiter(line, mapping, wanted)
+    names = unique(mapping.columns) if mapping.columns else names_in(path, line, delimiter)
     skipped = mapping.skip_rows + (not mapping.columns)
     return Layout(names, delimiter, skipped, decimal_comma=mapping.decimal == ",", encoding=encoding, quotes=True)
+
+
+def _delimiter(line: str, mapping: CsvMap, wanted: set[str]) -> str:
+    """Return the delimiter under which the mapped columns are there, else the likeliest."""
+    candidates = ";\t " if mapping.decimal == "," else ",;\t "
+
+    def fits(mark: str) -> bool:
+        if mapping.columns:
+            return line.rstrip(mark).count(mark) == len(mapping.columns) - 1
+        return wanted.issubset(header_names(line, mark))
+
+    return next((mark for mark in candidates if fits(mark)), delimiter_of(line, candidates))
 
 
 def _timed(rows: Rows, mapping: CsvMap, rate_hz: float | None) -> Rows:

@@ -100,9 +100,7 @@ class _MotiveCsv:
         points = [*people.values(), *(list(joints.values()) for joints in bones.values())]
         cells = dict.fromkeys(name for track in points for point in track for name in point)
         numbers = [*clock.names, *cells]
-        blocks = read_blocks(
-            path, header.layout, numbers=numbers, required=list(dict.fromkeys([FRAME, *clock.required]))
-        )
+        blocks = read_blocks(path, header.layout, numbers=numbers, required=list(dict.fromkeys([FRAME, *clock.names])))
         yield from in_parts(path, blocks, make, finish)
 
 

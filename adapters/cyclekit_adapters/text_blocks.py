@@ -10,6 +10,7 @@ import codecs
 import gzip
 import io
 import os
+import re
 import stat
 import sys
 import zlib
@@ -40,6 +41,8 @@ _BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codec
 _MAX_RATIO = 1000
 """Logs do not shrink a thousandfold; a file that unpacks to more than that is a bomb."""
 _CELL = b"\x1f"
+_BARE_CR = re.compile(r"(?<!\r)\r++(?=[^\n])")
+"""Carriage returns with no line feed behind them: they end the lines of old machines, alone or among others."""
 
 
 class _Bomb(OSError):
@@ -54,8 +57,9 @@ def encoding_of(first: bytes) -> str | None:
     line = first.partition(b"\n")[0]  # what follows it may be a binary part or a block that was never written
     if b"\0" not in line:
         return "utf-8"
-    if len(line) >= 4 and line[1::2].count(0) > 0.9 * len(line[1::2]) and 0 not in line[0::2]:
-        return "utf-16-le"
+    for encoding, high, low in (("utf-16-le", line[1::2], line[0::2]), ("utf-16-be", line[0::2], line[1::2])):
+        if len(line) >= 4 and high.count(0) > 0.9 * len(high) and 0 not in low:
+            return encoding
     return None
 
 
@@ -85,8 +89,7 @@ def _decoded_first(path: Path, size: int, encoding: str | None, _bytes: int, _ch
     encoding = encoding or encoding_of(first)
     if not encoding:
         return ""
-    text = first.decode(encoding, "replace").removeprefix("\ufeff")
-    return text if "\n" in text else text.replace("\r", "\n")
+    return _with_line_feeds(first.decode(encoding, "replace").removeprefix("\ufeff"))
 
 
 def head_lines(path: Path, count: int = 1, encoding: str | None = None) -> list[str]:
@@ -96,7 +99,7 @@ def head_lines(path: Path, count: int = 1, encoding: str | None = None) -> list[
     """
     size, text = HEAD_BYTES, head_of(path, encoding=encoding)
     while text.count("\n") < count and len(text) >= size // 4 and size < LONGEST_LINE:
-        size *= 8
+        size = min(8 * size, LONGEST_LINE)
         longer = head_of(path, size, encoding)
         if len(longer) == len(text):
             break
@@ -107,6 +110,8 @@ def head_lines(path: Path, count: int = 1, encoding: str | None = None) -> list[
 def _first(path: Path, size: int) -> bytes:
     try:
         about = path.stat()
+        if not stat.S_ISREG(about.st_mode):
+            raise LogError(path, "is no file", cure="Name the file itself.")
         return _read_first(path, size, about.st_size, about.st_mtime_ns)
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
@@ -117,7 +122,7 @@ def _read_first(path: Path, size: int, _bytes: int, _changed: int) -> bytes:
     with path.open("rb") as file, _unpacked(file, path) as log:
         try:
             return log.read(size)
-        except (zlib.error, zstd.ZstdError, EOFError):
+        except (zlib.error, zstd.ZstdError, gzip.BadGzipFile, EOFError):
             return b""
 
 
@@ -136,8 +141,9 @@ def blocks_of(path: Path, encoding: str, *, skip_lines: int = 0, delimiter: str 
         DamagedLog: It holds a line longer than any logger writes, or is a bomb.
     """
     with path.open("rb") as file, _unpacked(file, path) as log:
-        plain = log is file and encoding in ("utf-8", "utf-8-sig") and not _has_bare_cr(_first(path, HEAD_BYTES))
-        blocks = _plain_blocks(file, path) if plain else _decoded_blocks(log, path, encoding)
+        bare_cr = bool(_BARE_CR.search(_first(path, HEAD_BYTES).decode(encoding, "replace")))
+        plain = log is file and encoding in ("utf-8", "utf-8-sig") and not bare_cr
+        blocks = _plain_blocks(file, path) if plain else _decoded_blocks(log, path, encoding, bare_cr=bare_cr)
         try:
             for number, block in enumerate(blocks):
                 text = block.removeprefix(codecs.BOM_UTF8) if number == 0 else block
@@ -148,7 +154,7 @@ def blocks_of(path: Path, encoding: str, *, skip_lines: int = 0, delimiter: str 
                     yield _with_one_delimiter(text, delimiter)
         except _Bomb as error:
             raise DamagedLog(path, str(error.strerror), cure="Check where the file comes from.") from error
-        except (zlib.error, zstd.ZstdError, EOFError) as error:
+        except (zlib.error, zstd.ZstdError, gzip.BadGzipFile, EOFError) as error:
             raise DamagedLog(path, f"its packing is damaged ({error})", cure="Copy it again.") from error
 
 
@@ -170,12 +176,14 @@ def characters_of(path: Path) -> Iterator[str]:
             yield decoder.decode(b"", final=True)
         except _Bomb as error:
             raise DamagedLog(path, str(error.strerror), cure="Check where the file comes from.") from error
-        except (zlib.error, zstd.ZstdError, EOFError) as error:
+        except (zlib.error, zstd.ZstdError, gzip.BadGzipFile, EOFError) as error:
             raise DamagedLog(path, f"its packing is damaged ({error})", cure="Copy it again.") from error
 
 
-def _has_bare_cr(first: bytes) -> bool:
-    return b"\r" in first and b"\n" not in first
+def _with_line_feeds(text: str) -> str:
+    if text.count("\r") == text.count("\r\n"):  # as in nearly all logs
+        return text
+    return _BARE_CR.sub(lambda found: "\n" * len(found[0]), text)
 
 
 def _plain_blocks(log: BinaryIO, path: Path) -> Iterator[bytes]:
@@ -200,29 +208,30 @@ def _plain_blocks(log: BinaryIO, path: Path) -> Iterator[bytes]:
         begin += len(block)
 
 
-def _decoded_blocks(log: BinaryIO, path: Path, encoding: str) -> Iterator[bytes]:
-    decoder = codecs.getincrementaldecoder(encoding)("replace")
-    rest, bare_cr, first = "", False, True
-    while True:
-        raw = log.read(BLOCK_BYTES // 4)
-        text = decoder.decode(raw, final=not raw)
-        if first:
-            text, first = text.removeprefix("\ufeff"), False
-            bare_cr = "\r" in text and "\n" not in text
+def _decoded_blocks(log: BinaryIO, path: Path, encoding: str, *, bare_cr: bool) -> Iterator[bytes]:
+    rest = ""
+    for text in _decoded(log, encoding):
+        text = rest + text
         if bare_cr:
-            text = text.replace("\r", "\n")
+            text = _with_line_feeds(text)  # one at the end of the text waits for what follows it
         cut = text.rfind("\n") + 1
         if cut:
-            yield (rest + text[:cut]).encode("utf-8", "replace")
-            rest = text[cut:]
-        else:
-            rest += text
+            yield text[:cut].encode("utf-8", "replace")
+        rest = text[cut:]
         if len(rest) > LONGEST_LINE:
             raise _too_long(path)
-        if not raw:
-            if rest:
-                yield rest.encode("utf-8", "replace")
-            return
+    if rest:
+        yield (rest.replace("\r", "\n") if bare_cr else rest).encode("utf-8", "replace")
+
+
+def _decoded(log: BinaryIO, encoding: str) -> Iterator[str]:
+    decoder = codecs.getincrementaldecoder(encoding)("replace")
+    first = True
+    while raw := log.read(BLOCK_BYTES // 4):
+        text = decoder.decode(raw)
+        yield text.removeprefix("\ufeff") if first else text
+        first = False
+    yield decoder.decode(b"", final=True)
 
 
 def _too_long(path: Path) -> DamagedLog:

@@ -83,7 +83,8 @@ class _UrRtdeCsv:
         if isinstance(layout, BinaryLayout):
             blocks = read_binary_rows(path, layout, numbers=present, time="timestamp")
         else:
-            blocks = read_blocks(path, layout, numbers=present, required=["timestamp"])
+            some = [name for name in present if name != "timestamp"]
+            blocks = read_blocks(path, layout, numbers=present, required=["timestamp"], any_of=some)
         yield from in_parts(path, blocks, make, finish)
 
 

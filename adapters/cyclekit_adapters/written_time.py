@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import polars as pl
 
+_FIRST_YEAR = 1900
+"""Of any log: 06.03.25 read by a pattern with %Y is the year 25."""
+
 
 def written_seconds(text: pl.Expr, pattern: str, zone: str | None) -> pl.Expr:
     """Return seconds since 1970 (since midnight, where the pattern has no date) of times written as text.
@@ -24,8 +27,10 @@ def written_seconds(text: pl.Expr, pattern: str, zone: str | None) -> pl.Expr:
     if "%d" not in pattern and "%j" not in pattern and "%D" not in pattern and "%F" not in pattern:
         return text.str.to_time(pattern, strict=False).cast(pl.Int64) * 1e-9
     if "%z" in pattern or "%+" in pattern:
-        return _since_1970(text.str.to_datetime(pattern, time_unit="ns", time_zone="UTC", strict=False))
-    return _since_1970(_in_zone(text.str.to_datetime(pattern, time_unit="ns", strict=False), zone))
+        when = text.str.to_datetime(pattern, time_unit="ns", time_zone="UTC", strict=False)
+    else:
+        when = _in_zone(text.str.to_datetime(pattern, time_unit="ns", strict=False), zone)
+    return _since_1970(pl.when(when.dt.year() >= _FIRST_YEAR).then(when))
 
 
 def _in_zone(when: pl.Expr, zone: str | None) -> pl.Expr:

@@ -11,6 +11,7 @@ import json
 import os
 import secrets
 import shutil
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
@@ -40,7 +41,7 @@ class Shelf:
             options: What else than the log decides what is kept of it; other options, another recording.
         """
         out = out.resolve()
-        self._folder = out.with_name(f".{out.name}.read")
+        self._folder, self._gone = out.with_name(f".{out.name}.read"), out.with_name(f".{out.name}.read-gone")
         self._options = options
 
     def find(self, log: Log) -> Path | None:
@@ -75,6 +76,17 @@ class Shelf:
         except OSError:
             shutil.rmtree(making, ignore_errors=True)
 
+    @property
+    def is_left(self) -> bool:
+        """Tell whether a killed ingest (or one at work) has left something."""
+        return self._folder.exists() or self._gone.exists()
+
     def clear(self) -> None:
-        """Forget everything: the dataset is in place."""
-        shutil.rmtree(self._folder, ignore_errors=True)
+        """Forget everything: the dataset is in place.
+
+        Under another name first, so that one who is killed here leaves no recording that has lost a table.
+        """
+        shutil.rmtree(self._gone, ignore_errors=True)
+        with suppress(OSError):
+            self._folder.rename(self._gone)
+            shutil.rmtree(self._gone, ignore_errors=True)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cyclekit.errors import DamagedLog
-from cyclekit_adapters import delimited, text_blocks
+from cyclekit_adapters import delimited, row_parser, text_blocks
 from cyclekit_adapters.delimited import Layout, header_names, read_blocks, read_rows
 from cyclekit_adapters.header_line import layout_below
 from cyclekit_adapters.text_blocks import encoding_of
@@ -51,7 +51,7 @@ def test_reading_fast_and_looking_at_every_line_give_the_same_rows(body, cut, qu
     layout = replace(LAYOUT, quotes=quotes)
     for columns in ({"numbers": ["a", "b", "c"]}, {"numbers": ["b"]}, {"numbers": ["a"], "texts": ["b"]}):
         fast = rows_of(text, layout, **columns)
-        with mock.patch.object(delimited._Parser, "_at_once", return_value=None):
+        with mock.patch.object(row_parser.RowParser, "_at_once", return_value=None):
             careful = rows_of(text, layout, **columns)
         assert fast.frame.equals(careful.frame)
         assert fast.set_aside.equals(careful.set_aside)
@@ -64,7 +64,7 @@ def test_a_log_in_small_blocks_gives_the_rows_of_one_block(body, cut, block, hal
     text = "a,b,c\n" + "".join(line + end for line, end in body)
     text = text[:-1] if cut and body else text
     at_once = rows_of(text)
-    small = [(text_blocks, "BLOCK_BYTES", block), (text_blocks, "_STEP", 3), (delimited, "_ONE_BY_ONE", halving)]
+    small = [(text_blocks, "BLOCK_BYTES", block), (text_blocks, "_STEP", 3), (row_parser, "ONE_BY_ONE", halving)]
     with ExitStack() as stack:
         for module, name, value in small:
             stack.enter_context(mock.patch.object(module, name, value))
@@ -180,7 +180,10 @@ def test_any_bytes_at_all_are_rows_or_set_aside(noise):
 
 
 def test_an_empty_cell_nan_and_infinity_are_unknown():
-    assert plain(rows_of("a,b,c\n1,,nan\n2,inf,-inf\n")).rows() == [(2, 1, None, None), (3, 2, None, None)]
+    rows = rows_of("a,b,c\n1,,nan\n2,inf,-inf\n")
+    assert plain(rows).rows() == [(2, 1, None, None), (3, 2, None, None)]
+    assert rows.not_finite == 3
+    assert rows_of("a,b,c\n1,,NaN\n2,inf,-inf\nx,nan,1\n").not_finite == 3  # those of rows that are set aside are not
 
 
 def test_quotes_around_a_text_with_the_delimiter_inside_are_understood():

@@ -85,7 +85,7 @@ def test_without_a_clock_the_cure_names_the_rate_and_the_rate_makes_one(tmp_path
 
 
 def test_a_row_set_aside_does_not_move_the_clock_of_a_rate(tmp_path):
-    log = read(tmp_path / "log.csv", "x,y\n1,2\n3\n5,6\n", role="people", rate_hz=10.0, x="x", y="y")
+    log = read(tmp_path / "log.csv", "x,y\n1,2\n3,4,5\n5,6\n", role="people", rate_hz=10.0, x="x", y="y")
     assert log.people["t_s"].to_list() == [0.0, 0.2]
 
 

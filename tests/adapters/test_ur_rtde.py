@@ -176,3 +176,12 @@ def test_a_folder_and_other_tables_are_not_mine(tmp_path):
     assert not ADAPTER.recognises(write(tmp_path / "a.csv", "timestamp,x,y\n1,2,3\n"))
     with pytest.raises(LogError):
         read(tmp_path / "absent.csv")
+
+
+def test_values_that_are_nan_or_infinite_are_counted_and_told(tmp_path, ur):
+    rows = [ur.row(1.0), ur.row(1.1, actual_TCP_pose_1="nan"), ur.row(1.2, actual_TCP_pose_2="inf")]
+    log = read(write(tmp_path / "run.csv", ur.text(rows)))
+    assert log.robot["tcp_y_m"].to_list() == [0.0, None, 0.0]
+    assert [said for said in log.warnings if "NaN" in said] == [
+        "2 values are written as NaN or infinity: unknown there"
+    ]

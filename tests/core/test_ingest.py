@@ -452,6 +452,57 @@ def test_nothing_that_names_a_person_stays_beside_an_interrupted_ingest(
     assert list((tmp_path / "out").iterdir()) == []
 
 
+@pytest.mark.usefixtures("large")
+@pytest.mark.parametrize("again", [{}, {"pseudonymise": True}])
+def test_what_a_killed_ingest_left_of_its_readings_is_removed_by_the_next(
+    three_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, again: dict[str, bool]
+):
+    from cyclekit.intake import shelf
+
+    out, whole, rmtree = tmp_path / "out" / "dataset", ["dataset"], shelf.shutil.rmtree
+
+    def killed(path: Path, **how: Any) -> None:
+        if path.exists() and path.name.startswith(".dataset.read"):
+            next(file for file in sorted(path.rglob("*")) if file.suffix == ".parquet").unlink()
+            monkeypatch.setattr(shelf.shutil, "rmtree", rmtree)
+            raise KeyboardInterrupt
+        rmtree(path, **how)
+
+    monkeypatch.setattr(shelf.shutil, "rmtree", killed)
+    with pytest.raises(KeyboardInterrupt):
+        ingest([three_runs], out)
+    assert sorted(entry.name for entry in out.parent.iterdir()) != whole
+    first = only_bytes(out)
+    ingest([three_runs], out, **again)
+    assert sorted(entry.name for entry in out.parent.iterdir()) == whole
+    assert again or only_bytes(out) == first
+
+
+@pytest.mark.usefixtures("large")
+def test_a_recording_that_lost_a_table_while_it_was_removed_is_never_used(
+    three_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    from cyclekit.intake import shelf
+
+    out, rmtree = tmp_path / "out" / "dataset", shelf.shutil.rmtree
+
+    def killed(path: Path, **how: Any) -> None:
+        if path.exists() and path.name.startswith(".dataset.read"):
+            for file in path.rglob("robot.parquet"):
+                file.unlink()
+            raise KeyboardInterrupt
+        rmtree(path, **how)
+
+    monkeypatch.setattr(shelf.shutil, "rmtree", killed)
+    with pytest.raises(KeyboardInterrupt):
+        ingest([three_runs], out)
+    monkeypatch.undo()
+    first = only_bytes(out)
+    rmtree(out)
+    ingest([three_runs], out)
+    assert only_bytes(out) == first
+
+
 def test_another_rate_gives_other_samples_of_the_same_recordings(three_runs: Path, tmp_path: Path, reads: list[str]):
     ten = Dataset.open(ingest([three_runs], tmp_path / "dataset").dataset).samples()
     reads.clear()

@@ -11,7 +11,17 @@ from cyclekit.atomic import recover
 
 @pytest.mark.parametrize(
     ("command", "times"),
-    [("ingest", 8), ("estimate", 8), ("simulate", 6), ("replay", 6), ("train", 2), ("report", 2)],
+    [
+        ("ingest", 4),
+        ("ingest of other logs", 4),
+        ("estimate", 8),
+        ("simulate", 6),
+        ("convert to csv", 3),
+        ("convert to parquet", 2),
+        ("replay", 6),
+        ("train", 2),
+        ("report", 2),
+    ],
 )
 def test_a_command_killed_at_any_moment_leaves_the_old_result_or_the_new_one(
     command: str, times: int, kill_nine: Any, terminal: Any, victims: dict[str, Any]

@@ -15,7 +15,7 @@ from typing import Any
 from cyclekit.errors import DamagedLog
 
 _SUFFIXES = (".mcap", ".db3", ".zstd")
-_MAX_BYTES = 16 << 20  # of metadata.yaml
+_MAX_BYTES = 1 << 20  # of metadata.yaml: no recorder writes so much
 _HEAD = "rosbag2_bagfile_information:\n"
 _MODE = re.compile(r"^  compression_mode: *(['\"]?)(\w*)\1 *$", re.MULTILINE)
 _FILES = re.compile(r"^  relative_file_paths:\n((?: +- (['\"]?)[\w./ -]+\2\n)+)(?=  \w|\Z)", re.MULTILINE)

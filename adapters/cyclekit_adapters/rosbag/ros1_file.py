@@ -162,7 +162,7 @@ def _heads(log: BufferedReader, found: ChunkedFile, end: int) -> tuple[int | Non
     while position < end:
         log.seek(position)
         fields = _header(log)
-        if fields is None:
+        if fields is None or b"op" not in fields:  # zeros would be one empty record after another
             return position, about
         size = log.read(4)
         place = log.tell()

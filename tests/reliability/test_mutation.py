@@ -1,0 +1,94 @@
+"""Logs harmed at random: one of our tables or one of our refusals, soon, and no other exception.
+
+`benchmarks/mutation.py` harms the same logs thousands of times, and real ones.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from reliability.mutate import mutants
+from reliability.own_logs import OwnLog, own_logs
+from reliability.reading import FOREIGN, LIMIT_S, PARTLY, READ, REFUSED, read_log
+
+if TYPE_CHECKING:
+    from reliability.reading import Result
+
+EACH = 12
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[OwnLog]:
+    return own_logs(tmp_path_factory.mktemp("own"))
+
+
+def read_harmed(log: OwnLog, file: str, harmed: bytes) -> Result:
+    with tempfile.TemporaryDirectory() as folder:
+        for name, data in log.files.items():
+            (Path(folder) / name).write_bytes(harmed if name == file else data)
+        path = Path(folder) / file if len(log.files) == 1 else Path(folder)
+        return read_log(path, log.adapter, log.options)
+
+
+def test_logs_of_every_adapter_are_harmed(logs: list[OwnLog]):
+    from cyclekit.registry import adapters
+
+    assert {log.adapter for log in logs} >= set(adapters()) - {"events"}  # is read by `csv` as well
+
+
+def test_a_harmed_log_gives_one_of_our_tables_or_one_of_our_refusals(logs: list[OwnLog]):
+    outcomes = set()
+    for log in logs:
+        for file, data in log.files.items():
+            seed = zlib.crc32(f"{log.name} {file}".encode())
+            for harm, harmed in mutants(data, seed, EACH // len(log.files) + 1, large=False):
+                result = read_harmed(log, file, harmed)
+                assert result.outcome != FOREIGN, f"{log.name}/{file}, {harm}: {result.why}"
+                assert result.seconds < 3 * LIMIT_S
+                outcomes.add(result.outcome)
+    assert outcomes == {READ, PARTLY, REFUSED}
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_any_bytes_anywhere_in_a_log_are_read_or_refused(logs: list[OwnLog], data: st.DataObject):
+    log = data.draw(st.sampled_from(logs))
+    file = data.draw(st.sampled_from(sorted(log.files)))
+    whole = log.files[file]
+    begin = data.draw(st.integers(0, len(whole)))
+    end = data.draw(st.integers(begin, len(whole)))
+    harmed = whole[:begin] + data.draw(st.binary(max_size=40)) + whole[end:]
+    result = read_harmed(log, file, harmed)
+    assert result.outcome != FOREIGN, result.why
+
+
+def test_a_cell_of_a_million_blanks_costs_no_more_than_its_line(logs: list[OwnLog]):
+    log = next(log for log in logs if log.name == "ur-space")
+    lines = log.files["log.csv"].decode().splitlines()
+    lines[9] = lines[9].replace(" ", " " * 1_000_000, 1)
+    lines[12] = lines[12].replace(" ", ",", 1)
+    assert read_harmed(log, "log.csv", "\r\n".join([*lines, ""]).encode()).outcome == PARTLY
+
+
+def test_metadata_of_many_megabytes_is_not_parsed(logs: list[OwnLog]):
+    bag = next(log for log in logs if log.name == "bag mcap")
+    name = next(name for name in bag.files if name.endswith(".yaml"))
+    result = read_harmed(bag, name, bag.files[name] + b"xy" * 10_000_000)
+    assert result.outcome == READ
+
+
+def test_zeros_behind_the_magic_word_of_a_bag_are_no_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    from cyclekit.adapter import ReadOptions
+    from cyclekit_adapters.rosbag import ros1_file
+
+    looked, header = [], ros1_file._header
+    monkeypatch.setattr(ros1_file, "_header", lambda log: looked.append(log.tell()) or header(log))
+    (tmp_path / "run.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(1 << 16))
+    assert read_log(tmp_path / "run.bag", "rosbag", ReadOptions()).outcome == REFUSED
+    assert 0 < len(looked) < 10

@@ -1,7 +1,8 @@
 """Bombs: small bags that unpack to gigabytes or announce sizes that are lies; each is read in a process of its own.
 
 A recording of one second (125 poses) is whole beside every bomb, so the best answer is those and a word about the
-rest. Printed for each: what the reader's process ended with, its seconds and the most memory it held. A run that
+rest. Printed for each: what the reader's process ended with, its seconds, those of the processor (the others grow with
+whatever else the machine does) and the most memory it held. A run that
 ends with a traceback, takes over a minute or holds more than 1.5 GiB is marked.
 
     python benchmarks/bag_bombs.py      # Linux, which tells the memory a process held at most
@@ -145,7 +146,7 @@ def make(folder: Path) -> dict[str, Path]:
 
 
 def once(path: Path) -> None:
-    """Read one bag; say what came of it, and how many bytes the process held at most."""
+    """Read one bag; say what came of it, seconds of the processor, and how many bytes the process held at most."""
     try:
         log = ADAPTER.read(path, ReadOptions())
     except CyclekitError as refusal:
@@ -154,7 +155,8 @@ def once(path: Path) -> None:
         rows, aside = (table.height if table is not None else 0 for table in (log.robot, log.set_aside))
         print(f"{rows} rows, {aside} set aside, {len(log.warnings)} warnings")
     # not getrusage: on Linux that begins with what the parent held
-    print(int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1]) * 1024)  # type: ignore[index]
+    peak = int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1]) * 1024  # type: ignore[index]
+    print(time.process_time(), peak)
 
 
 def main() -> None:
@@ -166,22 +168,23 @@ def main() -> None:
         once(asked.once)
         return
     table = Table(title="bombs")
-    for name in ("bomb", "kB", "result", "s", "MiB", ""):
+    for name in ("bomb", "kB", "result", "s", "cpu s", "MiB", ""):
         table.add_column(name)
     with tempfile.TemporaryDirectory() as folder:
         for name, path in make(Path(folder)).items():
-            begin = time.perf_counter()
+            kb, begin = f"{path.stat().st_size / 1000:.0f}", time.perf_counter()
             call = [sys.executable, __file__, "--once", str(path)]
             try:
                 done = subprocess.run(call, check=False, capture_output=True, text=True, timeout=LIMIT_S)
             except subprocess.TimeoutExpired:
-                table.add_row(name, f"{path.stat().st_size / 1000:.0f}", f"nothing after {LIMIT_S} s", "", "", "BAD")
+                table.add_row(name, kb, f"nothing after {LIMIT_S} s", "", "", "", "BAD")
                 continue
             seconds = time.perf_counter() - begin
-            said, _, peak = done.stdout.strip().rpartition("\n")
-            bad = done.returncode != 0 or bool(done.stderr) or int(peak) > LIMIT_BYTES
+            said, _, told = done.stdout.strip().rpartition("\n")
+            cpu_s, peak = map(float, told.split() or ("nan", "nan"))
+            bad = done.returncode != 0 or bool(done.stderr) or peak > LIMIT_BYTES
             said = said or done.stderr.strip().rpartition("\n")[2]
-            row = [f"{path.stat().st_size / 1000:.0f}", said, f"{seconds:.1f}", f"{int(peak or 0) / 2**20:.0f}"]
+            row = [kb, said, f"{seconds:.1f}", f"{cpu_s:.1f}", f"{peak / 2**20:.0f}"]
             table.add_row(name, *row, "BAD" if bad else "")
             print(".", end="", file=sys.stderr, flush=True)
     Console(width=170).print(table)

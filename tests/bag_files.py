@@ -118,3 +118,10 @@ def chunks_of(path):
                 topic = summary.channels[channel].topic
                 counts[topic] = struct.unpack("<I", log.read(4))[0] // 16
             yield index.chunk_start_offset + index.chunk_length, counts
+
+
+def chunk_record(stored, size, compression):
+    """Return a chunk of an mcap."""
+    body = struct.pack("<QQQI", T0 * 10**9, T0 * 10**9, size, 0)
+    body += struct.pack("<I", len(compression)) + compression.encode() + struct.pack("<Q", len(stored)) + stored
+    return b"\x06" + struct.pack("<Q", len(body)) + body

@@ -10,7 +10,7 @@ from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.schema import STAMPS
 from cyclekit_adapters.rosbag import ADAPTER
 from cyclekit_adapters.rosbag.clocks import Source, choose_times, simulated
-from cyclekit_adapters.rosbag.envelope import line_under
+from cyclekit_adapters.rosbag.envelope import PARTS, least_delays, line_under
 
 T0 = 1_700_000_000.0
 TCP, POSES, SCALING = "/tcp_pose_broadcaster/pose", "/poses", "/speed_scaling_factor"
@@ -228,6 +228,14 @@ def test_no_message_arrives_before_the_line_and_the_line_is_the_true_one(seed, o
     if count > 1000:
         assert np.abs(line.of(device) - (1 + drift) * device - offset - 0.002).max() < 0.003
         assert line.delay_s == pytest.approx(0.01 * np.log(2), rel=0.5)
+
+
+@given(st.integers(1, 5 * PARTS), st.integers(0, 99))
+def test_the_least_delay_of_each_part_is_found_the_first_of_equal_ones(count, seed):
+    delays = np.random.default_rng(seed).integers(0, 3, count).astype(float)
+    size = -(-count // PARTS)
+    parts = [delays[begin : begin + size].tolist() for begin in range(0, count, size)]
+    assert least_delays(delays).tolist() == [k * size + part.index(min(part)) for k, part in enumerate(parts)]
 
 
 def test_moments_before_and_after_the_simulated_clock_go_on_at_the_recorders_speed():

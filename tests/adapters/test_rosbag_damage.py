@@ -6,7 +6,20 @@ import struct
 import numpy as np
 import pytest
 from backports import zstd
-from bag_files import MCAPS, ROS1S, SCALING, T0, TCP, chunks_of, expected, places, write_db3, write_mcap, write_ros1
+from bag_files import (
+    MCAPS,
+    ROS1S,
+    SCALING,
+    T0,
+    TCP,
+    chunk_record,
+    chunks_of,
+    expected,
+    places,
+    write_db3,
+    write_mcap,
+    write_ros1,
+)
 from mcap.reader import make_reader
 from rosbags.rosbag1 import Reader as Reader1
 
@@ -242,12 +255,6 @@ def test_an_index_that_lies_is_not_believed(tmp_path):
             content[at : at + 8] = struct.pack("<Q", lie)
     path.write_bytes(content)
     assert places(path)[:2] == expected(200)
-
-
-def chunk_record(stored, size, compression):
-    body = struct.pack("<QQQI", T0 * 10**9, T0 * 10**9, size, 0)
-    body += struct.pack("<I", len(compression)) + compression.encode() + struct.pack("<Q", len(stored)) + stored
-    return b"\x06" + struct.pack("<Q", len(body)) + body
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import random
 import shutil
 import sqlite3
+import struct
 import zlib
 
 import numpy as np
@@ -29,7 +30,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from cyclekit.adapter import ReadOptions
-from cyclekit_adapters.rosbag import ADAPTER
+from cyclekit_adapters.rosbag import ADAPTER, mcap_file
 from cyclekit_adapters.rosbag.container import opened
 from cyclekit_adapters.rosbag.folder import folder_of
 
@@ -259,3 +260,16 @@ def test_a_bag_of_2010_whose_headers_are_those_of_roslib_is_read(tmp_path):
     assert log.robot["q0_rad"].to_list() == [number / 10 for number in range(50)]
     assert log.robot["t_s"].to_list() == [T0 + number + 0.25 for number in range(50)]
     assert log.facts["time"] == "header stamp"
+
+
+@pytest.mark.parametrize("foreign", [b"", b"x", bytes(40)])
+def test_a_record_that_is_no_message_at_the_end_of_a_chunk_hides_none(foreign):
+    message = struct.pack("<BQHIQQ", 5, 22 + 8, 7, 0, T0, T0) + b"a number"
+    records = [message, message, struct.pack("<BQ", 200, len(foreign)) + foreign]
+    start = np.cumsum([0, *map(len, records[:-1])])
+    found = mcap_file._Records().messages(np.frombuffer(b"".join(records), np.uint8), start)
+    assert found.channel.tolist() == [7, 7]
+    assert found.receive_ns.tolist() == [T0, T0]
+    assert found.start.tolist() == [31, 70]
+    assert found.size.tolist() == [8, 8]
+    assert found.other == [78]

@@ -110,14 +110,22 @@ class ChunkedFile:
                 kept.append(chunk)
         self.chunks = kept
 
-    def unpacked(self, log: BufferedReader, chunk: Chunk, into: Bytes | None = None) -> Bytes:
+    def unpacked(self, log: BufferedReader, chunk: Chunk, into: Bytes | None = None) -> Bytes | None:
         """Return the bytes of a chunk, shape (size,), in `into` where that is given.
 
-        Raises:
-            Damage: The chunk is broken.
+        None if it is broken: then that is said, and it is not tried again.
         """
-        log.seek(chunk.place)
         into = np.empty(chunk.size, np.uint8) if into is None else into
+        try:
+            self._unpack(log, chunk, into)
+        except Damage as damage:
+            self.drop(chunk, damage)
+            self.chunks = [other for other in self.chunks if other.place != chunk.place]
+            return None
+        return into
+
+    def _unpack(self, log: BufferedReader, chunk: Chunk, into: Bytes) -> None:
+        log.seek(chunk.place)
         if chunk.compression in STORED:
             if chunk.stored != chunk.size or log.readinto(into.data) != chunk.size:
                 raise Damage(f"it holds less than the {chunk.size} bytes it announces")
@@ -125,7 +133,6 @@ class ChunkedFile:
             _, self._piece = inflate(log.read(chunk.stored), chunk.compression, into, whole=not chunk.cut)
         if chunk.crc and zlib.crc32(into.data) != chunk.crc:
             raise Damage("its checksum does not match")
-        return into
 
     def add_cut(self, log: BufferedReader, chunk: Chunk) -> None:
         """Add what there is of a chunk within which the file ends; what it announced may be more than any holds.
@@ -165,11 +172,8 @@ class ChunkedFile:
         found, base = [], 0
         for chunk in chunks:
             end = base + chunk.size
-            try:
-                raw = self.unpacked(log, chunk, buffer[base:end])
-            except Damage as damage:
-                self.drop(chunk, damage)
-            else:
+            raw = self.unpacked(log, chunk, buffer[base:end])
+            if raw is not None:
                 start, reached = records(self.form, raw, self._indexed(log, chunk))
                 if reached != chunk.size and not chunk.cut:
                     self.drop(chunk, f"its records break off at byte {reached} of {chunk.size}")

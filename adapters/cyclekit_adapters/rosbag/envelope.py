@@ -47,8 +47,9 @@ def middle(values: Array) -> float:
 def least_delays(delay_s: Array) -> npt.NDArray[np.int64]:
     """Return the row of the least delay in each of up to PARTS consecutive parts of a recording, ascending."""
     size = -(-delay_s.size // PARTS)
-    rows = [begin + int(delay_s[begin : begin + size].argmin()) for begin in range(0, delay_s.size, size)]
-    return np.array(rows, np.int64)
+    whole = delay_s.size // size * size
+    rows = delay_s[:whole].reshape(-1, size).argmin(axis=1) + np.arange(0, whole, size)
+    return rows if whole == delay_s.size else np.append(rows, whole + delay_s[whole:].argmin())
 
 
 def line_under(stamp_s: Array, receive_s: Array, *, drifts: bool = True) -> Line:

@@ -24,6 +24,7 @@ STORED = ("", "none")
 MAX_BYTES = 1 << 30
 """No logger writes chunks of a gigabyte."""
 _STEP = 4 << 20  # bytes unpacked at once
+_SLICE = 1 << 20  # bytes handed over at once: lz4 copies at every step what it was given and has not read yet
 MAX_RATIO = 1000
 """Messages of a robot do not compress a thousandfold; zeros do."""
 
@@ -47,18 +48,20 @@ def inflate(stored: bytes, compression: str, into: Bytes, *, whole: bool = True)
     """
     if whole:
         check_size(len(stored), into.size)
-    decompressor, filled, rest = _decompressor(compression), 0, stored
+    decompressor, filled, given, part = _decompressor(compression), 0, 0, b""
     while True:
+        piece = stored[given : given + _SLICE] if decompressor.needs_input or not part else b""
+        given += len(piece)
         try:
-            part = decompressor.decompress(rest, max_length=min(_STEP, into.size - filled + 1))
+            part = decompressor.decompress(piece, max_length=min(_STEP, into.size - filled + 1))
         except Exception as error:  # each of the three libraries has errors of its own
             raise Damage(f"it cannot be unpacked ({compression}: {str(error)[:60]})") from error
         if filled + len(part) > into.size and whole:
             raise Damage(f"it holds more than the {into.size} bytes it announces")
         part = part[: into.size - filled]
         into[filled : filled + len(part)] = np.frombuffer(part, np.uint8)
-        filled, rest = filled + len(part), b""
-        if decompressor.eof or decompressor.needs_input or not part:
+        filled += len(part)
+        if decompressor.eof or (given == len(stored) and (decompressor.needs_input or not part)):
             break
     if decompressor.eof and not whole:
         raise Damage("it ends before the file does, so it is not cut: its length is wrong")

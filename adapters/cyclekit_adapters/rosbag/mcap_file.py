@@ -17,7 +17,7 @@ import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
 from cyclekit_adapters.rosbag.chunks import MAX_RECORDS, Chunk, ChunkedFile, Messages, moment, records
-from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Damage, Ints, column, gather
+from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Ints, column, gather
 
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX, _DATA_END = 2, 3, 4, 5, 6, 7, 15
@@ -54,12 +54,16 @@ class _Records:
         return entries[:, 1].astype(np.int64)
 
     def messages(self, buffer: Bytes, start: Ints) -> Messages:
-        heads = gather(buffer, start, 9)
+        # at once, if no record begins so near to the end that there is no room for the head of a message
+        fits = not start.size or int(start[-1]) + _HEAD <= buffer.size
+        heads = gather(buffer, start, _HEAD if fits else 9)
         size = column(heads, 1, "<u8") - (_HEAD - 9)
         said = (heads[:, 0] == _MESSAGE) & (size >= 0)
-        other = start[~said].tolist() if not said.all() else []
-        start, size = (start, size) if said.all() else (start[said], size[said])
-        heads = gather(buffer, start, _HEAD)
+        other: list[int] = []
+        if not said.all():
+            other = start[~said].tolist()
+            start, size, heads = start[said], size[said], heads[said]
+        heads = heads if fits else gather(buffer, start, _HEAD)
         return Messages(column(heads, 9, "<u2"), column(heads, 15, "<u8"), start + _HEAD, size, other)
 
 
@@ -227,14 +231,14 @@ def _loose(log: BufferedReader, survey: _Survey, position: int, first: int) -> i
 def _open(log: BufferedReader, survey: _Survey, chunk: Chunk) -> None:
     """Look into a chunk for what its index does not tell."""
     found = survey.found
-    try:
-        raw = found.unpacked(log, chunk)
-    except Damage as damage:
-        found.drop(chunk, damage)
+    raw = found.unpacked(log, chunk)
+    if raw is None:
         return
     start, _ = records(found.form, raw, np.zeros(0, np.int64))
     messages = found.form.messages(raw, start)
-    for begin in messages.other:
+    other = np.asarray(messages.other, np.int64)
+    kinds = raw[other]
+    for begin in other[(kinds == _SCHEMA) | (kinds == _CHANNEL)].tolist():  # a bomb has millions of others
         op, length = _RECORD.unpack_from(raw.data, begin)
         survey.take(op, raw[begin + 9 : begin + 9 + length].tobytes())
     if messages.receive_ns.size:

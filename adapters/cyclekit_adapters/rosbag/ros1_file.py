@@ -147,7 +147,7 @@ def look(path: Path) -> ChunkedFile:
             there = f"{written} of {promised} chunks are there"
             if unclosed:
                 there = f"its last {end - (end if cut is None else cut)} bytes cannot be read"
-            if written < len(found.chunks):
+            if any(chunk.cut for chunk in found.chunks):
                 there += ", and the begin of one more"
             what = "was never closed" if unclosed else "is cut"
             if cut is not None and cut < _chunks_end(about, end):
@@ -248,10 +248,8 @@ def _connect(found: ChunkedFile, fields: dict[bytes, bytes], data: bytes) -> Non
 
 def _open(log: BufferedReader, found: ChunkedFile, chunk: Chunk) -> Messages | None:
     """Look into a chunk for what its index does not tell."""
-    try:
-        raw = found.unpacked(log, chunk)
-    except Damage as damage:
-        found.drop(chunk, damage)
+    raw = found.unpacked(log, chunk)
+    if raw is None:
         return None
     start, _ = records(found.form, raw, np.zeros(0, np.int64))
     messages = found.form.messages(raw, start)

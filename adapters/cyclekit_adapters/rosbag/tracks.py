@@ -193,7 +193,7 @@ def _value(kind: str, group: Group, factor: Factor | None, *, skeletons: bool) -
         return _scalars(group, factor.attribute) if hasattr(group.message, factor.attribute) else None
     if kind == JOINTS:
         names = tuple(map(str, group.first("name")))
-        angles, speeds = (group.numbers(part).astype(np.float64) for part in ("position", "velocity"))
+        angles, speeds = (group.numbers(part).astype(np.float64, copy=False) for part in ("position", "velocity"))
         return Joints(names, angles, speeds)
     if kind == MARKERS or kind in TRACKERS:
         return persons(kind, group, skeletons=skeletons)
@@ -219,14 +219,14 @@ def _controller(group: Group) -> Joints:
     """Read a controller's state by the fields it has: where the arm is was called `actual`, later `feedback`."""
     measured = [name for name in ("feedback", "actual") if hasattr(group.message, name)]
     name = next((name for name in measured if len(group.first(name, "positions"))), measured[0])
-    angles, speeds = (group.numbers(name, part).astype(np.float64) for part in ("positions", "velocities"))
+    angles, speeds = (group.numbers(name, part).astype(np.float64, copy=False) for part in ("positions", "velocities"))
     has_scaling = hasattr(group.message, "speed_scaling_factor")
     scaling = _scalars(group, "speed_scaling_factor") if has_scaling else np.full(group.rows.size, np.nan)
     return Joints(tuple(map(str, group.first("joint_names"))), angles, speeds, scaling)
 
 
 def _scalars(group: Group, *path: str | int) -> Array:
-    values = group.numbers(*path).astype(np.float64)
+    values = group.numbers(*path).astype(np.float64, copy=False)
     if values.ndim != 1:
         raise TypeError(f"{path[-1]} is no single number")
     return values

@@ -1,8 +1,9 @@
 """Where every second of an execution goes: nominal motion, safety loss, process dwell, waiting.
 
 A task is the motion from one place to the next and the stand at its goal. While it moves, the path's nominal time
-advances at the scaling s, so nominal = integral of s, safety loss = integral of (1 - s). A robot that has done its work
-at a place and is not allowed to leave stands there at s = 0: that tail of the stand is safety loss of the next motion,
+advances at the scaling s, so nominal = integral of s, safety loss = integral of (1 - s); an operator's speed slider
+takes its own share, and a paused program waits. A robot that has done its work at a place and is not allowed to leave
+stands there at s = 0: that tail of the stand is safety loss of the next motion,
 as far as the stand exceeds the place's usual dwell. A halt that begins a hair before the goal is told likewise.
 Which places and executions there are is found by `segment`.
 """
@@ -11,10 +12,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cyclekit.motion import Part, RobotRun, moving_slider
 from cyclekit.steps import find_staircase
 
 if TYPE_CHECKING:
@@ -27,8 +29,12 @@ if TYPE_CHECKING:
 
     Vector = NDArray[np.float64]
 
-TAIL_S = 0.2
-"""At low scaling a jerk-limited motion is too slow to be seen for so long at its start and its end."""
+UNSEEN_S = TAIL_S = 0.5
+"""At low scaling a jerk-limited motion is too slow to be seen for up to so long at its start and its end."""
+SLOW = 0.05
+"""At a lower scaling the speed does not tell how a motion began."""
+SEEN = 9.0
+"""The beginning of a motion is followed from the lowest speed that is seen to so many times that."""
 BLOCKED = 1e-6
 """Scaling at or below this is a halt."""
 REST_M = 1e-5
@@ -56,6 +62,7 @@ class Leg:
     arrival_s: float
     end_s: float
     nominal_s: float | None
+    slider_loss_s: float | None
     safety_loss_s: float | None
     dwell_s: float
     wait_s: float
@@ -65,7 +72,49 @@ class Leg:
 
 def stand_s(run: Run, visit: Visit) -> float:
     """Return how long a stand lasted, seconds."""
-    return run.time_at(visit.last) - run.time_at(visit.first)
+    return left_s(run, visit) - arrived_s(run, visit)
+
+
+def left_s(run: Run, visit: Visit) -> float:
+    """Return when the robot left, session time: a little before the first row in which it is seen to move."""
+    first, last = _rows_around(run, run.time_at(visit.last))
+    return _began(run.window(first, last), visit.last - first)
+
+
+def arrived_s(run: Run, visit: Visit) -> float:
+    """Return when the robot arrived, session time: a little behind the last row in which it is seen to move."""
+    first, last = _rows_around(run, run.time_at(visit.first))
+    part = run.window(first, last)
+    back = RobotRun(-part.t_s[::-1], part.xyz_m[::-1], part.speed_m_s[::-1], part.scaling[::-1])
+    return -_began(back, last - visit.first)
+
+
+def _rows_around(run: Run, t_s: float) -> tuple[int, int]:
+    first, last = run.row_at(np.array([t_s - UNSEEN_S, t_s + UNSEEN_S])).tolist()
+    return first, min(last + 1, run.rows - 1)
+
+
+def _began(part: RobotRun, at: int) -> float:
+    """Return when a motion began of which row `at` is the last one at rest.
+
+    At its beginning the speed of a jerk-limited motion grows with the square of nominal time, that is, the root of
+    speed over scaling grows linearly. What is seen of it, from the lowest speed that is told from noise to nine times
+    that, is followed back to zero.
+    """
+    t, known = part.t_s, np.flatnonzero(np.isfinite(part.scaling))
+    s = fill_nearest(part.scaling, known) if len(known) else np.ones(len(t))
+    nominal = np.concatenate([[0.0], np.cumsum(s[:-1] * np.diff(t))])
+    speed = part.speed_m_s / np.maximum(s, SLOW)
+    after = np.flatnonzero(speed[at + 1 :] > SEEN * speed[min(at + 1, len(t) - 1)])
+    seen = np.arange(at + 1, at + 1 + int(after[0]) if len(after) else at + 1)
+    seen = seen[s[seen] > SLOW]
+    if len(seen) < 3:  # it jumped to its speed
+        return float(t[at])
+    slope, level = np.polyfit(nominal[seen], np.sqrt(speed[seen]), 1)
+    if slope <= 0.0:
+        return float(t[at])
+    begin = float(np.interp(-level / slope, nominal, t)) if nominal[-1] > 0.0 else float(t[at])
+    return min(begin, float(t[at + 1]))
 
 
 def halted_s(run: Run, visit: Visit) -> tuple[float, float]:
@@ -131,9 +180,7 @@ def usual_dwells(runs: Sequence[Run], executions: Sequence[Execution]) -> dict[s
     return dwells
 
 
-def halts_at_places(
-    runs: Sequence[Run], executions: Sequence[Execution], slowest: float
-) -> list[list[tuple[int, Vector]]]:
+def halts_at_places(runs: Sequence[Run], executions: Sequence[Execution], slowest: float) -> list[list[Part]]:
     """Return where the inferred scaling of each run is 0, since a stand was prolonged by a halt and not by waiting.
 
     From motion alone both look alike. But who halted the robot is still near when it may leave, so it leaves at the
@@ -146,10 +193,10 @@ def halts_at_places(
         slowest: Speeds below this are the lowest there is, from `slowest_speed`.
 
     Returns:
-        Of each run, first row and zeros.
+        Of each run, the rows at which it was halted so.
     """
     usual = usual_dwells(runs, executions)
-    halts: list[list[tuple[int, Vector]]] = [[] for _ in runs]
+    halts: list[list[Part]] = [[] for _ in runs]
     for execution in executions:
         run = runs[execution.run]
         for visit in execution.visits[1:-1]:
@@ -160,11 +207,12 @@ def halts_at_places(
             known = leaving[np.isfinite(leaving)]
             if len(known) and float(known[0]) < slowest:
                 begin = int(run.row_at(np.array([run.time_at(visit.first) + usual[visit.place]]))[0])
-                halts[execution.run].append((begin, np.zeros(visit.last + 1 - begin)))
+                none = np.zeros(visit.last + 1 - begin)
+                halts[execution.run].append(Part(begin, none, none, none.astype(np.int8)))
     return halts
 
 
-def slowest_speed(scaling: Sequence[Vector]) -> float:
+def slowest_speed(scaling: Sequence[NDArray[np.floating[Any]]]) -> float:
     """Return a bound between the lowest and the next level above halt; 0 where there are not two of them.
 
     Args:
@@ -179,7 +227,7 @@ def account(run: Run, execution: Execution, dwells: Mapping[str, float]) -> list
     """Return the tasks of one execution, in order; they follow each other without a gap."""
     visits = execution.visits
     legs = []
-    departure = run.time_at(visits[0].last)
+    departure = left_s(run, visits[0])
     home = visits[0].place
     for before, visit in pairwise(visits):
         final = visit is visits[-1]
@@ -188,13 +236,14 @@ def account(run: Run, execution: Execution, dwells: Mapping[str, float]) -> list
         before_goal, before_leaving = halted_s(run, visit)
         head = before_goal if final else min(before_goal, max(0.0, stand - usual))
         tail = 0.0 if final else min(before_leaving, max(0.0, stand - head - usual))
-        arrival_row = _first_row_at(run, visit, head)
-        arrival, stand = run.time_at(arrival_row), stand - head
+        if tail > 0.0 and stand - head - tail - usual < UNSEEN_S:  # halted before it was seen to move
+            tail = stand - head - usual
+        arrival, stand = max(departure, arrived_s(run, visit) + head), stand - head
         if final:
             stand = 0.0 if visit.place == home else min(stand, usual)
         dwell, wait = _dwell_and_wait(stand - tail, usual)
-        start_row = int(run.row_at(np.array([departure]))[0])
-        nominal = nominal_time(run, departure, start_row, arrival_row)
+        start_row, arrival_row = run.row_at(np.array([departure, arrival])).tolist()
+        motion = motion_time(run, departure, arrival)
         legs.append(
             Leg(
                 start_place=before.place,
@@ -202,10 +251,11 @@ def account(run: Run, execution: Execution, dwells: Mapping[str, float]) -> list
                 start_s=departure,
                 arrival_s=arrival,
                 end_s=arrival + dwell + wait,
-                nominal_s=nominal,
-                safety_loss_s=None if nominal is None else arrival - departure - nominal,
+                nominal_s=motion.nominal_s,
+                slider_loss_s=motion.slider_loss_s,
+                safety_loss_s=motion.safety_loss_s,
                 dwell_s=dwell,
-                wait_s=wait,
+                wait_s=wait + motion.paused_s,
                 start_row=start_row,
                 arrival_row=arrival_row,
             )
@@ -219,28 +269,40 @@ def _dwell_and_wait(stand: float, usual: float) -> tuple[float, float]:
     return (stand, 0.0) if stand <= 1.5 * usual + 0.2 else (usual, stand - usual)
 
 
-def _first_row_at(run: Run, visit: Visit, head_s: float) -> int:
-    """Return the first row of a stand that lies `head_s` or more behind its begin."""
-    if head_s <= 0.0:
-        return visit.first
-    stand = run.window(visit.first, min(visit.last, visit.first + _LONG_ROWS))
-    return visit.first + min(int(np.searchsorted(stand.t_s, stand.t_s[0] + head_s - 1e-9)), stand.rows - 1)
+@dataclass(frozen=True)
+class Motion:
+    """How long a motion takes at full speed and what it lost, seconds; None where the scaling is mostly unknown."""
+
+    nominal_s: float | None
+    slider_loss_s: float | None
+    safety_loss_s: float | None
+    paused_s: float
 
 
-def nominal_time(run: Run, start_s: float, start_row: int, end_row: int) -> float | None:
-    """Return the integral of the scaling from `start_s` to row `end_row`, seconds; None where it is mostly unknown.
+def motion_time(run: Run, start_s: float, end_s: float) -> Motion:
+    """Return where the time of a motion went, from `start_s` to `end_s`; the parts add up to it.
 
-    The scaling of a row holds until the next row. Short unknown stretches take the nearest known value.
+    What a row says holds until the next row. Short unknown stretches take the nearest known scaling. While the program
+    is paused nobody is slowed down. A motion at scaling s and slider f advances by s f: what it loses to safety is the
+    integral of 1 - s, and to the slider that of s (1 - f).
     """
-    part = run.window(start_row, end_row)
-    s = part.scaling[:-1]
+    first, last = run.row_at(np.array([start_s, end_s])).tolist()
+    part = run.window(first, last)
+    lasts = np.diff(np.append(part.t_s, end_s))
+    lasts[0] -= start_s - part.t_s[0]
+    paused = np.zeros(len(lasts), np.bool_)
+    for halt in run.halts:
+        paused[max(halt.first - first, 0) : max(halt.last + 1 - first, 0)] = True
+    paused_s = float(lasts[paused].sum())
+    s, lasts = part.scaling[~paused], lasts[~paused]
     known = np.flatnonzero(np.isfinite(s))
     if len(s) == 0 or len(known) < 0.5 * len(s):
-        return None
-    filled = fill_nearest(s, known)
-    t = part.t_s.copy()
-    t[0] = start_s
-    return float(filled @ np.diff(t))
+        return Motion(None, None, None, paused_s)
+    s = fill_nearest(s, known)
+    slider = moving_slider(run.slider_at(first, last), last + 1 - first)[~paused]
+    slider_loss = float((s * (1.0 - slider)) @ lasts)
+    safety_loss = float((1.0 - s) @ lasts)
+    return Motion(end_s - start_s - paused_s - slider_loss - safety_loss, slider_loss, safety_loss, paused_s)
 
 
 def fill_nearest(s: NDArray[np.float64], known: NDArray[np.int64]) -> NDArray[np.float64]:

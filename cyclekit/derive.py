@@ -13,13 +13,14 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.account import Leg, account, halts_at_places, slowest_speed, usual_dwells
+from cyclekit.account import Leg, account, usual_dwells
 from cyclekit.activity import with_operator
 from cyclekit.align import place_in_time
 from cyclekit.dataset import Place
-from cyclekit.errors import ConfigError, EstimateError
-from cyclekit.motion import COLUMNS, runs_of, sampled
-from cyclekit.override import infer_overrides
+from cyclekit.errors import EstimateError
+from cyclekit.load_runs import load_runs
+from cyclekit.motion import sampled
+from cyclekit.scaling import with_scaling
 from cyclekit.segment import Execution, find_executions, find_places, find_stops, find_visits
 from cyclekit.session import Grid
 from cyclekit.steps import find_staircase
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Cell, Source
-    from cyclekit.motion import Run
+    from cyclekit.motion import Run, Sampled
     from cyclekit.session import Session
     from cyclekit.tables import StoredTable
 
@@ -88,22 +89,22 @@ def derive(
         place_in_time(session, sources, read, coarse_step_s=1.0 / cell.rate_hz if coarse else None)
         spans = [_session_span(entry) for entry in session.entries]
         session.span_s = (min(a for a, _ in spans), max(b for _, b in spans))
-    runs, marks = _load_runs(sessions, stored, cell, progress)
+    runs, marks = load_runs(sessions, stored, cell, lambda done, told: progress(0.2 * done, told))
     stops = [stop for number, run in enumerate(runs) for stop in find_stops(run, number)]
     places = find_places(runs, stops, cell.places)
     executions = find_executions(find_visits(stops, places, runs), places, cell.executions, marks)
     executions += _whole_runs(runs, executions)
-    runs, origin, warnings = _with_scaling(runs, executions, sessions)
+    runs, warnings = with_scaling(runs, executions, sessions, lambda done, told: progress(0.2 + 0.4 * done, told))
     dwells = usual_dwells(runs, executions)
     by_run: dict[int, list[Execution]] = {}
     for found in executions:
         by_run.setdefault(found.run, []).append(found)
     grids, rows, cards = [], [], []
     for number, session in enumerate(sessions):
-        progress(0.5 + 0.4 * number / len(sessions), f"samples of {session.name}")
+        progress(0.6 + 0.3 * number / len(sessions), f"samples of {session.name}")
         for k, (execution, legs) in enumerate(_session_executions(session, runs, by_run, dwells), 1):
             name = f"{session.name}.{k:03d}"
-            grid = _grid(session, name, execution, legs, runs, places, origin, cell)
+            grid = _grid(session, name, execution, legs, runs, places, cell)
             if len(grid.t_s):
                 grids.append(grid)
                 rows += _task_rows(name, legs)
@@ -113,7 +114,9 @@ def derive(
     samples = _by_session(grids, staircase.label)
     levels = tuple(round(float(level), 6) for level in staircase.levels)
     tasks = pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.TASKS.items()}, orient="row")
-    return Derived(samples, tasks, cards, places, human_places, levels, origin, [*warnings, *staircase.warnings])
+    return Derived(
+        samples, tasks, cards, places, human_places, levels, _origin(samples), [*warnings, *staircase.warnings]
+    )
 
 
 def _session_span(entry: Mapping[str, Any]) -> tuple[float, float]:
@@ -124,74 +127,10 @@ def _session_span(entry: Mapping[str, Any]) -> tuple[float, float]:
     )
 
 
-def _load_runs(
-    sessions: Sequence[Session], stored: Stored, cell: Cell, progress: Callable[[float, str], None]
-) -> tuple[list[Run], list[Rows]]:
-    """Return every run of every session, and of each the rows at which something logged says that a cycle begins."""
-    runs: list[Run] = []
-    marks: list[Rows] = []
-    gap_s = cell.executions.gap_s if cell.executions.begin != "file" else np.inf
-    for number, session in enumerate(sessions):
-        progress(0.4 * number / len(sessions), f"motion of {session.name}")
-        entry = session.entries[0]
-        if not entry["rows"].get("robot"):
-            continue
-        table = stored(entry["id"], COLUMNS)
-        marked = _marked(stored, entry, cell)
-        for run in runs_of(table, entry["clock"]["offset_s"], gap_s=gap_s):
-            session.runs.append(len(runs))
-            runs.append(run)
-            inside = marked[(marked > run.first) & (marked < run.end)]
-            marks.append(inside - run.first - 1)
-    return runs, marks
-
-
-def _marked(stored: Stored, entry: Mapping[str, Any], cell: Cell) -> Rows:
-    """Return the rows at which the register or the output that marks executions has changed."""
-    how = cell.executions
-    column = {"register": "register", "digital-output": "digital_out_bits"}.get(how.begin)
-    if column is None:
-        return np.empty(0, np.int64)
-    table = stored(entry["id"], (column,))
-    if table.unknown(column) == table.rows:
-        seen = f"{entry['sources'][0]['path']}: executions are to begin by {how.begin}, and that was not logged"
-        raise ConfigError(seen, cure='Log it, or set begin = "auto" in [executions] of the cell file.')
-    found, before = [np.empty(0, np.int64)], None
-    for number, (begin, _) in enumerate(table.groups):
-        values, is_known = table.whole_numbers(number, column)
-        known = np.flatnonzero(is_known)
-        if not len(known):
-            continue
-        values = (values[known] >> how.bit) & 1 if how.begin == "digital-output" else values[known]
-        steps = np.diff(values, prepend=values[0] if before is None else before)
-        found.append(begin + known[(steps > 0) if how.begin == "digital-output" else (steps != 0)])
-        before = int(values[-1])
-    return np.concatenate(found)
-
-
 def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Execution]:
     """A run in which no task was found is still an execution: it can be inspected and replayed."""
     covered = {execution.run for execution in executions}
     return [Execution(number, (), False) for number in range(len(runs)) if number not in covered]
-
-
-def _with_scaling(
-    runs: list[Run], executions: Sequence[Execution], sessions: Sequence[Session]
-) -> tuple[list[Run], str | None, list[str]]:
-    if any(run.knows_scaling for run in runs):
-        return runs, "logged", []
-    without = [number for session in sessions if session.reference for number in session.runs]
-    parts, references = infer_overrides(runs, executions, without)
-    if not references:
-        missing = "no log holds a valid speed scaling, and no motion repeats, so it could not be inferred either"
-        return runs, None, [missing] if runs else []
-    how = "runs without the operator" if without else "the fastest repetition of each task"
-    note = f"no log holds a valid speed scaling: inferred from velocity ratios against {how} ({len(references)} tasks)"
-    moving = [run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
-    slowest = slowest_speed([values for found in parts for _, values in sorted(found, key=lambda part: part[0])])
-    halts = halts_at_places(moving, executions, slowest)
-    inferred = [run.with_scaling([*p, *h]) for run, p, h in zip(runs, parts, halts, strict=True)]
-    return list(inferred), "inferred", [note]
 
 
 def _session_executions(
@@ -214,7 +153,6 @@ def _grid(
     legs: list[Leg],
     runs: Sequence[Run],
     places: Mapping[str, Place],
-    origin: str | None,
     cell: Cell,
 ) -> Grid:
     if execution is None:
@@ -233,11 +171,29 @@ def _grid(
         found = sampled(runs[execution.run], t)
         t = found.t_s
         columns |= {f"robot_{axis}_m": found.xyz_m[:, k] for k, axis in enumerate("xyz")}
-        origins = [origin if known else None for known in np.isfinite(found.scaling).tolist()]
-        columns |= {"scaling": found.scaling, "scaling_origin": pl.Series(origins, dtype=pl.String)}
+        columns |= _scaling_columns(found, inferred=runs[execution.run].is_inferred)
     columns |= {"execution": [name] * len(t), "t_s": t, **_task_columns(t, legs, places)}
     frame = schema.conform(pl.DataFrame(columns, nan_to_null=True, strict=False), schema.SAMPLES)
     return Grid(session, name, t, frame, np.full((len(t), 3), np.nan))
+
+
+def _scaling_columns(found: Sampled, *, inferred: bool) -> dict[str, Any]:
+    known = np.isfinite(found.scaling)
+    whence = pl.lit("inferred" if inferred else "logged")
+    why = pl.Series(found.gap, dtype=pl.Int8)
+    names = dict(enumerate(schema.SCALING_GAPS))
+    said = pl.DataFrame({"known": known, "why": why}).select(
+        scaling_origin=pl.when("known").then(whence),
+        scaling_gap=pl.when(~pl.col("known")).then(pl.col("why").replace_strict(names, return_dtype=pl.String)),
+    )
+    columns = {"scaling": found.scaling, "scaling_sd": found.deviation, "slider": found.slider}
+    return columns | {name: said[name] for name in said.columns}
+
+
+def _origin(samples: Mapping[str, pl.DataFrame]) -> str | None:
+    """Return whence the scaling of all samples comes: logged, inferred, or both."""
+    seen = {name for frame in samples.values() for name in frame["scaling_origin"].drop_nulls().unique().to_list()}
+    return " and ".join(sorted(seen, reverse=True)) or None
 
 
 def _task_columns(t: Vector, legs: Sequence[Leg], places: Mapping[str, Place]) -> dict[str, Any]:
@@ -259,7 +215,7 @@ def _task_rows(name: str, legs: Sequence[Leg]) -> list[tuple[object, ...]]:
     return [
         (
             name, index, f"{leg.start_place}->{leg.goal_place}", leg.start_place, leg.goal_place, leg.start_s,
-            leg.arrival_s, leg.end_s, leg.nominal_s, leg.safety_loss_s, leg.dwell_s, leg.wait_s,
+            leg.arrival_s, leg.end_s, leg.nominal_s, leg.slider_loss_s, leg.safety_loss_s, leg.dwell_s, leg.wait_s,
         )
         for index, leg in enumerate(legs)
     ]  # fmt: skip

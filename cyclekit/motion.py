@@ -1,15 +1,15 @@
-"""A robot's log as runs that are read window by window: short logs from memory, long ones from Parquet.
+"""A robot's log as runs that are read window by window.
 
 A run is one continuous stretch. Whoever reads motion asks for the rows that matter (a stand, a task, an execution) and
-never for all of them, so a log of any length takes the memory of its longest task. What the motion means is the
-business of `segment`.
+never for all of them, so a log of any length takes the memory of its longest task. Runs that stay on the disk are in
+`stored_run`; what the motion means is the business of `segment`.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
-
-    from cyclekit.tables import StoredTable
 
     Vector = NDArray[np.float64]
     Points = NDArray[np.float64]
@@ -32,6 +30,33 @@ DENSE_S = 0.02
 BLOCK_ROWS = 1 << 17
 COLUMNS = ("t_s", "tcp_x_m", "tcp_y_m", "tcp_z_m", "tcp_speed_m_s", "scaling")
 """Columns of table ROBOT that a run is made of."""
+STANDING, PAUSED, STOPPED, NOT_LOGGED, NO_REFERENCE, NEVER_FULL, OTHER_PATH, TOO_SLOW, LOG_GAP = range(9)
+"""Why a scaling is unknown: indices into `schema.SCALING_GAPS`."""
+
+
+class Part(NamedTuple):
+    """Scaling of consecutive rows of a run, inferred.
+
+    Attributes:
+        first: First row.
+        scaling: Values, shape (N,), NaN = unknown.
+        deviation: Their standard deviations, shape (N,).
+        gap: Why they are unknown where they are, shape (N,), indices into SCALING_GAPS.
+    """
+
+    first: int
+    scaling: NDArray[np.floating[Any]]
+    deviation: NDArray[np.floating[Any]]
+    gap: NDArray[np.int8]
+
+
+@dataclass(frozen=True)
+class Halt:
+    """The program of the robot did not run in rows `first` to `last`, inclusive; `gap`: PAUSED or STOPPED."""
+
+    first: int
+    last: int
+    gap: int
 
 
 class Run(Protocol):
@@ -64,7 +89,25 @@ class Run(Protocol):
         """Return the last row at or before each time, shape (N,); 0 where there is none."""
         ...
 
-    def with_scaling(self, parts: Sequence[tuple[int, Vector]]) -> Run:
+    @property
+    def halts(self) -> Sequence[Halt]:
+        """When its program was paused or stopped, in order."""
+        ...
+
+    @property
+    def is_inferred(self) -> bool:
+        """Whether its scaling was inferred and not logged."""
+        ...
+
+    def posture(self, first: int, last: int) -> tuple[Points, Vector]:
+        """Return joint angles (else TCP) of rows `first` to `last`, (T, D), and the slider, (T,), 1 if not logged."""
+        ...
+
+    def slider_at(self, first: int, last: int) -> Vector | None:
+        """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None where it was not logged."""
+        ...
+
+    def with_scaling(self, parts: Sequence[Part]) -> Run:
         """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
         ...
 
@@ -77,13 +120,25 @@ class RobotRun:
         t_s: Session time, shape (T,), strictly increasing, seconds.
         xyz_m: TCP, shape (T, 3), metres.
         speed_m_s: TCP speed, shape (T,), m/s.
-        scaling: Shape (T,), NaN = unknown.
+        scaling: The safety system's scaling, shape (T,), NaN = unknown.
+        deviation: Its standard deviation, shape (T,); None = 0, it was logged.
+        gap: Why it is unknown, shape (T,), where it is; None = it was not logged there.
+        q_rad: Joint angles, shape (T, J), if known.
+        slider: The operator's speed slider, shape (T,); None = not logged.
+        halts: When the program was paused or stopped.
+        is_inferred: The scaling was inferred and not logged.
     """
 
     t_s: Vector
     xyz_m: Points
     speed_m_s: Vector
     scaling: Vector
+    deviation: Vector | None = None
+    gap: NDArray[np.int8] | None = None
+    q_rad: Points | None = None
+    slider: Vector | None = None
+    halts: tuple[Halt, ...] = ()
+    is_inferred: bool = False
 
     @property
     def rows(self) -> int:
@@ -103,7 +158,19 @@ class RobotRun:
     def window(self, first: int, last: int) -> RobotRun:
         """Return rows `first` to `last`, inclusive: views, no copies."""
         part = slice(first, last + 1)
-        return RobotRun(self.t_s[part], self.xyz_m[part], self.speed_m_s[part], self.scaling[part])
+        deviation = None if self.deviation is None else self.deviation[part]
+        gap = None if self.gap is None else self.gap[part]
+        return RobotRun(self.t_s[part], self.xyz_m[part], self.speed_m_s[part], self.scaling[part], deviation, gap)
+
+    def posture(self, first: int, last: int) -> tuple[Points, Vector]:
+        """Return joint angles (else TCP) of rows `first` to `last`, (T, D), and the slider, (T,), 1 if not logged."""
+        part = slice(first, last + 1)
+        points = (self.xyz_m if self.q_rad is None else self.q_rad)[part]
+        return points, moving_slider(self.slider_at(first, last), len(points))
+
+    def slider_at(self, first: int, last: int) -> Vector | None:
+        """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None where it was not logged."""
+        return None if self.slider is None else self.slider[first : last + 1]
 
     def time_at(self, row: int) -> float:
         """Return the session time of a row, seconds."""
@@ -113,83 +180,38 @@ class RobotRun:
         """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
         return np.clip(np.searchsorted(self.t_s, t_s + 1e-9, side="right") - 1, 0, None)
 
-    def with_scaling(self, parts: Sequence[tuple[int, Vector]]) -> RobotRun:
+    def with_scaling(self, parts: Sequence[Part]) -> RobotRun:
         """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
-        scaling = np.full(self.rows, np.nan)
-        for first, values in parts:
-            scaling[first : first + len(values)] = values
-        return replace(self, scaling=scaling)
+        scaling, deviation, gap = Overlay(parts).rows(0, self.rows - 1)
+        return replace(self, scaling=scaling, deviation=deviation, gap=gap, is_inferred=True)
 
 
-@dataclass(frozen=True)
-class StoredRun:
-    """A run that stays on the disk.
+def moving_slider(slider: Vector | None, rows: int) -> Vector:
+    """Return the slider of some rows as a factor of the speed; one at zero, or not known, tells nothing: 1."""
+    return np.ones(rows) if slider is None else np.where(slider > 0.0, slider, 1.0)
 
-    Attributes:
-        table: Table ROBOT of its recording, with COLUMNS.
-        first, end: Its rows of the table: from `first` to before `end`.
-        offset_s: Session time of the log's time 0.
-        period_s: Usual time between rows.
-        has_speed: The TCP speed is logged in every row of the table.
-        knows_scaling: Whether the scaling of any row is known.
-        steps: Rows of the run, every BLOCK_ROWS-th, and the times there: where to look for a time.
-        inferred: Scaling in place of the logged one, from each first row on; None = as logged.
-    """
 
-    table: StoredTable
-    first: int
-    end: int
-    offset_s: float
-    period_s: float
-    has_speed: bool
-    knows_scaling: bool
-    steps: tuple[Rows, Vector]
-    inferred: tuple[tuple[int, NDArray[np.float32]], ...] | None = None
+class Overlay:
+    """Inferred scaling of a run, in parts, to be read by windows."""
 
-    @property
-    def rows(self) -> int:
-        """How many rows it has."""
-        return self.end - self.first
+    def __init__(self, parts: Sequence[Part]) -> None:
+        """Keep the parts; of two that overlap the one that begins later wins."""
+        self._parts = sorted(parts, key=lambda part: part.first)
+        self._begins = [part.first for part in self._parts]
+        self._longest = max((len(part.scaling) for part in self._parts), default=0)
+        self.is_known = any(np.isfinite(part.scaling).any() for part in self._parts)
 
-    def window(self, first: int, last: int) -> RobotRun:
-        """Return rows `first` to `last`, inclusive."""
-        half = 0 if self.has_speed else half_window(self.period_s)
-        begin, after = max(first - half, 0), min(last + 1 + half, self.rows)
-        columns = self.table.read(self.first + begin, self.first + after)
-        t_s = columns["t_s"] + self.offset_s
-        xyz = np.column_stack([columns[f"tcp_{axis}_m"] for axis in "xyz"])
-        speed = columns["tcp_speed_m_s"] if self.has_speed else slope(t_s, xyz, half)
-        inside = slice(first - begin, last + 1 - begin)
-        scaling = columns["scaling"][inside] if self.inferred is None else self._inferred(first, last)
-        return RobotRun(t_s[inside], xyz[inside], speed[inside], scaling)
-
-    def _inferred(self, first: int, last: int) -> Vector:
-        values = np.full(last + 1 - first, np.nan)
-        for begin, part in self.inferred or ():
-            a, b = max(first, begin), min(last + 1, begin + len(part))
+    def rows(self, first: int, last: int) -> tuple[Vector, Vector, NDArray[np.int8]]:
+        """Return scaling, deviation and gap of rows `first` to `last`; where there is no part, the robot stands."""
+        scaling, deviation = np.full(last + 1 - first, np.nan), np.full(last + 1 - first, np.nan)
+        gap = np.full(last + 1 - first, STANDING, np.int8)
+        near = slice(bisect_left(self._begins, first - self._longest), bisect_left(self._begins, last + 1))
+        for part in self._parts[near]:
+            a, b = max(first, part.first), min(last + 1, part.first + len(part.scaling))
             if a < b:
-                values[a - first : b - first] = part[a - begin : b - begin]
-        return values
-
-    def time_at(self, row: int) -> float:
-        """Return the session time of a row, seconds."""
-        return float(self.table.read(self.first + row, self.first + row + 1)["t_s"][0]) + self.offset_s
-
-    def row_at(self, t_s: Vector) -> Rows:
-        """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
-        rows, times = self.steps
-        found = np.zeros(len(t_s), np.int64)
-        step = np.clip(np.searchsorted(times, t_s + 1e-9, side="right") - 1, 0, None)
-        for number in np.unique(step).tolist():
-            last = int(rows[number + 1]) if number + 1 < len(rows) else self.rows
-            here = step == number
-            found[here] = rows[number] + self.window(int(rows[number]), last - 1).row_at(t_s[here])
-        return found
-
-    def with_scaling(self, parts: Sequence[tuple[int, Vector]]) -> StoredRun:
-        """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
-        kept = tuple((first, np.asarray(values, np.float32)) for first, values in sorted(parts, key=lambda p: p[0]))
-        return replace(self, inferred=kept, knows_scaling=any(np.isfinite(values).any() for _, values in kept))
+                here, there = slice(a - first, b - first), slice(a - part.first, b - part.first)
+                scaling[here], deviation[here], gap[here] = part.scaling[there], part.deviation[there], part.gap[there]
+        return scaling, deviation, gap
 
 
 def pieces(run: Run, first: int = 0, last: int | None = None, *, overlap: int = 0) -> Iterator[tuple[int, RobotRun]]:
@@ -209,38 +231,6 @@ def pieces(run: Run, first: int = 0, last: int | None = None, *, overlap: int = 
         if after == last:
             return
         begin = after + 1 - overlap
-
-
-def runs_of(table: StoredTable, offset_s: float, *, gap_s: float) -> list[StoredRun]:
-    """Return the continuous stretches of a log: split where its clock jumps ahead by more than `gap_s` or goes back.
-
-    Args:
-        table: Table ROBOT of its recording, with COLUMNS.
-        offset_s: Session time of the log's time 0.
-        gap_s: Longest silence within a run; infinite = one run, unless the clock goes back.
-    """
-    cuts, firsts, before, periods = [0], list[tuple[int, float]](), np.nan, []
-    for begin, end in table.groups:
-        t = table.read(begin, end)["t_s"]
-        between = np.diff(t, prepend=before)
-        cuts += (begin + np.flatnonzero((between > gap_s) | (between <= 0))).tolist()
-        firsts.append((begin, float(t[0])))
-        periods.append(np.median(between[1:]) if len(between) > 1 else np.nan)
-        before = t[-1]
-    known = [float(period) for period in periods if np.isfinite(period)]
-    period_s = float(np.median(known)) if known else 0.1
-    has_speed = table.unknown("tcp_speed_m_s") == 0
-    logged = table.unknown("scaling") < table.rows
-    found = []
-    for first, end in pairwise([*cuts, table.rows]):
-        if end <= first:
-            continue
-        inside = [(begin - first, t) for begin, t in firsts if first < begin < end]
-        start = float(table.read(first, first + 1)["t_s"][0])
-        rows, times = zip((0, start), *inside, strict=True)
-        steps = (np.array(rows, np.int64), np.array(times) + offset_s)
-        found.append(StoredRun(table, first, end, offset_s, period_s, has_speed, logged, steps))
-    return found
 
 
 def half_window(period_s: float) -> int:
@@ -270,13 +260,19 @@ class Sampled:
     Attributes:
         t_s: The times, shape (N,); those of rows where the log has them dense enough.
         xyz_m: TCP, shape (N, 3); NaN in a gap of the log.
-        scaling: Value in force, shape (N,); NaN = unknown.
+        scaling: The safety system's scaling in force, shape (N,); NaN = unknown.
+        deviation: Its standard deviation, shape (N,); NaN = unknown.
+        gap: Why it is unknown, shape (N,), where it is: indices into SCALING_GAPS.
+        slider: The operator's speed slider, shape (N,); NaN = not logged.
         row: Row at or before each time, shape (N,).
     """
 
     t_s: Vector
     xyz_m: Points
     scaling: Vector
+    deviation: Vector
+    gap: NDArray[np.int8]
+    slider: Vector
     row: Rows
 
 
@@ -290,8 +286,9 @@ def sampled(run: Run, t_s: Vector) -> Sampled:
     at_once = max(1, int(BLOCK_ROWS * run.period_s * len(t_s) / max(t_s[-1] - t_s[0], 1e-9))) if len(t_s) else 1
     parts = [_sampled(run, t_s[begin : begin + at_once]) for begin in range(0, len(t_s), at_once)]
     if not parts:
-        return Sampled(np.empty(0), np.empty((0, 3)), np.empty(0), np.empty(0, np.int64))
-    columns = zip(*((part.t_s, part.xyz_m, part.scaling, part.row) for part in parts), strict=True)
+        none = np.empty(0)
+        return Sampled(none, np.empty((0, 3)), none, none, none.astype(np.int8), none, none.astype(np.int64))
+    columns = zip(*(vars(part).values() for part in parts), strict=True)
     return Sampled(*(np.concatenate(column) for column in columns))
 
 
@@ -306,4 +303,12 @@ def _sampled(run: Run, t_s: Vector) -> Sampled:
     gap = part.t_s[after] - part.t_s[here] > max(0.1, 5 * run.period_s)
     xyz = np.column_stack([np.interp(t, part.t_s, part.xyz_m[:, axis]) for axis in range(3)])
     xyz[gap] = np.nan
-    return Sampled(t, xyz, np.where(gap, np.nan, part.scaling[here]), row)
+    scaling = np.where(gap, np.nan, part.scaling[here])
+    known = np.zeros(len(t)) if part.deviation is None else part.deviation[here]
+    why = np.full(len(t), NOT_LOGGED, np.int8) if part.gap is None else part.gap[here].copy()
+    for halt in run.halts:
+        why[(row >= halt.first) & (row <= halt.last)] = halt.gap
+    why[gap] = LOG_GAP
+    slider = run.slider_at(first, first + part.rows - 1)
+    slider = np.full(len(t), np.nan) if slider is None else slider[here]
+    return Sampled(t, xyz, scaling, np.where(np.isnan(scaling), np.nan, known), why, slider, row)

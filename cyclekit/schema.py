@@ -17,7 +17,7 @@ from cyclekit.errors import ShapeError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 """Version of the dataset layout; a dataset of another version is refused, never half-read."""
 
 
@@ -95,8 +95,11 @@ SAMPLES: Mapping[str, Column] = {
     "human_goal_x_m": Column(F64, "m", "g_h: end of the operator's running task"),
     "human_goal_y_m": Column(F64, "m", "g_h"),
     "human_goal_z_m": Column(F64, "m", "g_h"),
-    "scaling": Column(F64, "1", "s: speed scaling in force; null = unknown"),
+    "scaling": Column(F64, "1", "s: the safety system's speed scaling in force; null = unknown"),
     "scaling_origin": Column(TEXT, "", "logged or inferred; null where scaling is null"),
+    "scaling_sd": Column(F64, "1", "standard deviation of scaling: 0 where logged; null where scaling is null"),
+    "scaling_gap": Column(TEXT, "", "why scaling is null, one of SCALING_GAPS; null where it is not"),
+    "slider": Column(F64, "1", "the operator's speed slider; the robot's speed is scaling times it; null = not logged"),
     "step": Column(pl.Int32(), "", "index of the staircase level, ascending; null = unknown or in a ramp"),
     "robot_task": Column(TEXT, "", "running task, `start->goal`"),
     "human_task": Column(TEXT, "", "the operator's running task: the place it ends at"),
@@ -116,12 +119,28 @@ TASKS: Mapping[str, Column] = {
     "start_s": Column(F64, "s", "start of the motion, session time"),
     "arrival_s": Column(F64, "s", "end of the motion, session time"),
     "end_s": Column(F64, "s", "end of dwell and wait, session time"),
-    "nominal_s": Column(F64, "s", "duration of the motion at scaling 1; null = scaling unknown"),
-    "safety_loss_s": Column(F64, "s", "time lost to slow-down: integral of (1 - s) over the motion"),
+    "nominal_s": Column(F64, "s", "duration of the motion at full speed; null = scaling unknown"),
+    "slider_loss_s": Column(F64, "s", "time lost to the operator's speed slider: integral of s (1 - slider)"),
+    "safety_loss_s": Column(F64, "s", "time lost to the safety system: integral of (1 - s) over the motion"),
     "dwell_s": Column(F64, "s", "process time at the goal"),
-    "wait_s": Column(F64, "s", "standstill at the goal beyond dwell, not explained by safety"),
+    "wait_s": Column(F64, "s", "standstill beyond dwell, or with the program paused, not explained by safety"),
 }
-"""One row per executed robot task: nominal + safety loss + dwell + wait = end - start."""
+"""One row per executed robot task: nominal + slider loss + safety loss + dwell + wait = end - start."""
+
+SCALING_GAPS = (
+    "standing",
+    "paused",
+    "stopped",
+    "not logged",
+    "no reference",
+    "never at full speed",
+    "other path",
+    "too slow to tell",
+    "log gap",
+)
+"""Why a scaling is unknown: the robot stands at a place; its program is paused or stopped; the log does not hold it,
+and too few repetitions show that motion at full speed, or it was slowed in every one; it took another path than its
+repetitions; it was too slow just there; the log is silent."""
 
 
 QUARANTINE: Mapping[str, Column] = {

@@ -127,8 +127,10 @@ class StoredTable:
             columns: The columns that will be read, all of numbers.
         """
         self._file, self._columns = file, list(columns)
+        self.columns = tuple(columns)
         with pq.ParquetFile(file) as parquet:
             about, layout = parquet.metadata, parquet.schema_arrow
+        self.names = tuple(layout.names)
         starts = [0]
         for group in range(about.num_row_groups):
             starts.append(starts[-1] + about.row_group(group).num_rows)
@@ -156,6 +158,24 @@ class StoredTable:
         with pq.ParquetFile(self._file) as parquet:
             values = pl.DataFrame(parquet.read_row_group(number, columns=[column], use_threads=False))[column]
         return values.fill_null(0).cast(pl.Int64).to_numpy(), values.is_not_null().to_numpy()
+
+    def states(self, column: str) -> Iterator[tuple[int, int, str]]:
+        """Yield each stretch of equal texts in a column of texts: first and last row, and the text; not the unknown."""
+        pending: tuple[int, int, str] | None = None
+        for number, (begin, _) in enumerate(self.groups):
+            with pq.ParquetFile(self._file) as parquet:
+                values = pl.DataFrame(parquet.read_row_group(number, columns=[column], use_threads=False))[column]
+            at = begin
+            for length, text in values.rle().struct.unnest().iter_rows():
+                if pending is not None and pending[2] == text:
+                    pending = (pending[0], at + length - 1, text)
+                else:
+                    if pending is not None:
+                        yield pending
+                    pending = None if text is None else (at, at + length - 1, text)
+                at += length
+        if pending is not None:
+            yield pending
 
     def _group(self, number: int) -> Columns:
         key = (self._file, tuple(self._columns), number)

@@ -43,6 +43,11 @@ def simulate(
         str | None, typer.Option(help="Where the recording's origin stands, base frame: x,y,z in m.")
     ] = None,
     operator_yaw: Annotated[float, typer.Option(help="How the recording is turned about the vertical, degrees.")] = 0.0,
+    encoder_noise: Annotated[
+        float, typer.Option(help="Noise of the joint angles, standard deviation, rad; a real UR5 shows 2e-5.")
+    ] = 0.0,
+    pick: Annotated[float | None, typer.Option(help="Process time of picking, s, instead of the scene's.")] = None,
+    place: Annotated[float | None, typer.Option(help="Process time of placing, s, instead of the scene's.")] = None,
     without_operator: Annotated[
         bool, typer.Option("--without-operator", help="The reference run: nobody in the cell.")
     ] = False,
@@ -69,6 +74,9 @@ def simulate(
         "operator_log": operator_log,
         "operator_yaw_deg": operator_yaw,
         "with_operator": not without_operator,
+        "encoder_noise_rad": encoder_noise,
+        "pick_s": pick,
+        "place_s": place,
     }
     if operator_xyz is not None:
         settings["operator_xyz_m"] = vector(operator_xyz)

@@ -15,7 +15,7 @@ from cyclekit_sim.program import HOME, Execution
 from cyclekit_sim.scenes import GOAL_SD_M, MIDDLE_SD_M, SCENES, Scene
 from cyclekit_sim.walking import Leg, Press, stand, walk
 
-ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE = range(5)
+ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER = range(6)
 LOGGED, FRESH = range(2)
 
 

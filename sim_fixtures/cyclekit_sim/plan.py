@@ -100,9 +100,17 @@ def run_sessions(work: Work, progress: Callable[[float], None] | None = None) ->
 
 def _run(work: Work, groups: list[list[Execution]], progress: Callable[[float], None] | None) -> list[Trace]:
     scene = work.scene
-    programs = [compile_program(group, work.table, pick_s=scene.pick_s, place_s=scene.place_s) for group in groups]
+    pick_s, place_s = process_times(work)
+    programs = [compile_program(group, work.table, pick_s=pick_s, place_s=place_s) for group in groups]
     tracks = [_track(work, group[0].index) for group in groups]
     return run(programs, tracks, table=work.table, safety=scene.safety, options=work.options, progress=progress)
+
+
+def process_times(work: Work) -> tuple[float, float]:
+    """Return how long picking and placing take, s."""
+    options, scene = work.options, work.scene
+    pick_s = scene.pick_s if options.pick_s is None else options.pick_s
+    return pick_s, scene.place_s if options.place_s is None else options.place_s
 
 
 def _track(work: Work, index: int) -> Track:

@@ -17,11 +17,12 @@ import numpy as np
 import polars as pl
 
 from cyclekit_sim.cell_file import cell_file
-from cyclekit_sim.choices import SEQUENCE, TRACKER, draw_places, stream
+from cyclekit_sim.choices import ENCODER, SEQUENCE, TRACKER, draw_places, stream
+from cyclekit_sim.encoder import measured
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.motion import Place
 from cyclekit_sim.options import SimulationOptions
-from cyclekit_sim.plan import Work, prepare, run_alone, run_sessions
+from cyclekit_sim.plan import Work, prepare, process_times, run_alone, run_sessions
 from cyclekit_sim.scenes import BUILT_IN, SCENES, Scene
 from cyclekit_sim.session import Session
 from cyclekit_sim.tracker import record
@@ -161,10 +162,11 @@ def _write_session(folder: Path, session: Session, work: Work) -> None:
     folder.mkdir()
     options = work.options
     frames = record(session, options, stream(work.seed, work.scene, TRACKER, session.index))
+    robot = measured(session.robot, options.encoder_noise_rad, stream(work.seed, work.scene, ENCODER, session.index))
     if options.logs == "mcap":
-        write_bag(folder / f"{session.name}.mcap", session, frames, options)
+        write_bag(folder / f"{session.name}.mcap", session, robot, frames, options)
         return
-    write_robot(folder / "robot.csv", session, options)
+    write_robot(folder / "robot.csv", robot, options)
     write_people(folder / "operator.csv", frames, options, session.name)
     write_events(folder / "events.csv", session, options)
 
@@ -181,7 +183,6 @@ def _facts(work: Work) -> str:
         "safety": {"kind": type(scene.safety).__name__, **dataclasses.asdict(scene.safety)},  # type: ignore[call-overload]
         "places": scene.places,
         "human_places": {name: station.xyz_m for name, station in scene.stations.items()},
-        "pick_s": scene.pick_s,
-        "place_s": scene.place_s,
+        **dict(zip(("pick_s", "place_s"), process_times(work), strict=True)),
     }
     return json.dumps(facts, indent=2, default=np.ndarray.tolist) + "\n"

@@ -20,7 +20,7 @@ from rosbags.typesys.store import Typestore
 
 from cyclekit_sim.arm import JOINT_NAMES, Array
 from cyclekit_sim.options import SimulationOptions
-from cyclekit_sim.session import Session
+from cyclekit_sim.session import RobotStates, Session
 from cyclekit_sim.tracker import Frames, lead_s
 
 if TYPE_CHECKING:
@@ -42,10 +42,10 @@ _TYPES = {
 }
 
 
-def write_bag(path: Path, session: Session, frames: Frames, options: SimulationOptions) -> None:
-    """Write a session as one mcap file."""
+def write_bag(path: Path, session: Session, robot: RobotStates, frames: Frames, options: SimulationOptions) -> None:
+    """Write a session as one mcap file; `robot` is what its controller measured."""
     store = get_typestore(Stores.ROS2_HUMBLE)
-    messages = [*_robot(store, session, options), *_people(store, frames, options), *_signals(store, session)]
+    messages = [*_robot(store, robot, options), *_people(store, frames, options), *_signals(store, session)]
     messages.sort(key=lambda message: message[:2])
     topics = [topic for topic in _TYPES if any(message[1] == topic for message in messages)]
     with path.open("wb") as file:
@@ -61,8 +61,7 @@ def write_bag(path: Path, session: Session, frames: Frames, options: SimulationO
         bag.finish()  # type: ignore[no-untyped-call]
 
 
-def _robot(store: Typestore, session: Session, options: SimulationOptions) -> Iterator[Message]:
-    robot = session.robot
+def _robot(store: Typestore, robot: RobotStates, options: SimulationOptions) -> Iterator[Message]:
     at = _nanoseconds(robot.t_s)
     order = list(_ORDER)
     joints = np.concatenate([robot.q_rad[:, order], robot.qd_rad_s[:, order]], axis=1)

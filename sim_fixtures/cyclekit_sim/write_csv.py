@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit_sim.options import SimulationOptions
-from cyclekit_sim.session import Session
+from cyclekit_sim.session import RobotStates, Session
 from cyclekit_sim.tracker import Frames, in_tracker_frame, tracker_time
 
 UPTIME_S = 152.512  # what the controller's clock shows at the first sample
@@ -22,9 +22,8 @@ _BODY = "Operator"
 _BODY_ID = "5F1C2A9E0B7D11EFA3C20242AC120002"
 
 
-def write_robot(path: Path, session: Session, options: SimulationOptions) -> None:
-    """Write a session's robot log as UR's `record.py` does."""
-    robot = session.robot
+def write_robot(path: Path, robot: RobotStates, options: SimulationOptions) -> None:
+    """Write what the controller measured as UR's `record.py` does."""
     count = len(robot.t_s)
     pose = np.concatenate([robot.tcp_m, robot.rotation_vector], axis=1)
     groups = zip(_GROUPS, (robot.q_rad, robot.qd_rad_s, pose, robot.twist), strict=True)

@@ -103,7 +103,7 @@ def robot_log() -> Any:
         columns = {"timestamp": t_s}
         columns |= {f"actual_TCP_pose_{i}": x if i == 0 else 0.0 * x for i in range(6)}
         columns |= {f"actual_TCP_speed_{i}": v if i == 0 else 0.0 * v for i in range(6)}
-        columns |= {f"actual_q_{i}": 0.0 * x for i in range(6)}
+        columns |= {f"actual_q_{i}": x if i == 0 else 0.0 * x for i in range(6)}
         if scaling:
             columns |= {"speed_scaling": s, "target_speed_fraction": 0.0 * s + 1.0}
         columns["runtime_state"] = pl.Series([2] * len(rows))

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from cyclekit import motion, tables
 from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
-from cyclekit.motion import COLUMNS, RobotRun, pieces, runs_of, sampled, tcp_speed
+from cyclekit.motion import COLUMNS, NEVER_FULL, STANDING, Part, RobotRun, pieces, sampled, tcp_speed
 from cyclekit.schema import ROBOT, conform
+from cyclekit.stored_run import runs_of
 from cyclekit.tables import StoredTable, TableWriter
 
 if TYPE_CHECKING:
@@ -84,12 +85,32 @@ def test_a_log_without_rows_has_no_runs(tmp_path: Path):
 
 def test_scaling_put_in_place_of_the_logged_one_is_unknown_elsewhere(tmp_path: Path, small: None):
     (run,) = runs_of(stored(tmp_path, robot(np.arange(300) / 125)), 0.0, gap_s=2.0)
-    new = run.with_scaling([(200, np.full(20, 0.5)), (90, np.full(20, 0.25))])
-    window = new.window(85, 215).scaling
+    new = run.with_scaling([part(200, 0.5), part(90, 0.25)])
+    found = new.window(85, 215)
+    window = found.scaling
     assert np.flatnonzero(np.isfinite(window)).tolist() == [*range(5, 25), *range(115, 131)]
     assert set(window[np.isfinite(window)].tolist()) == {0.25, 0.5}
+    assert set(found.gap[~np.isfinite(window)].tolist()) == {STANDING}  # type: ignore[index]
+    np.testing.assert_allclose(found.deviation[np.isfinite(window)], 0.01)  # type: ignore[index]
     assert new.knows_scaling
+    assert new.is_inferred
     assert not run.with_scaling([]).knows_scaling
+
+
+def part(first: int, value: float) -> Part:
+    return Part(first, np.full(20, value), np.full(20, 0.01), np.zeros(20, np.int8))
+
+
+def test_a_window_is_found_among_parts_of_any_length_and_order():
+    none = np.full(300, np.nan)
+    long = Part(0, none, none, np.full(300, NEVER_FULL, np.int8))
+    t_s = np.arange(400) / 125
+    run = RobotRun(t_s, np.zeros((400, 3)), np.zeros(400), np.full(400, np.nan))
+    found = run.with_scaling([part(290, 0.5), long, part(350, 0.25)])
+    assert found.gap.tolist()[:5] == [NEVER_FULL] * 5  # type: ignore[union-attr]
+    assert found.scaling[290:310].tolist() == [0.5] * 20
+    assert found.gap[320] == STANDING  # type: ignore[index]
+    assert found.scaling[355] == 0.25
 
 
 @settings(max_examples=40, deadline=None)

@@ -1,0 +1,187 @@
+"""A motion's path in nominal time, and where on it another repetition is.
+
+Points are joint angles where they are logged, else TCP positions, each coordinate divided by its own noise, so that
+distances count standard deviations. Repetitions are matched by place, never by time: a robot that halts, is slowed, or
+blends a corner a little otherwise is still on its path. How fast it advances there is the business of `advance`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+    Rows = NDArray[np.int64]
+
+SMOOTH_S = 0.024
+"""Half of the stretch over which the path is smoothed: a cubic over 48 ms follows any jerk-limited motion."""
+COARSE_S = 0.04
+"""Repetitions are matched first at this period."""
+COARSE_POINTS = 256
+HALT_S = 0.1
+"""A robot that comes no farther than its noise within so long to either side is halted."""
+VAGUE_S = 0.002
+"""Where noise blurs the nominal time by more than this, the path is too slow to tell the place: nearly at rest."""
+RENEWED_S = 0.025
+"""Every controller renews its positions at least as often; what stays equal for longer stands."""
+_NEWTON = 4
+
+
+@dataclass(frozen=True)
+class Path:
+    """A motion from start to goal.
+
+    Attributes:
+        own_s: Time along the repetition that it was taken from, halts left out, shape (M,), strictly increasing.
+        nominal_s: Nominal time there, shape (M,), never decreasing.
+        points: Smoothed points, shape (M, D), in units of their noise.
+        slope: Their derivatives by `own_s`, shape (M, D).
+    """
+
+    own_s: Vector
+    nominal_s: Vector
+    points: Points
+    slope: Points
+
+    @property
+    def length(self) -> float:
+        """Length of the way, in units of the noise."""
+        return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
+
+    def retimed(self, nominal_s: Vector) -> Path:
+        """Return the path with other nominal times, shape (M,)."""
+        return replace(self, nominal_s=nominal_s)
+
+
+def path_of(t_s: Vector, points: Points) -> Path:
+    """Return the path of one repetition, its own time taken for nominal.
+
+    Args:
+        t_s: Time, shape (T,), strictly increasing, seconds.
+        points: Shape (T, D), in units of their noise.
+    """
+    fresh = np.concatenate([[True], (np.diff(points, axis=0) != 0).any(axis=1)])
+    fresh[-1] = True
+    t, x = t_s[fresh], points[fresh]
+    period = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
+    going = ~_halted(t, x, period)
+    step = np.where(going[1:], np.diff(t), 0.0)
+    going[0] = True
+    own = np.concatenate([[0.0], np.cumsum(step)])[going]
+    x = x[going]
+    even = np.arange(max(round(own[-1] / period), 1) + 1) * (own[-1] / max(round(own[-1] / period), 1))
+    x = np.column_stack([np.interp(even, own, column) for column in x.T])
+    smooth, slope = _smoothed(x, max(2, round(SMOOTH_S / max(period, 1e-4))), float(even[1] - even[0]))
+    return Path(even, even, smooth, slope)
+
+
+def _halted(t_s: Vector, points: Points, period_s: float) -> NDArray[np.bool_]:
+    half = max(1, round(HALT_S / period_s))
+    row = np.arange(len(t_s))
+    after, before = np.minimum(row + half, len(t_s) - 1), np.maximum(row - half, 0)
+    moved = np.linalg.norm(points[after] - points[before], axis=1)
+    return np.asarray(moved < 4.0 * np.sqrt(points.shape[1]))
+
+
+def _smoothed(points: Points, half: int, period_s: float) -> tuple[Points, Points]:
+    """Return a cubic fit around each row and its derivative (Savitzky and Golay 1964); the ends one-sided."""
+    count = len(points)
+    half = min(half, (count - 1) // 2)
+    if half < 2:
+        slope = np.gradient(points, period_s, axis=0) if count > 1 else np.zeros_like(points)
+        return points, np.asarray(slope)
+    smooth, slope = np.empty_like(points), np.empty_like(points)
+    offsets = np.arange(-half, half + 1) / half
+    basis = np.linalg.pinv(np.vander(offsets, 4, increasing=True))  # (4, 2 half + 1)
+    stretches = np.lib.stride_tricks.sliding_window_view(points, 2 * half + 1, axis=0)  # (N, D, 2 half + 1)
+    smooth[half : count - half] = stretches @ basis[0]
+    slope[half : count - half] = stretches @ basis[1] / (half * period_s)
+    powers = np.vander(offsets, 4, increasing=True)
+    rates = np.column_stack([np.zeros(len(offsets)), np.vander(offsets, 3, increasing=True) * [1.0, 2.0, 3.0]])
+    for edge, inside in ((slice(0, half), slice(0, half)), (slice(count - half, count), slice(half + 1, None))):
+        cubic = basis @ (stretches[0] if edge.start == 0 else stretches[-1]).T  # (4, D)
+        smooth[edge], slope[edge] = powers[inside] @ cubic, rates[inside] @ cubic / (half * period_s)
+    return smooth, slope
+
+
+@dataclass(frozen=True)
+class Along:
+    """Where on a path a repetition is, row by row.
+
+    Attributes:
+        own_s: Time of the path there, shape (T,), seconds.
+        variance_s2: Its variance by the points' noise, shape (T,); infinite where the path is too slow to tell.
+        off: Distance from the path, shape (T,), in units of the noise.
+    """
+
+    own_s: Vector
+    variance_s2: Vector
+    off: Vector
+
+
+def along(path: Path, t_s: Vector, points: Points) -> Along:
+    """Find where on a path each row of a repetition is.
+
+    Args:
+        path: The path.
+        t_s: Time, shape (T,), strictly increasing.
+        points: Shape (T, D), in units of their noise.
+    """
+    own = _coarse(path, t_s, points)
+    for _ in range(_NEWTON):
+        x, slope = _at(path, own)
+        speed2 = np.einsum("td,td->t", slope, slope)
+        step = np.einsum("td,td->t", points - x, slope) / np.maximum(speed2, 1.0 / VAGUE_S**2)
+        own = np.clip(own + np.clip(step, -COARSE_S, COARSE_S), path.own_s[0], path.own_s[-1])
+    x, slope = _at(path, own)
+    speed2 = np.einsum("td,td->t", slope, slope)
+    variance = np.divide(1.0, speed2, out=np.full(len(own), np.inf), where=speed2 > 1.0 / VAGUE_S**2)
+    variance[_written_twice(t_s, points) & np.isfinite(variance)] = np.inf
+    return Along(own, variance, np.linalg.norm(points - x, axis=1))
+
+
+def _written_twice(t_s: Vector, points: Points) -> NDArray[np.bool_]:
+    """Tell which rows repeat the one before them because the recorder is faster than the controller, not in a halt."""
+    repeated = np.concatenate([[False], (np.diff(points, axis=0) == 0).all(axis=1)])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], repeated, [False]]).astype(np.int8))).reshape(-1, 2)
+    for first, end in edges[t_s[edges[:, 1] - 1] - t_s[np.maximum(edges[:, 0] - 1, 0)] > RENEWED_S].tolist():
+        repeated[first:end] = False
+    return np.asarray(repeated)
+
+
+def _at(path: Path, own_s: Vector) -> tuple[Points, Points]:
+    """Return points and derivatives at times of the path: cubic (Hermite) between its rows."""
+    period = float(path.own_s[1] - path.own_s[0])
+    row = np.clip((own_s / period).astype(np.int64), 0, len(path.own_s) - 2)
+    u = (own_s / period - row)[:, None]
+    a, b, va, vb = path.points[row], path.points[row + 1], path.slope[row] * period, path.slope[row + 1] * period
+    c2, c3 = 3 * (b - a) - 2 * va - vb, 2 * (a - b) + va + vb
+    return a + u * (va + u * (c2 + u * c3)), (va + u * (2 * c2 + 3 * u * c3)) / period
+
+
+def _coarse(path: Path, t_s: Vector, points: Points) -> Vector:
+    """Match some rows to some points of the path so that the way never goes back and the distances are least."""
+    count = len(t_s)
+    picked = np.unique(np.minimum(np.searchsorted(t_s, np.arange(t_s[0], t_s[-1] + COARSE_S, COARSE_S)), count - 1))
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path.points, axis=0), axis=1))])
+    way = length / length[-1] + path.own_s / path.own_s[-1]  # even in both: near its ends the path is slow
+    knots = np.interp(np.linspace(0.0, 2.0, COARSE_POINTS), way, path.own_s)
+    spots, _ = _at(path, knots)
+    seen = points[picked]
+    distance = np.maximum((seen**2).sum(1)[:, None] + (spots**2).sum(1)[None] - 2.0 * seen @ spots.T, 0.0)
+    distance[0, 1:] += distance.max()  # both go from start to goal
+    best = np.empty((len(picked), COARSE_POINTS))
+    best[0] = distance[0]
+    for k in range(1, len(picked)):
+        best[k] = np.minimum.accumulate(best[k - 1]) + distance[k]
+    spot = np.empty(len(picked), np.int64)
+    spot[-1] = COARSE_POINTS - 1
+    for k in range(len(picked) - 2, -1, -1):
+        spot[k] = int(best[k, : spot[k + 1] + 1].argmin())
+    return np.interp(t_s, t_s[picked], knots[spot])

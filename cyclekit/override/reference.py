@@ -1,0 +1,199 @@
+"""The reference of a motion: nominal time along its path, from runs with nobody in the cell or from all repetitions.
+
+Where nobody recorded an empty cell, the repetitions themselves tell: at each place of the path somebody ran fastest,
+and since no scaling exceeds 1, that was the nominal pace if it was ever reached there. Whether it was is looked at
+twice: a pace that hardly any repetition reached is not believed, and a motion that was slowed by k in every repetition
+gives itself away by dynamics, since speed scales with k and acceleration with k squared (time scaling; Hollerbach
+1984). A robot program that moves slowly on purpose accelerates as usual.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.override.advance import advance
+from cyclekit.override.path import SMOOTH_S, Path, along, path_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+
+AMONG = 60
+"""The envelope is taken over so many repetitions, the fastest ones."""
+TOP = 0.05
+"""The nominal pace is what this fraction of the repetitions reached, so that one outlier does not set it."""
+WITNESSES = 3
+"""A pace that fewer repetitions reached may be a level below full speed that they had in common."""
+SAME = 0.02
+"""Paces that differ by less (or by their noise) are the same pace."""
+VAGUE_SD = 0.1
+OFF = 0.03
+"""A repetition whose way leaves the path by more than this fraction of its length takes another path."""
+SLOWED, ALIKE = 0.97, 0.06
+"""A motion was slowed in every repetition if speed and root of acceleration are lower than this, and alike."""
+STOP_S, STILL = 0.2, 0.02
+"""A repetition stands where it advances slower than STILL for longer than STOP_S; stops so near in it are one."""
+LOOKED_AT = 60
+"""So many rows of a repetition tell which path it takes."""
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """One motion from a place to the next.
+
+    Attributes:
+        t_s: Time, shape (T,), strictly increasing, seconds.
+        points: Joint angles or TCP positions over their noise, shape (T, D).
+        slider: What is known to have slowed it, shape (T,), in (0, 1]: the operator's slider, and the scaling where it
+            was logged; NaN = it was slowed too much to tell the pace.
+    """
+
+    t_s: Vector
+    points: Points
+    slider: Vector
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What one motion is at full speed.
+
+    Attributes:
+        path: Places and nominal times.
+        confirmed: Per row of the path, whether WITNESSES repetitions reached the pace, or it is that of an empty cell.
+        stops: Where every repetition stands for a while, `own_s` of the path: the program may want it so.
+        repetitions: How many repetitions it was taken from.
+        alone: It was recorded with nobody in the cell.
+        peak: Greatest speed and acceleration of each joint (or axis) at nominal pace, (2, D), in units of its noise.
+        slowed: It was slowed in every repetition by so much (its share of full speed); 1 = there is no sign of that.
+    """
+
+    path: Path
+    confirmed: NDArray[np.bool_]
+    stops: Vector
+    repetitions: int
+    alone: bool
+    peak: Points
+    slowed: float = 1.0
+
+
+def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference | None:
+    """Return the reference of a motion; None where one repetition of unknown speed is all there is.
+
+    Args:
+        repetitions: Of one motion between two places; those that take another path are not regarded.
+        alone: They were recorded with nobody in the cell.
+    """
+    fastest = sorted(repetitions, key=lambda r: float(r.t_s[-1] - r.t_s[0]))[:AMONG]
+    if not fastest or (len(fastest) == 1 and not alone):
+        return None
+    path = path_of(fastest[0].t_s, fastest[0].points)
+    rates, deviations, stops = [], [], []
+    for repetition in fastest:
+        if takes_another(path, repetition):
+            continue
+        found = along(path, repetition.t_s, repetition.points)
+        rate, deviation = advance(repetition.t_s, found.own_s, found.variance_s2)
+        stops.append(_stops(repetition.t_s, rate, found.own_s))
+        rows = np.searchsorted(np.maximum.accumulate(found.own_s), path.own_s, side="right") - 1
+        rows = np.clip(rows, 0, len(rate) - 1)
+        rates.append(rate[rows] / repetition.slider[rows])
+        deviations.append(deviation[rows] / repetition.slider[rows])
+    if len(rates) < 2 and not alone:
+        return None
+    pace, agreeing = _top(np.array(rates), np.array(deviations), 0.5 if alone else TOP)
+    return Reference(
+        path.retimed(_integral(1.0 / pace, path.own_s)),
+        np.full(len(pace), True) if alone else agreeing >= WITNESSES,
+        _common(stops) if not alone else np.empty(0),
+        len(rates),
+        alone,
+        _peak(path, pace),
+    )
+
+
+def takes_another(path: Path, repetition: Repetition) -> bool:
+    """Tell whether a repetition takes another path between the same places."""
+    thin = np.unique(np.linspace(0, len(repetition.t_s) - 1, LOOKED_AT).astype(np.int64))
+    found = along(path, repetition.t_s[thin], repetition.points[thin])
+    return bool(np.quantile(found.off, 0.95) > max(OFF * path.length, 20.0))
+
+
+def _top(rates: Points, deviations: Points, top: float) -> tuple[Vector, NDArray[np.int64]]:
+    """Return the pace reached at each row of the path and how many repetitions agree, from (N, M) rates."""
+    count, rows = rates.shape
+    known = np.isfinite(rates) & (deviations < VAGUE_SD * np.maximum(rates, 0.1))
+    rates = np.where(known, rates, 0.0)
+    sure = np.where(known, rates - 2.0 * deviations, -np.inf)
+    column = np.arange(rows)
+    rank = count - np.maximum(1, np.ceil(top * known.sum(axis=0)).astype(np.int64))
+    best = np.argsort(sure, axis=0)[rank, column]
+    pace, deviation = rates[best, column], deviations[best, column]
+    near = known & (np.abs(rates - pace) <= SAME * np.abs(pace) + 3.0 * np.hypot(deviations, deviation))
+    weight = np.where(near, 1.0 / (deviations**2 + 1e-6), 0.0)
+    total = weight.sum(axis=0)
+    found = np.flatnonzero(total > 0)
+    if not len(found):
+        return np.ones(rows), np.zeros(rows, np.int64)
+    mean = np.divide((weight * rates).sum(axis=0), total, out=np.ones(rows), where=total > 0)
+    filled = np.interp(column, found, mean[found])  # near the ends, where nothing is known, the nearest pace
+    nearest = found[np.clip(np.searchsorted(found, column), 0, len(found) - 1)]
+    return np.maximum(filled, 1e-3), near.sum(axis=0)[nearest]
+
+
+def _stops(t_s: Vector, rate: Vector, own_s: Vector) -> Vector:
+    """Return where on the path a repetition stands for at least STOP_S."""
+    still = np.concatenate([[False], rate < STILL, [False]])
+    edges = np.flatnonzero(np.diff(still.astype(np.int8))).reshape(-1, 2)
+    lasting = edges[t_s[edges[:, 1] - 1] - t_s[edges[:, 0]] > STOP_S]
+    return np.array([float(np.median(own_s[a:b])) for a, b in lasting.tolist()])
+
+
+def _common(stops: Sequence[Vector]) -> Vector:
+    """Return those stops of the first repetition that all others have too."""
+    kept = [s for s in stops[0].tolist() if all((np.abs(other - s) < STOP_S).any() for other in stops)]
+    return np.array(kept)
+
+
+def is_common_stop(reference: Reference, t_s: Vector, rate: Vector, own_s: Vector) -> NDArray[np.bool_]:
+    """Tell which rows, shape (T,), belong to a stop that every repetition has."""
+    near = (np.abs(own_s[:, None] - reference.stops[None]) < STOP_S).any(axis=1)
+    return np.asarray(near & (rate < STILL) & (t_s > t_s[0]))
+
+
+def _integral(rate: Vector, s: Vector) -> Vector:
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(s))])
+
+
+def _peak(path: Path, pace: Vector) -> Points:
+    over = max(1, min(round(SMOOTH_S / float(path.own_s[1])), len(pace) // 4))
+    change = (path.slope[2 * over :] - path.slope[: -2 * over]) / (2 * over * float(path.own_s[1]))
+    both = np.abs(path.slope * pace[:, None]), np.abs(change * pace[over:-over, None] ** 2)
+    return np.array([np.quantile(values, 0.98, axis=0) for values in both])
+
+
+def with_dynamics(references: Sequence[Reference]) -> list[float]:
+    """Return for each reference the share of full speed at which its motion was always run; 1 = no sign of that.
+
+    Full speed and acceleration of a joint are what two motions at least have reached. A motion is judged by the joint
+    that goes farthest in it; one that was recorded in an empty cell is not.
+    """
+    shares = [1.0] * len(references)
+    widths = {reference.peak.shape[1] for reference in references}
+    for mine in ([i for i, r in enumerate(references) if r.peak.shape[1] == width] for width in widths):
+        if len(mine) < 2:
+            continue
+        full = np.sort([references[i].peak for i in mine], axis=0)[-2]
+        for i in mine:
+            points = references[i].path.points
+            leading = int(np.abs(points[-1] - points[0]).argmax())
+            speed, force = references[i].peak[:, leading] / np.maximum(full[:, leading], 1e-12)
+            if not references[i].alone and max(speed, force**0.5) < SLOWED and abs(speed - force**0.5) < ALIKE:
+                shares[i] = float(speed)
+    return shares

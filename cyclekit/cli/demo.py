@@ -149,7 +149,7 @@ def _replay(run: _Run, dataset: Dataset, model: TrainedModel) -> Path:
 
     file = run.out / "replay.rrd"
     with run.step("write the replay") as progress:
-        write_replay(dataset, dataset.find_execution("1"), file, model=model, progress=by_stage(progress))
+        write_replay(dataset, dataset.find_execution("1"), file, model=model, progress=progress)
     return file
 
 

@@ -204,6 +204,11 @@ def duration(seconds: float) -> str:
     return f"{minutes // 60} h {minutes % 60} min"
 
 
+def megabytes(count: int) -> str:
+    """Return the size of a file as people say it: `12 kB`, `1.4 MB`."""
+    return f"{count / 1e6:.1f} MB" if count >= 1_000_000 else f"{max(1, round(count / 1e3))} kB"
+
+
 def percent(fraction: float | None) -> str:
     """Return a fraction as percent, `unknown` where there is none."""
     if fraction is None or math.isnan(fraction):

@@ -154,11 +154,6 @@ class _Lines:
         typer.echo(f"{self.title}: {far}{left}  {text}", err=True)
 
 
-def by_stage(progress: Progress) -> Callable[[str], None]:
-    """Return the callback of work that names its stages and cannot count them."""
-    return lambda stage: progress(0.0, stage)
-
-
 def _drawn(title: str) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import (

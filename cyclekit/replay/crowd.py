@@ -97,8 +97,8 @@ def skeletons(
             at = np.array(samples)
             for sample, limbs in zip(samples, points[:, pairs], strict=True):
                 bones[sample].append(limbs[np.isfinite(limbs).all(axis=(1, 2))])
-            known = np.isfinite(points).all(axis=2)
-            centre = np.where(known[..., None], points, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)[:, None]
+            known = np.isfinite(points[..., :1]) & np.isfinite(points[..., 1:2])
+            centre = np.where(known, points, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
             mine[at] |= np.linalg.norm(centre[:, :2] - human_m[at, :2], axis=1) < SAME_M
     if not any(len(limbs) for each in bones for limbs in each):
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -73,7 +74,8 @@ def _until_interrupted(server: subprocess.Popen[bytes], port: int) -> None:
     from cyclekit.errors import CyclekitError
 
     try:
-        code = server.wait()
+        while (code := server.poll()) is None:
+            time.sleep(0.2)  # by `wait` Ctrl-C may stay unheard: polars has the system go on with what it interrupts
     finally:
         server.terminate()
         server.wait()

@@ -208,6 +208,6 @@ def _camera(robot: NDArray[np.float64], human: NDArray[np.float64]) -> tuple[tup
     across = np.array([ahead[1], -ahead[0]])
     if len(human) and np.median(human[:, :2] @ across) > middle[:2] @ across:
         across = -across  # the operator shall stand behind the line, not between it and the viewer
-    way = np.array([*(across + 0.25 * ahead), 0.95])
+    way = np.array([*(across + 0.25 * ahead), 1.5])  # steep, so that the operator rarely hides the robot
     eye = middle + way / np.linalg.norm(way) * size * 0.86
     return tuple(eye.tolist()), tuple(middle.tolist())

@@ -18,8 +18,8 @@ LOOPBACK = "127.0.0.1"
 WEB_PORT = 9090
 
 
-def _program() -> list[str]:
-    """The viewer itself: `python -m rerun` starts it as a child, which would go on when its parent is ended."""
+def viewer_program() -> list[str]:
+    """Return how to start the viewer itself: by `python -m rerun` it would be a child that outlives its parent."""
     found = find_spec("rerun_cli")
     folder = Path(found.origin).parent if found and found.origin else Path()
     for name in ("Rerun.app/Contents/MacOS/Rerun", "rerun.exe", "rerun"):
@@ -30,13 +30,13 @@ def _program() -> list[str]:
 
 def viewer_command(path: Path) -> list[str]:
     """Return the command that opens `path`; bound to loopback, on a free port."""
-    return [*_program(), str(path), "--bind", LOOPBACK, "--port", "auto"]
+    return [*viewer_program(), str(path), "--bind", LOOPBACK, "--port", "auto"]
 
 
 def server_command(path: Path, *, bind: str = LOOPBACK, port: int = WEB_PORT) -> list[str]:
     """Return the command that serves `path` with the viewer for browsers at `bind`:`port`, its data one port on."""
     ports = ["--port", str(port + 1), "--web-viewer-port", str(port)]
-    return [*_program(), str(path), "--serve-web", "--bind", bind, *ports]
+    return [*viewer_program(), str(path), "--serve-web", "--bind", bind, *ports]
 
 
 def server_address(*, bind: str = LOOPBACK, port: int = WEB_PORT) -> str:
@@ -79,7 +79,7 @@ def _started(path: Path, command: list[str]) -> subprocess.Popen[bytes]:
         raise CyclekitError(msg, cure="Write it first: cyclekit replay DATASET --execution ID --out FILE.rrd")
     quiet = subprocess.DEVNULL
     try:
-        subprocess.run([*_program(), "analytics", "disable"], stdout=quiet, stderr=quiet, check=True)
+        subprocess.run([*viewer_program(), "analytics", "disable"], stdout=quiet, stderr=quiet, check=True)
         return subprocess.Popen(command, stdout=quiet, stderr=quiet)
     except (OSError, subprocess.CalledProcessError) as error:
         msg = f"the Rerun viewer cannot be started ({error})"

@@ -31,8 +31,8 @@ PARTS = (
 )
 """Parts of a cycle in drawing order: field of `Share`, key of its text, colour."""
 
-FEW_ROWS = 9
-_ROW_IN, _LOW_ROW_IN = 0.42, 0.31
+FEW_ROWS, MANY_ROWS = 9, 16
+_ROW_IN, _LOW_ROW_IN, _LOWEST_ROW_IN = 0.42, 0.31, 0.25
 
 
 def cycle_times(
@@ -107,7 +107,8 @@ def shares(width_in: float, rows: Sequence[Share], labels: Mapping[str, str], lo
 
 def _rows(width_in: float, count: int, *, bottom_in: float) -> tuple[Figure, Axes]:
     """A figure with room for `count` horizontal rows, the first on top."""
-    row_in = _ROW_IN if count <= FEW_ROWS else _LOW_ROW_IN
+    crowded = count > MANY_ROWS and width_in == WIDE_IN  # on a phone a name takes two lines
+    row_in = _ROW_IN if count <= FEW_ROWS else _LOWEST_ROW_IN if crowded else _LOW_ROW_IN
     figure = Figure(figsize=(width_in, bottom_in + row_in * max(count, 1)), layout="constrained")
     axes = figure.add_subplot()
     axes.set_ylim(max(count, 1) - 0.45, -0.55)

@@ -19,7 +19,8 @@ BINS = 10
 LEAST = 20
 """A bin with fewer samples is left out."""
 
-MOST = 200_000
+MOST = 50_000
+"""So many samples are enough for ten means, and a page should be quick."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ def staircase(width_in: float, found: SafetyFunction, levels: Sequence[float], l
         square = Rectangle(
             corner, DISTANCE_BIN_M, height, color=colours.scaling_hex(scaling), alpha=0.3 + 0.6 * strength, linewidth=0
         )
-        axes.add_patch(square)
+        axes.add_artist(square)
         low, high = distance - DISTANCE_BIN_M / 2, distance + DISTANCE_BIN_M / 2
         values = {"low": f"{low:.2f}", "high": f"{high:.2f}", "speed": f"{100 * scaling:.0f}", "count": f"{count:.0f}"}
         tip(figure, square, labels["tip"].format(**values))
@@ -116,7 +116,7 @@ def heatmap(width_in: float, counts: NDArray[np.float64], names: Sequence[str], 
             square = Rectangle(
                 (predicted - 0.5, logged - 0.5), 1, 1, color=colours.NOMINAL, alpha=part**0.6, linewidth=0
             )
-            axes.add_patch(square)
+            axes.add_artist(square)
             values = {"logged": names[logged], "predicted": names[predicted], "part": f"{100 * part:.1f}"}
             tip(figure, square, labels["tip"].format(**values, count=f"{counts[logged, predicted]:.0f}"))
             if part >= 0.0005:
@@ -160,14 +160,17 @@ def calibration(width_in: float, found: Calibration, labels: Mapping[str, str]) 
 def _floor(width_in: float, plan: FloorPlan) -> tuple[Figure, Axes]:
     robot = plan.robot_m[np.isfinite(plan.robot_m).all(axis=1)]
     span = np.ptp(np.concatenate([plan.seen[:, :2], robot, np.zeros((1, 2))]), axis=0) + 0.6
-    height_in = min(1.1, max(0.45, float(span[1] / span[0]))) * (width_in - 0.7) + 0.9
+    height_in = min(0.78, max(0.45, float(span[1] / span[0]))) * (width_in - 0.7) + 0.9
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    return figure, figure.add_subplot()
+    axes = figure.add_subplot()
+    half = plan.cell_m / 2  # said once: a patch that tells the axes its own limits costs more than its drawing
+    axes.update_datalim([plan.seen[:, :2].min(axis=0) - half, plan.seen[:, :2].max(axis=0) + half])
+    return figure, axes
 
 
 def _square(axes: Axes, x: float, y: float, side: float, colour: str, alpha: float = 1.0) -> Rectangle:
     square = Rectangle((x - side / 2, y - side / 2), side, side, color=colour, alpha=alpha, linewidth=0, zorder=2)
-    axes.add_patch(square)
+    axes.add_artist(square)
     return square
 
 
@@ -180,11 +183,11 @@ def _furniture(axes: Axes, plan: FloorPlan, labels: Mapping[str, str]) -> None:
         for place in places.values():
             axes.plot(*place.xyz_m[:2], marker, markersize=5.5, color=colour, markeredgecolor="white", zorder=6)
         named += [(label.text, label.xyz_m[:2], colour) for label in place_labels(places)]
-    for number, (text, at, colour) in enumerate(named):
-        above = [
-            other for _, other, _ in named[:number] if abs(other[0] - at[0]) < 0.5 and abs(other[1] - at[1]) < 0.15
-        ]
-        _note(axes, text, at, colour, below=len(above) % 2 == 1)
+    sides: list[tuple[tuple[float, float], bool]] = []
+    for text, at, colour in named:
+        near = [below for other, below in sides if abs(other[0] - at[0]) < 0.5 and abs(other[1] - at[1]) < 0.15]
+        sides.append((at, near.count(False) > near.count(True)))
+        _note(axes, text, at, colour, below=sides[-1][1])
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
     axes.autoscale_view()
@@ -216,7 +219,7 @@ def _scale_bar(axes: Axes, label: str) -> None:
     edges = np.linspace(0.0, 1.0, 41)
     for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         colour = colours.scaling_hex((low + high) / 2)
-        inset.add_patch(Rectangle((low, 0), high - low + 0.004, 1, color=colour, linewidth=0))
+        inset.add_artist(Rectangle((low, 0), high - low + 0.004, 1, color=colour, linewidth=0))
     inset.set_xlim(0, 1)
     inset.set_ylim(0, 1)
     inset.set_yticks([])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,8 +11,6 @@ from cyclekit.cli.options import Json, Quiet, seconds
 from cyclekit.cli.terminal import Terminal, duration, megabytes, table
 
 if TYPE_CHECKING:
-    import subprocess
-
     from cyclekit.replay import Miss, ReplayFacts
     from cyclekit.replay.layout import Focus
 
@@ -38,7 +35,7 @@ def replay(
         bool, typer.Option("--serve", help="Serve it to a browser on this machine, until Ctrl-C.")
     ] = False,
     bind: Annotated[str, typer.Option(help="Address that --serve listens on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=1, max=65534, help="Port of --serve; the next one is used too.")] = 9090,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --serve; 0 takes a free one.")] = 9090,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -48,7 +45,7 @@ def replay(
     """
     from cyclekit.dataset import Dataset
     from cyclekit.models.saved import load_model
-    from cyclekit.replay import open_viewer, serve, server_address, write_replay
+    from cyclekit.replay import open_viewer, serve, write_replay
 
     terminal = Terminal(json=json, quiet=quiet)
     focus = _focus(at)
@@ -61,26 +58,9 @@ def replay(
     if open_after:
         open_viewer(out)
     if serve_after:
-        terminal.remark(f"open in a browser, until Ctrl-C: {server_address(bind=bind, port=port)}")
-        _until_interrupted(serve(out, bind=bind, port=port), port)
-
-
-def _until_interrupted(server: subprocess.Popen[bytes], port: int) -> None:
-    """Wait for the server, and take it along when this command is interrupted.
-
-    Raises:
-        CyclekitError: The server ended by itself.
-    """
-    from cyclekit.errors import CyclekitError
-
-    try:
-        while (code := server.poll()) is None:
-            time.sleep(0.2)  # by `wait` Ctrl-C may stay unheard: polars has the system go on with what it interrupts
-    finally:
-        server.terminate()
-        server.wait()
-    msg = f"the replay's server ended with code {code}"
-    raise CyclekitError(msg, cure=f"Another program may use port {port} or {port + 1}: give another with --port.")
+        with serve(out, bind=bind, port=port) as server:
+            terminal.remark(f"open in a browser, until Ctrl-C: {server.address}")
+            server.serve_forever()
 
 
 def _focus(at: str) -> Focus:

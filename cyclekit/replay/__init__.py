@@ -12,6 +12,7 @@ from __future__ import annotations
 from cyclekit.replay.execution import PredictsNow
 from cyclekit.replay.misses import Miss
 from cyclekit.replay.recording import ReplayFacts, write_replay
-from cyclekit.replay.viewer import open_viewer, serve, server_address
+from cyclekit.replay.server import serve
+from cyclekit.replay.viewer import open_viewer
 
-__all__ = ["Miss", "PredictsNow", "ReplayFacts", "open_viewer", "serve", "server_address", "write_replay"]
+__all__ = ["Miss", "PredictsNow", "ReplayFacts", "open_viewer", "serve", "write_replay"]

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import shutil
 import socket
+import threading
 import time
 import urllib.request
 
+import browser
 import numpy as np
 import polars as pl
 import pytest
@@ -18,7 +20,7 @@ from cyclekit import schema
 from cyclekit.atomic import write_parquet
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError
-from cyclekit.replay import serve, viewer, write_replay
+from cyclekit.replay import serve, write_replay
 from cyclekit.replay.compare import comparison, most_different
 from cyclekit.replay.execution import load_execution
 from cyclekit.replay.ledger import ledger
@@ -227,53 +229,57 @@ def test_a_lane_ends_where_its_task_ends_and_says_where_the_log_has_a_hole(datas
     assert "None" not in states
 
 
-def free_port():
-    for _ in range(20):
-        with socket.socket() as one, socket.socket() as two:
-            one.bind(("127.0.0.1", 0))
-            port = one.getsockname()[1]
-            try:
-                two.bind(("127.0.0.1", port + 1))
-            except OSError:
-                continue
-            return port
-    raise AssertionError("no two free ports")
-
-
-def test_a_replay_is_served_to_this_machine_only_and_the_server_ends_with_its_command(dataset, tmp_path, monkeypatch):
+@pytest.fixture
+def served(dataset, tmp_path, monkeypatch):
     for variable in ("HOME", "XDG_CONFIG_HOME", "APPDATA"):  # the switch of the usage counting is a file there
         monkeypatch.setenv(variable, str(tmp_path))
     facts = write_replay(dataset, "1", tmp_path / "x.rrd")
-    port = free_port()
-    server = serve(facts.path, port=port)
-    try:
-        page = _answer(f"http://127.0.0.1:{port}/")
-        assert b"rerun" in page.lower()
-        for served in (port, port + 1):
-            with socket.socket() as caller:
-                assert caller.connect_ex(("127.0.0.2", served)) != 0  # who listens on all interfaces answers here
-    finally:
-        server.terminate()
-        server.wait()
-    with socket.socket() as caller:
-        assert caller.connect_ex(("127.0.0.1", port)) != 0
-    settings = list(tmp_path.rglob("analytics.json"))
-    assert settings
-    assert json.loads(settings[0].read_text("utf-8"))["analytics_enabled"] is False
+    with serve(facts.path, port=0) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield server, facts.path
+        server.shutdown()
 
 
-def _answer(url):
-    for _ in range(150):
-        try:
-            with urllib.request.urlopen(url, timeout=2) as answer:
-                return answer.read()
-        except OSError:
-            time.sleep(0.1)
-    raise AssertionError("the server does not answer")
+def test_a_replay_is_served_to_this_machine_only_and_asks_nobody_else(served, tmp_path):
+    server, replay = served
+    with urllib.request.urlopen(server.address, timeout=20) as page:
+        assert b"rerun" in page.read().lower()
+        assert page.headers["Content-Security-Policy"].startswith("default-src 'self'")
+        assert "http" not in page.headers["Content-Security-Policy"]
+    with urllib.request.urlopen(server.address + "replay.rrd", timeout=20) as recording:
+        assert recording.read() == replay.read_bytes()
+    with socket.socket() as caller:  # who listens on all interfaces answers here
+        assert caller.connect_ex(("127.0.0.2", server.server_address[1])) != 0
+    (settings,) = tmp_path.rglob("analytics.json")
+    assert json.loads(settings.read_text("utf-8"))["analytics_enabled"] is False
 
 
-def test_the_server_listens_elsewhere_only_when_told(tmp_path):
-    command = viewer.server_command(tmp_path / "x.rrd", bind="0.0.0.0", port=8000)
-    assert command[command.index("--bind") + 1] == "0.0.0.0"
-    assert command[command.index("--web-viewer-port") + 1] == "8000"
-    assert viewer.server_address(port=8000).startswith("http://127.0.0.1:8000/?url=")
+@pytest.mark.skipif(browser.why_not() is not None, reason=str(browser.why_not()))
+def test_the_served_viewer_gets_nothing_from_elsewhere(served):
+    server, _ = served
+    with browser.open_browser() as tab:
+        tab.call("Page.navigate", url=server.address)
+        until_s = time.monotonic() + 60
+        while time.monotonic() < until_s and not any(url.endswith("/replay.rrd") for url in tab.requests()):
+            tab.ask("new Promise(done => setTimeout(done, 200))")
+        assert any(url.endswith("/replay.rrd") for url in tab.requests())
+        answered = [e["params"]["response"]["url"] for e in tab.events if e.get("method") == "Network.responseReceived"]
+        assert all(url.startswith((server.address, "data:", "blob:")) for url in answered)
+        refused = {
+            event["params"]["requestId"]: event["params"].get("blockedReason")
+            for event in tab.events
+            if event.get("method") == "Network.loadingFailed"
+        }
+        outside = [
+            (event["params"]["request"]["url"], refused.get(event["params"]["requestId"]))
+            for event in tab.events
+            if event.get("method") == "Network.requestWillBeSent"
+            and not event["params"]["request"]["url"].startswith((server.address, "data:", "blob:"))
+        ]
+        assert all(reason == "csp" for _, reason in outside), outside  # stopped before it left the browser
+
+
+def test_a_port_that_is_taken_is_said(served):
+    server, replay = served
+    with pytest.raises(CyclekitError, match="nothing can be served"):
+        serve(replay, port=server.server_address[1])

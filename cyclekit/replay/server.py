@@ -62,7 +62,7 @@ class _Answer(BaseHTTPRequestHandler):
         if path == "/" and "url=" not in query:
             here = f"http://{self.headers.get('Host', LOOPBACK)}"
             self.send_response(302)
-            self.send_header("Location", f"/?url={quote(here + RECORDING, safe='')}")
+            self.send_header("Location", f"/?url={quote(here + RECORDING, safe='')}&theme=dark")  # labels are light
             self.send_header("Content-Length", "0")
             self.end_headers()
         elif path == RECORDING:

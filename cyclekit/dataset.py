@@ -123,6 +123,11 @@ class Dataset:
         frame = pl.concat([pl.read_parquet(file, glob=False) for file in files])
         return frame if executions is None else frame.filter(pl.col("execution").is_in(list(executions)))
 
+    def scan_samples(self) -> pl.LazyFrame:
+        """Return all samples unread, for those who need a few columns of many executions."""
+        files = sorted((self.path / "samples").glob("*.parquet"))
+        return pl.scan_parquet(files, glob=False) if files else schema.empty(schema.SAMPLES).lazy()
+
     def tasks(self) -> pl.DataFrame:
         """Return one row per executed robot task (table TASKS)."""
         return pl.read_parquet(self.path / "tasks.parquet", glob=False)
@@ -135,6 +140,13 @@ class Dataset:
         """Return one native-rate table (`robot`, `people` or `events`) of a recording, None if it has none."""
         file = self.path / "recordings" / recording / f"{table}.parquet"
         return pl.read_parquet(file, glob=False) if file.is_file() else None
+
+    def recorded_between(self, recording: str, table: str, first_s: float, last_s: float) -> pl.DataFrame | None:
+        """Return the rows of one native-rate table from `first_s` to `last_s` of the log's clock, None without it."""
+        file = self.path / "recordings" / recording / f"{table}.parquet"
+        if not file.is_file():
+            return None
+        return pl.scan_parquet(file, glob=False).filter(pl.col("t_s").is_between(first_s, last_s)).collect()
 
     def times(self, recording: str, table: str) -> Iterator[pl.DataFrame]:
         """Yield the times of one native-rate table (`t_s`), in parts: it may be larger than memory."""

@@ -17,7 +17,7 @@ import typer
 from cyclekit.cli.estimate import CAPTION, estimates_table, loses_most, rests_on
 from cyclekit.cli.options import Json, Quiet, vector
 from cyclekit.cli.simulate import simulated
-from cyclekit.cli.terminal import Terminal, by_stage, duration, write_out
+from cyclekit.cli.terminal import Terminal, duration, write_out
 from cyclekit.cli.train import summary
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def _replay(run: _Run, dataset: Dataset, model: TrainedModel) -> Path:
 
     file = run.out / "replay.rrd"
     with run.step("write the replay") as progress:
-        write_replay(dataset, dataset.find_execution("1"), file, model=model, progress=by_stage(progress))
+        write_replay(dataset, dataset.find_execution("1"), file, model=model, progress=progress)
     return file
 
 
@@ -160,7 +160,7 @@ def _report(run: _Run, dataset: Dataset, model: TrainedModel, estimates: list[Cy
     file = run.out / "report.html"
     with run.step("evaluate, and write the report") as progress:
         evaluation = evaluate(model, dataset)
-        write_report(dataset, model, file, estimates=estimates, evaluation=evaluation, progress=by_stage(progress))
+        write_report(dataset, model, file, estimates=estimates, evaluation=evaluation, progress=progress)
     return file
 
 

@@ -1,43 +1,114 @@
-"""`cyclekit replay`: one execution as a Rerun recording, in 3-D and over time."""
+"""`cyclekit replay`: executions as a Rerun recording, in 3-D and over time."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet
-from cyclekit.cli.terminal import Terminal, by_stage, duration
+from cyclekit.cli.options import Json, Quiet, seconds
+from cyclekit.cli.terminal import Terminal, duration, megabytes, table
+
+if TYPE_CHECKING:
+    from cyclekit.replay import Miss, ReplayFacts
+    from cyclekit.replay.layout import Focus
 
 EXAMPLE = "cyclekit replay dataset --execution 1 --out replay.rrd"
 
 
 def replay(
     dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", metavar="DATASET")],
-    execution: Annotated[str, typer.Option(help="Name of the execution, or its number from 1.", metavar="ID")],
+    execution: Annotated[
+        list[str],
+        typer.Option(help="Name of the execution, or its number from 1; again for more, side by side.", metavar="ID"),
+    ],
     out: Annotated[Path, typer.Option(help="Recording to write (.rrd).")],
-    model: Annotated[Path | None, typer.Option(help="Model whose prediction is shown beside the log.")] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="Model whose prediction and learned zones are shown beside the log.")
+    ] = None,
+    at: Annotated[
+        str, typer.Option(help="What it opens at: slowdown (the costliest), error (the model's worst), or a time.")
+    ] = "slowdown",
     open_after: Annotated[bool, typer.Option("--open", help="Open the recording in the Rerun viewer.")] = False,
+    serve_after: Annotated[
+        bool, typer.Option("--serve", help="Serve it to a browser on this machine, until Ctrl-C.")
+    ] = False,
+    bind: Annotated[str, typer.Option(help="Address that --serve listens on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --serve; 0 takes a free one.")] = 9090,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a Rerun recording of one execution.
+    """Write a Rerun recording of one execution, or of several side by side.
 
     Robot, operator, places and speed scaling, in 3-D and over time; with the prediction of a model if one is given.
     """
     from cyclekit.dataset import Dataset
     from cyclekit.models.saved import load_model
-    from cyclekit.replay import open_viewer, write_replay
+    from cyclekit.replay import open_viewer, serve, write_replay
 
     terminal = Terminal(json=json, quiet=quiet)
+    focus = _focus(at)
     opened = Dataset.open(dataset)
-    name = opened.find_execution(execution)
     trained = load_model(model) if model else None
     with terminal.progress("replaying") as progress:
-        facts = write_replay(opened, name, out, model=trained, progress=by_stage(progress))
+        facts = write_replay(opened, execution, out, model=trained, at=focus, progress=progress)
     terminal.warnings(facts.notes)
-    document = {"replay": str(out), "execution": name, "duration_s": facts.duration_s, "notes": list(facts.notes)}
-    terminal.done(document, f"{out}: execution {name}, {duration(facts.duration_s)}\nnext: rerun {out}")
+    terminal.done(_document(facts), _said(facts))
     if open_after:
         open_viewer(out)
+    if serve_after:
+        with serve(out, bind=bind, port=port) as server:
+            terminal.remark(f"open in a browser, until Ctrl-C: {server.address}")
+            server.serve_forever()
+
+
+def _focus(at: str) -> Focus:
+    if at == "slowdown":
+        return "slowdown"
+    if at == "error":
+        return "error"
+    try:
+        return seconds(at)
+    except typer.BadParameter as error:
+        msg = f"{at!r} is neither slowdown nor error, and {error.message}"
+        raise typer.BadParameter(msg, param_hint="--at") from error
+
+
+def _document(facts: ReplayFacts) -> dict[str, object]:
+    return {
+        "replay": str(facts.path),
+        "execution": facts.execution,
+        "executions": list(facts.executions),
+        "duration_s": facts.duration_s,
+        "bytes": facts.bytes,
+        "notes": list(facts.notes),
+        "misses": [vars(miss) for miss in facts.misses],
+    }
+
+
+def _said(facts: ReplayFacts) -> str:
+    names = " and ".join(facts.executions)
+    many = "execution" if len(facts.executions) == 1 else "executions"
+    head = f"{facts.path}: {many} {names}, {duration(facts.duration_s)}, {megabytes(facts.bytes)}"
+    parts = [head, _worst(facts.misses), f"next: rerun {facts.path}"]
+    return "\n".join(part for part in parts if part)
+
+
+def _worst(misses: tuple[Miss, ...]) -> str:
+    """Return where prediction and log differ most, as a table; nothing without a model."""
+    if not misses:
+        return ""
+    rows = [
+        [
+            f"{miss.t_s:.1f} s",
+            f"{100 * miss.logged:.0f} %",
+            f"{100 * miss.predicted:.0f} %",
+            f"{miss.seconds:.1f} s",
+            f"{miss.distance_m:.2f} m",
+            miss.robot_task or "",
+        ]
+        for miss in misses[:5]
+    ]
+    heads = ["at", "logged", "predicted", "off by", "distance", "robot task "]
+    return table(heads, rows, title="Where model and log differ most (open there: --at error)")

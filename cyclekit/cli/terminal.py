@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -45,7 +46,8 @@ class Terminal:
         elif sys.stderr.isatty():
             yield from _drawn(title)
         else:
-            yield _Lines(title)
+            with _Lines(title) as lines:
+                yield lines
 
     def remark(self, text: str) -> None:
         """Say something beside the result, on standard error; nothing with --quiet."""
@@ -139,24 +141,42 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = 
 
 
 class _Lines:
-    """Progress where nothing can be redrawn: a line after 2 s, 4 s, 8 s ... so that a log stays short."""
+    """Progress where nothing can be redrawn: a line after 2 s, 4 s, 8 s ... so that a log stays short.
+
+    A watch beside the work says so too where the work itself says nothing for a long time.
+    """
 
     def __init__(self, title: str) -> None:
         self.title, self.began_s, self.next_s = title, time.monotonic(), PATIENCE_S
+        self.fraction, self.text = 0.0, ""
+        self.turn, self.done = threading.Lock(), threading.Event()
+        self.watch = threading.Thread(target=self._watch, daemon=True)
+
+    def __enter__(self) -> _Lines:
+        self.watch.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.done.set()
+        self.watch.join()
 
     def __call__(self, fraction: float, text: str) -> None:
-        spent_s = time.monotonic() - self.began_s
-        if spent_s < self.next_s or fraction >= 1:
-            return
-        self.next_s = spent_s * 2
-        far = f"{fraction:.0%} after {duration(spent_s)}" if fraction > 0 else duration(spent_s)
-        left = f", about {duration(spent_s * (1 - fraction) / fraction)} left" if fraction > 0 else ""
-        typer.echo(f"{self.title}: {far}{left}  {text}", err=True)
+        self.fraction, self.text = fraction, text
+        self._say()
 
+    def _watch(self) -> None:
+        while not self.done.wait(PATIENCE_S / 4):
+            self._say()
 
-def by_stage(progress: Progress) -> Callable[[str], None]:
-    """Return the callback of work that names its stages and cannot count them."""
-    return lambda stage: progress(0.0, stage)
+    def _say(self) -> None:
+        with self.turn:
+            spent_s, fraction = time.monotonic() - self.began_s, self.fraction
+            if spent_s < self.next_s or fraction >= 1:
+                return
+            self.next_s = spent_s * 2
+            far = f"{fraction:.0%} after {duration(spent_s)}" if fraction > 0 else duration(spent_s)
+            left = f", about {duration(spent_s * (1 - fraction) / fraction)} left" if fraction > 0 else ""
+            typer.echo(f"{self.title}: {far}{left}  {self.text}".rstrip(), err=True)
 
 
 def _drawn(title: str) -> Iterator[Progress]:
@@ -166,6 +186,7 @@ def _drawn(title: str) -> Iterator[Progress]:
         Progress,
         TaskProgressColumn,
         TextColumn,
+        TimeElapsedColumn,
         TimeRemainingColumn,
     )
     from rich.table import Column
@@ -176,18 +197,21 @@ def _drawn(title: str) -> Iterator[Progress]:
         BarColumn(bar_width=16),
         TaskProgressColumn(),
         TextColumn("{task.fields[rate]}", markup=False),
+        TimeElapsedColumn(),
         TimeRemainingColumn(),
         TextColumn("{task.fields[text]}", markup=False, table_column=rest),
     )
     console = Console(stderr=True, markup=False, highlight=False, emoji=False)
     with Progress(*columns, console=console, transient=True, expand=True) as bar:
-        task = bar.add_task(title, total=1.0, text="", rate="")
+        task = bar.add_task(title, total=None, text="", rate="")  # it pulses until the work says how far it is
         began_s = time.monotonic()
 
         def show(fraction: float, text: str) -> None:
             spent_s = max(time.monotonic() - began_s, 1e-9)
             rate = f"{100 * fraction / spent_s:.1f} %/s" if fraction > 0 else ""
-            bar.update(task, completed=min(fraction, 1.0), text=text, rate=rate)
+            if fraction > 0:
+                bar.update(task, total=1.0, completed=min(fraction, 1.0))
+            bar.update(task, text=text, rate=rate)
 
         yield show
 
@@ -202,6 +226,11 @@ def duration(seconds: float) -> str:
     if minutes < 60:
         return f"{minutes} min {rest} s"
     return f"{minutes // 60} h {minutes % 60} min"
+
+
+def megabytes(count: int) -> str:
+    """Return the size of a file as people say it: `12 kB`, `1.4 MB`."""
+    return f"{count / 1e6:.1f} MB" if count >= 1_000_000 else f"{max(1, round(count / 1e3))} kB"
 
 
 def percent(fraction: float | None) -> str:

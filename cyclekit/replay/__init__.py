@@ -1,4 +1,4 @@
-"""A replay of one execution in Rerun: the scene, the plots and the words that say why the robot was slow.
+"""A replay of one or several executions in Rerun: the scene, the plots and the words that say why the robot was slow.
 
     facts = write_replay(dataset, "run-001", Path("x.rrd"), model=model)
     open_viewer(facts.path)
@@ -10,7 +10,9 @@ missing from the replay, and the replay says so. The only room that knows rerun.
 from __future__ import annotations
 
 from cyclekit.replay.execution import PredictsNow
+from cyclekit.replay.misses import Miss
 from cyclekit.replay.recording import ReplayFacts, write_replay
+from cyclekit.replay.server import serve
 from cyclekit.replay.viewer import open_viewer
 
-__all__ = ["PredictsNow", "ReplayFacts", "open_viewer", "write_replay"]
+__all__ = ["Miss", "PredictsNow", "ReplayFacts", "open_viewer", "serve", "write_replay"]

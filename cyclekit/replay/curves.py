@@ -1,4 +1,4 @@
-"""The plots and lanes on the same timeline: scaling, distance, tool speed, level, tasks.
+"""The plots and lanes on the same timeline: scaling, distance, tool speed, phase, where the time goes, tasks, words.
 
 A lane says in words and colours what held when; a plot says how much. Unknown is a hole in either. The order on the
 screen is the business of `layout`.
@@ -6,151 +6,177 @@ screen is the business of `layout`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import rerun as rr
 
 from cyclekit import colours
-from cyclekit.replay.words import lanes, log_lines, spell, summary
+from cyclekit.replay.ledger import ACCOUNTS, ledger
+from cyclekit.replay.phase import TASK
+from cyclekit.replay.words import Line, lanes, log_lines, miss_lines, spell, summary
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from cyclekit.replay.execution import Execution
-
-    Times = Callable[[NDArray[np.float64]], list[rr.TimeColumn]]
+    from cyclekit.replay.sink import Sink
 
 MOST_JOINTS = 8
+HUES = ("#3f8fe0", "#f2b53c", "#62c4b4", "#e6a4ff")
+"""Curves of the first, second, ... of several executions, on the viewer's dark ground."""
+
+PALE = "#c9d1da"
+_LOOKS = {"nominal": "#3f8fe0", "safety": colours.SAFETY, "dwell": "#9aa5b1", "wait": "#e8ebef", "unknown": "#6b7480"}
+_WORDS = {"nominal": "motion at full speed", "safety": "safety slow-down", "dwell": "process", "wait": "waiting"}
 
 
-def log_curves(stream: rr.RecordingStream, run: Execution, times: Times) -> int:
-    """Put plots, lanes and text of one execution into `stream`.
+def log_curves(sink: Sink, number: int | None = None) -> None:
+    """Put plots, lanes and text of one execution into the recording.
 
-    Returns:
-        Values written, over all entities.
+    Args:
+        sink: Where to.
+        number: Which of several executions this is, from 0; None if it is alone.
     """
-    rows = 0
-    pale = "#c9d1da"
+    run = sink.run
+    who = "" if number is None else f"{run.name}: "
+    hue = HUES[(number or 0) % len(HUES)]
     logged = np.where(run.inferred, np.nan, run.scaling)
     inferred = np.where(run.inferred, run.scaling, np.nan)
+    predicted = "#e6a4ff" if number is None else hue
     series = [
-        ("plots/scaling/logged", "logged", "#3f8fe0", logged),
-        ("plots/scaling/inferred", "inferred", "#62c4b4", inferred),
-        ("plots/scaling/predicted", "predicted", "#e6a4ff", run.predicted),
-        ("plots/distance", "robot to operator", pale, run.distance_m),
-        ("plots/speed", "tool speed", pale, run.speed_m_s),
+        ("plots/scaling/logged", "logged", hue, logged),
+        ("plots/scaling/inferred", "inferred", "#62c4b4" if number is None else hue, inferred),
+        ("plots/scaling/predicted", "predicted", predicted, run.predicted),
+        ("plots/distance", "robot to operator", PALE if number is None else hue, run.distance_m),
+        ("plots/speed", "tool speed", PALE if number is None else hue, run.speed_m_s),
     ]
     for path, label, colour, values in series:
         if values is not None:
-            stepped = "scaling" in path
-            rows += _log_curve(stream, path, label, colour, run.t_s, values, times, stepped=stepped)
-    rows += _log_joints(stream, run, times)
-    rows += _log_lanes(stream, run, times)
-    return rows + _log_text(stream, run, times)
+            _curve(sink, path, f"{who}{label}", colour, run.t_s, values, stepped="scaling" in path)
+    _phase(sink, who, hue)
+    _accounts(sink, who, hue, alone=number is None)
+    _joints(sink)
+    _lanes(sink)
+    sink.static("summary", rr.TextDocument(summary(run), media_type=rr.MediaType.MARKDOWN))
+    _text(sink, "log", log_lines(run))
+    _text(sink, "misses", miss_lines(run))
 
 
-def _log_curve(
-    stream: rr.RecordingStream,
+def _curve(
+    sink: Sink,
     path: str,
     label: str,
     colour: str,
     t_s: NDArray[np.float64],
     values: NDArray[np.float64],
-    times: Times,
     *,
     stepped: bool = False,
-) -> int:
+) -> None:
     """One curve; NaN breaks the line. Leading and trailing unknowns are left out, runs of them thinned to one."""
     known = np.isfinite(values)
     if not known.any():
-        return 0
+        return
     keep = known | np.append(known[:-1], False) | np.append(False, known[:-1])
     mode: Literal["StepAfter", "Linear"] = "StepAfter" if stepped else "Linear"
+    width = 1.5 if "predicted" in path else 3.0 if stepped else 2.0
     look = rr.SeriesLines(
-        colors=[colours.to_rgb(colour)],
-        widths=[1.5 if "predicted" in path else 3.0 if stepped else 2.0],
-        names=[label],
-        interpolation_mode=mode,
-    )
-    stream.log(path, look, static=True)
-    stream.send_columns(path, times(t_s[keep]), rr.Scalars.columns(scalars=values[keep]))
-    return int(keep.sum())
+        colors=[colours.to_rgb(colour)], widths=[width], names=[label], interpolation_mode=mode
+    )  # fmt: skip
+    sink.static(path, look)
+    sink.columns(path, t_s[keep], rr.Scalars.columns(scalars=values[keep]))
 
 
-def _log_joints(stream: rr.RecordingStream, run: Execution, times: Times) -> int:
+def _phase(sink: Sink, who: str, hue: str) -> None:
+    if sink.phase is not None:
+        _curve(sink, "plots/phase", f"{who}way of the task done", hue, sink.run.t_s, (sink.phase % TASK) / (TASK - 1))
+
+
+def _accounts(sink: Sink, who: str, hue: str, *, alone: bool) -> None:
+    """Where the seconds went so far; of several executions, what each task lost so far, as their orders may differ."""
+    run = sink.run
+    if not np.isfinite(run.scaling).any():
+        return
+    spent = ledger(run)
+    for name in ACCOUNTS if alone else ():
+        if spent[name][-1] > 0:
+            _curve(sink, f"plots/spent/{name}", _WORDS.get(name, name), _LOOKS[name], run.t_s, spent[name])
+    if not alone:
+        starts = np.concatenate([run.t_s[:1], run.tasks["start_s"].to_numpy()])
+        began = np.searchsorted(run.t_s, starts[np.searchsorted(starts, run.t_s, side="right") - 1])
+        lost = spent["safety"] - spent["safety"][np.minimum(began, len(run.t_s) - 1)]
+        _curve(sink, "plots/lost_in_task", f"{who}slow-down in this task", hue, run.t_s, lost)
+
+
+def _joints(sink: Sink) -> None:
     """Without a tool position the joints are all there is of the robot: plot those that move most."""
-    if run.joints is None or np.isfinite(run.robot_m).any():
-        return 0
-    spans = {name: float(np.nanmax(v) - np.nanmin(v)) for name, v in run.joints.angle_rad.items()}
+    joints = sink.run.joints
+    if joints is None or np.isfinite(sink.run.robot_m).any():
+        return
+    spans = {name: float(np.nanmax(v) - np.nanmin(v)) for name, v in joints.angle_rad.items()}
     most = sorted(spans, key=lambda name: -spans[name])[:MOST_JOINTS]
-    rows = 0
     for name, anchor in zip(most, np.linspace(0.0, 1.0, len(most)), strict=True):
         colour = colours.scaling_hex(float(anchor))
-        rows += _log_curve(
-            stream, f"plots/joints/{name}", name, colour, run.joints.t_s, run.joints.angle_rad[name], times
-        )
-    return rows
+        _curve(sink, f"plots/joints/{name}", name, colour, joints.t_s, joints.angle_rad[name])
 
 
-def _log_lanes(stream: rr.RecordingStream, run: Execution, times: Times) -> int:
+def _lanes(sink: Sink) -> None:
+    run = sink.run
     speed = [None if np.isnan(value) else _percent(value) for value in run.scaling]
     shades = {_percent(value): colours.scaling_hex(round(float(value), 2)) for value in run.scaling if value == value}
-    robot = [_phase(task, moving) for task, moving in zip(run.robot_task, run.moving, strict=True)]
+    _lane(sink, "lanes/1_robot_speed", _with_gaps(run, speed), {**shades, GAP: "#3a4048"})
+    robot = [_doing(task, moving) for task, moving in zip(run.robot_task, run.moving, strict=True)]
+    robot_shades = {text: "#5b6673" if text.startswith("at ") else "#8f9cab" for text in set(robot) - {None} if text}
+    _lane(sink, "lanes/2_robot", robot, robot_shades)
     human = [None if task is None else spell(task) for task in run.human_task]
     if not any(human):
         human = ["seen" if seen else None for seen in np.isfinite(run.human_m[:, 0])]
-    rows = _log_lane(stream, "lanes/1_robot_speed", speed, run.t_s, times, shades)
-    robot_shades = {text: "#5b6673" if text.startswith("at ") else "#8f9cab" for text in set(robot) - {None} if text}
-    rows += _log_lane(stream, "lanes/2_robot", robot, run.t_s, times, robot_shades)
     names = sorted({text for text in human if text})
     tints = ("#0f7b6c", "#1c9a86", "#0b5f58", "#3aa38f")
-    human_shades = {name: tints[index % len(tints)] for index, name in enumerate(names)}
-    return rows + _log_lane(stream, "lanes/3_operator", human, run.t_s, times, human_shades)
+    _lane(sink, "lanes/3_operator", human, {name: tints[index % len(tints)] for index, name in enumerate(names)})
 
 
-def _log_lane(
-    stream: rr.RecordingStream,
-    path: str,
-    labels: Sequence[str | None],
-    t_s: NDArray[np.float64],
-    times: Times,
-    shades: dict[str, str],
-) -> int:
+GAP = "gap in the log"
+
+
+def _with_gaps(run: Execution, labels: list[str | None]) -> list[str | None]:
+    inside = np.zeros(len(labels), dtype=np.bool_)
+    for start_s, end_s in run.gaps:
+        inside |= (run.t_s > start_s) & (run.t_s < end_s)
+    return [GAP if gap else label for gap, label in zip(inside.tolist(), labels, strict=True)]
+
+
+def _lane(sink: Sink, path: str, labels: Sequence[str | None], shades: dict[str, str]) -> None:
     if not any(labels):
-        return 0
-    changes = lanes(labels, t_s)
-    values = list(shades)
+        return
+    changes = lanes(labels, sink.run.t_s)
+    values = [value for value in shades if value in set(labels)]
     packed = np.array([int(shades[value][1:] + "ff", 16) for value in values], dtype=np.uint32)
-    stream.log(path, rr.StateConfiguration(values=values, labels=values, colors=packed), static=True)
-    at = times(np.array([time_s for time_s, _ in changes]))
-    states: Any = [text for _, text in changes]  # None ends a state; rerun's types do not know that it may
-    stream.send_columns(path, at, rr.StateChange.columns(state=states))
-    return len(changes)
+    sink.static(path, rr.StateConfiguration(values=values, labels=values, colors=packed))
+    states = [text for _, text in changes if text is not None]
+    ends = [int(text is not None) for _, text in changes]  # an empty row ends a state
+    columns = rr.StateChange.columns(state=states).partition(ends)
+    sink.columns(path, np.array([time_s for time_s, _ in changes]), columns)
 
 
-def _log_text(stream: rr.RecordingStream, run: Execution, times: Times) -> int:
-    stream.log("summary", rr.TextDocument(summary(run), media_type=rr.MediaType.MARKDOWN), static=True)
-    lines = log_lines(run)
+def _text(sink: Sink, path: str, lines: Sequence[Line]) -> None:
     if not lines:
-        return 0
-    at = times(np.array([line.t_s for line in lines]))
+        return
     columns = rr.TextLog.columns(
         text=[line.text for line in lines],
         level=[line.level for line in lines],
         color=np.array([int(line.colour[1:] + "ff", 16) for line in lines], dtype=np.uint32),
     )
-    stream.send_columns("log", at, columns)
-    return len(lines)
+    sink.columns(path, np.array([line.t_s for line in lines]), columns)
 
 
 def _percent(scaling: float) -> str:
     return "halted" if scaling < 0.02 else f"{100 * scaling:.0f} %"
 
 
-def _phase(task: str | None, moving: bool | None) -> str | None:
+def _doing(task: str | None, moving: bool | None) -> str | None:
     if task is None:
         return None if moving is None else ("moving" if moving else "standing")
     return spell(task) if moving is not False else f"at {task.rpartition('->')[2]}"

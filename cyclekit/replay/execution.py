@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import polars as pl
 
+from cyclekit.replay.crowd import Skeletons, other_people, skeletons
+from cyclekit.replay.floor import Zones, learned_zones
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -78,6 +81,10 @@ class Execution:
         moving: True, False, or None where unknown, length T; likewise the tasks.
         gaps: Start and end of each gap, seconds of the execution.
         tasks: Rows of TASKS of this execution.
+        others: Everybody but the operator, per instant (N, 3).
+        skeletons: Limbs, where they were kept.
+        zones: Where the model slows the robot, along the execution; None without a model.
+        epoch_s: Seconds since 1970 at session time 0; None where no log knows the time of day.
         notes: What is missing or doubtful, one sentence each.
     """
 
@@ -104,6 +111,10 @@ class Execution:
     human_places: Mapping[str, Place]
     levels: tuple[float, ...]
     joints: Joints | None
+    others: tuple[NDArray[np.float64], ...]
+    skeletons: Skeletons | None
+    zones: Zones | None
+    epoch_s: float | None
     notes: tuple[str, ...]
 
     @property
@@ -120,7 +131,7 @@ def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None
     """
     name = dataset.find_execution(name)
     entry = dataset.executions.row(by_predicate=pl.col("execution") == name, named=True)
-    start_s = float(entry["start_s"])
+    start_s, session = float(entry["start_s"]), str(entry["session"])
     raw = dataset.samples([name]).sort("t_s").filter(pl.col("t_s").is_not_null())
     rows, gaps = _with_gaps(raw.with_columns(pl.col("t_s") - start_s))
     t_s = _floats(rows, "t_s")
@@ -152,8 +163,22 @@ def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None
         human_places=dataset.human_places,
         levels=dataset.levels,
         joints=joints,
+        others=other_people(dataset, session, t_s + start_s, human_m, robot_m),
+        skeletons=skeletons(dataset, session, t_s + start_s, human_m),
+        zones=learned_zones(dataset, usable, t_s, robot_m, human_m) if usable else None,
+        epoch_s=_epoch(dataset, session),
         notes=_notes(rows, joints, model),
     )
+
+
+def _epoch(dataset: Dataset, session: str) -> float | None:
+    """Seconds since 1970 at session time 0, from a log of the session whose clock counts them; the robot's first."""
+    records = [record for record in dataset.recordings if record["session"] == session]
+    for record in sorted(records, key=lambda each: "robot" not in each["tables"]):
+        clock = record["clock"]
+        if clock.get("kind") == "epoch" and clock.get("method") != "common-start":
+            return -float(clock["offset_s"]) / float(clock["rate"])
+    return None
 
 
 def _floats(rows: pl.DataFrame, column: str) -> NDArray[np.float64]:

@@ -1,47 +1,48 @@
 """How the viewer opens: scene at the left, lanes and plots at the right, words below; nobody has to arrange views.
 
-Only views that have something to show are there. What they show is the business of `scene` and `curves`.
+Several executions stand beside each other, each with its scene and its lanes, their curves on common axes. Only views
+that have something to show are there. What they show is the business of `scene` and `curves`.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 import rerun.blueprint.encodings as rre
 
-from cyclekit.replay.scene import floor_m
+from cyclekit.replay.bodies import floor_m
+from cyclekit.replay.compare import most_different
+from cyclekit.replay.misses import misses
+from cyclekit.replay.phase import TASK
+from cyclekit.replay.scene import PAPER
+from cyclekit.replay.sink import EXECUTION, PHASE
 from cyclekit.replay.words import slowdowns
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from cyclekit.replay.execution import Execution
+    from cyclekit.replay.phase import Order
 
-EXECUTION, SESSION = "execution", "session"
-"""Names of the two timelines: seconds of the execution, seconds of the session."""
+Focus = Literal["slowdown", "error"] | float
+"""What a replay opens at: the costliest slow-down, the worst error of the model, or a second of the execution."""
 
-PAPER = (238, 241, 244)
 LEAD_S = 1.5
 LONG_S = 240.0
 
 
-def blueprint(run: Execution) -> rrb.Blueprint:
-    """Return the layout for one execution."""
-    words = rrb.Horizontal(
-        rrb.TextDocumentView(origin="/summary", name=f"{run.cell}, {run.name}"),
-        rrb.TextLogView(origin="/log", name="What happened", columns=_log_columns()),
-        column_shares=[1, 1],
-    )
-    right = _right(run)
-    scene = _scene(run)
-    top = rrb.Horizontal(*[view for view in (scene, right) if view], column_shares=[6, 5] if scene and right else None)
-    parts = [top, words] if scene or right else [words]
+def blueprint(runs: Sequence[Execution], order: Order, at: Focus) -> rrb.Blueprint:
+    """Return the layout for one execution, or for several side by side."""
+    body = _alone(runs[0]) if len(runs) == 1 else _beside(runs, order)
+    panel = _time_panel(runs[0], at) if len(runs) == 1 else _phase_panel(runs, order)
     return rrb.Blueprint(
-        rrb.Vertical(*parts, row_shares=[3, 1] if len(parts) == 2 else None),
-        _time_panel(run),
+        body,
+        panel,
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
         auto_views=False,
@@ -49,15 +50,77 @@ def blueprint(run: Execution) -> rrb.Blueprint:
     )
 
 
-def _time_panel(run: Execution) -> rrb.TimePanel:
+def _alone(run: Execution) -> rrb.Vertical:
+    logs: list[rrb.View] = [rrb.TextLogView(origin="/log", name="What happened", columns=_log_columns())]
+    if misses(run):
+        name = "Where model and log differ most (click a time to jump there)"
+        logs.append(rrb.TextLogView(origin="/misses", name=name, columns=_log_columns()))
+    words = rrb.Horizontal(
+        rrb.TextDocumentView(origin="/summary", name=f"{run.cell}, {run.name}"),
+        rrb.Tabs(*logs) if len(logs) > 1 else logs[0],
+        column_shares=[1, 1],
+    )
+    right, scene = _right(run), _scene(run)
+    top = rrb.Horizontal(*[view for view in (scene, right) if view], column_shares=[6, 5] if scene and right else None)
+    parts = [top, words] if scene or right else [words]
+    return rrb.Vertical(*parts, row_shares=[3, 1] if len(parts) == 2 else None)
+
+
+def _beside(runs: Sequence[Execution], order: Order) -> rrb.Vertical:
+    whole = _whole_path(order)
+    roots = [f"/{number + 1}" for number in range(len(runs))]
+    scenes = [_scene(run, root, run.name) for run, root in zip(runs, roots, strict=True)]
+    rows: list[tuple[float, rrb.Container | rrb.View]] = []
+    if any(scenes):
+        rows.append((6, rrb.Horizontal(*[scene for scene in scenes if scene])))
+    lanes = [
+        rrb.StateTimelineView(origin=f"{root}/lanes", name=run.name, time_view=whole)
+        for run, root in zip(runs, roots, strict=True)
+    ]  # fmt: skip
+    rows.append((3, rrb.Horizontal(*lanes)))
+    axis = rrb.ScalarAxis(range=(-0.05, 1.05), zoom_lock=True)
+    scaled = [f"+ {root}/plots/scaling/{kind}" for root in roots for kind in ("logged", "inferred")]
+    lost = [f"+ {root}/plots/lost_in_task" for root in roots]
+    curves = rrb.Horizontal(
+        rrb.TimeSeriesView(origin="/", contents=scaled, name="Robot speed scaling", axis_x=whole, axis_y=axis),
+        rrb.TimeSeriesView(origin="/", contents=lost, name="Safety slow-down in the task so far, s", axis_x=whole),
+        rrb.TextDocumentView(origin="/comparison", name="Which is slower, and where"),
+    )
+    rows.append((4, curves))
+    return rrb.Vertical(*[view for _, view in rows], row_shares=[share for share, _ in rows])
+
+
+def _time_panel(run: Execution, at: Focus) -> rrb.TimePanel:
     """Start at the costliest slow-down, in a loop, so that the first thing seen is why the robot was slow."""
-    worst = max(slowdowns(run), key=lambda each: each.lost_s, default=None)
-    if worst is None:
+    span = _span(run, at)
+    if span is None:
         return rrb.TimePanel(state="collapsed", timeline=EXECUTION, play_state="paused")
-    start_s, end_s = max(0.0, worst.start_s - LEAD_S), min(run.duration_s, worst.end_s + LEAD_S)
+    start_s, end_s = max(0.0, span[0] - LEAD_S), min(run.duration_s, span[1] + LEAD_S)
     window = rrb.components.AbsoluteTimeRange(min=round(start_s * 1e9), max=round(end_s * 1e9))
     return rrb.TimePanel(
         state="collapsed", timeline=EXECUTION, play_state="playing", loop_mode="selection", time_selection=window
+    )
+
+
+def _span(run: Execution, at: Focus) -> tuple[float, float] | None:
+    if isinstance(at, float | int):
+        return float(at), float(at)
+    wrong = misses(run, 1)
+    if at == "error" and wrong:
+        return wrong[0].start_s, wrong[0].end_s
+    worst = max(slowdowns(run), key=lambda each: each.lost_s, default=None)
+    return None if worst is None else (worst.start_s, worst.end_s)
+
+
+def _phase_panel(runs: Sequence[Execution], order: Order) -> rrb.TimePanel:
+    """Several executions run by the phase of the path, in a loop over the task whose times differ most."""
+    keys = most_different(runs)
+    if not keys:
+        return rrb.TimePanel(state="collapsed", timeline=EXECUTION, play_state="paused")
+    start = order[keys[0]] * TASK
+    window = rrb.components.AbsoluteTimeRange(min=start, max=start + TASK - 1)
+    return rrb.TimePanel(
+        state="collapsed", timeline=PHASE, fps=25, play_state="playing", loop_mode="selection", time_selection=window
     )
 
 
@@ -75,7 +138,7 @@ def _log_columns() -> rrb.TextLogColumns:
 def _right(run: Execution) -> rrb.Vertical | None:
     """Lanes and plots, one above the other on the same seconds."""
     whole = _whole(run)
-    views: list[tuple[float, rrb.View]] = []
+    views: list[tuple[float, rrb.View | rrb.Container]] = []
     scaled = bool(np.isfinite(run.scaling).any())
     if scaled or any(run.robot_task) or any(run.human_task):
         views.append((5, rrb.StateTimelineView(origin="/lanes", name="Robot speed, robot, operator", time_view=whole)))
@@ -86,11 +149,17 @@ def _right(run: Execution) -> rrb.Vertical | None:
     if np.isfinite(run.distance_m).any():
         name = "Distance robot to operator, m"
         views.append((3, rrb.TimeSeriesView(origin="/plots/distance", name=name, axis_x=whole)))
+    tabs = []
+    if scaled:
+        tabs.append(rrb.TimeSeriesView(origin="/plots/spent", name="Where each second went, s so far", axis_x=whole))
     if np.isfinite(run.speed_m_s).any():
-        views.append((3, rrb.TimeSeriesView(origin="/plots/speed", name="Tool speed, m/s", axis_x=whole)))
+        tabs.append(rrb.TimeSeriesView(origin="/plots/speed", name="Tool speed, m/s", axis_x=whole))
     elif run.joints is not None:
-        name = "Joint angles, rad (those that move most)"
-        views.append((5, rrb.TimeSeriesView(origin="/plots/joints", name=name, axis_x=whole)))
+        tabs.insert(0, rrb.TimeSeriesView(origin="/plots/joints", name="Joint angles, rad (most moved)", axis_x=whole))
+    if not run.tasks.is_empty():
+        tabs.append(rrb.TimeSeriesView(origin="/plots/phase", name="Way of the task done", axis_x=whole))
+    if tabs:
+        views.append((4, rrb.Tabs(*tabs) if len(tabs) > 1 else tabs[0]))
     return rrb.Vertical(*[v for _, v in views], row_shares=[share for share, _ in views]) if views else None
 
 
@@ -102,7 +171,14 @@ def _whole(run: Execution) -> rrb.TimeAxis | None:
     return rrb.TimeAxis(view_range=rrb.TimeRange(*ends), link="independent")
 
 
-def _scene(run: Execution) -> rrb.Spatial3DView | None:
+def _whole_path(order: Order) -> rrb.TimeAxis | None:
+    if not order:
+        return None
+    ends = (rrb.TimeRangeBoundary.absolute(seq=phase) for phase in (0, len(order) * TASK))
+    return rrb.TimeAxis(view_range=rrb.TimeRange(*ends), link="independent")
+
+
+def _scene(run: Execution, root: str = "", who: str = "") -> rrb.Spatial3DView | None:
     seen = [p[np.isfinite(p).all(axis=1)] for p in (run.robot_m, run.human_m)]
     if not any(len(p) for p in seen):
         return None
@@ -110,9 +186,10 @@ def _scene(run: Execution) -> rrb.Spatial3DView | None:
     grid = rrb.LineGrid3D(
         visible=True, spacing=0.5, plane=rr.components.Plane3D.XY.with_distance(floor_m(run)), color=(150, 158, 168, 90)
     )
+    floor = "" if run.zones is None else "; floor: the speed the model expects with the operator there"
     return rrb.Spatial3DView(
-        origin="/scene",
-        name="Cell: the line shows distance, its colour the robot's speed",
+        origin=f"{root}/scene",
+        name=who or f"Line: distance, in the colour of the robot's speed{floor}",
         background=rrb.Background(color=PAPER),
         line_grid=grid,
         eye_controls=rrb.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1)),
@@ -122,7 +199,7 @@ def _scene(run: Execution) -> rrb.Spatial3DView | None:
 def _camera(robot: NDArray[np.float64], human: NDArray[np.float64]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Look across the line from robot to operator, from above, so that both stand side by side."""
     points = np.concatenate([robot, human, np.zeros((1, 3))])
-    low, high = np.quantile(points, 0.02, axis=0), np.quantile(points, 0.98, axis=0)
+    low, high = np.quantile(points, 0.08, axis=0), np.quantile(points, 0.92, axis=0)
     middle = (low + high) / 2
     size = max(float(np.linalg.norm(high - low)), 1.2)
     towards = human[:, :2].mean(axis=0) if len(human) else np.array([1.0, 0.0])
@@ -131,6 +208,6 @@ def _camera(robot: NDArray[np.float64], human: NDArray[np.float64]) -> tuple[tup
     across = np.array([ahead[1], -ahead[0]])
     if len(human) and np.median(human[:, :2] @ across) > middle[:2] @ across:
         across = -across  # the operator shall stand behind the line, not between it and the viewer
-    way = np.array([*(across + 0.25 * ahead), 0.8])
-    eye = middle + way / np.linalg.norm(way) * size * 0.78
+    way = np.array([*(across + 0.25 * ahead), 1.5])  # steep, so that the operator rarely hides the robot
+    eye = middle + way / np.linalg.norm(way) * size * 0.86
     return tuple(eye.tolist()), tuple(middle.tolist())

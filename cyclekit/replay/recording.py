@@ -12,20 +12,26 @@ from typing import TYPE_CHECKING
 import rerun as rr
 
 from cyclekit.atomic import replaced
-from cyclekit.replay.curves import log_curves
+from cyclekit.errors import CyclekitError
+from cyclekit.replay.compare import comparison
+from cyclekit.replay.curves import HUES, log_curves
 from cyclekit.replay.execution import load_execution
-from cyclekit.replay.layout import EXECUTION, SESSION, blueprint
+from cyclekit.replay.layout import blueprint
+from cyclekit.replay.misses import Miss, misses
+from cyclekit.replay.phase import common_order, path_phase
 from cyclekit.replay.scene import log_scene
+from cyclekit.replay.sink import Sink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
-
-    import numpy as np
-    from numpy.typing import NDArray
 
     from cyclekit.dataset import Dataset
     from cyclekit.replay.execution import Execution, PredictsNow
+    from cyclekit.replay.layout import Focus
+
+MOST = len(HUES)
+"""So many executions can be shown side by side."""
 
 
 @dataclass(frozen=True)
@@ -34,65 +40,96 @@ class ReplayFacts:
 
     Attributes:
         path: The file.
-        execution: Full name of the execution.
-        duration_s: Its length.
+        execution: Full name of the execution; of the first one, if there are several.
+        executions: All of them.
+        duration_s: Length of the longest.
         rows: Instants written, over all entities.
         bytes: Size of the file.
-        gaps: Stretches of it without any sample.
+        gaps: Stretches without any sample.
         notes: What is missing or doubtful, one sentence each.
+        misses: Where prediction and log differ most, of the first execution.
     """
 
     path: Path
     execution: str
+    executions: tuple[str, ...]
     duration_s: float
     rows: int
     bytes: int
     gaps: int
     notes: tuple[str, ...]
+    misses: tuple[Miss, ...]
 
 
 def write_replay(
     dataset: Dataset,
-    execution: str,
+    execution: str | Sequence[str],
     out: Path,
     *,
     model: PredictsNow | None = None,
-    progress: Callable[[str], None] | None = None,
+    at: Focus = "slowdown",
+    progress: Callable[[float, str], None] | None = None,
 ) -> ReplayFacts:
-    """Write the replay of one execution.
+    """Write the replay of one execution, or of several side by side.
 
     Args:
-        dataset: Where the execution is.
-        execution: Its name, or its number counted from 1.
+        dataset: Where the executions are.
+        execution: Name, or number counted from 1; or several of them.
         out: The .rrd file; an existing one is replaced when the new one is complete.
         model: Model of problem `now` whose prediction is plotted beside the log; another problem is noted, not used.
-        progress: Called with a short text at each stage.
+        at: What the viewer opens at: the costliest slow-down, the worst error of the model, or a second.
+        progress: Called with the part done and a short text.
 
     Raises:
         UnknownName: The dataset has no such execution.
-        CyclekitError: The file cannot be written.
+        CyclekitError: Too many executions, or the file cannot be written.
     """
-    say = progress or (lambda _text: None)
-    say("reading the execution")
-    run = load_execution(dataset, execution, model)
+    say = progress or (lambda _part, _text: None)
+    wanted = [execution] if isinstance(execution, str) else list(execution)
+    names = [dataset.find_execution(name) for name in wanted]
+    if not 1 <= len(set(names)) <= MOST:
+        msg = f"{len(names)} executions side by side"
+        raise CyclekitError(msg, cure=f"Name 1 to {MOST} of them: more cannot be told apart on a screen.")
+    runs: list[Execution] = []
+    for number, name in enumerate(dict.fromkeys(names)):
+        say(0.7 * number / len(names), f"reading {name}")
+        runs.append(load_execution(dataset, name, model))
     with replaced(out) as temporary:
-        say("drawing scene and plots")
-        rows = _fill(run, temporary)
-    return ReplayFacts(out, run.name, run.duration_s, rows, out.stat().st_size, len(run.gaps), run.notes)
+        rows = _fill(runs, at, temporary, lambda part, text: say(0.7 + 0.3 * part, text))
+    notes = dict.fromkeys(note for run in runs for note in run.notes)
+    return ReplayFacts(
+        path=out,
+        execution=runs[0].name,
+        executions=tuple(run.name for run in runs),
+        duration_s=max(run.duration_s for run in runs),
+        rows=rows,
+        bytes=out.stat().st_size,
+        gaps=sum(len(run.gaps) for run in runs),
+        notes=tuple(notes),
+        misses=tuple(misses(runs[0])),
+    )
 
 
-def _fill(run: Execution, file: Path) -> int:
-    """Write one execution into `file` and close it; same execution, same recording id."""
-    identity = uuid.uuid5(uuid.NAMESPACE_URL, f"cyclekit:{run.cell}:{run.name}")
+def _fill(runs: Sequence[Execution], at: Focus, file: Path, say: Callable[[float, str], None]) -> int:
+    """Write the executions into `file` and close it; same executions, same recording id."""
+    names = " and ".join(run.name for run in runs)
+    identity = uuid.uuid5(uuid.NAMESPACE_URL, f"cyclekit:{runs[0].cell}:{names}")
     stream = rr.RecordingStream("cyclekit", recording_id=identity, send_properties=False)
     memory = stream.memory_recording()  # rerun's own file sink waits for ever when the disk is full
-    stream.send_blueprint(blueprint(run))
-    stream.send_recording_name(f"{run.cell}, {run.name}")
-
-    def times(t_s: NDArray[np.float64]) -> list[rr.TimeColumn]:
-        return [rr.TimeColumn(EXECUTION, duration=t_s), rr.TimeColumn(SESSION, duration=t_s + run.start_s)]
-
-    rows = log_scene(stream, run, times) + log_curves(stream, run, times)
+    order = common_order(runs)
+    stream.send_blueprint(blueprint(runs, order, at))
+    stream.send_recording_name(f"{runs[0].cell}, {names}")
+    rows = 0
+    for number, run in enumerate(runs):
+        say(number / len(runs), f"drawing {run.name}")
+        alone = len(runs) == 1
+        sink = Sink(stream, run, path_phase(run, order), "" if alone else f"{number + 1}/")
+        log_scene(sink)
+        log_curves(sink, None if alone else number)
+        rows += sink.rows
+    if len(runs) > 1:
+        text = rr.TextDocument(comparison(runs), media_type=rr.MediaType.MARKDOWN)
+        stream.log("comparison", text, static=True)
     stream.flush()
     file.write_bytes(memory.drain_as_bytes())
     stream.disconnect()

@@ -1,7 +1,6 @@
-"""The 3-D scene: robot, operator, trails, goals, places, and the line between the two in the scaling's colour.
+"""The 3-D scene: robot, places, learned zones, and the line from robot to operator in the scaling's colour.
 
-Everything goes in by column. What is unknown at an instant is an empty list there, so that it vanishes from the scene
-instead of standing still. Which views show it is the business of `layout`.
+People are drawn by `bodies`. Which views show the scene is the business of `layout`.
 """
 
 from __future__ import annotations
@@ -14,145 +13,115 @@ import rerun as rr
 from cyclekit import colours
 from cyclekit.labels import place_labels
 from cyclekit.replay.arm import joint_points, recognise_arm
+from cyclekit.replay.bodies import floor_m, log_people
+from cyclekit.replay.shapes import goals, pack, trail
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
     from cyclekit.dataset import Place
-    from cyclekit.replay.execution import Execution
+    from cyclekit.replay.sink import Sink
 
-    Times = Callable[[NDArray[np.float64]], list[rr.TimeColumn]]
+PAPER = (238, 241, 244)
+"""Background of the scene; zones are tinted towards it, so that they stay behind what stands on them."""
 
-TRAIL_S = 4.0
-BODY_M = 1.75
-"""Height at which an operator is drawn; logs know one point of a person, not the size."""
-
-_WAIST_M = 0.95
-_SHOULDER_RADIUS_M = 0.18
-_HEAD_RADIUS_M = 0.12
+ZONE_TINT = 0.42
+_LABEL_INK = {colours.OPERATOR: (190, 245, 232)}
+"""Labels stand on grey: light letters, a little green for the operator's."""
 
 
-def log_scene(stream: rr.RecordingStream, run: Execution, times: Times) -> int:
-    """Put the scene of one execution into `stream`.
-
-    Returns:
-        Instants written, over all entities.
-    """
-    stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    _log_places(stream, "scene/places", run.places, colours.ROBOT)
-    _log_places(stream, "scene/operator_places", run.human_places, colours.OPERATOR)
-    rows = _log_robot(stream, run, times)
-    rows += _log_operator(stream, run, times)
-    return rows + _log_link(stream, run, times)
+def log_scene(sink: Sink) -> None:
+    """Put the scene of one execution into the recording."""
+    sink.static("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    _places(sink, "scene/places", sink.run.places, colours.ROBOT)
+    _places(sink, "scene/operator_places", sink.run.human_places, colours.OPERATOR)
+    _zones(sink)
+    _robot(sink)
+    log_people(sink)
+    _link(sink)
 
 
-def floor_m(run: Execution) -> float:
-    """Height of the floor under the operator's drawn feet, metres, base frame; 0 where no operator is known.
-
-    The tracked point of a person is taken for the waist, unless that would put the floor above the robot's base.
-    """
-    heights = run.human_m[np.isfinite(run.human_m[:, 2]), 2]
-    return min(0.0, float(np.median(heights)) - _WAIST_M) if len(heights) else 0.0
-
-
-def _log_places(stream: rr.RecordingStream, path: str, places: Mapping[str, Place], colour: str) -> None:
+def _places(sink: Sink, path: str, places: Mapping[str, Place], colour: str) -> None:
     if not places:
         return
     centres = [place.xyz_m for place in places.values()]
-    stream.log(
-        path,
-        rr.Points3D(centres, radii=0.04, colors=[_rgb(colour)] * len(places)),
-        static=True,
-    )
+    sink.static(path, rr.Points3D(centres, radii=0.04, colors=[colours.to_rgb(colour)] * len(places)))
     labels = place_labels(places)
     at = [(x, y, z - 0.06) for x, y, z in (label.xyz_m for label in labels)]
     words = [label.text for label in labels]
-    tags = rr.Points3D(at, radii=0.001, colors=[_rgb(colour)] * len(at), labels=words, show_labels=True)
-    stream.log(f"{path}/names", tags, static=True)
+    paint = [_LABEL_INK.get(colour, (255, 255, 255))] * len(at)
+    sink.static(f"{path}/names", rr.Points3D(at, radii=0.001, colors=paint, labels=words, show_labels=True))
 
 
-def _log_robot(stream: rr.RecordingStream, run: Execution, times: Times) -> int:
+def _zones(sink: Sink) -> None:
+    """Floor squares in the colour of the speed that the model expects with an operator on them."""
+    zones = sink.run.zones
+    if zones is None:
+        return
+    height = floor_m(sink.run) - 0.004
+    centres = np.column_stack([zones.centre_m, np.full(len(zones.centre_m), height)])
+    half = float(np.abs(np.diff(np.unique(zones.centre_m[:, 0]))).min(initial=1.0)) / 2
+    boxes = rr.Boxes3D.from_fields(centers=centres, half_sizes=[(half, half, 0.003)], fill_mode="solid")
+    sink.static("scene/zones", boxes)
+    rgb = colours.scaling_rgb(zones.scaling.ravel()) * ZONE_TINT + np.array(PAPER) * (1 - ZONE_TINT)
+    columns = rr.Boxes3D.columns(colors=pack(np.rint(rgb).astype(np.uint8)))
+    sink.columns("scene/zones", zones.t_s, columns.partition([len(centres)] * len(zones.t_s)))
+
+
+def _robot(sink: Sink) -> None:
+    run = sink.run
     known = np.isfinite(run.robot_m).all(axis=1)
     if not known.any():
-        return 0
+        return
     paint = colours.scaling_rgb(run.scaling)
-    _points(stream, "scene/robot/tool", times(run.t_s), run.robot_m, 0.055, paint)
-    _trail(stream, "scene/robot/trail", times, run.t_s, run.robot_m, paint, 0.012)
-    _goals(stream, "scene/robot/goal", run.t_s, run.robot_goal_m, times, colours.ROBOT)
-    stream.log("scene/robot/path", _path(run.robot_m, colours.UNKNOWN), static=True)
-    return int(known.sum()) + _log_arm(stream, run, times)
+    sink.static("scene/robot/tool", rr.Points3D.from_fields(radii=[0.055]))
+    columns = rr.Points3D.columns(positions=run.robot_m[known], colors=pack(paint[known]))
+    sink.columns("scene/robot/tool", run.t_s, columns.partition(known.astype(int).tolist()))
+    trail(sink, "scene/robot/trail", run.robot_m, paint, 0.012)
+    goals(sink, "scene/robot/goal", run.robot_goal_m, colours.ROBOT)
+    sink.static("scene/robot/path", _path(run.robot_m, colours.UNKNOWN))
+    _arm(sink)
 
 
-def _log_arm(stream: rr.RecordingStream, run: Execution, times: Times) -> int:
+def _arm(sink: Sink) -> None:
     """Draw the links where the joint angles and the logged tool point prove which arm it is."""
-    angles = run.joints.six if run.joints else None
-    if run.joints is None or angles is None:
-        return 0
-    fit = recognise_arm(angles, run.joints.tcp_m)
-    if fit is None:
-        return 0
+    joints = sink.run.joints
+    angles = joints.six if joints else None
+    fit = None if joints is None or angles is None else recognise_arm(angles, joints.tcp_m)
+    if joints is None or angles is None or fit is None:
+        return
     known = np.isfinite(angles).all(axis=1)
     points, turn = joint_points(fit.arm, angles[known])
     tool = points[:, -1] + np.einsum("tij,j->ti", turn, fit.tool_m)
     strips = np.concatenate([points, tool[:, None]], axis=1).astype(np.float32)
-    at = times(run.joints.t_s[known])
-    one = [1] * len(strips)
-    stream.log("scene/robot/arm", rr.LineStrips3D.from_fields(colors=[_rgb("#aeb8c4")], radii=[0.05]), static=True)
-    stream.send_columns("scene/robot/arm", at, rr.LineStrips3D.columns(strips=list(strips)).partition(one))
-    joints = strips[:, :-1].reshape(-1, 3)
-    stream.log("scene/robot/joints", rr.Points3D.from_fields(colors=[_rgb("#56626f")], radii=[0.065]), static=True)
+    t_s, one = joints.t_s[known], [1] * len(strips)
+    look = rr.LineStrips3D.from_fields(colors=[colours.to_rgb("#aeb8c4")], radii=[0.05])
+    sink.static("scene/robot/arm", look)
+    sink.columns("scene/robot/arm", t_s, rr.LineStrips3D.columns(strips=list(strips)).partition(one))
+    bearings = strips[:, :-1].reshape(-1, 3)
+    sink.static("scene/robot/joints", rr.Points3D.from_fields(colors=[colours.to_rgb("#56626f")], radii=[0.065]))
     counts = [strips.shape[1] - 1] * len(strips)
-    stream.send_columns("scene/robot/joints", at, rr.Points3D.columns(positions=joints).partition(counts))
-    return len(strips)
+    sink.columns("scene/robot/joints", t_s, rr.Points3D.columns(positions=bearings).partition(counts))
 
 
-def _log_operator(stream: rr.RecordingStream, run: Execution, times: Times) -> int:
-    known = np.isfinite(run.human_m).all(axis=1)
-    if not known.any():
-        return 0
-    feet = floor_m(run)
-    counts = known.astype(int).tolist()
-    at = times(run.t_s)
-    seen = run.human_m[known]
-    base = np.column_stack([seen[:, :2], np.full(len(seen), feet + _SHOULDER_RADIUS_M)])
-    length = BODY_M - 2 * _SHOULDER_RADIUS_M - 2 * _HEAD_RADIUS_M
-    green = _rgb(colours.OPERATOR)
-    body = rr.Capsules3D.from_fields(lengths=[length], radii=[_SHOULDER_RADIUS_M], colors=[green], fill_mode="solid")
-    stream.log("scene/operator/body", body, static=True)
-    stream.send_columns("scene/operator/body", at, rr.Capsules3D.columns(translations=base).partition(counts))
-    top = base + np.array([0.0, 0.0, length + _SHOULDER_RADIUS_M + _HEAD_RADIUS_M])
-    head = rr.Points3D.from_fields(radii=[_HEAD_RADIUS_M], colors=[green])
-    stream.log("scene/operator/head", head, static=True)
-    stream.send_columns("scene/operator/head", at, rr.Points3D.columns(positions=top).partition(counts))
-    ground = run.human_m.copy()
-    ground[:, 2] = feet + 0.01
-    paint = np.tile(np.array(green, dtype=np.uint8), (len(ground), 1))
-    _trail(stream, "scene/operator/trail", times, run.t_s, ground, paint, 0.02)
-    goal = run.human_goal_m.copy()
-    goal[:, 2] = feet + 0.01
-    _goals(stream, "scene/operator/goal", run.t_s, goal, times, colours.OPERATOR)
-    return int(known.sum())
-
-
-def _log_link(stream: rr.RecordingStream, run: Execution, times: Times) -> int:
+def _link(sink: Sink) -> None:
     """The line from tool to operator: how far, and in the colour of the scaling then in force."""
-    distance = run.distance_m
+    run, distance = sink.run, sink.run.distance_m
     known = np.isfinite(distance)
     if not known.any():
-        return 0
+        return
     ends = np.stack([run.robot_m[known], run.human_m[known]], axis=1).astype(np.float32)
     labels = [_link_label(d, s) for d, s in zip(distance[known], run.scaling[known], strict=True)]
     counts = known.astype(int).tolist()
-    columns = rr.LineStrips3D.columns(strips=list(ends), colors=_pack(colours.scaling_rgb(run.scaling[known])))
-    stream.log("scene/distance", rr.LineStrips3D.from_fields(radii=[0.016]), static=True)
-    stream.send_columns("scene/distance", times(run.t_s), columns.partition(counts))
+    columns = rr.LineStrips3D.columns(strips=list(ends), colors=pack(colours.scaling_rgb(run.scaling[known])))
+    sink.static("scene/distance", rr.LineStrips3D.from_fields(radii=[0.016]))
+    sink.columns("scene/distance", run.t_s, columns.partition(counts))
     text = rr.Points3D.columns(positions=ends.mean(axis=1), labels=labels)
-    ink = rr.Points3D.from_fields(radii=[0.001], colors=[_rgb("#ffffff")], show_labels=True)
-    stream.log("scene/distance/text", ink, static=True)
-    stream.send_columns("scene/distance/text", times(run.t_s), text.partition(counts))
-    return int(known.sum())
+    ink = rr.Points3D.from_fields(radii=[0.001], colors=[colours.to_rgb("#ffffff")], show_labels=True)
+    sink.static("scene/distance/text", ink)
+    sink.columns("scene/distance/text", run.t_s, text.partition(counts))
 
 
 def _link_label(distance_m: float, scaling: float) -> str:
@@ -161,100 +130,9 @@ def _link_label(distance_m: float, scaling: float) -> str:
     return f"{distance_m:.2f} m: " + ("robot halted" if scaling < 0.02 else f"robot at {100 * scaling:.0f} % speed")
 
 
-def _points(
-    stream: rr.RecordingStream,
-    path: str,
-    at: list[rr.TimeColumn],
-    positions: NDArray[np.float64],
-    radius_m: float,
-    paint: NDArray[np.uint8],
-) -> None:
-    known = np.isfinite(positions).all(axis=1)
-    stream.log(path, rr.Points3D.from_fields(radii=[radius_m]), static=True)
-    columns = rr.Points3D.columns(positions=positions[known], colors=_pack(paint[known]))
-    stream.send_columns(path, at, columns.partition(known.astype(int).tolist()))
-
-
-def _goals(
-    stream: rr.RecordingStream,
-    path: str,
-    t_s: NDArray[np.float64],
-    goals: NDArray[np.float64],
-    times: Times,
-    colour: str,
-) -> None:
-    """A flat ring-like marker where the motion will end; written only when it changes."""
-    filled = np.nan_to_num(goals, nan=1e9)
-    changed = np.append(True, np.any(np.diff(filled, axis=0) != 0, axis=1))[: len(goals)]
-    some = goals[changed]
-    known = np.isfinite(some).all(axis=1)
-    if not known.any():
-        return
-    shape = rr.Ellipsoids3D.from_fields(half_sizes=[(0.14, 0.14, 0.006)], colors=[_rgb(colour)], fill_mode="solid")
-    stream.log(path, shape, static=True)
-    columns = rr.Ellipsoids3D.columns(centers=some[known])
-    stream.send_columns(path, times(t_s[changed]), columns.partition(known.astype(int).tolist()))
-
-
-def _trail(
-    stream: rr.RecordingStream,
-    path: str,
-    times: Times,
-    t_s: NDArray[np.float64],
-    positions: NDArray[np.float64],
-    paint: NDArray[np.uint8],
-    radius_m: float,
-) -> None:
-    """The way of the last seconds, one strip per colour, never across what is unknown."""
-    pieces = _pieces(positions, paint)
-    first = np.searchsorted(t_s, t_s - TRAIL_S)
-    strips: list[NDArray[np.float32]] = []
-    shades: list[NDArray[np.uint8]] = []
-    counts = []
-    starts, stops = (np.array([piece[end] for piece in pieces]) for end in (0, 1))
-    for now, oldest in enumerate(first.tolist()):
-        before = len(strips)
-        for piece in range(int(np.searchsorted(stops, oldest, "right")), int(np.searchsorted(starts, now))):
-            low, high = max(int(starts[piece]), oldest), min(int(stops[piece]), now)
-            strips.append(positions[low : high + 1].astype(np.float32))
-            shades.append(paint[high])
-        counts.append(len(strips) - before)
-    if not strips:
-        return
-    stream.log(path, rr.LineStrips3D.from_fields(radii=[radius_m]), static=True)
-    columns = rr.LineStrips3D.columns(strips=strips, colors=_pack(np.array(shades)))
-    stream.send_columns(path, times(t_s), columns.partition(counts))
-
-
-def _pieces(positions: NDArray[np.float64], paint: NDArray[np.uint8]) -> list[tuple[int, int]]:
-    """First and last index of each stretch of one colour; a piece starts where the one before ends."""
-    known = [bool(row.all()) for row in np.isfinite(positions)]
-    shades = paint.tolist()
-    pieces: list[tuple[int, int]] = []
-    for now in range(1, len(known)):
-        if not (known[now] and known[now - 1]):
-            continue
-        start, end = pieces[-1] if pieces else (-1, -1)
-        if end == now - 1 and shades[now] == shades[now - 1] and start < end:
-            pieces[-1] = (start, now)
-        else:
-            pieces.append((now - 1, now))
-    return pieces
-
-
 def _path(positions: NDArray[np.float64], colour: str) -> rr.LineStrips3D:
     """The whole way of the execution as thin lines, broken where it is unknown."""
     known = np.isfinite(positions).all(axis=1)
     cuts = np.flatnonzero(np.diff(known.astype(int))) + 1
     strips = [part[:: max(1, len(part) // 2000)] for part in np.split(positions, cuts) if np.isfinite(part[0, 0])]
-    return rr.LineStrips3D([part for part in strips if len(part) > 1], colors=[_rgb(colour)], radii=0.003)
-
-
-def _rgb(colour: str) -> tuple[int, int, int]:
-    return colours.to_rgb(colour)
-
-
-def _pack(rgb: NDArray[np.uint8]) -> NDArray[np.uint32]:
-    """Red, green, blue (N, 3) as one 0xRRGGBBAA each (N,)."""
-    wide = rgb.astype(np.uint32)
-    return np.asarray((wide[:, 0] << 24) | (wide[:, 1] << 16) | (wide[:, 2] << 8) | np.uint32(255))
+    return rr.LineStrips3D([part for part in strips if len(part) > 1], colors=[colours.to_rgb(colour)], radii=0.003)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit import colours
+from cyclekit.replay.misses import misses
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -94,6 +95,19 @@ def log_lines(run: Execution) -> list[Line]:
     for start_s, end_s in run.gaps:
         lines.append(Line(start_s, f"Gap in the log: nothing is known for {end_s - start_s:.1f} s", "WARN"))
     lines.extend(Line(0.0, note, "WARN") for note in run.notes)
+    return sorted(lines, key=lambda line: line.t_s)
+
+
+def miss_lines(run: Execution) -> list[Line]:
+    """Return where prediction and log differ most, in order of time; a click on the time jumps there."""
+    lines = []
+    for rank, miss in enumerate(misses(run), start=1):
+        doing = f" on {spell(miss.robot_task)}" if miss.robot_task else ""
+        text = (
+            f"#{rank}: logged {100 * miss.logged:.0f} %, predicted {100 * miss.predicted:.0f} %{doing}, "
+            f"operator {miss.distance_m:.2f} m away; off by {miss.seconds:.1f} s in {miss.end_s - miss.start_s:.1f} s"
+        )
+        lines.append(Line(miss.t_s, text, "WARN" if rank <= 3 else "INFO", "#e6a4ff"))
     return sorted(lines, key=lambda line: line.t_s)
 
 

@@ -1,12 +1,15 @@
-"""The page that an integrator hands to the customer: one HTML file, self-contained, in plain language.
+"""The report: one page that an integrator hands to the customer, or the same as data.
 
-    facts = write_report(dataset, model, Path("report.html"), estimates=estimates)
+    facts = write_report(dataset, model, Path("report.html"), estimates=estimates, evaluation=evaluation)
+    write_pdf(facts.path, Path("report.pdf"))
 
-What is missing (no model, no estimates, no operator, no scaling) is said on the page instead of being an error.
+What is missing is said on the page, and is no error. The only room that knows jinja2 and matplotlib.
 """
 
 from __future__ import annotations
 
-from cyclekit.report.page import ReportFacts, write_report
+from cyclekit.report.helps import WhatIf, load_what_if
+from cyclekit.report.page import FORMATS, ReportFacts, write_report
+from cyclekit.report.pdf import write_pdf
 
-__all__ = ["ReportFacts", "write_report"]
+__all__ = ["FORMATS", "ReportFacts", "WhatIf", "load_what_if", "write_pdf", "write_report"]

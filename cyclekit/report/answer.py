@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from cyclekit.report.texts import Texts
 
 
-def section(texts: Texts, ranked: Sequence[CycleEstimate], seen: Overview, *, has_model: bool) -> dict[str, Any]:
+def section(
+    texts: Texts, ranked: Sequence[CycleEstimate], seen: Overview, *, has_model: bool, takt_s: float | None = None
+) -> dict[str, Any]:
     """Return what the template needs for section 1; `ranked` has the fastest sequence first."""
     missing = [] if has_model else [texts("answer.no_model")]
     if not ranked:
@@ -33,17 +35,26 @@ def section(texts: Texts, ranked: Sequence[CycleEstimate], seen: Overview, *, ha
     tied = [each.name for each in ranked[1:] if each.expected_low_s <= best.expected_high_s]
     if tied:
         sentences.append(texts("answer.tied", names=", ".join(tied)))
+    if takt_s is not None:
+        share = percent(in_time(best, takt_s))
+        sentences.append(texts("answer.takt", takt=fixed(takt_s, 1), share=share, tracks=str(len(best.durations_s))))
     return {
         "headline": texts("answer.best", name=best.name, mean=mean),
         "sentences": sentences + missing,
-        "picture": _picture(texts, ranked, mean),
+        "picture": _picture(texts, ranked, mean, takt_s),
         "caption": texts("answer.caption"),
-        "table": _table(texts, ranked),
+        "table": _table(texts, ranked, takt_s),
         "warnings": [
             texts("answer.warning", name=each.name, text=warning) for each in ranked for warning in each.warnings
         ],
         "missing": missing,
     }
+
+
+def in_time(estimate: CycleEstimate, takt_s: float) -> float | None:
+    """Return the part of the single cycles that take no longer than the takt; None where there are none."""
+    cycles = np.asarray(estimate.durations_s, dtype=np.float64)
+    return float((cycles <= takt_s).mean()) if len(cycles) else None
 
 
 def _best(texts: Texts, best: CycleEstimate, interval: str) -> list[str]:
@@ -80,7 +91,7 @@ def _logged(texts: Texts, seen: Overview, missing: Sequence[str]) -> dict[str, A
     return {**found, "headline": texts(key, median=seconds(mean))}
 
 
-def _picture(texts: Texts, ranked: Sequence[CycleEstimate], mean: str) -> object:
+def _picture(texts: Texts, ranked: Sequence[CycleEstimate], mean: str, takt_s: float | None) -> object:
     from cyclekit.report import charts
 
     labels = {
@@ -88,12 +99,14 @@ def _picture(texts: Texts, ranked: Sequence[CycleEstimate], mean: str) -> object
         "mean": texts("answer.mean"),
         "cycles": texts.section("answer")["quantiles"],
         "without": texts("answer.without"),
+        "tip": texts.section("answer")["tip"],
+        "takt": texts("answer.takt_key", takt=fixed(takt_s, 1)),
     }
     alt = texts("answer.picture", count=len(ranked), name=ranked[0].name, mean=mean)
-    return picture("cycle", alt, lambda width_in: charts.cycle_times(width_in, ranked, labels))
+    return picture("cycle", alt, lambda width_in: charts.cycle_times(width_in, ranked, labels, takt_s))
 
 
-def _table(texts: Texts, ranked: Sequence[CycleEstimate]) -> Table:
+def _table(texts: Texts, ranked: Sequence[CycleEstimate], takt_s: float | None) -> Table:
     levels = sorted(ranked[0].quantiles_s)
     heads = [
         texts("answer.sequence"),
@@ -101,6 +114,7 @@ def _table(texts: Texts, ranked: Sequence[CycleEstimate]) -> Table:
         texts("answer.expected"),
         texts("answer.interval_head"),
         *(texts("answer.quantile_head", level=f"{100 * level:g}") for level in levels),
+        *([texts("answer.takt_head", takt=fixed(takt_s, 1))] if takt_s is not None else []),
         texts("answer.safety_head"),
         texts("answer.support_head"),
     ]
@@ -109,5 +123,6 @@ def _table(texts: Texts, ranked: Sequence[CycleEstimate]) -> Table:
         mean, interval = with_uncertainty(each.expected_s, each.expected_low_s, each.expected_high_s)
         quantiles = [fixed(each.quantiles_s.get(level), 1) for level in levels]
         safety = fixed(each.safety_loss_s, 1)
-        rows.append([each.name, str(rank), mean, interval, *quantiles, safety, percent(each.support)])
+        takt = [percent(in_time(each, takt_s))] if takt_s is not None else []
+        rows.append([each.name, str(rank), mean, interval, *quantiles, *takt, safety, percent(each.support)])
     return Table(texts("answer.caption"), heads, rows, frozenset(range(1, len(heads))), silent=True)

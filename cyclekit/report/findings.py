@@ -13,19 +13,18 @@ import numpy as np
 import polars as pl
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset, Place
+    from cyclekit.dataset import Dataset
 
 SAMPLE_S = 0.1
 FULL = 0.98
 """Scaling from here on counts as full speed."""
 
 DISTANCE_BIN_M = 0.05
-CELL_M = 0.2
-SCATTER = 2500
+SCALING_BIN = 0.05
 _PARTS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
@@ -108,7 +107,7 @@ class SafetyFunction:
     """Scaling against distance, from samples in which the robot was moving and both positions were known.
 
     Attributes:
-        distance_m, scaling: A subsample to draw, shape (K,).
+        cells: Samples per distance bin and scaling bin: centre in m, centre in scaling, count; shape (K, 3).
         bin_m: Centres of the distance bins, shape (B,).
         logged, predicted: Mean scaling per bin, shape (B,); `predicted` is None without a model of problem `now`.
         bands: One per level.
@@ -116,39 +115,13 @@ class SafetyFunction:
         samples: How many samples it rests on.
     """
 
-    distance_m: NDArray[np.float64]
-    scaling: NDArray[np.float64]
+    cells: NDArray[np.float64]
     bin_m: NDArray[np.float64]
     logged: NDArray[np.float64]
     predicted: NDArray[np.float64] | None
     bands: tuple[Band, ...]
     explained: float
     samples: int
-
-
-@dataclass(frozen=True)
-class FloorPlan:
-    """Where the operator stood while the robot was slowed, on a grid in the base frame.
-
-    Attributes:
-        x_m, y_m: Centres of the squares in which time was lost, shape (C,).
-        lost_s: Time lost while the operator was in the square, s, shape (C,).
-        scaling: Mean scaling of the slowed time there, shape (C,).
-        walked_m: Where the operator was at all: a thinned list of positions, shape (W, 2).
-        robot_m: Where the tool was: thinned, shape (R, 2).
-        places, human_places: Named places.
-        cell_m: Side of a square.
-    """
-
-    x_m: NDArray[np.float64]
-    y_m: NDArray[np.float64]
-    lost_s: NDArray[np.float64]
-    scaling: NDArray[np.float64]
-    walked_m: NDArray[np.float64]
-    robot_m: NDArray[np.float64]
-    places: Mapping[str, Place]
-    human_places: Mapping[str, Place]
-    cell_m: float = CELL_M
 
 
 def overview(dataset: Dataset, samples: pl.DataFrame, tasks: pl.DataFrame) -> Overview:
@@ -221,10 +194,8 @@ def safety_function(
     means = np.bincount(slot, weights=scaling) / np.maximum(counts, 1)
     spread = float(np.var(scaling))
     explained = 1 - float(np.mean((scaling - means[slot]) ** 2)) / spread if spread > 0 else 0.0
-    picked = np.random.default_rng(seed).permutation(len(distance))[:SCATTER]
     return SafetyFunction(
-        distance_m=distance[picked],
-        scaling=scaling[picked],
+        cells=_histogram(slot, scaling),
         bin_m=np.asarray((filled + 0.5) * DISTANCE_BIN_M, np.float64),
         logged=means[filled],
         predicted=_predicted(model, x, slot, filled, seed),
@@ -232,6 +203,12 @@ def safety_function(
         explained=max(0.0, explained),
         samples=len(distance),
     )
+
+
+def _histogram(slot: NDArray[np.int64], scaling: NDArray[np.float64]) -> NDArray[np.float64]:
+    row = np.rint(scaling / SCALING_BIN).astype(np.int64)
+    pairs, counts = np.unique(np.column_stack([slot, row]), axis=0, return_counts=True)
+    return np.column_stack([(pairs[:, 0] + 0.5) * DISTANCE_BIN_M, pairs[:, 1] * SCALING_BIN, counts]).astype(np.float64)
 
 
 def _predicted(
@@ -261,34 +238,36 @@ def _bands(step: pl.Series, distance: NDArray[np.float64], levels: Sequence[floa
     return tuple(bands)
 
 
-def floor_plan(dataset: Dataset, samples: pl.DataFrame) -> FloorPlan | None:
-    """Put the time lost on the floor plan; None where no operator position is known."""
-    seen = samples.filter(pl.col("human_x_m").is_not_null() & pl.col("human_y_m").is_not_null())
-    if seen.is_empty():
-        return None
-    lost = seen.filter(pl.col("robot_moving") & (pl.col("scaling") < FULL))
-    squares = (
-        lost.select(
-            column=(pl.col("human_x_m") / CELL_M).floor(),
-            row=(pl.col("human_y_m") / CELL_M).floor(),
-            s=pl.col("scaling"),
-        )
-        .group_by("column", "row")
-        .agg(lost_s=(1 - pl.col("s")).sum() * SAMPLE_S, scaling=pl.col("s").mean())
-        .sort("column", "row")
-    )
-    robot = samples.select("robot_x_m", "robot_y_m").drop_nulls()
-    return FloorPlan(
-        x_m=(squares["column"].to_numpy() + 0.5) * CELL_M,
-        y_m=(squares["row"].to_numpy() + 0.5) * CELL_M,
-        lost_s=squares["lost_s"].to_numpy(),
-        scaling=squares["scaling"].to_numpy(),
-        walked_m=_thin(seen.select("human_x_m", "human_y_m"), 4000),
-        robot_m=_thin(robot, 4000),
-        places=dataset.places,
-        human_places=dataset.human_places,
-    )
+@dataclass(frozen=True)
+class Loss:
+    """Time lost to safety while the operator was on one activity, per execution.
+
+    Attributes:
+        human_task: The operator's activity; None where it is not known.
+        seconds: Lost in all meanwhile.
+        robot_task: The robot's task that lost most of it.
+        worst_s: How much that one lost.
+    """
+
+    human_task: str | None
+    seconds: float
+    robot_task: str
+    worst_s: float
 
 
-def _thin(frame: pl.DataFrame, most: int) -> NDArray[np.float64]:
-    return frame.gather_every(max(1, -(-frame.height // most))).to_numpy().astype(np.float64)
+def losses(samples: pl.DataFrame, executions: int) -> list[Loss]:
+    """Return what the operator did when time was lost, the costliest first.
+
+    Args:
+        samples: Samples of all executions.
+        executions: By how many the sums are divided.
+    """
+    slow = samples.filter(pl.col("robot_moving") & (pl.col("scaling") < FULL) & pl.col("robot_task").is_not_null())
+    if slow.is_empty() or not executions:
+        return []
+    pairs = slow.group_by("human_task", "robot_task").agg(lost=(1 - pl.col("scaling")).sum() * SAMPLE_S / executions)
+    pairs = pairs.sort("lost", "robot_task", descending=[True, False])
+    sums = pairs.group_by("human_task", maintain_order=True).agg(
+        pl.col("lost").sum().alias("all"), pl.col("robot_task").first(), pl.col("lost").first()
+    )
+    return [Loss(*row) for row in sums.sort("all", descending=True).iter_rows()]

@@ -1,7 +1,7 @@
 """Put the page together: numbers become sentences, tables and pictures; the template sets them.
 
-The sections are in the order in which an integrator asks: what comes out, where the time goes, why, and can it be
-believed. Each section is built by its own module; the words are in `texts.toml`.
+The sections are in the order in which an integrator asks: what comes out, where the time goes, why, what would help,
+and can it be believed. Each section is built by its own module; the words are in `texts.toml`.
 """
 
 from __future__ import annotations
@@ -9,15 +9,13 @@ from __future__ import annotations
 import datetime as dt
 from dataclasses import dataclass
 from importlib.metadata import version as installed
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-import jinja2
-
 from cyclekit.atomic import write_text
-from cyclekit.report import answer, trust, where, why
+from cyclekit.report import answer, helps, trust, where, why
+from cyclekit.report.document import as_csv, as_json, as_markdown
 from cyclekit.report.findings import overview
-from cyclekit.report.texts import load_texts
+from cyclekit.report.template import Template
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,7 +24,10 @@ if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.findings import Predicts
+    from cyclekit.report.helps import WhatIf
     from cyclekit.report.trust import Judged
+
+FORMATS = ("html", "json", "csv", "md")
 
 
 @dataclass(frozen=True)
@@ -55,57 +56,68 @@ def write_report(
     *,
     estimates: Sequence[CycleEstimate] = (),
     evaluation: Judged | None = None,
+    what_if: Sequence[WhatIf] = (),
+    takt_s: float | None = None,
+    missing: Sequence[str] = (),
     cell_name: str | None = None,
-    progress: Callable[[str], None] | None = None,
+    kind: str = "html",
+    template: Path | None = None,
+    progress: Callable[[float, str], None] | None = None,
 ) -> ReportFacts:
-    """Write the report of a dataset as one HTML page that needs nothing else.
+    """Write the report of a dataset, as one HTML page that needs nothing else, or as data.
 
     Args:
         dataset: The logs.
         model: Trained model whose safety function and metrics are shown; None for logs alone.
-        out: The page; an existing one is replaced when the new one is complete.
+        out: The file; an existing one is replaced when the new one is complete.
         estimates: Sequences to rank; without any the page describes the logged executions.
         evaluation: Held-out metrics with baselines; without it the model's own card is shown.
+        what_if: The same sequences under other conditions.
+        takt_s: Takt time that the cycles are held against, s.
+        missing: What could not be computed and why, one sentence each; said in the first section.
         cell_name: Title of the page; the dataset's name where not given.
-        progress: Called with a short text at each stage.
+        kind: `html`; `json` for everything, `csv` for the seconds per task, `md` for words and tables.
+        template: Folder whose files take the place of the page's own (docs/report.md).
+        progress: Called with the part done and a short text.
 
     Raises:
-        CyclekitError: The page cannot be written.
+        CyclekitError: The file cannot be written, or something in the template folder is wrong.
     """
-    say_progress = progress or (lambda _text: None)
-    texts = load_texts()
-    say_progress("reading the dataset")
+    say = progress or (lambda _part, _text: None)
+    look = Template(template)
+    say(0.02, "reading the dataset")
     samples, tasks = dataset.samples(), dataset.tasks()
     seen = overview(dataset, samples, tasks)
-    say_progress("drawing the pictures")
     ranked = sorted(estimates, key=lambda each: each.expected_s)
-    sections: dict[str, Any] = {
-        "answer": answer.section(texts, ranked, seen, has_model=model is not None),
-        "where": where.section(texts, ranked, tasks),
-        "why": why.section(texts, dataset, samples, model, seen),
-        "trust": trust.section(texts, dataset, model, evaluation, seen),
-    }
-    say_progress("writing the page")
     name = cell_name or str(dataset.card.get("name") or dataset.path.name)
-    version = installed("cyclekit")
-    today = dt.datetime.now(tz=dt.UTC).date().isoformat()
-    made = texts("page.made", date=today, version=version, executions=seen.executions)
-    html = _template().render(
-        say=texts, language=texts.language, cell=name, made=made, version=version, css=_asset("page.css"), **sections
-    )
-    write_text(out, html)
-    drawn = html.count("<figure>")
-    return ReportFacts(out, out.stat().st_size, sections["answer"]["headline"], drawn, _missing(sections))
+    if kind == "csv":
+        write_text(out, as_csv(ranked, tasks))
+        return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing))
+    texts = look.texts
+    sections: dict[str, Any] = {}
+    steps: list[tuple[str, Callable[[], dict[str, Any]]]] = [
+        ("answer", lambda: answer.section(texts, ranked, seen, has_model=model is not None, takt_s=takt_s)),
+        ("where", lambda: where.section(texts, ranked, tasks)),
+        ("why", lambda: why.section(texts, dataset, samples, model, seen)),
+        ("helps", lambda: helps.section(texts, ranked, samples, seen, what_if)),
+        ("trust", lambda: trust.section(texts, dataset, samples, model, evaluation, seen)),
+    ]
+    for number, (key, make) in enumerate(steps):
+        say(0.1 + 0.17 * number, f"section {number + 1} of {len(steps)}: {texts(f'{key}.title').lower()}")
+        sections[key] = make()
+    sections["answer"]["sentences"] = [*sections["answer"]["sentences"], *missing]
+    say(0.95, "writing the page")
+    made = texts("page.made", date=_today(), version=installed("cyclekit"), executions=seen.executions)
+    if kind == "json":
+        content = as_json(name, made, ranked, what_if, evaluation, dataset, samples, sections)
+    elif kind == "md":
+        content = as_markdown(texts, name, made, sections)
+    else:
+        content = look.render(cell=name, made=made, version=installed("cyclekit"), **sections)
+    write_text(out, content)
+    said = tuple(missing) + tuple(text for section in sections.values() for text in section.get("missing", ()))
+    return ReportFacts(out, out.stat().st_size, sections["answer"]["headline"], content.count("<figure>"), said)
 
 
-def _missing(sections: dict[str, Any]) -> tuple[str, ...]:
-    return tuple(text for section in sections.values() for text in section.get("missing", ()))
-
-
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    return environment.from_string(_asset("page.html.jinja"))
-
-
-def _asset(name: str) -> str:
-    return files("cyclekit.report").joinpath(name).read_text("utf-8")
+def _today() -> str:
+    return dt.datetime.now(tz=dt.UTC).date().isoformat()

@@ -11,7 +11,11 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from string import Formatter
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 _UNIT = re.compile(r"(?<=\d) (?=(?:%|s|m|h|min)(?![\w]))")
 """The space between a number and its unit, where no line may end."""
@@ -33,9 +37,35 @@ class Texts:
         section, _, name = key.partition(".")
         return _UNIT.sub("\N{NO-BREAK SPACE}", self.sections[section][name].format(**values))
 
+    def with_changes(self, changes: Mapping[str, Any]) -> Texts:
+        """Return the texts with some of them replaced; `language` may be among the changes.
+
+        Raises:
+            ValueError: A change names no text of ours, or is filled with values that ours does not have.
+        """
+        sections = {name: dict(texts) for name, texts in self.sections.items()}
+        language = str(changes.get("language", self.language))
+        for section, texts in changes.items():
+            if section == "language":
+                continue
+            for name, text in dict(texts).items():
+                ours = sections.get(section, {}).get(name)
+                if ours is None:
+                    msg = f"there is no text {section}.{name}"
+                    raise ValueError(msg)
+                if strange := _values(str(text)) - _values(ours):
+                    msg = f"{section}.{name} has no value {', '.join(sorted(strange))}"
+                    raise ValueError(msg)
+                sections[section][name] = str(text)
+        return Texts(sections, language)
+
     def section(self, name: str) -> dict[str, str]:
         """Return all texts of one section, not filled in."""
         return self.sections[name]
+
+
+def _values(text: str) -> set[str]:
+    return {name for _, name, _, _ in Formatter().parse(text) if name is not None}
 
 
 @cache

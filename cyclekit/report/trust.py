@@ -1,15 +1,21 @@
-"""Section 4: what the numbers rest on, how good the model is, and what this page is not."""
+"""Section 5: what the numbers rest on, how good the model is, and what this page is not."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
+
+from cyclekit.report.judged import calibration
 from cyclekit.report.numbers import count, fixed, percent, significant
+from cyclekit.report.pictures import picture
 from cyclekit.report.provenance import provenance
 from cyclekit.report.tables import Table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    import polars as pl
 
     from cyclekit.dataset import Dataset
     from cyclekit.report.findings import Overview, Predicts
@@ -17,6 +23,8 @@ if TYPE_CHECKING:
     from cyclekit.report.texts import Texts
 
 _CARD_METRICS = ("rows", "mse_mean", "mse_argmax", "mae", "bias", "accuracy")
+
+_GAPS = {"absent": "gap_absent", "occluded": "gap_occluded", "outside": "gap_outside"}
 
 
 class Judged(Protocol):
@@ -28,19 +36,27 @@ class Judged(Protocol):
 
 
 def section(
-    texts: Texts, dataset: Dataset, model: Predicts | None, evaluation: Judged | None, seen: Overview
+    texts: Texts,
+    dataset: Dataset,
+    samples: pl.DataFrame,
+    model: Predicts | None,
+    evaluation: Judged | None,
+    seen: Overview,
 ) -> dict[str, Any]:
-    """Return what the template needs for section 4."""
+    """Return what the template needs for section 5."""
     versions = {texts("trust.made_dataset"): f"cyclekit {dataset.card.get('cyclekit_version', 'unknown')}"}
     versions[texts("trust.layout")] = str(dataset.card.get("schema_version", "unknown"))
     if model is not None:
         versions[texts("trust.made_model")] = f"cyclekit {model.card.get('cyclekit', 'unknown')}"
     origin = provenance(dataset, versions)
     judged = evaluation.to_json() if evaluation is not None else {}
-    tables = [_model(texts, model, judged), *_confusion(texts, judged), *_data_tables(texts, origin)]
+    missing = [] if judged.get("coverage") is not None else [texts("trust.no_coverage")]
     return {
         "facts": _facts(texts, dataset, seen, origin),
-        "tables": tables,
+        "model": _model(texts, model, judged),
+        "pictures": [*_confusion(texts, judged), *_calibration(texts, samples, judged, model)],
+        "sentences": missing if model is not None else [],
+        "tables": [*_unseen(texts, samples), *_data_tables(texts, origin)],
         "missing": [],
     }
 
@@ -112,22 +128,64 @@ def _superscript(number: int) -> str:
     return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
-def _confusion(texts: Texts, judged: Mapping[str, Any]) -> list[Table]:
+def _confusion(texts: Texts, judged: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The heatmap of logged against predicted level, with its table."""
+    from cyclekit.report import maps
+
     matrix: Sequence[Sequence[float]] = judged.get("confusion") or ()
     levels = [entry["level"] if isinstance(entry, dict) else entry for entry in judged.get("levels") or ()]
     if not matrix or len(matrix) != len(levels):
         return []
     names = [percent(float(level)) for level in levels]
+    counts = np.asarray(matrix, dtype=np.float64)
     rows = []
-    for name, line in zip(names, matrix, strict=True):
-        total = float(sum(line))
-        rows.append([name, *(fixed(100 * float(v) / total, 1) if total else "–" for v in line)])
+    for name, line in zip(names, counts.tolist(), strict=True):
+        total = sum(line)
+        rows.append([name, *(fixed(100 * value / total, 1) if total else "–" for value in line)])
     caption = texts("trust.confusion")
-    return [
-        Table(
-            caption, [texts("trust.truth"), *names], rows, frozenset(range(len(names) + 1)), silent=True, title=caption
-        )
+    name = texts("trust.confusion_title")
+    table = Table(name, [texts("trust.truth"), *names], rows, frozenset(range(len(names) + 1)), silent=True)
+    labels = {"logged": texts("trust.truth"), "predicted": texts("trust.predicted")}
+    labels["tip"] = texts.section("trust")["tip_confusion"]
+    right = percent(float(counts.trace() / counts.sum())) if counts.sum() else percent(None)
+    alt = texts("trust.confusion_picture", right=right)
+    drawn = picture("heatmap", alt, lambda width_in: maps.heatmap(width_in, counts, names, labels))
+    return [{"title": name, "picture": drawn, "caption": caption, "table": table}]
+
+
+def _calibration(
+    texts: Texts, samples: pl.DataFrame, judged: Mapping[str, Any], model: Predicts | None
+) -> list[dict[str, Any]]:
+    """Predicted against logged means, on the executions that the model was judged by."""
+    from cyclekit.report import maps
+
+    found = calibration(samples, judged.get("executions") or (), model)
+    if found is None:
+        return []
+    labels = {"logged": texts("trust.mean_logged"), "predicted": texts("trust.mean_predicted")}
+    labels["tip"] = texts.section("trust")["tip_calibration"]
+    caption = texts("trust.calibration")
+    heads = [texts("trust.mean_predicted"), texts("trust.mean_logged"), texts("why.count")]
+    rows = [
+        [percent(predicted), percent(logged), count(int(number))]
+        for predicted, logged, number in zip(found.predicted, found.logged, found.count, strict=True)
     ]
+    name = texts("trust.calibration_title")
+    table = Table(name, heads, rows, frozenset({0, 1, 2}), silent=True)
+    alt = texts("trust.calibration_picture", worst=percent(found.worst))
+    drawn = picture("calibration", alt, lambda width_in: maps.calibration(width_in, found, labels))
+    return [{"title": name, "picture": drawn, "caption": caption, "table": table}]
+
+
+def _unseen(texts: Texts, samples: pl.DataFrame) -> list[Table]:
+    """Why the operator is not seen, as parts of all samples."""
+    gaps = samples["human_gap"].drop_nulls()
+    if not len(gaps):
+        return []
+    title = texts("trust.unseen")
+    counts = gaps.value_counts(sort=True).iter_rows()
+    rows = [[texts(f"trust.{_GAPS[reason]}"), percent(number / samples.height)] for reason, number in counts]
+    return [Table(title, [texts("trust.reason"), texts("trust.part")], rows, frozenset({1}), silent=True, title=title)]
 
 
 def _data_tables(texts: Texts, origin: Provenance) -> list[Table]:

@@ -45,17 +45,27 @@ def section(texts: Texts, ranked: Sequence[CycleEstimate], tasks: pl.DataFrame) 
 def _estimated(texts: Texts, ranked: Sequence[CycleEstimate]) -> list[dict[str, Any]]:
     whole = [Share(e.name, e.nominal_s, e.safety_loss_s, e.dwell_s, e.wait_s) for e in ranked]
     charts = [_chart(texts, "sequences", texts("where.caption_sequences"), whole)]
+    longest_s = max((task.expected_s for each in ranked[:MOST_SEQUENCES] for task in each.tasks), default=None)
     for number, each in enumerate(ranked[:MOST_SEQUENCES]):
         rows = [
             Share(f"{order}  {spell(t.task)}", t.nominal_s, t.safety_loss_s, t.dwell_s, t.wait_s)
             for order, t in enumerate(each.tasks, start=1)
         ]
         if rows:
-            charts.append(_chart(texts, f"tasks{number}", texts("where.caption_tasks", name=each.name), rows))
+            caption = texts("where.caption_tasks", name=each.name)
+            charts.append(_chart(texts, f"tasks{number}", caption, rows, longest_s=longest_s))
     return charts
 
 
-def _chart(texts: Texts, name: str, caption: str, rows: Sequence[Share], *, seen: bool = False) -> dict[str, Any]:
+def _chart(
+    texts: Texts,
+    name: str,
+    caption: str,
+    rows: Sequence[Share],
+    *,
+    seen: bool = False,
+    longest_s: float | None = None,
+) -> dict[str, Any]:
     from cyclekit.report import charts
 
     rows = [Share(spell(r.name), r.nominal_s, r.safety_s, r.dwell_s, r.wait_s, r.seen) for r in rows]
@@ -73,7 +83,7 @@ def _chart(texts: Texts, name: str, caption: str, rows: Sequence[Share], *, seen
     if len(rows) > len(drawn):
         caption = f"{caption} {texts('where.more', count=len(rows) - len(drawn))}"
     return {
-        "picture": picture(name, alt, lambda width_in: charts.shares(width_in, drawn, labels)),
+        "picture": picture(name, alt, lambda width_in: charts.shares(width_in, drawn, labels, longest_s)),
         "caption": caption,
         "table": _table(texts, caption, rows, seen=seen),
     }

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.report.findings import floor_plan, safety_function
-from cyclekit.report.numbers import count, fixed, percent
+import numpy as np
+
+from cyclekit.report.findings import safety_function
+from cyclekit.report.floor import floor_plan
+from cyclekit.report.numbers import UNKNOWN, count, fixed, percent
 from cyclekit.report.pictures import Picture, picture
 from cyclekit.report.tables import Table
 
@@ -15,8 +18,12 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.dataset import Dataset
-    from cyclekit.report.findings import FloorPlan, Overview, Predicts, SafetyFunction
+    from cyclekit.report.findings import Overview, Predicts, SafetyFunction
+    from cyclekit.report.floor import FloorPlan
     from cyclekit.report.texts import Texts
+
+DATA_M = 0.25
+"""Distance per row of the table behind the staircase."""
 
 EXPLAINS = 0.8
 """From this part of the variance on, distance is said to be what the safety function acts on."""
@@ -27,7 +34,7 @@ def section(
 ) -> dict[str, Any]:
     """Return what the template needs for section 3."""
     found = safety_function(samples, dataset.levels, model)
-    plan = floor_plan(dataset, samples)
+    plan = floor_plan(dataset, samples, model)
     missing = _missing(texts, samples, found)
     sentences: list[str] = []
     if seen.slowed == 0.0:
@@ -41,7 +48,9 @@ def section(
     return {
         "sentences": sentences + missing,
         "staircase": _staircase(texts, found, dataset.levels) if found else None,
+        "data": _data(texts, found) if found else None,
         "bands": _bands(texts, found) if found and found.bands else None,
+        "zones": _zones(texts, plan) if plan and len(plan.zones) else None,
         "map": _map(texts, plan) if plan else None,
         "missing": missing,
     }
@@ -63,14 +72,15 @@ def _speed(scaling: float) -> str:
 
 
 def _staircase(texts: Texts, found: SafetyFunction, levels: Sequence[float]) -> Picture:
-    from cyclekit.report import charts
+    from cyclekit.report import maps
 
     labels = {key: texts(f"why.{key}") for key in ("logged", "predicted", "distance", "speed")}
+    labels["tip"] = texts.section("why")["tip_samples"]
     bands = " ".join(
         texts("why.band", speed=_speed(b.scaling), low=fixed(b.low_m, 2), high=fixed(b.high_m, 2)) for b in found.bands
     )
     alt = texts("why.picture", bands=bands)
-    return picture("staircase", alt, lambda width_in: charts.staircase(width_in, found, levels, labels))
+    return picture("staircase", alt, lambda width_in: maps.staircase(width_in, found, levels, labels))
 
 
 def _bands(texts: Texts, found: SafetyFunction) -> Table:
@@ -79,12 +89,47 @@ def _bands(texts: Texts, found: SafetyFunction) -> Table:
     return Table(texts("why.bands"), heads, rows, frozenset({0, 1, 2}))
 
 
-def _map(texts: Texts, plan: FloorPlan) -> Picture:
-    from cyclekit.report import charts
+def _data(texts: Texts, found: SafetyFunction) -> Table:
+    """The numbers behind the staircase: one row per 0.25 m of distance."""
+    heads = [texts(f"why.{key}") for key in ("range_head", "logged", "predicted", "count")]
+    edges = np.floor(found.bin_m / DATA_M + 1e-9)
+    counts = {round(d, 4): 0.0 for d in found.bin_m.tolist()}
+    for distance, _, number in found.cells.tolist():
+        counts[round(distance, 4)] = counts.get(round(distance, 4), 0.0) + number
+    weight = np.array([counts[round(d, 4)] for d in found.bin_m.tolist()])
+    rows = []
+    for edge in np.unique(edges).tolist():
+        mine = edges == edge
+        logged = _speed(float(np.average(found.logged[mine], weights=weight[mine])))
+        expected = UNKNOWN
+        if found.predicted is not None and np.isfinite(found.predicted[mine]).all():
+            expected = _speed(float(np.average(found.predicted[mine], weights=weight[mine])))
+        name = f"{fixed(edge * DATA_M, 2)} to {fixed((edge + 1) * DATA_M, 2)}"
+        rows.append([name, logged, expected, count(int(weight[mine].sum()))])
+    return Table(texts("why.data"), heads, rows, frozenset({0, 1, 2, 3}), silent=True)
 
-    labels = {key: texts(f"why.{key}") for key in ("base", "x", "y")} | {"speed": texts("why.map_speed")}
+
+def _labels(texts: Texts) -> dict[str, str]:
+    words = texts.section("why")
+    return {key: words[key] for key in ("base", "x", "y", "tip_seen", "tip_lost", "tip_zone")}
+
+
+def _zones(texts: Texts, plan: FloorPlan) -> dict[str, Any]:
+    from cyclekit.report import maps
+
+    labels = _labels(texts) | {"speed": texts("why.zone_speed")}
+    x, y, slowest = plan.zones[int(plan.zones[:, 2].argmin())].tolist()
+    alt = texts("why.zone_picture", x=fixed(x, 1), y=fixed(y, 1), speed=_speed(slowest))
+    drawn = picture("zones", alt, lambda width_in: maps.zone_map(width_in, plan, labels))
+    return {"picture": drawn, "caption": texts("why.zone_model" if plan.zones_of_model else "why.zone_log")}
+
+
+def _map(texts: Texts, plan: FloorPlan) -> Picture:
+    from cyclekit.report import maps
+
+    labels = _labels(texts) | {"speed": texts("why.map_speed")}
     alt = texts("why.map_picture_none")
-    if len(plan.lost_s):
-        most = int(plan.lost_s.argmax())
-        alt = texts("why.map_picture", x=fixed(float(plan.x_m[most]), 1), y=fixed(float(plan.y_m[most]), 1))
-    return picture("floor", alt, lambda width_in: charts.floor_map(width_in, plan, labels))
+    if len(plan.lost):
+        x, y = plan.lost[int(plan.lost[:, 2].argmax()), :2].tolist()
+        alt = texts("why.map_picture", x=fixed(x, 1), y=fixed(y, 1))
+    return picture("floor", alt, lambda width_in: maps.lost_map(width_in, plan, labels))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import re
 import time
 from pathlib import Path
 
@@ -110,10 +111,30 @@ def test_progress_in_a_terminal_shows_rate_and_time_left(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(terminal.sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "80")
     with Terminal(json=False, quiet=False).progress("working") as progress:
         progress(0.25, "log[3]")
-    out, _ = capsys.readouterr()
+        time.sleep(0.3)  # the bar is drawn ten times a second
+    out, err = capsys.readouterr()
     assert out == ""
+    drawn = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", err)
+    assert "25%" in drawn
+    assert "%/s" in drawn
+    assert "log[3]" in drawn
+    assert max(len(line) for line in re.split(r"[\r\n]", drawn)) <= 80
+
+
+def test_work_that_says_nothing_is_still_seen_to_go_on(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(terminal, "PATIENCE_S", 0.05)
+    with Terminal(json=False, quiet=False).progress("evaluating"):
+        time.sleep(0.5)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("evaluating: 0.")
+    assert 1 <= len(err.splitlines()) <= 5
 
 
 def test_a_result_is_written_whole_with_its_folder(tmp_path: Path) -> None:

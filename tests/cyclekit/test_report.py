@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import base64
+import hashlib
 import html.parser
 import itertools
 import json
@@ -23,7 +25,9 @@ from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError
 from cyclekit.estimate.result import CycleEstimate, TaskShare
 from cyclekit.labels import place_labels
-from cyclekit.report import findings, numbers, write_report
+from cyclekit.report import findings, load_what_if, numbers, write_report
+from cyclekit.report.floor import floor_plan
+from cyclekit.report.judged import calibration
 
 
 class DistanceModel:
@@ -80,7 +84,7 @@ def estimate(name="A first", mean_s=30.0, half_s=0.6, **changes):
 class Page(html.parser.HTMLParser):
     """The page as a browser sees it: elements in order, and what does not nest."""
 
-    VOID = frozenset({"meta", "link", "br", "img", "hr", "path", "use", "image", "rect"})
+    VOID = frozenset({"meta", "link", "br", "img", "hr", "path", "use", "image", "rect", "input"})
 
     def __init__(self, text):
         super().__init__()
@@ -134,7 +138,9 @@ def test_nothing_on_the_page_asks_for_anything_outside_of_it(written):
     without_names = re.sub(r'xmlns(:xlink)?="http://www\.w3\.org/[^"]*"', "", text)
     assert "http:" not in without_names
     assert "https:" not in without_names
-    assert "<script" not in text
+    (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in text  # the one script that may run is ours
     for name in ("src", "href", "xlink:href"):
         targets = re.findall(rf'\b{name}="([^"]*)"', text)
         assert all(target.startswith(("#", "data:")) for target in targets)
@@ -220,8 +226,11 @@ def test_where_speed_does_not_follow_distance_the_page_says_so(dataset, tmp_path
 
 
 def test_time_lost_on_the_floor_plan_is_the_time_lost_in_the_tasks(dataset):
-    plan = findings.floor_plan(dataset, dataset.samples())
-    assert plan.lost_s.sum() == pytest.approx(dataset.tasks()["safety_loss_s"].sum(), rel=0.1)
+    plan = floor_plan(dataset, dataset.samples())
+    lost_s = plan.lost[:, 2].sum() * dataset.executions.height
+    assert lost_s == pytest.approx(dataset.tasks()["safety_loss_s"].sum(), rel=0.1)
+    seen = dataset.samples()["human_x_m"].count()
+    assert plan.seen[:, 2].sum() * dataset.executions.height == pytest.approx(0.1 * seen)
 
 
 def test_logged_tasks_keep_their_seconds(dataset):
@@ -321,8 +330,8 @@ def test_every_text_is_asked_for_and_every_text_asked_for_exists():
     texts.pop("language")
     source = "".join(f.read_text("utf-8") for f in folder.iterdir() if f.name.endswith((".py", ".jinja")))
     known = {f"{section}.{name}" for section, names in texts.items() for name in names}
-    asked = set(re.findall(r"[\"']((?:page|answer|where|why|trust)\.\w+)", source))
-    assert asked - known == {"page.css", "page.html"}  # files, no texts
+    asked = set(re.findall(r"[\"']((?:page|answer|where|why|helps|trust)\.\w+)", source))
+    assert asked - known == {"page.css", "page.html", "page.js", "page.pdf"}  # files, no texts
     names = set(re.findall(r'"(\w+)"', source))
     assert {key for key in known - asked if key.partition(".")[2] not in names} == set()
 
@@ -398,3 +407,155 @@ def test_close_places_of_one_family_share_a_label_and_distant_ones_do_not(datase
     far = {f"table_{n}": Place(f"table_{n}", (2.0 * n, 1.0, 0.0), 0.1, inferred=False) for n in (1, 2)}
     assert [label.text for label in place_labels(far)] == ["table_1", "table_2"]
     assert [label.text for label in place_labels(dataset.places)] == list(dataset.places)
+
+
+def test_the_report_as_json_gives_every_number_unrounded(dataset, tmp_path):
+    one = estimate("A first", 30.123456)
+    facts = write_report(
+        dataset, DistanceModel(), tmp_path / "r.json", estimates=[one], evaluation=Judgement(), kind="json"
+    )  # fmt: skip
+    document = json.loads(facts.path.read_text("utf-8"))
+    assert document["sequences"] == [one.to_json()]
+    assert sum(task["total_s"] * task["seen"] for task in document["logged_tasks"]) == pytest.approx(
+        (dataset.tasks()["end_s"] - dataset.tasks()["start_s"]).sum()
+    )
+    assert document["evaluation"] == Judgement().to_json()
+    assert {level["scaling"] for level in document["levels"]} <= set(LEVELS)
+
+
+def test_the_report_as_csv_adds_up(dataset, tmp_path):
+    facts = write_report(dataset, None, tmp_path / "r.csv", estimates=[estimate()], kind="csv")
+    rows = pl.read_csv(facts.path)
+    tasks = rows.filter(pl.col("order") > 0)
+    parts = tasks.select(pl.sum_horizontal("nominal_s", "safety_loss_s", "dwell_s", "wait_s")).to_series()
+    assert parts.to_list() == pytest.approx(tasks["expected_s"].to_list())
+    assert rows.filter(pl.col("order") == 0)["low_s"].to_list() == [29.4]
+    logged = pl.read_csv(write_report(dataset, None, tmp_path / "l.csv", kind="csv").path)
+    assert logged["seen"].sum() == dataset.tasks().height
+
+
+def test_the_report_as_markdown_has_every_table_whole(dataset, written, tmp_path):
+    ranked = [estimate("A | first"), estimate("B first", 33.0)]
+    facts = write_report(dataset, DistanceModel(), tmp_path / "r.md", estimates=ranked, kind="md")
+    text = facts.path.read_text("utf-8")
+    assert [line for line in text.splitlines() if line.startswith("## ")] == [
+        "## 1 The answer",
+        "## 2 Where the time goes",
+        "## 3 Why the robot is slowed",
+        "## 4 What would help",
+        "## 5 Can it be believed",
+    ]
+    assert "A \\| first" in text
+    assert "This is no safety validation" in text
+    for block in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
+        columns = {len(re.findall(r"(?<!\\)\|", line)) for line in block.splitlines()}
+        assert len(columns) == 1
+
+
+def test_the_takt_is_held_against_single_cycles(dataset, tmp_path):
+    cycles = tuple(float(v) for v in range(25, 35))
+    facts = write_report(
+        dataset, None, tmp_path / "r.html", estimates=[estimate(durations_s=cycles)], takt_s=27.5
+    )  # fmt: skip
+    page = Page(facts.path.read_text("utf-8"))
+    assert (
+        "Within a takt of 27.5 s stay 30 % of its cycles, as counted on 10 logged operator tracks."
+        in page.text.replace("\N{NO-BREAK SPACE}", " ")
+    )
+
+
+def test_what_was_tried_is_held_against_todays_estimate(dataset, tmp_path):
+    file = tmp_path / "changed.json"
+    file.write_text(json.dumps({"sequences": [estimate("A first", 27.0).to_json()]}), "utf-8")
+    changes = load_what_if("table 0.3 m back", file)
+    facts = write_report(dataset, None, tmp_path / "r.html", estimates=[estimate("A first", 30.0)], what_if=changes)
+    text = Page(facts.path.read_text("utf-8")).text
+    assert "table 0.3 m back A first 27.0 26.4 to 27.6 3.0" in text
+    assert "No change of zones, layout or speeds was estimated" not in text
+
+
+@pytest.mark.parametrize("content", ["", "{}", '{"sequences": [{"name": "A"}]}', '{"sequences": 3}', "[1]"])
+def test_a_file_that_holds_no_estimates_is_refused_with_the_cure(tmp_path, content):
+    file = tmp_path / "changed.json"
+    file.write_text(content, "utf-8")
+    with pytest.raises(CyclekitError, match=r"changed\.json") as caught:
+        load_what_if("x", file)
+    assert "cyclekit estimate" in str(caught.value)
+
+
+def test_time_lost_is_laid_to_what_the_operator_did(dataset):
+    found = findings.losses(dataset.samples(), dataset.executions.height)
+    assert sum(loss.seconds for loss in found) * dataset.executions.height == pytest.approx(
+        dataset.tasks()["safety_loss_s"].sum(), rel=0.1
+    )
+    assert all(loss.worst_s <= loss.seconds for loss in found)
+    assert [loss.seconds for loss in found] == sorted((loss.seconds for loss in found), reverse=True)
+
+
+def test_the_zone_map_is_the_models_mean_over_the_robots_ways(dataset):
+    samples = dataset.samples()
+    plan = floor_plan(dataset, samples, DistanceModel())
+    assert plan.zones_of_model
+    near = plan.zones[np.argmin(np.linalg.norm(plan.zones[:, :2] - [0.6, 0.0], axis=1))]
+    far = plan.zones[np.argmax(np.linalg.norm(plan.zones[:, :2], axis=1))]
+    assert near[2] < far[2]
+    assert not floor_plan(dataset, samples).zones_of_model
+
+
+def test_a_calibrated_model_lies_on_the_line_and_a_biased_one_does_not(dataset):
+    class Biased(DistanceModel):
+        def predict(self, x):
+            return super().predict(x) * 0.5
+
+    names = dataset.executions["execution"].to_list()
+    right = calibration(dataset.samples(), names, DistanceModel())
+    assert right.worst < 0.02
+    assert calibration(dataset.samples(), names, Biased()).worst > 0.3
+    assert calibration(dataset.samples(), [], DistanceModel()) is None
+
+
+@pytest.fixture
+def house(tmp_path):
+    folder = tmp_path / "house"
+    folder.mkdir()
+    (folder / "logo.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'/>", "utf-8")
+    (folder / "cover.html.jinja").write_text("<section><p>For {{ cell }} only</p></section>", "utf-8")
+    (folder / "texts.toml").write_text('language = "it"\n[answer]\ntitle = "La risposta"\n', "utf-8")
+    (folder / "extra.css").write_text("h1 { color: #123456; }", "utf-8")
+    return folder
+
+
+def test_an_integrators_folder_changes_logo_cover_language_and_style(dataset, house, tmp_path):
+    facts = write_report(dataset, None, tmp_path / "r.html", template=house, cell_name="Cell 7")
+    text = facts.path.read_text("utf-8")
+    page = Page(text)
+    assert page.faults == []
+    assert page.all("html")[0]["lang"] == "it"
+    assert "La risposta" in page.text
+    assert "Where the time goes" in page.text
+    assert "For Cell 7 only" in page.text
+    assert page.all("img")[0]["src"].startswith("data:image/svg+xml;base64,")
+    assert "#123456" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("texts.toml", '[answer]\ntitel = "x"\n', "there is no text answer.titel"),
+        ("texts.toml", '[answer]\nbest = "{nmae}"\n', "answer.best has no value nmae"),
+        ("texts.toml", "[answer", "texts.toml cannot be used"),
+        ("page.html.jinja", "{{ nothing }}", "the template cannot be set"),
+        ("page.html.jinja", "{{ ''.__class__.__mro__ }}", "the template cannot be set"),
+    ],
+)
+def test_a_template_that_is_wrong_is_named_and_nothing_is_written(dataset, house, tmp_path, name, content, said):
+    (house / name).write_text(content, "utf-8")
+    with pytest.raises(CyclekitError, match=said):
+        write_report(dataset, None, tmp_path / "out" / "r.html", template=house)
+    assert not (tmp_path / "out" / "r.html").exists()
+
+
+def test_a_folder_without_a_template_is_refused(dataset, tmp_path):
+    for folder in (tmp_path, tmp_path / "none"):
+        with pytest.raises(CyclekitError, match="Put one or more of these files there"):
+            write_report(dataset, None, tmp_path / "r.html", template=folder)

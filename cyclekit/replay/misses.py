@@ -1,0 +1,67 @@
+"""Where the model and the log differ most: stretches to look at, the costliest first.
+
+One sample at a change of speed is off by a whole level and means little; so stretches are ranked by how much time the
+error would cost or save, and each is told by its worst sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from cyclekit.replay.execution import Execution
+
+LEAST = 0.05
+"""A difference in scaling below this is not looked at."""
+
+
+@dataclass(frozen=True)
+class Miss:
+    """A stretch in which prediction and log differ.
+
+    Attributes:
+        t_s: Its worst sample, seconds of the execution.
+        start_s, end_s: First and last sample of it.
+        logged, predicted: Scaling at the worst sample.
+        seconds: Integral of |predicted - logged| over it: the time by which an estimate is off here.
+        distance_m: Distance at the worst sample.
+        robot_task: What the robot was doing.
+    """
+
+    t_s: float
+    start_s: float
+    end_s: float
+    logged: float
+    predicted: float
+    seconds: float
+    distance_m: float
+    robot_task: str | None
+
+
+def misses(run: Execution, most: int = 10) -> list[Miss]:
+    """Return the stretches in which the moving robot's log and the prediction differ most, the costliest first."""
+    if run.predicted is None or not len(run.t_s):
+        return []
+    off = np.abs(run.predicted - run.scaling)
+    off[np.isnan(off) | np.array([moving is False for moving in run.moving], dtype=np.bool_)] = 0.0
+    step_s = np.minimum(np.diff(run.t_s, append=run.t_s[-1] + 0.1), 0.2)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], off > LEAST, [False]]).astype(int)))
+    found = []
+    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        worst = first + int(np.argmax(off[first:end]))
+        found.append(
+            Miss(
+                t_s=float(run.t_s[worst]),
+                start_s=float(run.t_s[first]),
+                end_s=float(run.t_s[end - 1]),
+                logged=float(run.scaling[worst]),
+                predicted=float(run.predicted[worst]),
+                seconds=float(np.sum(off[first:end] * step_s[first:end])),
+                distance_m=float(run.distance_m[worst]),
+                robot_task=run.robot_task[worst],
+            )
+        )
+    return sorted(found, key=lambda miss: (-miss.seconds, miss.t_s))[:most]

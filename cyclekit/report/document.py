@@ -1,0 +1,135 @@
+"""The report as data: JSON with everything, CSV with the seconds per task, Markdown with the words and the tables.
+
+The same findings as on the page, unrounded in JSON and CSV, so that others can calculate with them.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.report.findings import losses, safety_function, task_shares
+from cyclekit.report.provenance import provenance
+from cyclekit.report.tables import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    import polars as pl
+
+    from cyclekit.dataset import Dataset
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.report.helps import WhatIf
+    from cyclekit.report.texts import Texts
+    from cyclekit.report.trust import Judged
+
+PARTS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
+ORDER = ("answer", "where", "why", "helps", "trust")
+
+
+def as_json(
+    cell: str,
+    made: str,
+    ranked: Sequence[CycleEstimate],
+    what_if: Sequence[WhatIf],
+    evaluation: Judged | None,
+    dataset: Dataset,
+    samples: pl.DataFrame,
+    sections: Mapping[str, Any],
+) -> str:
+    """Return the whole report as one JSON document; what is not known is null."""
+    found = safety_function(samples, dataset.levels, None)
+    document = {
+        "cell": cell,
+        "made": made,
+        "answer": sections["answer"]["headline"],
+        "sequences": [each.to_json() for each in ranked],
+        "logged_tasks": [asdict(share) | {"total_s": share.total_s} for share in task_shares(dataset.tasks())],
+        "levels": [asdict(band) for band in found.bands] if found else [],
+        "distance_explains": found.explained if found else None,
+        "losses": [asdict(loss) for loss in losses(samples, dataset.executions.height)],
+        "what_if": [asdict(change) for change in what_if],
+        "evaluation": None if evaluation is None else evaluation.to_json(),
+        "provenance": asdict(provenance(dataset, {})),
+        "sentences": {key: list(sections[key].get("sentences", ())) for key in ORDER},
+    }
+    return json.dumps(_finite(document), indent=2, ensure_ascii=False, default=str) + "\n"
+
+
+def as_csv(ranked: Sequence[CycleEstimate], tasks: pl.DataFrame) -> str:
+    """Return one row per sequence (order 0) and per task of it; without estimates, one row per logged task."""
+    page = io.StringIO()
+    writer = csv.writer(page, lineterminator="\n")
+    writer.writerow(["sequence", "order", "task", "expected_s", "low_s", "high_s", *PARTS, "seen"])
+    for each in ranked:
+        whole = [each.expected_s, each.expected_low_s, each.expected_high_s]
+        writer.writerow([each.name, 0, "", *whole, *(getattr(each, part) for part in PARTS), ""])
+        for order, task in enumerate(each.tasks, start=1):
+            parts = [getattr(task, part) for part in PARTS]
+            writer.writerow([each.name, order, task.task, task.expected_s, "", "", *parts, ""])
+    if not ranked:
+        for share in task_shares(tasks):
+            parts = [share.nominal_s, share.safety_s, share.dwell_s, share.wait_s]
+            writer.writerow(["", "", share.name, share.total_s, "", "", *parts, share.seen])
+    return page.getvalue()
+
+
+def as_markdown(texts: Texts, cell: str, made: str, sections: Mapping[str, Any]) -> str:
+    """Return headings, sentences and tables; pictures are said in words."""
+    lines = [f"# {texts('page.title', cell=cell)}", "", made, ""]
+    for number, key in enumerate(ORDER, start=1):
+        section = sections[key]
+        lines += [f"## {number} {texts(f'{key}.title')}", ""]
+        if section.get("headline"):
+            lines += [f"**{section['headline']}**", ""]
+        for sentence in section.get("sentences", ()):
+            lines += [sentence, ""]
+        if key == "trust":
+            lines += [f"**{texts('page.not_safety')}.** {texts('trust.statement')}", ""]
+            lines += [f"- {name}: {value}" for name, value in section["facts"]] + [""]
+        for table in _tables(section):
+            lines += _table(table)
+        lines += [f"- {text}" for text in section.get("warnings", ())]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _tables(value: object) -> Iterator[Table]:
+    """Every table of a section, in its order."""
+    if isinstance(value, Table):
+        yield value
+    elif isinstance(value, dict):
+        for entry in value.values():
+            yield from _tables(entry)
+    elif isinstance(value, list | tuple):
+        for entry in value:
+            yield from _tables(entry)
+
+
+def _table(table: Table) -> list[str]:
+    lines = [f"### {table.title or table.caption}", ""]
+    if table.text:
+        lines += [table.text, ""]
+    if table.rows:
+        lines.append("| " + " | ".join(map(_cell, table.heads)) + " |")
+        lines.append("|" + "".join("---:|" if n in table.numeric else "---|" for n in range(len(table.heads))))
+        lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in table.rows] + [""]
+    lines += [f"- {item}" for item in table.items]
+    return [*lines, "", table.after, ""] if table.after else [*lines, ""]
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return value

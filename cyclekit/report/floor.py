@@ -1,0 +1,111 @@
+"""The floor plan: where the operator was, where time was lost, and how fast the robot goes for an operator there.
+
+Squares of a grid in the base frame, counted out of the samples; the zones are asked of the model, or read from the log
+where there is none. How it looks is the business of `maps`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.report.findings import FULL, SAMPLE_S
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset import Dataset, Place
+    from cyclekit.report.findings import Predicts
+
+CELL_M = 0.2
+LEAST_SAMPLES = 10
+"""A square in which the operator was for fewer samples says nothing about the zone."""
+
+ROBOT_SPOTS = 150
+
+
+@dataclass(frozen=True)
+class FloorPlan:
+    """What happened where; all squares have the side `cell_m`, all positions are metres in the base frame.
+
+    Attributes:
+        seen: Squares with an operator: x, y, seconds per execution; shape (C, 3).
+        lost: Squares in which time was lost: x, y, seconds per execution, mean scaling meanwhile; shape (L, 4).
+        zones: Squares with the mean scaling for an operator there, over the robot's ways: x, y, scaling; shape (Z, 3).
+        zones_of_model: True if the zones are the model's, False if they are means of the log.
+        robot_m: The tool's way in one execution, shape (R, 2), NaN where it is unknown.
+        places: Named places of the robot.
+        human_places: Named places of the operator.
+        cell_m: Side of a square.
+    """
+
+    seen: NDArray[np.float64]
+    lost: NDArray[np.float64]
+    zones: NDArray[np.float64]
+    zones_of_model: bool
+    robot_m: NDArray[np.float64]
+    places: Mapping[str, Place]
+    human_places: Mapping[str, Place]
+    cell_m: float = CELL_M
+
+
+def floor_plan(dataset: Dataset, samples: pl.DataFrame, model: Predicts | None = None) -> FloorPlan | None:
+    """Put the samples on the floor plan; None where no operator position is known.
+
+    Args:
+        dataset: Names the places.
+        samples: Samples of all executions.
+        model: Of problem `now`; another is not asked.
+    """
+    seen = samples.filter(pl.col("human_x_m").is_not_null() & pl.col("human_y_m").is_not_null())
+    if seen.is_empty():
+        return None
+    column, row = ((pl.col(f"human_{axis}_m") / CELL_M).floor() for axis in "xy")
+    seen = seen.with_columns(column=column, row=row)
+    executions = max(1, dataset.executions.height)
+    lost = seen.filter(pl.col("robot_moving") & (pl.col("scaling") < FULL))
+    usable = model if model is not None and model.problem == "now" else None
+    first = samples.filter(pl.col("execution") == samples["execution"][0])
+    return FloorPlan(
+        seen=_squares(seen, (pl.len() * SAMPLE_S / executions).alias("s")),
+        lost=_squares(lost, ((1 - pl.col("scaling")).sum() * SAMPLE_S / executions).alias("s"), pl.mean("scaling")),
+        zones=_of_model(usable, seen) if usable else _of_log(seen),
+        zones_of_model=usable is not None,
+        robot_m=first.sort("t_s").select("robot_x_m", "robot_y_m").to_numpy().astype(np.float64),
+        places=dataset.places,
+        human_places=dataset.human_places,
+    )
+
+
+def _squares(rows: pl.DataFrame, *values: pl.Expr) -> NDArray[np.float64]:
+    found = rows.group_by("column", "row").agg(*values).sort("column", "row").to_numpy().astype(np.float64)
+    found[:, :2] = (found[:, :2] + 0.5) * CELL_M
+    return found
+
+
+def _of_log(seen: pl.DataFrame) -> NDArray[np.float64]:
+    known = seen.filter(pl.col("robot_moving") & pl.col("scaling").is_not_null())
+    found = _squares(known, pl.mean("scaling"), pl.len().alias("count"))
+    return found[found[:, 3] >= LEAST_SAMPLES, :3]
+
+
+def _of_model(model: Predicts, seen: pl.DataFrame) -> NDArray[np.float64]:
+    """Mean of the model over the robot's ways, for an operator of usual height in each square."""
+    robot = seen.filter(pl.col("robot_moving")).select("robot_x_m", "robot_y_m", "robot_z_m").drop_nulls()
+    squares = _squares(seen, pl.len().alias("count"))
+    squares = squares[squares[:, 2] >= LEAST_SAMPLES]
+    if robot.is_empty() or not len(squares):
+        return np.empty((0, 3))
+    spots = robot.gather_every(max(1, robot.height // ROBOT_SPOTS)).to_numpy()
+    height = seen["human_z_m"].median()
+    x = np.empty((len(squares) * len(spots), 6), dtype=np.float32)
+    x[:, :3] = np.tile(spots, (len(squares), 1))
+    x[:, 3:5] = np.repeat(squares[:, :2], len(spots), axis=0)
+    x[:, 5] = height if isinstance(height, int | float) else 0.0
+    scaling = np.asarray(model.predict(x), dtype=np.float64).reshape(len(squares), len(spots)).mean(axis=1)
+    return np.column_stack([squares[:, :2], scaling])

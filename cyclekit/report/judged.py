@@ -1,0 +1,70 @@
+"""Is the model right on average? Its predictions in bins, beside what was logged, where it was judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.report.findings import Predicts
+
+BINS = 10
+LEAST = 20
+"""A bin with fewer samples is left out."""
+
+MOST = 50_000
+"""So many samples are enough for ten means, and a page should be quick."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Predictions in bins, shape (B,) each.
+
+    Attributes:
+        predicted: Mean prediction of the bin.
+        logged: Mean logged scaling of the same samples.
+        count: How many samples.
+    """
+
+    predicted: NDArray[np.float64]
+    logged: NDArray[np.float64]
+    count: NDArray[np.int64]
+
+    @property
+    def worst(self) -> float:
+        """Largest difference of the two means."""
+        return float(np.abs(self.predicted - self.logged).max())
+
+
+def calibration(samples: pl.DataFrame, executions: Sequence[str], model: Predicts | None) -> Calibration | None:
+    """Bin the predictions on `executions`; None without a model of problem `now` or without samples.
+
+    Args:
+        samples: Samples of all executions.
+        executions: Those that the model was judged by.
+        model: The model.
+    """
+    if model is None or model.problem != "now" or not executions:
+        return None
+    axes = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
+    rows = samples.filter(pl.col("execution").is_in(list(executions)) & pl.col("robot_moving"))
+    rows = rows.with_columns(pl.col("human_z_m").fill_null(0.0)).select(*axes, "scaling").drop_nulls()
+    rows = rows.gather_every(max(1, -(-rows.height // MOST)))
+    if rows.height < LEAST:
+        return None
+    predicted = np.asarray(model.predict(rows.select(axes).to_numpy().astype(np.float32)), dtype=np.float64)
+    logged = rows["scaling"].to_numpy()
+    slot = np.minimum((predicted * BINS).astype(np.int64), BINS - 1)
+    count = np.bincount(slot, minlength=BINS)
+    used = np.flatnonzero(count >= LEAST)
+    if not len(used):
+        return None
+    means = [np.bincount(slot, weights=values, minlength=BINS)[used] / count[used] for values in (predicted, logged)]
+    return Calibration(means[0], means[1], count[used])

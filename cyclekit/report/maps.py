@@ -1,0 +1,230 @@
+"""The pictures that explain: scaling against distance, the floor plans, the heatmap of the levels, the calibration.
+
+Each function draws one figure for a width in inches; all of it is vectors, and what the reader points at says its
+numbers. They come from `findings`, `floor` and `judged`; turning a figure into SVG is the business of `pictures`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator, PercentFormatter
+
+from cyclekit import colours
+from cyclekit.labels import place_labels
+from cyclekit.report.findings import DISTANCE_BIN_M, SCALING_BIN
+from cyclekit.report.pictures import INK, MUTED, RULE, WIDE_IN, tip
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.axes import Axes
+    from numpy.typing import NDArray
+
+    from cyclekit.report.findings import SafetyFunction
+    from cyclekit.report.floor import FloorPlan
+    from cyclekit.report.judged import Calibration
+
+_FAINTEST = 0.02
+"""Squares with less than this part of the largest value are left out."""
+
+
+def staircase(width_in: float, found: SafetyFunction, levels: Sequence[float], labels: Mapping[str, str]) -> Figure:
+    """Scaling against distance: samples as squares in the scaling's colour, mean of the log, mean of the model."""
+    figure = Figure(figsize=(width_in, 3.5 if width_in == WIDE_IN else 3.2), layout="constrained")
+    axes = figure.add_subplot()
+    for level in levels:
+        axes.axhline(level, color=RULE, linewidth=0.8, zorder=0)
+    most = float(found.cells[:, 2].max())
+    for distance, scaling, count in found.cells.tolist():
+        strength = float(np.sqrt(count / most))
+        height = SCALING_BIN * (0.8 + 1.4 * strength)  # taller than the lines of the means are thick
+        corner = (distance - DISTANCE_BIN_M / 2, scaling - height / 2)
+        square = Rectangle(
+            corner, DISTANCE_BIN_M, height, color=colours.scaling_hex(scaling), alpha=0.3 + 0.6 * strength, linewidth=0
+        )
+        axes.add_artist(square)
+        low, high = distance - DISTANCE_BIN_M / 2, distance + DISTANCE_BIN_M / 2
+        values = {"low": f"{low:.2f}", "high": f"{high:.2f}", "speed": f"{100 * scaling:.0f}", "count": f"{count:.0f}"}
+        tip(figure, square, labels["tip"].format(**values))
+    means: list[tuple[NDArray[np.float64], str, str, Any]] = [(found.logged, INK, labels["logged"], "-")]
+    if found.predicted is not None:
+        means.append((found.predicted, colours.PREDICTED, labels["predicted"], (0, (4, 2))))
+    for mean, colour, label, dashes in means:
+        axes.plot(
+            found.bin_m,
+            mean,
+            drawstyle="steps-mid",
+            color=colour,
+            label=label,
+            linewidth=1.3,
+            linestyle=dashes,
+            zorder=3,
+        )
+    axes.set_ylim(-0.06, 1.06)
+    axes.set_xlim(left=max(0.0, float(found.bin_m.min()) - 0.2), right=float(found.bin_m.max()) + 0.1)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.set_yticks(sorted({0.0, 1.0, *levels}) if len(levels) <= 6 else [0, 0.25, 0.5, 0.75, 1])
+    axes.set_xlabel(labels["distance"])
+    axes.set_ylabel(labels["speed"])
+    axes.legend(loc="lower right", handlelength=2.4)
+    return figure
+
+
+def lost_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Figure:
+    """The floor from above: how long the operator was where (grey), and where time was lost (squares)."""
+    figure, axes = _floor(width_in, plan)
+    longest = float(plan.seen[:, 2].max())
+    for x, y, seconds in plan.seen.tolist():
+        grey = 0.10 + 0.35 * float(np.sqrt(seconds / longest))
+        square = _square(axes, x, y, plan.cell_m, "#6b7885", alpha=grey)
+        tip(figure, square, labels["tip_seen"].format(x=f"{x:.1f}", y=f"{y:.1f}", seconds=f"{seconds:.2f}"))
+    most = float(plan.lost[:, 2].max()) if len(plan.lost) else 1.0
+    for x, y, seconds, scaling in plan.lost.tolist():
+        if seconds < _FAINTEST * most:
+            continue
+        side = plan.cell_m * float(np.sqrt(seconds / most))
+        square = _square(axes, x, y, side, colours.scaling_hex(scaling))
+        values = {"x": f"{x:.1f}", "y": f"{y:.1f}", "seconds": f"{seconds:.2f}", "speed": f"{100 * scaling:.0f}"}
+        tip(figure, square, labels["tip_lost"].format(**values))
+    _furniture(axes, plan, labels)
+    return figure
+
+
+def zone_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Figure:
+    """The floor from above: the robot's mean speed for an operator in each square."""
+    figure, axes = _floor(width_in, plan)
+    for x, y, scaling in plan.zones.tolist():
+        square = _square(axes, x, y, plan.cell_m, colours.scaling_hex(scaling), alpha=0.85)
+        tip(figure, square, labels["tip_zone"].format(x=f"{x:.1f}", y=f"{y:.1f}", speed=f"{100 * scaling:.0f}"))
+    _furniture(axes, plan, labels)
+    return figure
+
+
+def heatmap(width_in: float, counts: NDArray[np.float64], names: Sequence[str], labels: Mapping[str, str]) -> Figure:
+    """Logged against predicted level, per cent of each logged level; counts (P, P), first index logged."""
+    side = min(width_in, 4.6)
+    figure = Figure(figsize=(width_in, 0.8 * side), layout="constrained")
+    axes = figure.add_subplot()
+    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    for logged in range(len(names)):
+        for predicted in range(len(names)):
+            part = float(share[logged, predicted])
+            square = Rectangle(
+                (predicted - 0.5, logged - 0.5), 1, 1, color=colours.NOMINAL, alpha=part**0.6, linewidth=0
+            )
+            axes.add_artist(square)
+            values = {"logged": names[logged], "predicted": names[predicted], "part": f"{100 * part:.1f}"}
+            tip(figure, square, labels["tip"].format(**values, count=f"{counts[logged, predicted]:.0f}"))
+            if part >= 0.0005:
+                ink = "white" if part > 0.45 else INK
+                axes.text(predicted, logged, f"{100 * part:.1f}", ha="center", va="center", color=ink, fontsize=8.5)
+    axes.set_xlim(-0.5, len(names) - 0.5)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_xticks(range(len(names)), names)
+    axes.set_yticks(range(len(names)), names)
+    axes.set_xlabel(labels["predicted"])
+    axes.set_ylabel(labels["logged"])
+    axes.set_aspect("equal")
+    axes.tick_params(length=0)
+    return figure
+
+
+def calibration(width_in: float, found: Calibration, labels: Mapping[str, str]) -> Figure:
+    """Mean logged scaling where the model predicted so much, beside the line on which both are equal."""
+    side = min(width_in, 4.6)
+    figure = Figure(figsize=(width_in, 0.75 * side), layout="constrained")
+    axes = figure.add_subplot()
+    axes.plot([0, 1], [0, 1], color=MUTED, linewidth=1.0, linestyle=(0, (4, 3)), zorder=1)
+    biggest = float(found.count.max())
+    for predicted, logged, count in zip(found.predicted, found.logged, found.count, strict=True):
+        size = 4 + 8 * float(np.sqrt(count / biggest))
+        (dot,) = axes.plot([predicted], [logged], "o", color=colours.PREDICTED, markersize=size, alpha=0.85, zorder=2)
+        values = {"predicted": f"{100 * predicted:.0f}", "logged": f"{100 * logged:.1f}", "count": f"{count:.0f}"}
+        tip(figure, dot, labels["tip"].format(**values))
+    axes.set_xlim(-0.04, 1.04)
+    axes.set_ylim(-0.04, 1.04)
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axes.set_aspect("equal")
+    axes.set_xlabel(labels["predicted"])
+    axes.set_ylabel(labels["logged"])
+    axes.grid(visible=True)
+    axes.set_axisbelow(True)
+    return figure
+
+
+def _floor(width_in: float, plan: FloorPlan) -> tuple[Figure, Axes]:
+    robot = plan.robot_m[np.isfinite(plan.robot_m).all(axis=1)]
+    span = np.ptp(np.concatenate([plan.seen[:, :2], robot, np.zeros((1, 2))]), axis=0) + 0.6
+    height_in = min(0.78, max(0.45, float(span[1] / span[0]))) * (width_in - 0.7) + 0.9
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    axes = figure.add_subplot()
+    half = plan.cell_m / 2  # said once: a patch that tells the axes its own limits costs more than its drawing
+    axes.update_datalim([plan.seen[:, :2].min(axis=0) - half, plan.seen[:, :2].max(axis=0) + half])
+    return figure, axes
+
+
+def _square(axes: Axes, x: float, y: float, side: float, colour: str, alpha: float = 1.0) -> Rectangle:
+    square = Rectangle((x - side / 2, y - side / 2), side, side, color=colour, alpha=alpha, linewidth=0, zorder=2)
+    axes.add_artist(square)
+    return square
+
+
+def _furniture(axes: Axes, plan: FloorPlan, labels: Mapping[str, str]) -> None:
+    """What stands in the cell: the robot's base and way, places with their tables, axes and colour scale."""
+    axes.plot(*plan.robot_m.T, color=colours.ROBOT, linewidth=0.7, alpha=0.7, zorder=3)
+    axes.plot([0], [0], marker="s", markersize=9, color=colours.ROBOT, zorder=5)
+    named = [(labels["base"], (0.0, 0.0), colours.ROBOT)]
+    for places, marker, colour in ((plan.places, "D", colours.ROBOT), (plan.human_places, "o", colours.OPERATOR)):
+        for place in places.values():
+            axes.plot(*place.xyz_m[:2], marker, markersize=5.5, color=colour, markeredgecolor="white", zorder=6)
+        named += [(label.text, label.xyz_m[:2], colour) for label in place_labels(places)]
+    sides: list[tuple[tuple[float, float], bool]] = []
+    for text, at, colour in named:
+        near = [below for other, below in sides if abs(other[0] - at[0]) < 0.5 and abs(other[1] - at[1]) < 0.15]
+        sides.append((at, near.count(False) > near.count(True)))
+        _note(axes, text, at, colour, below=sides[-1][1])
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.08)
+    axes.autoscale_view()
+    axes.set_xlabel(labels["x"])
+    axes.set_ylabel(labels["y"])
+    axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+    _scale_bar(axes, labels["speed"])
+
+
+def _note(axes: Axes, text: str, at: tuple[float, float], colour: str, *, below: bool) -> None:
+    halo = {"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+    axes.annotate(
+        text,
+        at,
+        xytext=(0, -16 if below else 8),
+        textcoords="offset points",
+        ha="center",
+        color=colour,
+        fontsize=8.5,
+        bbox=halo,
+        zorder=7,
+    )
+
+
+def _scale_bar(axes: Axes, label: str) -> None:
+    """The colour scale of scaling, the same on every page and in the replay."""
+    inset = axes.inset_axes((0.0, 1.03, 0.42, 0.03))
+    edges = np.linspace(0.0, 1.0, 41)
+    for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        colour = colours.scaling_hex((low + high) / 2)
+        inset.add_artist(Rectangle((low, 0), high - low + 0.004, 1, color=colour, linewidth=0))
+    inset.set_xlim(0, 1)
+    inset.set_ylim(0, 1)
+    inset.set_yticks([])
+    inset.set_xticks([0, 0.5, 1], ["0", "50", "100 %"])
+    inset.tick_params(length=2, labelsize=8, top=True, labeltop=True, bottom=False, labelbottom=False)
+    for spine in inset.spines.values():
+        spine.set_visible(False)
+    inset.text(1.08, 0.5, label, transform=inset.transAxes, va="center", fontsize=8.5, color=MUTED)

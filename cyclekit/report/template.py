@@ -1,0 +1,100 @@
+"""The look of the page: template, style, script and words, each of which a folder of the integrator can replace.
+
+What lies in the folder under the name of one of the page's own files takes its place: `page.html.jinja`, `page.css`,
+`page.js`. `texts.toml` replaces single texts (a language, or a house's own words), `extra.css` comes after the style,
+`cover.html.jinja` before the first section, `logo.svg` or `logo.png` in the head. Templates run in jinja's sandbox.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import tomllib
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+import jinja2
+from jinja2.sandbox import SandboxedEnvironment
+
+from cyclekit.errors import CyclekitError
+from cyclekit.report.texts import load_texts
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cyclekit.report.texts import Texts
+
+PAGE, STYLE, SCRIPT = "page.html.jinja", "page.css", "page.js"
+LOGOS = {"logo.svg": "image/svg+xml", "logo.png": "image/png"}
+KNOWN = (PAGE, STYLE, SCRIPT, "texts.toml", "extra.css", "cover.html.jinja", *LOGOS)
+
+
+class Template:
+    """The page's own files, and over them those of a folder."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        """Look into `folder`, if one is given.
+
+        Raises:
+            CyclekitError: There is no such folder, it has none of the known files, or its texts are no texts.
+        """
+        self.folder = folder
+        if folder is not None and not any((folder / name).is_file() for name in KNOWN):
+            msg = f"{folder}: {'no template in it' if folder.is_dir() else 'no such folder'}"
+            raise CyclekitError(msg, cure=f"Put one or more of these files there: {', '.join(KNOWN)}.")
+        self.texts = self._texts()
+
+    def render(self, **values: object) -> str:
+        """Return the page.
+
+        Raises:
+            CyclekitError: The folder's template is wrong.
+        """
+        own = jinja2.FunctionLoader(lambda name: self._own(name))
+        loader = own if self.folder is None else jinja2.ChoiceLoader([jinja2.FileSystemLoader(self.folder), own])
+        environment = SandboxedEnvironment(
+            loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
+        )  # fmt: skip
+        script = self._asset(SCRIPT)
+        digest = base64.b64encode(hashlib.sha256(f"\n{script}\n".encode()).digest()).decode()
+        try:
+            return environment.get_template(PAGE).render(
+                say=self.texts,
+                language=self.texts.language,
+                css=self._asset(STYLE) + self._extra("extra.css"),
+                script=script,
+                script_hash=f"sha256-{digest}",
+                logo=self._logo(),
+                **values,
+            )
+        except jinja2.TemplateError as error:
+            msg = f"{self.folder}: the template cannot be set ({error})"
+            raise CyclekitError(msg, cure=f"Compare it with {PAGE} of cyclekit.report.") from error
+
+    def _own(self, name: str) -> str | None:
+        asset = files("cyclekit.report").joinpath(name)
+        return asset.read_text("utf-8") if asset.is_file() else None
+
+    def _asset(self, name: str) -> str:
+        return self._extra(name) or str(self._own(name) or "")
+
+    def _extra(self, name: str) -> str:
+        file = self.folder / name if self.folder else None
+        return file.read_text("utf-8") if file is not None and file.is_file() else ""
+
+    def _texts(self) -> Texts:
+        try:
+            return load_texts().with_changes(tomllib.loads(self._extra("texts.toml")))
+        except (tomllib.TOMLDecodeError, ValueError) as error:
+            msg = f"{self.folder}: texts.toml cannot be used ({error})"
+            raise CyclekitError(
+                msg, cure="Keep the sections, names and {values} of cyclekit's own texts.toml."
+            ) from error
+
+    def _logo(self) -> str:
+        """The logo as a data address; empty without one."""
+        for name, kind in LOGOS.items():
+            file = self.folder / name if self.folder else None
+            if file is not None and file.is_file():
+                return f"data:{kind};base64,{base64.b64encode(file.read_bytes()).decode()}"
+        return ""

@@ -119,6 +119,13 @@ def build_samples(
     return replace(every.where(keep), dropped=dropped)
 
 
+def stretches(frame: pl.DataFrame, rate_hz: float = 10.0) -> NDArray[np.int64]:
+    """Return the number of the unbroken stretch (one execution, no gap) of every row of SAMPLES, shape (N,)."""
+    step = pl.col("t_s").diff()
+    new = (pl.col("execution") != pl.col("execution").shift()) | (step > _GAP / rate_hz) | (step <= 0)
+    return frame.select(new.fill_null(value=True).cum_sum().cast(pl.Int64)).to_series().to_numpy()
+
+
 def _target(
     frame: pl.DataFrame, problem: str, scaling: NDArray[np.float64], width: int, rate_hz: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -129,10 +136,7 @@ def _target(
     target, whole = np.full(count, np.nan), np.zeros(count, np.bool_)
     if count <= width:
         return target, whole
-    gap = frame["t_s"].diff().abs() > _GAP / rate_hz
-    back = frame["t_s"].diff() <= 0
-    new_run = ((frame["execution"] != frame["execution"].shift()) | gap | back).fill_null(value=True)
-    run = new_run.cum_sum().to_numpy()
+    run = stretches(frame, rate_hz)
     whole[:-width] = run[width:] == run[:-width]
     if problem == "ahead":
         target[:-width] = scaling[width:]

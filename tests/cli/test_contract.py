@@ -24,6 +24,7 @@ CONTRACT = {
     "inspect": (["path"], ["--write-cell"]),
     "convert": (["log"], ["--out", "--table", "--rate", "--columns", "--cell"]),
     "trace": (["dataset"], ["--execution", "--at", "--logs"]),
+    "levels": (["dataset"], ["--method", "--picture"]),
     "train": (["dataset"], ["--out", "--problem", "--network", "--horizon", "--seed"]),
     "evaluate": (["model", "dataset"], []),
     "estimate": (["model", "sequences"], ["--dataset", "--out"]),

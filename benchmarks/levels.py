@@ -82,9 +82,8 @@ def main() -> None:
         for rows in pool.map(judged, cases, chunksize=4):
             for name, *rest in rows:
                 found[name].append(tuple(rest))  # type: ignore[arg-type]
-    shown = Table(
-        "method", "noise <= .02: P", "within .04", "within .005", "noise .05: P", "within .04", "within .005", "s"
-    )
+    near = ("within .04", "within .005")
+    shown = Table("method", "noise <= .02: P", *near, "noise .05: P", *near, "s")
     for name, rows in found.items():
         cells = []
         for low in (True, False):

@@ -45,7 +45,7 @@ def condense(values: Vector, *, bins: int = BINS) -> Weighted:
     if point.size > bins:
         low, high = float(point[0]), float(point[-1])
         bin_of = np.minimum(((values - low) / (high - low) * bins).astype(np.int64), bins - 1)
-        used, of = np.unique(bin_of, return_inverse=True)
+        _, of = np.unique(bin_of, return_inverse=True)
         weight = np.bincount(of).astype(np.float64)
         return Weighted(np.bincount(of, weights=values) / weight, weight, of.astype(np.int64))
     return Weighted(point, np.bincount(of, minlength=point.size).astype(np.float64), of.astype(np.int64))

@@ -1,4 +1,4 @@
-"""Self-labelling by every method: what each finds, what it is proven against, and when it says that nothing is there."""
+"""Self-labelling by every method: what each finds, what it is proven against, when it says that nothing is there."""
 
 from __future__ import annotations
 

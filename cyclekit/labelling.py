@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 
 from cyclekit.samples import stretches
 from cyclekit.steps import Staircase, find_staircase
 
 if TYPE_CHECKING:
-    import polars as pl
     from numpy.typing import NDArray
 
     from cyclekit.dataset import Dataset
@@ -30,6 +30,23 @@ def fixed_levels(dataset: Dataset) -> tuple[float, ...] | None:
     settings = dataset.card.get("settings")
     levels = settings.get("levels") if isinstance(settings, dict) else None
     return tuple(float(level) for level in levels) if levels else None
+
+
+def without_slider(dataset: Dataset, frame: pl.DataFrame) -> tuple[pl.DataFrame, str | None]:
+    """Return the rows with the operator's slider taken out of their scaling, where it differs between executions.
+
+    Args:
+        dataset: Whose rows.
+        frame: All rows of some executions; an execution's slider is seen in its own rows.
+
+    Returns:
+        The rows, and what was done in one sentence; the same rows and None where no slider is seen.
+    """
+    found = staircase_of(dataset, frame)
+    if found.slider is None:
+        return frame, None
+    said = next(text for text in found.warnings if "slider" in text)
+    return frame.with_columns(scaling=pl.col("scaling") / pl.Series(found.slider).fill_nan(None)), said
 
 
 def staircase_of(dataset: Dataset, frame: pl.DataFrame, method: str = "plateau") -> Staircase:

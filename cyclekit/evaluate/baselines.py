@@ -99,9 +99,9 @@ def _boosted(learn: Samples, judge: Samples) -> Row:
 
 
 def _distance(rows: Samples) -> NDArray[np.float64]:
-    """Return ||x_r - x_h|| of every row, shape (N,), m."""
-    apart = (rows.X[:, 0:3] - rows.X[:, 3:6]).astype(np.float64)
-    return np.asarray(np.linalg.norm(apart, axis=1))
+    """Return ||x_r - x_h|| of every row, shape (N,), m; infinite where nobody is there."""
+    apart = np.linalg.norm((rows.X[:, 0:3] - rows.X[:, 3:6]).astype(np.float64), axis=1)
+    return np.asarray(np.where(np.isnan(apart), np.inf, apart))
 
 
 def _mse(predicted: NDArray[np.float64], rows: Samples) -> float:

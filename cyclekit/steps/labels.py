@@ -76,7 +76,9 @@ def label_in_time(
         Shape (T,), int32; -1 = unknown or in transition.
     """
     known = np.flatnonzero(np.isfinite(values))
-    found = find_plateaus(values[known], run[known]) if plateaus is None else plateaus
+    levels = np.asarray(levels, np.float64)
+    apart = float(np.diff(levels).min(initial=1.0))
+    found = find_plateaus(values[known], run[known], most_noise=apart / 8) if plateaus is None else plateaus
     result = label(values, levels, tolerance=float(np.clip(4 * found.noise, *_SHARP)))
     owner = np.repeat(np.arange(found.first.size), found.samples)
     offset = np.concatenate([[0], np.cumsum(found.samples)])[:-1]

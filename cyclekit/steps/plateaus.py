@@ -60,7 +60,8 @@ class Plateaus:
 def noise_of(values: Vector) -> float:
     """Return the noise of a signal of plateaus and ramps: second differences vanish on both.
 
-    The median leaves the jumps out as long as they are fewer than the rest.
+    The median leaves the jumps out as long as they are fewer than the rest, the lower quartile longer; the lesser of
+    the two estimates counts.
 
     Args:
         values: Shape (T,), finite.
@@ -68,20 +69,22 @@ def noise_of(values: Vector) -> float:
     if values.size < 3:
         return _LEAST_NOISE
     second = values[2:] - 2 * values[1:-1] + values[:-2]
-    return max(float(np.median(np.abs(second))) / 0.6745 / 6**0.5, _LEAST_NOISE)
+    quartile, median = np.quantile(np.abs(second), (0.25, 0.5)) / 6**0.5
+    return max(float(min(quartile / 0.3186, median / 0.6745)), _LEAST_NOISE)
 
 
-def find_plateaus(values: Vector, run: Rows) -> Plateaus:
+def find_plateaus(values: Vector, run: Rows, *, most_noise: float = np.inf) -> Plateaus:
     """Find the plateaus.
 
     Args:
         values: Speed scaling, shape (T,), finite, in the order of time.
         run: Number of the unbroken stretch that each sample belongs to, shape (T,), not falling; nothing is compared
             across a change of it.
+        most_noise: More than this is not noise but change: of known levels, an eighth of their least distance.
     """
     if values.size == 0:
         return Plateaus(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), _LEAST_NOISE)
-    noise = noise_of(values)
+    noise = min(noise_of(values), most_noise)
     window = int(np.clip(np.ceil((_WINDOW * noise) ** (2 / 3)), 1, _WIDEST))
     begin, stop = _bounds(run)
     first, end = _cores(_steady(values, begin, stop, window, noise), run)

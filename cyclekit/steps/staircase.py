@@ -93,7 +93,8 @@ def find_staircase(
         raise UnknownName("self-labelling", "method", method, METHODS)
     known = np.isfinite(values)
     stretch = unbroken(runs, known)
-    plateaus = find_plateaus(values[known], stretch[known])
+    most_noise = np.inf if levels is None else float(np.diff(np.unique(levels)).min(initial=1.0)) / 8
+    plateaus = find_plateaus(values[known], stretch[known], most_noise=most_noise)
     if levels is not None:
         return _finish(values, stretch, plateaus, Cluster.fixed(levels), None)
     if method != "plateau":

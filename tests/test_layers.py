@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 FLOORS = [
     {"__main__"},
     {"cli"},
-    {"describe", "replay", "report", "trace"},
+    {"benchmark", "describe", "replay", "report", "trace"},
     {"estimate", "evaluate", "whatif"},
     {"convert", "figures", "ingest", "train"},
     {"derive", "intake", "models"},
@@ -33,7 +33,7 @@ FLOORS = [
 ROOMS_OF = {
     "torch": {"models", "train"},
     "rerun": {"replay"},
-    "sklearn": {"evaluate", "samples", "steps"},
+    "sklearn": {"benchmark", "evaluate", "samples", "steps"},
     "typer": {"cli"},
     "rich": {"cli"},
     "jinja2": {"report"},

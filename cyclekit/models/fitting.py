@@ -44,7 +44,7 @@ _DECAY_ROWS, _MOST_DECAY = 3000, 0.1
 
 @dataclass(frozen=True)
 class Epoch:
-    """One pass over the training rows: mean training loss, and weighted MSE of the best estimate on the validation part."""
+    """One pass over the training rows: mean loss, and weighted MSE of the best estimate on the validation part."""
 
     epoch: int
     loss: float

@@ -70,9 +70,8 @@ class Rows:
         if self.apart is None:
             return x
         between, of_robot, of_human = self.apart
-        metres = torch.linalg.vector_norm(
-            x[..., :3] * of_robot - x[..., _HUMAN] * of_human + between, dim=-1, keepdim=True
-        )
+        way = x[..., :3] * of_robot - x[..., _HUMAN] * of_human + between
+        metres = torch.linalg.vector_norm(way, dim=-1, keepdim=True)
         if self.presence is not None:
             there = x[..., self.presence : self.presence + 1]
             metres = metres * there + DISTANCE_M * (1 - there)

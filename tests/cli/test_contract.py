@@ -30,6 +30,7 @@ CONTRACT = {
     "estimate": (["model", "sequences"], ["--dataset", "--out"]),
     "replay": (["dataset"], ["--execution", "--out", "--model", "--open"]),
     "report": (["dataset"], ["--model", "--sequences", "--out"]),
+    "benchmark": (["what"], ["--executions", "--out", "--seeds", "--scenes", "--only"]),
     "calibrate": (["points"], ["--up"]),
     "adapters": ([], []),
     "demo": ([], ["--out", "--operator-log"]),

@@ -254,3 +254,13 @@ def test_executions_under_different_sliders_teach_one_safety_function(cell, tmp_
     model = train(slowed, ModelSpec.of(epochs=2))
     assert model.levels == LEVELS
     assert any("slider" in text for text in model.card["warnings"])
+
+
+@pytest.mark.parametrize("settings", [{"features": "distance"}, {"optimiser": "muon"}])
+def test_what_differs_from_the_paper_learns_as_well_and_survives_the_disk(cell, tmp_path, settings):
+    model = train(cell, ModelSpec.of(batch=256, epochs=5, **settings))
+    assert model.card["metrics"]["mse_mean"] < 0.03
+    save_model(tmp_path / "model", model)
+    rows = build_samples(cell.samples(model.card["split"]["test"]), "now", 0.0, LEVELS, allow=("human",))
+    assert np.array_equal(load_model(tmp_path / "model").predict(rows.X), model.predict(rows.X))
+    assert (model.weights.distance is not None) == ("features" in settings)

@@ -16,6 +16,7 @@ import time
 import warnings
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 
 import numpy as np
 from rich.console import Console
@@ -50,11 +51,13 @@ def series(noise: float, ramp_s: float, share: float | None, seed: int) -> np.nd
     return np.concatenate(parts)[:SAMPLES] + rng.normal(0, noise, SAMPLES)
 
 
-def judged(case: tuple[float, float, str, int]) -> list[tuple[str, float, bool, bool, bool, float]]:
+def judged(
+    methods: tuple[str, ...], case: tuple[float, float, str, int]
+) -> list[tuple[str, float, bool, bool, bool, float]]:
     """Return for every method: name, noise, P right, levels within 0.04, within 0.005, seconds."""
     noise, ramp_s, share, seed = case
     values, rows = series(noise, ramp_s, SHARE[share], seed), []
-    for name in (*METHODS, *SETTINGS):
+    for name in methods:
         begin = time.perf_counter()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -74,12 +77,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10, help="series per condition; there are 60 conditions")
     parser.add_argument("--first-seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--methods", nargs="+", default=[*METHODS, *SETTINGS], choices=[*METHODS, *SETTINGS])
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     cases = list(itertools.product(NOISE, RAMP_S, SHARE, seeds))
     found: dict[str, list[tuple[float, bool, bool, bool, float]]] = defaultdict(list)
     with ProcessPoolExecutor(options.processes) as pool:
-        for rows in pool.map(judged, cases, chunksize=4):
+        for rows in pool.map(partial(judged, tuple(options.methods)), cases, chunksize=4):
             for name, *rest in rows:
                 found[name].append(tuple(rest))  # type: ignore[arg-type]
     near = ("within .04", "within .005")

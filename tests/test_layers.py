@@ -38,6 +38,8 @@ ROOMS_OF = {
     "rich": {"cli"},
     "jinja2": {"report"},
     "matplotlib": {"figures", "report"},
+    "onnx": {"models"},
+    "onnxruntime": {"models"},
     "pyarrow": {"tables"},
     "rosbags": set(),
     "mcap": set(),

@@ -41,7 +41,7 @@ def model(
         tuple((some(a, 4 * h), some(h, 4 * h), some(4 * h)) for a, h in cells),
         (some(5, 3), some(3)) if network == "lstm-2" else None,
         known,
-        some(inputs - len(known)) if known else np.empty(0, np.float32),
+        middle=some(inputs - len(known)) if known else np.empty(0, np.float32),
     )
     card = {"seed": seed, "split": {"test": ["e1"]}}
     horizon_s = 0.0 if problem == "now" else 2.0

@@ -4,9 +4,11 @@
     ahead    x_r, x_h, g_r, g_h    -> s_{i+w}                    what will hold w samples later
     average  x_r, x_h, g_r, g_h    -> mean of s_i ... s_{i+w}    what a task will be slowed to (w + 1 samples)
 
-A window never crosses from one execution into the next, nor a gap in the log. A row with an unknown input or target
-is left out and counted, never filled. How executions are divided into those to learn from and those to judge by is
-decided here too: by execution, never by row, because neighbouring rows are nearly equal.
+A window never crosses from one execution into the next, nor a gap in the log, and neither does the history that a
+recurrent network sees. A row with an unknown target is left out and counted, never filled; so is one with an unknown
+input, unless the network has an input that says "known or not" for it (`GROUPS`). How executions are divided into those
+to learn from and those to judge by is decided here too: by execution, never by row, because neighbouring rows are
+nearly equal.
 """
 
 from __future__ import annotations
@@ -18,10 +20,10 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import DatasetError, ShapeError, UnknownName
-from cyclekit.steps import UNKNOWN, label
+from cyclekit.steps import UNKNOWN, label_in_time, unbroken
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -36,6 +38,10 @@ INPUTS: Mapping[str, tuple[str, ...]] = {
     "average": _POSITIONS + _GOALS,
 }
 """Input columns of every problem, in the order of the columns of X."""
+GROUPS: Mapping[str, slice] = {"human": slice(3, 6), "robot_goal": slice(6, 9), "human_goal": slice(9, 12)}
+"""Columns of X that may be unknown together: an operator who is not there, a goal that nobody has said."""
+_MODEL_ERROR = 0.05
+"""Error of a prediction against which the uncertainty of an inferred scaling is weighed."""
 _GAP = 1.5
 """Two samples farther apart than this many periods have a gap between them."""
 
@@ -52,6 +58,11 @@ class Samples:
         executions: Names of the executions.
         t_s: Session time of the row (of its inputs), shape (N,), s.
         inputs: Names of the F input columns.
+        weight: How much each row counts in training, shape (N,), in (0, 1]; below 1 where the scaling was inferred.
+        table: Inputs of all rows that a history may reach into, shape (M, F); None where there is no history.
+        before: Rows of `table` that a recurrent network sees for each row, the oldest first, shape (N, K); None
+            where there is no history.
+        ahead: Row of `table` at the end of each row's window, shape (N,): where the operator will be; with a history.
         dropped: Rows left out, by reason.
     """
 
@@ -62,11 +73,20 @@ class Samples:
     executions: tuple[str, ...]
     t_s: NDArray[np.float64]
     inputs: tuple[str, ...]
+    weight: NDArray[np.float32]
+    table: NDArray[np.float32] | None = None
+    before: NDArray[np.int64] | None = None
+    ahead: NDArray[np.int64] | None = None
     dropped: Mapping[str, int] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Return N."""
         return int(self.scaling.size)
+
+    @property
+    def model_inputs(self) -> NDArray[np.float32]:
+        """What a model predicts from: X, or with a history shape (N, K, F)."""
+        return self.X if self.table is None or self.before is None else self.table[self.before]
 
     def of(self, executions: Iterable[str]) -> Samples:
         """Return the rows of some executions; `dropped` is not divided and stays empty."""
@@ -76,25 +96,35 @@ class Samples:
 
     def where(self, keep: NDArray[np.bool_]) -> Samples:
         """Return the rows for which `keep`, shape (N,), is true; `dropped` stays empty."""
-        parts = {name: getattr(self, name)[keep] for name in ("X", "step", "scaling", "execution", "t_s")}
+        names = ("X", "step", "scaling", "execution", "t_s", "weight")
+        parts = {name: getattr(self, name)[keep] for name in names}
+        parts |= {name: getattr(self, name)[keep] for name in ("before", "ahead") if getattr(self, name) is not None}
         return replace(self, **parts, dropped={})
-
-    def labelled(self, levels: Sequence[float]) -> Samples:
-        """Return the same rows with the steps of other levels."""
-        return replace(self, step=label(self.scaling, levels))
 
 
 def build_samples(
-    frame: pl.DataFrame, problem: str, horizon_s: float, levels: Sequence[float], *, rate_hz: float = 10.0
+    frame: pl.DataFrame,
+    problem: str,
+    horizon_s: float,
+    levels: Sequence[float],
+    *,
+    rate_hz: float = 10.0,
+    allow: Collection[str] = (),
+    history: tuple[int, int] = (1, 1),
 ) -> Samples:
     """Build the rows of one problem.
 
     Args:
-        frame: Table SAMPLES, rows of one execution together and in order of time.
+        frame: Table SAMPLES, rows of one execution together and in order of time. A column `scaling_sd`, one standard
+            deviation of an inferred scaling (0 or null where it was logged), becomes the weight.
         problem: `now`, `ahead` or `average`.
         horizon_s: How far ahead the target lies or reaches; must be 0 for `now`.
-        levels: Staircase levels, ascending, to name the step of a target.
+        levels: Staircase levels, ascending, to name the step of a target; none for rows in transition.
         rate_hz: Rate of `frame`.
+        allow: Groups (see `GROUPS`) whose columns may be unknown (NaN in X). An operator who is hidden or whose log is
+            over is not absent: those rows are left out all the same.
+        history: How many samples a recurrent network sees, and how many rows lie between them. Where a stretch has
+            just begun, its first sample stands for those before it.
 
     Raises:
         UnknownName: There is no such problem.
@@ -109,18 +139,58 @@ def build_samples(
     inputs = INPUTS[problem]
     X = frame.select(pl.col(inputs).cast(pl.Float32)).to_numpy()
     scaling = frame["scaling"].fill_null(np.nan).to_numpy()
-    target, whole = _target(frame, problem, scaling, width, rate_hz)
-    keep, dropped = _usable(X, target, whole)
+    run = stretches(frame, rate_hz)
+    target, whole = _target(problem, scaling, run, width)
+    unknown = _unknown_inputs(frame, X, allow)
+    keep, dropped = _usable({"window leaves the execution or crosses a gap": ~whole, **unknown}, target)
     names = frame["execution"].unique(maintain_order=True).to_list()
     code = frame["execution"].replace_strict(names, list(range(len(names))), return_dtype=pl.Int64).to_numpy()
-    step = np.full(target.shape, UNKNOWN, np.int32) if problem == "average" else label(target, levels)
-    time = frame["t_s"].to_numpy()
-    every = Samples(X, step, target, code, tuple(names), time, inputs)
+    step = np.full(target.shape, UNKNOWN, np.int32)
+    if problem != "average" and len(levels):
+        now = label_in_time(scaling, levels, unbroken(run, np.isfinite(scaling)))
+        step[: len(step) - width] = now[width:]
+    table, before, ahead = None, None, None
+    if history != (1, 1):
+        ahead = np.minimum(np.arange(len(X)) + width, len(X) - 1)
+        table, before = X, _history(run, np.logical_or.reduce(list(unknown.values())), history)
+    time, weight = frame["t_s"].to_numpy(), _weight(frame, width, problem)
+    every = Samples(X, step, target, code, tuple(names), time, inputs, weight, table, before, ahead)
     return replace(every.where(keep), dropped=dropped)
 
 
+def _weight(frame: pl.DataFrame, width: int, problem: str) -> NDArray[np.float32]:
+    """Return the weight of every row: error variance of a prediction over that plus the target's own variance."""
+    if "scaling_sd" not in frame.columns:
+        return np.ones(frame.height, np.float32)
+    variance = frame["scaling_sd"].fill_null(0.0).fill_nan(0.0).to_numpy() ** 2
+    mine = np.zeros_like(variance)
+    if problem == "average":  # neighbours err alike, so the mean is no surer than they are
+        total = np.concatenate([[0.0], np.cumsum(variance)])
+        mine[: variance.size - width] = (total[width + 1 :] - total[: variance.size - width]) / (width + 1)
+    else:
+        mine[: variance.size - width] = variance[width:]
+    return np.asarray(_MODEL_ERROR**2 / (_MODEL_ERROR**2 + mine), np.float32)
+
+
+def _history(run: NDArray[np.int64], unusable: NDArray[np.bool_], history: tuple[int, int]) -> NDArray[np.int64]:
+    """Return which rows each row looks back at, the oldest first, shape (T, K): never past a gap or an unusable row."""
+    count, every = history
+    at = np.arange(run.size)
+    first = np.concatenate([[True], (run[1:] != run[:-1]) | unusable[1:] | unusable[:-1]])
+    begin = np.maximum.accumulate(np.where(first, at, 0))
+    back = every * np.arange(count - 1, -1, -1)
+    return np.asarray(np.maximum(at[:, None] - back[None, :], begin[:, None]))
+
+
+def stretches(frame: pl.DataFrame, rate_hz: float = 10.0) -> NDArray[np.int64]:
+    """Return the number of the unbroken stretch (one execution, no gap) of every row of SAMPLES, shape (N,)."""
+    step = pl.col("t_s").diff()
+    new = (pl.col("execution") != pl.col("execution").shift()) | (step > _GAP / rate_hz) | (step <= 0)
+    return frame.select(new.fill_null(value=True).cum_sum().cast(pl.Int64)).to_series().to_numpy()
+
+
 def _target(
-    frame: pl.DataFrame, problem: str, scaling: NDArray[np.float64], width: int, rate_hz: float
+    problem: str, scaling: NDArray[np.float64], run: NDArray[np.int64], width: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the target of each row (NaN = unknown) and whether its window lies inside one unbroken run."""
     count = scaling.size
@@ -129,10 +199,6 @@ def _target(
     target, whole = np.full(count, np.nan), np.zeros(count, np.bool_)
     if count <= width:
         return target, whole
-    gap = frame["t_s"].diff().abs() > _GAP / rate_hz
-    back = frame["t_s"].diff() <= 0
-    new_run = ((frame["execution"] != frame["execution"].shift()) | gap | back).fill_null(value=True)
-    run = new_run.cum_sum().to_numpy()
     whole[:-width] = run[width:] == run[:-width]
     if problem == "ahead":
         target[:-width] = scaling[width:]
@@ -145,28 +211,47 @@ def _target(
     return target, whole
 
 
-def _usable(
-    X: NDArray[np.float32], target: NDArray[np.float64], whole: NDArray[np.bool_]
-) -> tuple[NDArray[np.bool_], dict[str, int]]:
-    """Return which rows can be used, and how many are left out for each reason (the first that applies)."""
+def _unknown_inputs(
+    frame: pl.DataFrame, X: NDArray[np.float32], allow: Collection[str]
+) -> dict[str, NDArray[np.bool_]]:
+    """Return by reason which rows lack an input that they need."""
 
     def unknown(columns: NDArray[np.float32]) -> NDArray[np.bool_]:
         total: NDArray[np.float32] = columns.sum(axis=1)  # NaN in any column makes it NaN
         return np.isnan(total)
 
-    reasons = {
-        "window leaves the execution or crosses a gap": ~whole,
-        "robot position unknown": unknown(X[:, :3]),
-        "operator absent or not seen": unknown(X[:, 3:6]),
-        "goal unknown": unknown(X[:, 6:]),
-        "scaling unknown": np.isnan(target),
-    }
+    nobody = unknown(X[:, GROUPS["human"]])
+    if "human" in allow:
+        absent = (frame["human_gap"] == "absent").fill_null(value=False).to_numpy()
+        nobody = nobody & ~absent
+    goal = np.zeros(len(X), np.bool_)
+    for group in ("robot_goal", "human_goal"):
+        if X.shape[1] > GROUPS[group].start and group not in allow:
+            goal |= unknown(X[:, GROUPS[group]])
+    return {"robot position unknown": unknown(X[:, :3]), "operator absent or not seen": nobody, "goal unknown": goal}
+
+
+def _usable(
+    unknown: Mapping[str, NDArray[np.bool_]], target: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], dict[str, int]]:
+    """Return which rows can be used, and how many are left out for each reason (the first that applies)."""
     keep, dropped = np.ones(target.size, np.bool_), {}
-    for reason, bad in reasons.items():
+    for reason, bad in {**unknown, "scaling unknown": np.isnan(target)}.items():
         if lost := int((keep & bad).sum()):
             dropped[reason] = lost
         keep &= ~bad
     return keep, dropped
+
+
+def groups_seen_both_ways(rows: Samples, least: int) -> tuple[str, ...]:
+    """Return the groups of inputs that are known in at least `least` rows and unknown in as many."""
+    found = []
+    for group, columns in GROUPS.items():
+        if rows.X.shape[1] > columns.start:
+            unknown = int(np.isnan(rows.X[:, columns].sum(axis=1)).sum())
+            if least <= unknown <= len(rows) - least:
+                found.append(group)
+    return tuple(found)
 
 
 def scaling_without_operator(frame: pl.DataFrame) -> float | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,10 +18,18 @@ import numpy as np
 import cyclekit
 from cyclekit import schema
 from cyclekit.errors import DatasetError, MissingExtra
+from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
 from cyclekit.models.metrics import measure
 from cyclekit.models.saved import MODEL_VERSION, TrainedModel
-from cyclekit.samples import Samples, build_samples, scaling_without_operator, split_executions
-from cyclekit.steps import Staircase, find_staircase
+from cyclekit.samples import (
+    GROUPS,
+    Samples,
+    build_samples,
+    groups_seen_both_ways,
+    scaling_without_operator,
+    split_executions,
+)
+from cyclekit.steps import Staircase, second_opinion
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -67,21 +76,27 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
     from cyclekit.models.fitting import fit  # here, so that this module can be imported without torch
 
     frame = dataset.samples(dataset.executions["execution"].to_list())
-    rows = _usable_rows(dataset, frame, spec)
-    split = _split(dataset, rows, spec)
+    frame, slider = without_slider(dataset, frame)
+    build = partial(build_samples, problem=spec.problem, horizon_s=spec.horizon_s, history=spec.history)
+    everything = build(frame, levels=(), allow=GROUPS)
+    either = groups_seen_both_ways(everything, MIN_ROWS // 2)
+    split = _split(dataset, _enough(dataset, frame, build(frame, levels=(), allow=either)), spec)
     seen = frame.filter(frame["execution"].is_in([*split.train, *split.validation]))
     staircase = _staircase(dataset, seen, spec)
     levels = tuple(round(float(level), 6) for level in staircase.levels)
-    rows = rows.labelled(levels) if spec.problem != "average" else rows
+    known = groups_seen_both_ways(everything.of(split.train), MIN_ROWS // 2)
+    rows = _enough(dataset, frame, build(frame, levels=levels, allow=known))
     learn, check, held_out = (rows.of(part) for part in (split.train, split.validation, split.test))
-    _check_learnable(dataset, learn, spec)
-    fitted = fit(spec, learn, check, levels, progress)
-    model = TrainedModel(spec.problem, spec.network, spec.horizon_s, levels, fitted.layers)
+    _check_learnable(dataset, learn, check, held_out, spec)
+    fitted = fit(spec, learn, check, levels, progress, known=known)
+    model = TrainedModel(spec.problem, spec.network, spec.horizon_s, levels, fitted.weights, history=spec.history)
     card = {
         **_origin(dataset, spec),
         "metrics": measure(model, held_out).to_json(),
         "levels": [{"value": v, "share": round(float(s), 6)} for v, s in zip(levels, staircase.share, strict=True)],
-        "warnings": list(staircase.warnings),
+        "warnings": [*([slider] if slider else []), *staircase.warnings, *_other_opinion(seen, staircase)],
+        "temperature": fitted.temperature,
+        "may_be_unknown": list(known),
         "scaling_without_operator": scaling_without_operator(seen),
         "mean_scaling": float(learn.scaling.mean()),
         "rows": {"train": len(learn), "validation": len(check), "test": len(held_out)},
@@ -122,8 +137,8 @@ def _origin(dataset: Dataset, spec: ModelSpec) -> dict[str, Any]:
     }
 
 
-def _usable_rows(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Samples:
-    rows = build_samples(frame, spec.problem, spec.horizon_s, ())
+def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
+    """Return the rows, or refuse if they are too few to learn from."""
     if frame["scaling"].is_null().all():
         cure = "Log the scaling, or give a reference run without the operator in cell.toml so that it can be inferred."
         msg = f"{dataset.path}: the speed scaling is unknown in all {frame.height} samples, so nothing can be learned"
@@ -137,13 +152,23 @@ def _usable_rows(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Samp
     return rows
 
 
-def _check_learnable(dataset: Dataset, learn: Samples, spec: ModelSpec) -> None:
+def _check_learnable(dataset: Dataset, learn: Samples, check: Samples, held_out: Samples, spec: ModelSpec) -> None:
     """Refuse when the split leaves too little to learn from: executions may be of very different length."""
     count = int((learn.step >= 0).sum()) if spec.network == "classifier" else len(learn)
     if count < MIN_ROWS // 2:
         what = "samples on a level" if spec.network == "classifier" else "usable samples"
         msg = f"{dataset.path}: the executions to learn from hold only {count} {what}"
         raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
+    for rows, purpose in ((check, "to stop at"), (held_out, "to judge by")):
+        if not len(rows):
+            msg = f"{dataset.path}: the executions {purpose} hold no usable sample"
+            raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
+
+
+def _other_opinion(frame: pl.DataFrame, staircase: Staircase) -> list[str]:
+    scaling, _ = scaling_in_time(frame)
+    other = second_opinion(scaling, staircase)
+    return [] if other is None else [other]
 
 
 def _split(dataset: Dataset, rows: Samples, spec: ModelSpec) -> Split:
@@ -161,12 +186,12 @@ def _split(dataset: Dataset, rows: Samples, spec: ModelSpec) -> Split:
 
 def _staircase(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Staircase:
     """Find the levels; a network that names steps needs at least two of them."""
-    scaling = frame["scaling"].fill_null(np.nan).to_numpy()
-    staircase = find_staircase(scaling)
+    scaling, _ = scaling_in_time(frame)
+    staircase = staircase_of(dataset, frame)
     if np.nanmax(scaling) - np.nanmin(scaling) < 1e-6:
         msg = f"{dataset.path}: the speed scaling is {np.nanmax(scaling):.2f} throughout, so there is nothing to learn"
         raise DatasetError(msg, cure="Log executions in which the operator comes near enough to slow the robot.")
-    if spec.network != "regressor" and staircase.levels.size < 2:
+    if spec.network in ("classifier", "mixed") and (staircase.levels.size < 2 or not staircase.is_staircase):
         msg = f"{dataset.path}: a {spec.network} needs at least two levels, but {'; '.join(staircase.warnings)}"
         raise DatasetError(msg, cure="Train a network that needs none: --network regressor")
     return staircase

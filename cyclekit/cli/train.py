@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -29,6 +29,17 @@ def train(
         typer.Option(help="Which network; default: classifier, for the average: mixed.", show_default=False),
     ] = None,
     horizon: Annotated[str | None, typer.Option(help="How far ahead, such as 14s (ahead and average).")] = None,
+    norm: Annotated[
+        Literal["batch", "none"], typer.Option(help="Batch normalisation as in the literature, or none.")
+    ] = "batch",
+    features: Annotated[
+        Literal["positions", "distance"], typer.Option(help="Give the network the distance as well.")
+    ] = "positions",
+    optimiser: Annotated[Literal["adamw", "muon"], typer.Option(help="How weights are moved.")] = "adamw",
+    balance: Annotated[
+        Literal["none", "classes"], typer.Option(help="classes: rare levels weigh as much as common ones.")
+    ] = "none",
+    noise: Annotated[float, typer.Option(min=0.0, help="Train for a tracker that is noisier by this, m.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the split and of the training.")] = 0,
     json: Json = False,
     quiet: Quiet = False,
@@ -48,7 +59,8 @@ def train(
     from cyclekit.train import train as train_model
 
     terminal = Terminal(json=json, quiet=quiet)
-    spec = ModelSpec.of(problem, network, horizon_s, seed=seed)
+    settings: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}
+    spec = ModelSpec.of(problem, network, horizon_s, norm=norm, seed=seed, **settings)
     with terminal.progress("training") as progress:
         model = train_model(Dataset.open(dataset), spec, progress=progress)
         save_model(out, model)

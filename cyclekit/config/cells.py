@@ -113,6 +113,7 @@ class Cell:
         ignore: Globs of files that are no logs.
         reference: Globs of robot logs recorded with nobody in the cell.
         rate_hz: Rate of the samples.
+        levels: Levels of the safety system's speed scaling, ascending, fractions; empty = found in the logs.
         bridge_s: A gap in the operator's track up to this long is bridged linearly; longer ones stay unknown.
     """
 
@@ -125,3 +126,4 @@ class Cell:
     executions: Executions = field(default_factory=Executions)
     rate_hz: float = 10.0
     bridge_s: float = 0.3
+    levels: tuple[float, ...] = ()

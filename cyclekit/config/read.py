@@ -37,7 +37,17 @@ def load_cell(path: Path) -> Cell:
         executions=_executions(f"{where} [executions]", raw.get("executions", {})),
         rate_hz=_positive(where, raw, "rate_hz", 10.0),
         bridge_s=_number(where, raw, "bridge_s", 0.3),
+        levels=_levels(where, raw),
     )
+
+
+def _levels(where: str, raw: Mapping[str, Any]) -> tuple[float, ...]:
+    levels = list_at(where, raw, "levels")
+    rising = all(_is_number(x) and 0 <= x <= 1 for x in levels) and sorted(set(levels)) == levels
+    if not rising or len(levels) == 1:
+        cure = "Give two or more ascending fractions of full speed: levels = [0.0, 0.5, 1.0]"
+        raise ConfigError(f"{where}: levels = {levels!r} are no levels of a speed scaling", cure=cure)
+    return tuple(float(x) for x in levels)
 
 
 def _only(where: str, raw: object, shape: type) -> None:

@@ -77,7 +77,7 @@ def describe(path: Path, *, progress: Progress | None = None) -> Description:
 
 def _describe_model(path: Path) -> ModelDescription:
     model = load_model(path)
-    count = sum(weight.size + bias.size for weight, bias in model.layers)
+    count = model.weights.count
     return ModelDescription(path, model.problem, model.network, model.horizon_s, model.levels, count, model.card)
 
 

@@ -14,14 +14,13 @@ import numpy as np
 
 from cyclekit.errors import DatasetError, ModelError
 from cyclekit.evaluate.baselines import Row, rivals
+from cyclekit.labelling import without_slider
 from cyclekit.models.metrics import Metrics, measure
 from cyclekit.samples import Samples, build_samples
 from cyclekit.train import fingerprint
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    import polars as pl
 
     from cyclekit.dataset import Dataset
     from cyclekit.models.saved import TrainedModel
@@ -151,8 +150,9 @@ def _held_out(model: TrainedModel) -> tuple[str, ...]:
 
 
 def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) -> Samples:
-    frame: pl.DataFrame = dataset.samples(executions)
-    return build_samples(frame, model.problem, model.horizon_s, model.levels)
+    frame, _ = without_slider(dataset, dataset.samples(executions))
+    known, history = model.weights.known, model.history
+    return build_samples(frame, model.problem, model.horizon_s, model.levels, allow=known, history=history)
 
 
 def _read_outs(metrics: Metrics) -> list[Row]:
@@ -164,14 +164,14 @@ def _read_outs(metrics: Metrics) -> list[Row]:
 
 def _confusion(model: TrainedModel, rows: Samples) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
     count, known = len(model.levels), rows.step >= 0
-    cell = rows.step[known].astype(np.int64) * count + model.steps(rows.X[known])
+    cell = rows.step[known].astype(np.int64) * count + model.steps(rows.where(known).model_inputs)
     return np.bincount(cell, minlength=count**2).reshape(count, count)
 
 
 def _per_level(
     model: TrainedModel, rows: Samples, confusion: np.ndarray[tuple[int, int], np.dtype[np.int64]]
 ) -> tuple[LevelRow, ...]:
-    error = model.predict(rows.X) - rows.scaling
+    error = model.predict(rows.model_inputs) - rows.scaling
     true, named, right = confusion.sum(axis=1), confusion.sum(axis=0), confusion.diagonal()
     return tuple(
         LevelRow(

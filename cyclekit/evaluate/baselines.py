@@ -39,8 +39,8 @@ def rivals(learn: Samples, judge: Samples, levels: Sequence[float], *, boosting:
     mean = float(learn.scaling.mean())
     rows = [Row("constant mean", _mse(np.full(len(judge), mean), judge), f"scaling {mean:.3f} everywhere")]
     if len(levels) > 1:
-        thresholds = fit_thresholds(_distance(learn), learn.scaling, levels)
-        values = np.array(levels)[np.searchsorted(thresholds, _distance(judge), side="right")]
+        thresholds = fit_thresholds(distance_of(learn), learn.scaling, levels)
+        values = np.array(levels)[np.searchsorted(thresholds, distance_of(judge), side="right")]
         shown = ", ".join(f"{threshold:.2f}" if np.isfinite(threshold) else "never" for threshold in thresholds)
         rows.append(Row("distance staircase", _mse(values, judge), f"thresholds on the distance: {shown} m"))
     if boosting:
@@ -98,10 +98,10 @@ def _boosted(learn: Samples, judge: Samples) -> Row:
     return Row("gradient boosting", _mse(predicted, judge), note)
 
 
-def _distance(rows: Samples) -> NDArray[np.float64]:
-    """Return ||x_r - x_h|| of every row, shape (N,), m."""
-    apart = (rows.X[:, 0:3] - rows.X[:, 3:6]).astype(np.float64)
-    return np.asarray(np.linalg.norm(apart, axis=1))
+def distance_of(rows: Samples) -> NDArray[np.float64]:
+    """Return ||x_r - x_h|| of every row, shape (N,), m; infinite where nobody is there."""
+    apart = np.linalg.norm((rows.X[:, 0:3] - rows.X[:, 3:6]).astype(np.float64), axis=1)
+    return np.asarray(np.where(np.isnan(apart), np.inf, apart))
 
 
 def _mse(predicted: NDArray[np.float64], rows: Samples) -> float:

@@ -1,8 +1,8 @@
 """The training loop: slices of one tensor, a fused AdamW, one rise and fall of the learning rate, the best epoch kept.
 
-A loader that hands out rows one by one is what makes small networks slow; here the shuffled rows are one tensor on the
-device and a batch is a slice of it. Same rows, spec and seed give the same weights on a CPU, and torch's global random
-state is left as it was.
+A loader that hands out rows one by one is what makes small networks slow; here the rows are one tensor on the device
+and a batch is a pick of it. Same rows, spec and seed give the same weights on a CPU, and torch's global random state is
+left as it was.
 """
 
 from __future__ import annotations
@@ -18,21 +18,25 @@ import torch
 from torch import nn
 
 from cyclekit.errors import ConfigError
-from cyclekit.models.network import build, fold
+from cyclekit.models.calibration import best_temperature
+from cyclekit.models.folding import fold
+from cyclekit.models.network import Forecasting, build
+from cyclekit.models.optimiser import Steps
+from cyclekit.models.rows import DISTANCE_M, Rows, rows_on, standardisation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.models.layout import Layers
     from cyclekit.models.spec import ModelSpec
+    from cyclekit.models.weights import Weights
     from cyclekit.samples import Samples
 
     Progress = Callable[[float, str], None]
 
 _BLOCK = 16_384
-_STEPS, _EPOCHS = 6000, (8, 100)
+_STEPS, _EPOCHS = 12_000, (8, 100)
 """Where no number of epochs is asked for: as many as make this many steps, within these bounds."""
 _DECAY_ROWS, _MOST_DECAY = 3000, 0.1
 """Where no weight decay is asked for: this many divided by the training rows. Few rows need it, many hardly any."""
@@ -40,7 +44,7 @@ _DECAY_ROWS, _MOST_DECAY = 3000, 0.1
 
 @dataclass(frozen=True)
 class Epoch:
-    """One pass over the training rows: mean training loss, and MSE of the best estimate on the validation part."""
+    """One pass over the training rows: mean loss, and weighted MSE of the best estimate on the validation part."""
 
     epoch: int
     loss: float
@@ -52,25 +56,19 @@ class Fitted:
     """What fitting gives.
 
     Attributes:
-        layers: The best epoch's network as matrices on raw inputs.
+        weights: The best epoch's network as matrices on raw inputs.
         history: One entry per epoch.
         mean: Mean of every input, shape (F,), m.
         scale: 1/deviation of every input, shape (F,), 1/m; 0 for an input that does not vary.
+        temperature: By what the logits of a classifier were divided so that its probabilities hold on the validation
+            part (Guo et al. 2017); 1 for the others.
     """
 
-    layers: Layers
+    weights: Weights
     history: tuple[Epoch, ...]
     mean: NDArray[np.float64]
     scale: NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """Rows as tensors on the device: inputs standardised, `target` (N,) int64 of a classifier, else (N, 1) float32."""
-
-    x: torch.Tensor
-    target: torch.Tensor
-    scaling: torch.Tensor
+    temperature: float = 1.0
 
 
 def fit(
@@ -79,25 +77,35 @@ def fit(
     validation: Samples,
     levels: Sequence[float],
     progress: Progress | None = None,
+    *,
+    known: Sequence[str] = (),
 ) -> Fitted:
     """Train a network.
 
     Args:
         spec: What to train.
         rows: Rows to learn from; a classifier leaves out those on no level.
-        validation: Rows that decide which epoch is kept.
+        validation: Rows that decide which epoch is kept, and the temperature of a classifier.
         levels: Staircase levels, ascending.
         progress: Told the fraction done and the validation error after each epoch.
+        known: Groups of inputs that may be unknown.
     """
-    mean, scale = standardisation(rows.X)
+    standard = standardisation(rows.X)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    learn = _tensors(rows.where(rows.step >= 0) if spec.network == "classifier" else rows, spec, (mean, scale), device)
-    check = _tensors(validation, spec, (mean, scale), device)
+    names_steps = spec.network == "classifier"
+    learn = rows_on(device, rows.where(rows.step >= 0) if names_steps else rows, spec, standard, known)
+    check = rows_on(device, validation, spec, standard, known)
     with torch.random.fork_rng(devices=[]), _one_thread():
         torch.manual_seed(spec.seed)
-        network = build(spec, rows.X.shape[1], levels).to(device)
+        network = build(spec, rows.X.shape[1], levels, known).to(device)
         history = _run(network, spec, learn, check, torch.tensor(levels, device=device), progress)
-    return Fitted(fold(network, mean, scale), history, mean, scale)
+        on_level = validation.step >= 0
+        temperature = 1.0
+        if names_steps and on_level.any():
+            temperature = best_temperature(_outputs(network, check).cpu().numpy()[on_level], validation.step[on_level])
+    distance = DISTANCE_M if spec.features == "distance" else None
+    folded = fold(network, *standard, known, temperature=temperature, distance=distance)
+    return Fitted(folded, history, *standard, temperature)
 
 
 @contextmanager
@@ -115,59 +123,41 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-def standardisation(X: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean and 1/deviation of every input, shape (F,) each; 0 for an input that does not vary."""
-    mean, deviation = X.mean(axis=0, dtype=np.float64), X.std(axis=0, dtype=np.float64)
-    varies = deviation > 1e-6  # a micrometre: less carries nothing, and dividing by it would magnify noise
-    return mean, np.where(varies, 1 / np.where(varies, deviation, 1.0), 0.0)
-
-
-def _tensors(
-    rows: Samples, spec: ModelSpec, standard: tuple[NDArray[np.float64], NDArray[np.float64]], device: torch.device
-) -> _Rows:
-    mean, scale = standard
-    scaling = torch.from_numpy(rows.scaling.astype(np.float32))[:, None].to(device)
-    target = torch.from_numpy(rows.step.astype(np.int64)).to(device) if spec.network == "classifier" else scaling
-    return _Rows(torch.from_numpy(((rows.X - mean) * scale).astype(np.float32)).to(device), target, scaling)
-
-
 def _run(
-    network: nn.Sequential,
+    network: nn.Module,
     spec: ModelSpec,
-    learn: _Rows,
-    check: _Rows,
+    learn: Rows,
+    check: Rows,
     levels: torch.Tensor,
     progress: Progress | None,
 ) -> tuple[Epoch, ...]:
     """Train in place and leave the weights of the best epoch in `network`."""
-    batches = max(len(learn.x) // spec.batch, 1)
+    batches = max(len(learn) // spec.batch, 1)
     epochs = spec.epochs or min(max(round(_STEPS / batches), _EPOCHS[0]), _EPOCHS[1])
-    decay = min(_DECAY_ROWS / len(learn.x), _MOST_DECAY) if spec.weight_decay is None else spec.weight_decay
-    optimiser = torch.optim.AdamW(network.parameters(), lr=spec.learning_rate, weight_decay=decay, fused=True)
-    total_steps = max(batches * epochs, 10)  # fewer cannot rise and fall
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, spec.learning_rate, total_steps, pct_start=0.2)
-    loss_of: nn.Module = nn.CrossEntropyLoss() if spec.network == "classifier" else nn.MSELoss()
+    decay = min(_DECAY_ROWS / len(learn), _MOST_DECAY) if spec.weight_decay is None else spec.weight_decay
+    steps = Steps(network, spec, decay, max(batches * epochs, 10))  # fewer cannot rise and fall
+    balance = _balance(learn, len(levels)) if spec.balance == "classes" and spec.network == "classifier" else None
     history: list[Epoch] = []
-    best, best_state = float("inf"), copy.deepcopy(network.state_dict())
+    best, best_state, since = float("inf"), copy.deepcopy(network.state_dict()), 0
     for number in range(1, epochs + 1):
         network.train()
         if number > spec.freeze_norm_after * epochs:
             _freeze_norm(network)
-        total = torch.zeros((), device=learn.x.device)
-        order = torch.randperm(len(learn.x)).to(learn.x.device)
+        total = torch.zeros((), device=learn.scaling.device)
+        order = torch.randperm(len(learn)).to(learn.scaling.device)
         for part in order.tensor_split(batches):
-            optimiser.zero_grad(set_to_none=True)
-            loss = loss_of(network(learn.x[part]), learn.target[part])
-            loss.backward()
-            optimiser.step()
-            schedule.step()
+            loss = _loss(network, spec, learn, part, balance)
+            steps.take(loss)
             total += loss.detach()
         mse = _validation_mse(network, check, levels if spec.network == "classifier" else None)
         history.append(Epoch(number, float(total) / batches, mse))
+        since += 1
         if mse < best:
-            best, best_state = mse, copy.deepcopy(network.state_dict())
+            best, best_state, since = mse, copy.deepcopy(network.state_dict()), 0
         if progress:
             progress(number / epochs, f"epoch {number} of {epochs}, validation MSE {mse:.2e}")
+        if spec.patience is not None and since >= spec.patience:
+            break
     if not math.isfinite(best):
         msg = f"training diverged: the validation error is {mse} after {epochs} epochs"
         raise ConfigError(msg, cure="Choose a lower learning rate.")
@@ -175,16 +165,46 @@ def _run(
     return tuple(history)
 
 
-def _freeze_norm(network: nn.Sequential) -> None:
+def _loss(
+    network: nn.Module, spec: ModelSpec, learn: Rows, part: torch.Tensor, balance: torch.Tensor | None
+) -> torch.Tensor:
+    """Return the weighted mean loss of a batch."""
+    x = learn.inputs(part, spec.noise_m)
+    out, weight = network(x), learn.weight[part]
+    if spec.network == "classifier":
+        step = learn.step[part]
+        each = nn.functional.cross_entropy(out, step, reduction="none")
+        weight = weight if balance is None else weight * balance[step]
+    else:
+        each = ((out - learn.scaling[part]) ** 2)[:, 0]
+    if isinstance(network, Forecasting) and learn.ahead is not None and network.forecast is not None:
+        seen = learn.ahead_known[part]
+        off = ((network.forecast - learn.ahead[part]) ** 2).mean(dim=1)
+        each = each + spec.forecast_weight * torch.where(seen, off, torch.zeros_like(off))
+    return (each * weight).sum() / weight.sum()
+
+
+def _balance(learn: Rows, count: int) -> torch.Tensor:
+    """Return the weight of every level with which all count alike, shape (P,); mean over the rows 1."""
+    rows = torch.bincount(learn.step, minlength=count).clamp(min=1).to(torch.float32)
+    return float(len(learn)) / (count * rows)
+
+
+def _freeze_norm(network: nn.Module) -> None:
     """Let batch normalisation keep the statistics that it has, instead of measuring every batch anew."""
-    for module in network:
+    for module in network.modules():
         if isinstance(module, nn.BatchNorm1d):
             module.eval()
 
 
-def _validation_mse(network: nn.Sequential, check: _Rows, levels: torch.Tensor | None) -> float:
+def _outputs(network: nn.Module, rows: Rows) -> torch.Tensor:
     network.eval()
     with torch.inference_mode():
-        out = torch.cat([network(block) for block in torch.split(check.x, _BLOCK)])
-        values = torch.softmax(out, dim=1) @ levels[:, None] if levels is not None else out.clamp(0.0, 1.0)
-        return float(torch.mean((values - check.scaling) ** 2))
+        every = torch.arange(len(rows), device=rows.scaling.device)
+        return torch.cat([network(rows.inputs(part, 0.0)) for part in torch.split(every, _BLOCK)])
+
+
+def _validation_mse(network: nn.Module, check: Rows, levels: torch.Tensor | None) -> float:
+    out = _outputs(network, check)
+    values = torch.softmax(out, dim=1) @ levels[:, None] if levels is not None else out.clamp(0.0, 1.0)
+    return float(((values - check.scaling)[:, 0] ** 2 * check.weight).sum() / check.weight.sum())

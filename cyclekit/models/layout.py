@@ -1,36 +1,28 @@
-"""Check the two files of a model, byte for byte, before anything believes them.
+"""Check what `model.json` says about a network before anything believes it.
 
 A model folder may come from anywhere. So the sizes that `model.json` states are held against limits and against each
-other, and the weights file against those sizes, before a single number is read.
+other; the weights file is then held against them (`tensors`).
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NoReturn
 
-import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load, save
-
 from cyclekit.models.spec import NETWORKS
-from cyclekit.samples import INPUTS
+from cyclekit.samples import GROUPS, INPUTS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
 
 _MAX_CARD_BYTES = 16 * 2**20
-_MAX_HEADER_BYTES = 64 * 2**10
+_MAX_HISTORY = 1000
 _MAX_LAYERS, _MAX_WIDTH, _MAX_LEVELS = 32, 4096, 64
-
-Layers = tuple[tuple["NDArray[np.float32]", "NDArray[np.float32]"], ...]
 
 
 class NotAModel(Exception):
@@ -46,6 +38,16 @@ class Layout:
     horizon_s: float
     levels: tuple[float, ...]
     layers: tuple[tuple[int, int], ...]
+    recurrent: tuple[tuple[int, int], ...] = ()
+    forecast: tuple[int, int] | None = None
+    known: tuple[str, ...] = ()
+    history: tuple[int, int] = (1, 1)
+    distance: float | None = None
+
+    @property
+    def softmax_after(self) -> int | None:
+        """Index of the layer behind which the softmax stands."""
+        return {"classifier": len(self.layers) - 1, "mixed": len(self.layers) - 2}.get(self.network)
 
     @classmethod
     def of(cls, about: dict[str, Any]) -> Layout:
@@ -61,12 +63,22 @@ class Layout:
             raise NotAModel(f"horizon_s is {about.get('horizon_s')!r} for problem {problem!r}")
         if not isinstance(about.get("card"), dict):
             raise NotAModel("the card is missing")
-        levels = _levels(about.get("levels"), needed=network != "regressor")
-        layers = _sizes(about.get("layers"))
-        outputs = {"classifier": [len(levels)], "mixed": [len(levels), 1], "regressor": [1]}[network]
-        if layers[0][0] != len(INPUTS[problem]) or [out for _, out in layers[-len(outputs) :]] != outputs:
+        levels = _levels(about.get("levels"), needed=network in ("classifier", "mixed"))
+        layers, known = _sizes(about.get("layers"), least=2), _known(about.get("known"), problem)
+        outputs = {"classifier": [len(levels)], "mixed": [len(levels), 1]}.get(str(network), [1])
+        recurrent, forecast = _recurrent(str(network), about)
+        distance = _distance(about.get("distance"))
+        inputs = len(INPUTS[problem]) + len(known) + (distance is not None)
+        first = recurrent[0][0] if recurrent and forecast is None else layers[0][0]
+        fits = first == inputs and [out for _, out in layers[-len(outputs) :]] == outputs
+        if recurrent and forecast is None:
+            fits = fits and layers[0][0] == recurrent[-1][1]
+        if forecast is not None:
+            fits = fits and forecast == (recurrent[-1][1], 3) and recurrent[0][0] == 3 + ("human" in known)
+        if not fits:
             raise NotAModel(f"layers {layers} do not fit a {network} of {len(levels)} levels for problem {problem!r}")
-        return cls(problem, str(network), horizon_s, levels, layers)
+        history = _history(about.get("history"), needed=bool(recurrent))
+        return cls(problem, str(network), horizon_s, levels, layers, recurrent, forecast, known, history, distance)
 
 
 def parse_model(file: Path) -> dict[str, Any]:
@@ -86,50 +98,6 @@ def parse_model(file: Path) -> dict[str, Any]:
     return about
 
 
-def parse_weights(file: Path, layout: Layout, sha256: str) -> Layers:
-    """Return the weights of `layout`.
-
-    Raises:
-        NotAModel: The file is not exactly the safetensors file that the layout calls for.
-    """
-    shapes = {name: shape for i, size in enumerate(layout.layers) for name, shape in _tensors(i, size)}
-    numbers = 4 * sum(math.prod(shape) for shape in shapes.values())
-    try:
-        with file.open("rb") as handle:
-            content = handle.read(8 + _MAX_HEADER_BYTES + numbers + 1)
-    except OSError as error:
-        raise NotAModel(f"cannot be read ({error.strerror})") from error
-    header = int.from_bytes(content[:8], "little")
-    if len(content) < 8 or header > _MAX_HEADER_BYTES or len(content) != 8 + header + numbers:
-        raise NotAModel(f"not a safetensors file of {numbers} bytes of weights, as {file.parent.name} calls for")
-    if hashlib.sha256(content).hexdigest() != sha256:
-        raise NotAModel("changed since the model was saved: its checksum is not the one in model.json")
-    try:
-        found = load(content)
-    except (SafetensorError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise NotAModel(f"not a safetensors file ({error})") from error
-    if {name: (array.shape, array.dtype) for name, array in found.items()} != {
-        name: (shape, np.dtype(np.float32)) for name, shape in shapes.items()
-    }:
-        raise NotAModel("holds other arrays than the layers in model.json")
-    if not all(np.isfinite(array).all() for array in found.values()):
-        raise NotAModel("holds weights that are not finite")
-    return tuple((found[f"layer{i}.weight"], found[f"layer{i}.bias"]) for i in range(len(layout.layers)))
-
-
-def to_safetensors(layers: Layers) -> bytes:
-    """Return the weights as the content of a safetensors file."""
-    arrays = {}
-    for i, (weight, bias) in enumerate(layers):
-        arrays[f"layer{i}.weight"] = np.ascontiguousarray(weight, np.float32)
-        arrays[f"layer{i}.bias"] = np.ascontiguousarray(bias, np.float32)
-    return save(arrays)
-
-
-def _tensors(index: int, size: tuple[int, int]) -> list[tuple[str, tuple[int, ...]]]:
-    return [(f"layer{index}.weight", size), (f"layer{index}.bias", (size[1],))]
-
-
 def _levels(stated: object, *, needed: bool) -> tuple[float, ...]:
     levels = [_number(level) for level in stated] if isinstance(stated, list) else [math.nan]
     rising = all(a < b for a, b in pairwise(levels)) and all(-0.5 <= level <= 1.5 for level in levels)
@@ -138,17 +106,49 @@ def _levels(stated: object, *, needed: bool) -> tuple[float, ...]:
     return tuple(levels)
 
 
-def _sizes(stated: object) -> tuple[tuple[int, int], ...]:
+def _sizes(stated: object, least: int) -> tuple[tuple[int, int], ...]:
     def is_width(value: object) -> bool:
         return isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MAX_WIDTH
 
-    if not isinstance(stated, list) or not 2 <= len(stated) <= _MAX_LAYERS:
+    if not isinstance(stated, list) or not least <= len(stated) <= _MAX_LAYERS:
         raise NotAModel(f"layers are {stated!r:.80}")
     for size in stated:
         if not isinstance(size, list) or len(size) != 2 or not all(is_width(value) for value in size):
             raise NotAModel(f"a layer of size {size!r:.80}")
     _check_chain(stated)
     return tuple((size[0], size[1]) for size in stated)
+
+
+def _recurrent(network: str, about: dict[str, Any]) -> tuple[tuple[tuple[int, int], ...], tuple[int, int] | None]:
+    """Return the sizes of the LSTM layers and of the forecast behind them."""
+    count = {"lstm-1": 2, "lstm-2": 1}.get(network, 0)
+    recurrent = _sizes(about.get("recurrent", []), least=0)
+    forecast = _sizes([about["forecast"]], least=1)[0] if about.get("forecast") is not None else None
+    if len(recurrent) != count or (forecast is not None) != (network == "lstm-2"):
+        raise NotAModel(f"{len(recurrent)} LSTM layers do not fit a {network}")
+    return recurrent, forecast
+
+
+def _known(stated: object, problem: str) -> tuple[str, ...]:
+    """Return the groups that may be unknown, each once, in the order of the columns."""
+    there = [group for group, columns in GROUPS.items() if columns.start < len(INPUTS[problem])]
+    if not isinstance(stated, list) or stated != [group for group in there if group in stated]:
+        raise NotAModel(f"groups of inputs that may be unknown are {stated!r:.80}")
+    return tuple(stated)
+
+
+def _history(stated: object, *, needed: bool) -> tuple[int, int]:
+    numbers = [_number(value) for value in stated] if isinstance(stated, list) and len(stated) == 2 else [math.nan] * 2
+    whole = all(1 <= number <= _MAX_HISTORY and number == int(number) for number in numbers)
+    if not whole or (numbers[0] > 1) != needed:
+        raise NotAModel(f"history is {stated!r:.80}")
+    return int(numbers[0]), int(numbers[1])
+
+
+def _distance(stated: object) -> float | None:
+    if stated is not None and not 0 <= _number(stated) <= 1e6:
+        raise NotAModel(f"mean distance is {stated!r:.80}")
+    return None if stated is None else _number(stated)
 
 
 def _check_chain(sizes: Sequence[Sequence[int]]) -> None:

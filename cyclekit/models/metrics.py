@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from cyclekit.models.calibration import reliability
 
+if TYPE_CHECKING:
     from cyclekit.models.saved import TrainedModel
     from cyclekit.samples import Samples
 
@@ -25,6 +25,7 @@ class Metrics:
         mae: Mean absolute error of the best estimate.
         bias: Mean of predicted - true.
         accuracy: Part of the rows on a level whose step is named rightly; None where there is none.
+        calibration_error: Expected calibration error of a classifier's probabilities; None for the others.
     """
 
     rows: int
@@ -33,6 +34,7 @@ class Metrics:
     mae: float
     bias: float
     accuracy: float | None
+    calibration_error: float | None = None
 
     def to_json(self) -> dict[str, float | int | None]:
         """Return the numbers as JSON values."""
@@ -41,17 +43,22 @@ class Metrics:
 
 def measure(model: TrainedModel, samples: Samples) -> Metrics:
     """Judge `model` by rows that it has not seen; `samples` must be of its problem and not empty."""
-    error = model.predict(samples.X) - samples.scaling
-    names_steps = bool(model.levels) and model.problem != "average"
-    argmax: NDArray[np.int64] | None = model.steps(samples.X) if names_steps else None
-    on_level = samples.step >= 0
+    X, on_level = samples.model_inputs, samples.step >= 0
+    error = model.predict(X) - samples.scaling
+    mse_argmax = accuracy = calibration = None
+    if model.levels and model.problem != "average":
+        step = model.steps(X)
+        mse_argmax = float(np.mean((np.array(model.levels)[step] - samples.scaling) ** 2))
+        if on_level.any():
+            accuracy = float(np.mean(step[on_level] == samples.step[on_level]))
+            if model.network == "classifier":
+                calibration = reliability(model.probabilities(X)[on_level], samples.step[on_level]).error
     return Metrics(
         rows=len(samples),
         mse_mean=float(np.mean(error**2)),
-        mse_argmax=None if argmax is None else float(np.mean((np.array(model.levels)[argmax] - samples.scaling) ** 2)),
+        mse_argmax=mse_argmax,
         mae=float(np.mean(np.abs(error))),
         bias=float(np.mean(error)),
-        accuracy=None
-        if argmax is None or not on_level.any()
-        else float(np.mean(argmax[on_level] == samples.step[on_level])),
+        accuracy=accuracy,
+        calibration_error=calibration,
     )

@@ -1,11 +1,16 @@
-"""The networks of the paper, put together from a body and a head. The only module here that imports torch.
+"""The networks of the paper, put together from a body and a head.
 
-    body   feed-forward layers: linear, batch normalisation (or none), ReLU
-    head   classifier: P logits
-           regressor: one value, Hardtanh into [0, 1]
-           mixed: softmax over P, then one linear value
+    body   feed-forward   linear, batch normalisation (or none), ReLU
+           lstm-1         two LSTM layers over the history, then feed-forward layers
+           lstm-2         one LSTM layer over the operator's history forecasts where he will be; the feed-forward layers
+                          see that in place of where he is
+    head   classifier     P logits
+           regressor      one value, Hardtanh into [0, 1]
+           mixed          softmax over P, then one linear value
 
-Trained, a network is folded into plain matrices (`fold`), and torch is needed no more.
+Inputs are standardised. For each group of inputs that may be unknown (`samples.GROUPS`) there is one more, which says
+1 = known or 0 = unknown; the unknown values themselves are then 0. Trained, a network is folded into plain matrices on
+raw inputs (`folding`), and torch is needed no more.
 """
 
 from __future__ import annotations
@@ -13,31 +18,88 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from torch import nn
+
+from cyclekit.samples import GROUPS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.models.spec import ModelSpec
 
+_HUMAN = GROUPS["human"]
 
-def build(spec: ModelSpec, inputs: int, levels: Sequence[float]) -> nn.Sequential:
-    """Return the untrained network of `spec` for that many inputs; its first weights come from torch's random state.
 
-    A classifier ends in logits (N, P); the others in one value (N, 1).
+def build(spec: ModelSpec, inputs: int, levels: Sequence[float], known: Sequence[str] = ()) -> nn.Module:
+    """Return the untrained network of `spec`; its first weights come from torch's random state.
+
+    Args:
+        spec: Which one.
+        inputs: Number of inputs F, without those that say "known".
+        levels: Staircase levels, ascending.
+        known: Groups that have an input which says whether they are known.
+
+    Returns:
+        A module from (B, F + groups), with a history from (B, K, F + groups), to logits (B, P) of a classifier or
+        values (B, 1).
     """
-    return nn.Sequential(*_body(inputs, spec), *_head(spec, levels))
+    width = inputs + len(known) + (spec.features == "distance")
+    if spec.network == "lstm-1":
+        return Recurrent(width, spec, _head(spec, levels))
+    if spec.network == "lstm-2":
+        return Forecasting(width, spec, _head(spec, levels), ("human" in known) * inputs)
+    return nn.Sequential(*feed_forward((width, *spec.hidden), spec.norm), *_head(spec, levels))
 
 
-def _body(inputs: int, spec: ModelSpec) -> list[nn.Module]:
+class Recurrent(nn.Module):
+    """LSTM-1: the first two layers of the regression network are LSTM layers; the last state goes on."""
+
+    def __init__(self, inputs: int, spec: ModelSpec, head: list[nn.Module]) -> None:
+        """Build it for that many inputs."""
+        super().__init__()
+        width = spec.hidden[0]
+        self.lstm = nn.LSTM(inputs, width, num_layers=2, batch_first=True)
+        self.rest = nn.Sequential(*feed_forward((width, *spec.hidden[2:]), spec.norm), *head)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return values (B, 1) for histories (B, K, inputs)."""
+        states, _ = self.lstm(x)
+        out: torch.Tensor = self.rest(states[:, -1])
+        return out
+
+
+class Forecasting(nn.Module):
+    """LSTM-2: where the operator will be, from where he has been; then the regression network.
+
+    `forecast` of the last call, shape (B, 3), standardised, is kept for the loss.
+    """
+
+    def __init__(self, inputs: int, spec: ModelSpec, head: list[nn.Module], presence: int) -> None:
+        """Build it for that many inputs; `presence` is the column that says whether he is there, 0 for none."""
+        super().__init__()
+        width = spec.hidden[0]
+        self.columns = [*range(_HUMAN.start, _HUMAN.stop), *([presence] if presence else [])]
+        self.lstm = nn.LSTM(len(self.columns), width, batch_first=True)
+        self.ahead = nn.Linear(width, _HUMAN.stop - _HUMAN.start)
+        self.rest = nn.Sequential(*feed_forward((inputs, *spec.hidden), spec.norm), *head)
+        self.forecast: torch.Tensor | None = None
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return values (B, 1) for histories (B, K, inputs)."""
+        states, _ = self.lstm(x[:, :, self.columns])
+        self.forecast = self.ahead(states[:, -1])
+        now = x[:, -1]
+        out: torch.Tensor = self.rest(torch.cat([now[:, : _HUMAN.start], self.forecast, now[:, _HUMAN.stop :]], dim=1))
+        return out
+
+
+def feed_forward(widths: Sequence[int], norm: str) -> list[nn.Module]:
+    """Return the hidden layers between these widths, the first of which is that of the input."""
     layers: list[nn.Module] = []
-    for before, after in pairwise((inputs, *spec.hidden)):
+    for before, after in pairwise(widths):
         layers.append(nn.Linear(before, after))
-        if spec.norm == "batch":
+        if norm == "batch":
             layers.append(nn.BatchNorm1d(after))
         layers.append(nn.ReLU())
     return layers
@@ -56,36 +118,3 @@ def _head(spec: ModelSpec, levels: Sequence[float]) -> list[nn.Module]:
     out = nn.Linear(width, 1)
     nn.init.constant_(out.bias, 0.5)  # Hardtanh passes no gradient outside [0, 1], so start inside
     return [out, nn.Hardtanh(0.0, 1.0)]
-
-
-def fold(
-    network: nn.Sequential, mean: NDArray[np.float64], scale: NDArray[np.float64]
-) -> tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]:
-    """Return the network as matrices on raw inputs: batch normalisation and standardisation folded in.
-
-    Args:
-        network: As `build` made it, trained on (x - mean) * scale.
-        mean: Subtracted from every input, shape (F,).
-        scale: Multiplied after that, shape (F,); 0 switches an input off.
-
-    Returns:
-        Weight (inputs, outputs) and bias (outputs,) of each layer, float32.
-    """
-    layers: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
-    for module in network:
-        if isinstance(module, nn.Linear):
-            layers.append((_numbers(module.weight).T, _numbers(module.bias)))
-        elif isinstance(module, nn.BatchNorm1d):
-            weight, bias = layers[-1]
-            deviation = np.sqrt(_numbers(module.running_var) + module.eps)
-            gain = _numbers(module.weight) / deviation
-            layers[-1] = (weight * gain, (bias - _numbers(module.running_mean)) * gain + _numbers(module.bias))
-    weight, bias = layers[0]
-    weight = weight * scale[:, None]
-    layers[0] = (weight, bias - mean @ weight)
-    return tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in layers)
-
-
-def _numbers(tensor: torch.Tensor | None) -> NDArray[np.float64]:
-    assert tensor is not None  # batch normalisation is built with its running statistics
-    return tensor.detach().cpu().double().numpy()

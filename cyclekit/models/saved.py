@@ -20,18 +20,19 @@ import numpy as np
 from cyclekit import schema
 from cyclekit.atomic import recover, staged
 from cyclekit.errors import ModelError, ShapeError
-from cyclekit.models.layout import Layout, NotAModel, parse_model, parse_weights, to_safetensors
-from cyclekit.samples import INPUTS
+from cyclekit.models.layout import Layout, NotAModel, parse_model
+from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
+from cyclekit.samples import GROUPS, INPUTS
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-FORMAT, MODEL_VERSION = "cyclekit-model", 1
+    from cyclekit.models.weights import Weights
+
+FORMAT, MODEL_VERSION = "cyclekit-model", 2
 CARD, WEIGHTS = "model.json", "weights.safetensors"
-_BLOCK = 16_384
-"""Rows predicted at once: a block and its layers stay in the cache, which is several times faster than all at once."""
 _RETRAIN = "Train it again: cyclekit train DATASET --out MODEL"
 
 
@@ -41,19 +42,22 @@ class TrainedModel:
 
     Attributes:
         problem: `now`, `ahead` or `average`.
-        network: `classifier`, `regressor` or `mixed`.
+        network: `classifier`, `regressor`, `mixed`, `lstm-1` or `lstm-2`.
         horizon_s: How far ahead the target lies or reaches, s.
         levels: Staircase levels, shape (P,), ascending; empty for a regressor of a scaling without levels.
-        layers: Weight (inputs, outputs) and bias (outputs,) of every layer, float32.
+        weights: The numbers, and which groups of inputs may be unknown.
         card: How it came about: split, seed, metrics, data fingerprint, versions, `scaling_without_operator`.
+        history: Samples that the network sees, and rows between them at the rate of the samples; (1, 1) = only the
+            present one.
     """
 
     problem: str
     network: str
     horizon_s: float
     levels: tuple[float, ...]
-    layers: tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
+    weights: Weights
     card: dict[str, Any] = field(default_factory=dict)
+    history: tuple[int, int] = (1, 1)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -66,14 +70,15 @@ class TrainedModel:
         For a classifier that is the mean of the levels under its probabilities, not the level of the likeliest step.
 
         Args:
-            X: Inputs, shape (N, F), metres, base frame; columns as in `inputs`. All must be known: where nobody is
-                there, `card["scaling_without_operator"]` holds what the logs show.
+            X: Inputs, metres, base frame; columns as in `inputs`. Shape (N, F), of a recurrent network (N, K, F), the
+                oldest sample first. All must be known, but for the groups in `weights.known`: where nobody is there
+                and the logs never showed that, `card["scaling_without_operator"]` is None as well.
 
         Returns:
             Shape (N,), in [0, 1].
 
         Raises:
-            ShapeError: X is not (N, F), or holds a value that is not finite.
+            ShapeError: X has another shape, or holds a value that is not finite where it must be known.
         """
         out = self._run(X)
         values = np.matmul(out, np.array(self.levels)) if self.network == "classifier" else out[:, 0]
@@ -108,30 +113,19 @@ class TrainedModel:
 
     def _run(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         """Return the last layer's output: (N, P) probabilities of a classifier, (N, 1) otherwise."""
-        if X.ndim != 2 or X.shape[1] != len(self.inputs):
-            msg = f"inputs {X.shape} must be (N, {len(self.inputs)}): {', '.join(self.inputs)}"
+        wanted = ("N", len(self.inputs)) if self.history[0] == 1 else ("N", self.history[0], len(self.inputs))
+        if X.ndim != len(wanted) or X.shape[1:] != wanted[1:]:
+            msg = f"inputs {X.shape} must be ({', '.join(map(str, wanted))}): {', '.join(self.inputs)}"
             raise ShapeError(msg)
-        if not np.isfinite(X).all():
-            bad = int((~np.isfinite(X).all(axis=1)).sum())
-            msg = f"{bad} of {len(X)} rows hold an unknown input (NaN or infinite)"
+        needed = np.ones(len(self.inputs), np.bool_)
+        for group in self.weights.known:
+            needed[GROUPS[group]] = False
+        bad = ~np.isfinite(X) & (needed | ~np.isnan(X))
+        if bad.any():
+            rows = int(bad.reshape(len(X), -1).any(axis=1).sum())
+            msg = f"{rows} of {len(X)} rows hold an unknown input (NaN or infinite)"
             raise ShapeError(msg, cure="Leave these rows out; where nobody is there, use scaling_without_operator.")
-        out = np.empty((len(X), self.layers[-1][1].size), np.float32)
-        for start in range(0, len(X), _BLOCK):
-            out[start : start + _BLOCK] = self._run_block(X[start : start + _BLOCK].astype(np.float32))
-        return out
-
-    def _run_block(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        softmax_after = {"classifier": len(self.layers) - 1, "mixed": len(self.layers) - 2}.get(self.network)
-        for index, (weight, bias) in enumerate(self.layers):
-            values = values @ weight
-            values += bias
-            if index == softmax_after:
-                values -= values.max(axis=1, keepdims=True)
-                np.exp(values, out=values)
-                values /= values.sum(axis=1, keepdims=True)
-            elif index < len(self.layers) - 1:
-                np.maximum(values, 0, out=values)
-        return values
+        return self.weights.run(X)
 
 
 def save_model(path: Path, model: TrainedModel) -> None:
@@ -145,7 +139,7 @@ def save_model(path: Path, model: TrainedModel) -> None:
     if path.exists() and not (path.is_dir() and ((path / CARD).is_file() or not any(path.iterdir()))):
         msg = f"{path}: is there already and is no model, so it is not replaced"
         raise ModelError(msg, cure="Choose another folder with --out.")
-    weights = to_safetensors(model.layers)
+    weights = to_safetensors(model.weights)
     about = {
         "format": FORMAT,
         "model_version": MODEL_VERSION,
@@ -154,7 +148,8 @@ def save_model(path: Path, model: TrainedModel) -> None:
         "network": model.network,
         "horizon_s": model.horizon_s,
         "levels": list(model.levels),
-        "layers": [list(weight.shape) for weight, _ in model.layers],
+        "history": list(model.history),
+        **sizes_of(model.weights),
         "weights_sha256": hashlib.sha256(weights).hexdigest(),
         "card": model.card,
     }
@@ -184,11 +179,12 @@ def load_model(path: Path) -> TrainedModel:
         _check_versions(about)
         layout = Layout.of(about)
         file = path / WEIGHTS
-        layers = parse_weights(file, layout, str(about.get("weights_sha256")))
+        weights = parse_weights(file, layout, str(about.get("weights_sha256")))
     except NotAModel as cause:
         msg = f"{file}: {cause}"
         raise ModelError(msg, cure=_RETRAIN) from cause
-    return TrainedModel(layout.problem, layout.network, layout.horizon_s, layout.levels, layers, dict(about["card"]))
+    made = (layout.problem, layout.network, layout.horizon_s, layout.levels)
+    return TrainedModel(*made, weights, dict(about["card"]), layout.history)
 
 
 def _check_versions(about: dict[str, Any]) -> None:

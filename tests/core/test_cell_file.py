@@ -21,6 +21,7 @@ ignore = ["truth/*", "*.bak"]
 reference = ["empty/*.csv"]
 rate_hz = 20
 bridge_s = 0.5
+levels = [0, 0.5, 1.0]
 
 [[sources]]
 path = "tracker/*.csv"
@@ -57,7 +58,7 @@ def written(tmp_path: Path, text: str) -> Path:
 def test_every_key_of_a_cell_file_arrives(tmp_path: Path):
     cell = load_cell(written(tmp_path, EVERYTHING))
     assert (cell.name, cell.ignore, cell.reference) == ("line 4", ("truth/*", "*.bak"), ("empty/*.csv",))
-    assert (cell.rate_hz, cell.bridge_s) == (20.0, 0.5)
+    assert (cell.rate_hz, cell.bridge_s, cell.levels) == (20.0, 0.5, (0.0, 0.5, 1.0))
     (source,) = cell.sources
     assert (source.path, source.adapter, source.role, source.body) == ("tracker/*.csv", "motive", "people", "Operator")
     assert (source.clock_offset_s, source.clock_rate, source.rate_hz) == (12.0, 1.00005, 120.0)
@@ -157,6 +158,12 @@ def test_a_name_that_is_not_known_is_refused_with_the_nearest(tmp_path: Path, te
         'rate_hz = "10"',
         'bridge_s = "long"',
         "bridge_s = nan",
+        "levels = 3",
+        "levels = [1.0]",
+        "levels = [1.0, 0.5]",
+        "levels = [0.5, 0.5]",
+        'levels = ["0", "1"]',
+        "levels = [0.0, 50]",
         "sources = 3",
         "sources = [3]",
         'sources = [{ role = "robot" }]',
@@ -258,6 +265,7 @@ CELL = st.builds(
     ),
     rate_hz=POSITIVE,
     bridge_s=NUMBER,
+    levels=st.just(()) | st.lists(st.floats(0, 1), min_size=2, max_size=5, unique=True).map(sorted).map(tuple),
 )
 
 

@@ -9,9 +9,11 @@ from numpy.testing import assert_allclose
 from torch import nn
 
 from cyclekit.errors import ConfigError, CyclekitError, UnknownName
-from cyclekit.models.network import build, fold
+from cyclekit.models.folding import fold
+from cyclekit.models.network import build
 from cyclekit.models.saved import TrainedModel
 from cyclekit.models.spec import NETWORKS, ModelSpec
+from cyclekit.samples import GROUPS
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 EVERY = [(problem, network) for problem, networks in NETWORKS.items() for network in networks]
@@ -46,37 +48,86 @@ def test_without_normalisation_there_is_none():
 
 @pytest.mark.parametrize("norm", ["batch", "none"])
 @pytest.mark.parametrize(("problem", "name"), EVERY)
-def test_a_folded_network_predicts_what_the_network_predicts(problem, name, norm):
+@pytest.mark.parametrize("known", [(), ("human",), ("human", "human_goal")])
+def test_a_folded_network_predicts_what_the_network_predicts(problem, name, norm, known):
     rng = np.random.default_rng(0)
     torch.manual_seed(0)
     inputs = 6 if problem == "now" else 12
+    known = known if inputs == 12 else known[:1]
     spec = ModelSpec.of(problem, name, norm=norm)
-    network = build(spec, inputs, LEVELS)
+    network = build(spec, inputs, LEVELS, known)
+    disturb(network)
+    network.eval()
+    mean, scale = rng.normal(size=inputs), rng.uniform(0.5, 3, inputs)
+    X = rng.normal(size=(300, inputs) if spec.history[0] == 1 else (300, spec.history[0], inputs))
+    for group in known:
+        X[rng.random(X.shape[:-1]) < 0.2, GROUPS[group]] = np.nan
+    flags = [np.isfinite(X[..., GROUPS[group]]).all(axis=-1, keepdims=True) for group in known]
+    fed = np.concatenate([np.nan_to_num((X - mean) * scale), *flags], axis=-1).astype(np.float32)
     with torch.no_grad():
-        for m in network:
+        out = network(torch.from_numpy(fed))
+        expected = torch.softmax(out, 1) @ torch.tensor(LEVELS) if name == "classifier" else out[:, 0].clamp(0, 1)
+    model = TrainedModel(problem, name, spec.horizon_s, LEVELS, fold(network, mean, scale, known), history=spec.history)
+    assert_allclose(model.predict(X), expected.numpy(), atol=5e-6)
+    assert np.ptp(model.predict(X)) > 1e-3
+
+
+def disturb(network: nn.Module) -> None:
+    """Give batch normalisation statistics that are not those of nothing."""
+    with torch.no_grad():
+        for m in network.modules():
             if isinstance(m, nn.BatchNorm1d):
                 m.running_mean.normal_(0, 0.1)
                 m.running_var.uniform_(0.5, 2)
                 m.weight.uniform_(0.5, 1.5)
                 m.bias.uniform_(-0.1, 0.1)
+
+
+def test_the_first_two_layers_of_lstm_1_are_lstm_layers_and_the_rest_is_the_regressor():
+    network = build(ModelSpec.of("ahead", "lstm-1"), 12, LEVELS)
+    assert (network.lstm.num_layers, network.lstm.hidden_size) == (2, 64)
+    assert widths(network.rest) == [64, 64, 64, 1]
+
+
+def test_lstm_2_forecasts_three_coordinates_that_the_regressor_sees_in_place_of_the_position():
+    network = build(ModelSpec.of("ahead", "lstm-2"), 12, LEVELS)
+    assert (network.lstm.num_layers, network.lstm.input_size, network.ahead.out_features) == (1, 3, 3)
+    assert widths(network.rest) == [64] * 5 + [1]
     network.eval()
-    mean, scale = rng.normal(size=inputs), rng.uniform(0.5, 3, inputs)
-    X = rng.normal(size=(300, inputs))
+    x = torch.randn(4, 6, 12)
+    moved = x.clone()
+    moved[:, :-1, :3] += 1  # what the robot did before does not matter to it
     with torch.no_grad():
-        out = network(torch.from_numpy(((X - mean) * scale).astype(np.float32)))
-        expected = torch.softmax(out, 1) @ torch.tensor(LEVELS) if name == "classifier" else out[:, 0].clamp(0, 1)
-    model = TrainedModel(problem, name, spec.horizon_s, LEVELS, fold(network, mean, scale))
-    assert_allclose(model.predict(X), expected.numpy(), atol=2e-6)
-    assert np.ptp(model.predict(X)) > 1e-3
+        assert torch.equal(network(x), network(moved))
 
 
-@pytest.mark.parametrize("name", ["lstm-1", "lstm-2"])
-def test_a_recurrent_network_is_refused_with_the_ones_there_are(name):
-    with pytest.raises(ConfigError, match="classifier, regressor"):
-        ModelSpec.of("ahead", name)
+def test_a_recurrent_network_answers_from_the_order_of_its_history():
+    torch.manual_seed(0)
+    network = build(ModelSpec.of("ahead", "lstm-1", norm="none"), 12, LEVELS)
+    x = torch.randn(8, 6, 12)
+    turned = torch.cat([x[:, :-1].flip(1), x[:, -1:]], dim=1)
+    with torch.no_grad():
+        assert not torch.allclose(network(x), network(turned), atol=1e-4)
 
 
-@pytest.mark.parametrize(("problem", "network"), [("average", "classifier"), ("now", "mixed"), ("ahead", "mixed")])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"network": "lstm-1", "history": (1, 1)},
+        {"network": "lstm-1", "hidden": (64, 64)},
+        {"network": "regressor", "history": (6, 2)},
+        {"network": "lstm-2", "history": (6, 0)},
+        {"network": "classifier", "noise_m": -0.1},
+        {"network": "classifier", "patience": 0},
+        {"network": "classifier", "balance": "rows"},
+    ],
+)
+def test_extras_without_sense_are_refused(settings):
+    with pytest.raises(CyclekitError):
+        ModelSpec.of("ahead", **settings)
+
+
+@pytest.mark.parametrize(("problem", "network"), [("average", "classifier"), ("now", "mixed"), ("now", "lstm-1")])
 def test_a_network_that_does_not_solve_the_problem_is_refused(problem, network):
     with pytest.raises(ConfigError, match="does not solve"):
         ModelSpec.of(problem, network)

@@ -18,20 +18,34 @@ from safetensors.numpy import save
 
 from cyclekit.errors import ModelError, ShapeError
 from cyclekit.models.saved import TrainedModel, load_model, save_model
+from cyclekit.models.weights import Weights
+from cyclekit.samples import GROUPS
 
 LEVELS = (0.0, 0.5, 1.0)
 
 
-def model(network: str = "classifier", problem: str = "now", seed: int = 0) -> TrainedModel:
+def model(
+    network: str = "classifier", problem: str = "now", seed: int = 0, known: tuple[str, ...] = ()
+) -> TrainedModel:
     rng = np.random.default_rng(seed)
-    inputs = 6 if problem == "now" else 12
-    ends = {"classifier": [3], "regressor": [1], "mixed": [3, 1]}[network]
-    sizes = [inputs, 8, *ends]
-    layers = tuple(
-        (rng.normal(size=(a, b)).astype(np.float32), rng.normal(size=b).astype(np.float32)) for a, b in pairwise(sizes)
+    inputs = (6 if problem == "now" else 12) + len(known)
+    sizes = {"classifier": [inputs, 8, 3], "mixed": [inputs, 8, 3, 1], "lstm-1": [5, 8, 1]}.get(network, [inputs, 8, 1])
+    cells = {"lstm-1": [(inputs, 5), (5, 5)], "lstm-2": [(3 + ("human" in known), 5)]}.get(network, [])
+
+    def some(*shape):
+        return rng.normal(size=shape).astype(np.float32)
+
+    weights = Weights(
+        tuple((some(a, b), some(b)) for a, b in pairwise(sizes)),
+        {"classifier": 1, "mixed": 1}.get(network),
+        tuple((some(a, 4 * h), some(h, 4 * h), some(4 * h)) for a, h in cells),
+        (some(5, 3), some(3)) if network == "lstm-2" else None,
+        known,
+        middle=some(inputs - len(known)) if known else np.empty(0, np.float32),
     )
+    card = {"seed": seed, "split": {"test": ["e1"]}}
     horizon_s = 0.0 if problem == "now" else 2.0
-    return TrainedModel(problem, network, horizon_s, LEVELS, layers, {"seed": seed, "split": {"test": ["e1"]}})
+    return TrainedModel(problem, network, horizon_s, LEVELS, weights, card, (4, 2) if cells else (1, 1))
 
 
 def rows(count: int, inputs: int = 6) -> np.ndarray:
@@ -39,16 +53,46 @@ def rows(count: int, inputs: int = 6) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("network", "problem"), [("classifier", "now"), ("regressor", "ahead"), ("mixed", "average"), ("regressor", "now")]
+    ("network", "problem", "known"),
+    [
+        ("classifier", "now", ()),
+        ("regressor", "ahead", ()),
+        ("mixed", "average", ("human", "human_goal")),
+        ("regressor", "now", ("human",)),
+        ("lstm-1", "ahead", ("robot_goal",)),
+        ("lstm-2", "ahead", ("human", "human_goal")),
+    ],
 )
-def test_a_model_comes_back_from_the_disk_with_the_same_predictions_and_card(tmp_path, network, problem):
-    made = model(network, problem)
+def test_a_model_comes_back_from_the_disk_with_the_same_predictions_and_card(tmp_path, network, problem, known):
+    made = model(network, problem, known=known)
     save_model(tmp_path / "m", made)
     found = load_model(tmp_path / "m")
-    X = rows(50, len(made.inputs))
+    X = rows(50, len(made.inputs)) if made.history == (1, 1) else rows(200, len(made.inputs)).reshape(50, 4, -1)
+    for group in known:
+        X[::3, ..., GROUPS[group]] = np.nan
     assert_array_equal(found.predict(X), made.predict(X))
-    assert (found.card, found.levels, found.horizon_s) == (made.card, made.levels, made.horizon_s)
+    assert (found.card, found.levels, found.horizon_s, found.history) == (
+        made.card, made.levels, made.horizon_s, made.history,
+    )  # fmt: skip
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m"]
+
+
+def test_an_input_that_may_be_unknown_changes_the_answer_by_being_unknown_not_by_a_made_up_position():
+    made = model("regressor", known=("human",))
+    X = rows(20)
+    gone, half = X.copy(), X.copy()
+    gone[:, 3:6], half[:, 4] = np.nan, np.nan
+    assert_array_equal(made.predict(gone), made.predict(half))
+    assert not np.allclose(made.predict(gone), made.predict(X))
+    X[:, 0] = np.nan
+    with pytest.raises(ShapeError, match="unknown input"):
+        made.predict(X)
+
+
+@pytest.mark.parametrize("shape", [(5, 12), (5, 3, 12), (5, 4, 11)])
+def test_a_history_of_another_shape_is_refused(shape):
+    with pytest.raises(ShapeError, match=r"\(N, 4, 12\)"):
+        model("lstm-1", "ahead").predict(np.zeros(shape))
 
 
 def test_the_same_model_gives_the_same_bytes(tmp_path):
@@ -116,7 +160,7 @@ def test_saving_replaces_a_model_but_never_anything_else(tmp_path):
 
 def test_a_model_that_cannot_be_written_leaves_the_old_one(tmp_path):
     save_model(tmp_path / "m", model(seed=1))
-    broken = TrainedModel("now", "regressor", 0.0, LEVELS, model("regressor").layers, {"loss": float("nan")})
+    broken = TrainedModel("now", "regressor", 0.0, LEVELS, model("regressor").weights, {"loss": float("nan")})
     with pytest.raises(ValueError, match="JSON"):
         save_model(tmp_path / "m", broken)
     assert load_model(tmp_path / "m").card["seed"] == 1
@@ -134,7 +178,7 @@ class Bomb:
 
 def tensors(made: TrainedModel) -> dict[str, np.ndarray]:
     named = {}
-    for i, (weight, bias) in enumerate(made.layers):
+    for i, (weight, bias) in enumerate(made.weights.layers):
         named |= {f"layer{i}.weight": weight, f"layer{i}.bias": bias}
     return named
 
@@ -202,6 +246,15 @@ HOSTILE_CARDS = {
     "negative layers": ({"layers": [[6, -8], [-8, 3]]}, "layer of size"),
     "layers of true": ({"layers": [[6, True], [True, 3]]}, "layer of size"),
     "no card": ({"card": None}, "card is missing"),
+    "a history for a classifier": ({"history": [5, 1]}, "history"),
+    "an endless history": ({"history": [10**9, 1]}, "history"),
+    "a history of text": ({"history": "6x2"}, "history"),
+    "unknown groups": ({"known": ["legs"]}, "may be unknown"),
+    "groups that are a number": ({"known": 3}, "may be unknown"),
+    "goals for now": ({"known": ["human_goal"]}, "may be unknown"),
+    "LSTM layers for a classifier": ({"recurrent": [[6, 8]]}, "LSTM"),
+    "LSTM layers of a terabyte": ({"recurrent": [[6, 10**9]]}, "layer of size"),
+    "a forecast for a classifier": ({"forecast": [8, 3]}, "LSTM"),
 }
 
 

@@ -113,3 +113,41 @@ def test_a_split_puts_every_execution_on_exactly_one_side_and_both_sides_have_so
 def test_one_execution_cannot_be_split():
     with pytest.raises(DatasetError, match="held out"):
         split_executions(["only"])
+
+
+def test_a_history_begins_with_its_execution_and_never_reaches_over_a_gap():
+    both = pl.concat([log([0.0] * 4), log([1.0] * 4, "b", 0.4), log([1.0] * 3, "b", 3.0)])
+    rows = build_samples(both, "ahead", 0.1, LEVELS, history=(3, 1))
+    seen = rows.table[rows.before][:, :, 0].astype(int).tolist()
+    assert seen == [[0, 0, 0], [0, 0, 1], [0, 1, 2]] * 2 + [[0, 0, 0], [0, 0, 1]]
+    assert rows.model_inputs.shape == (8, 3, 12)
+    assert_array_equal(rows.model_inputs[:, -1], rows.X)
+    assert_array_equal(rows.table[rows.ahead][:, 3], [1, 2, 3, 1, 2, 3, 1, 2])
+
+
+def test_a_history_never_holds_a_position_that_nobody_saw():
+    gap = [None, None, "occluded", None, None, None]
+    hidden = log([1.0] * 6, human_x_m=[0.0, 1.0, None, 3.0, 4.0, 5.0], human_gap=gap)
+    rows = build_samples(hidden, "ahead", 0.1, LEVELS, allow=("human",), history=(3, 1))
+    assert np.isfinite(rows.model_inputs).all()
+    assert rows.model_inputs[:, :, 3].astype(int).tolist() == [[0, 0, 0], [0, 0, 1], [3, 3, 3], [3, 3, 4]]
+
+
+def test_an_absent_operator_is_a_row_where_that_is_allowed_and_a_hidden_one_is_not():
+    frame = log([1.0] * 3, human_x_m=[None, None, 0.0], human_gap=["absent", "occluded", None])
+    rows = build_samples(frame, "now", 0.0, LEVELS, allow=("human",))
+    assert np.isnan(rows.X[:, 3]).tolist() == [True, False]
+    assert rows.dropped == {"operator absent or not seen": 1}
+
+
+def test_an_unknown_goal_is_a_row_where_that_is_allowed():
+    frame = log([1.0] * 4, human_goal_x_m=[None, 1.0, 1.0, 1.0])
+    assert len(build_samples(frame, "ahead", 0.1, LEVELS)) == 2
+    assert len(build_samples(frame, "ahead", 0.1, LEVELS, allow=("human_goal",))) == 3
+
+
+def test_the_uncertainty_of_an_inferred_scaling_becomes_a_weight():
+    frame = log([1.0] * 4).with_columns(scaling_sd=pl.Series([0.0, None, 0.05, 0.5]))
+    assert_allclose(build_samples(frame, "now", 0.0, LEVELS).weight, [1, 1, 0.5, 0.0099], atol=1e-4)
+    assert_allclose(build_samples(frame, "ahead", 0.2, LEVELS).weight, [0.5, 0.0099], atol=1e-4)
+    assert_array_equal(build_samples(log([1.0] * 3), "now", 0.0, LEVELS).weight, [1, 1, 1])

@@ -1,0 +1,84 @@
+"""What the paper compares, and what stands beside it: one `Entry` per number of a table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+SCENES = ("box-picking", "pick-and-package", "laser-zones")
+DELTAS_M = (0.0, 0.02, 0.05)
+AHEAD_S, AVERAGES_S = 2.0, (14.0, 19.0)
+OURS = {"norm": "none", "optimiser": "muon", "features": "distance"}
+RIVALS = ("persistence", "distance staircase", "gradient boosting", "MLP")
+FLOORS = ("true staircase, noisy position", "Bayes estimate, flat prior")
+PAPER = {
+    ("now", 0.0, "classifier"): 3.32e-4,
+    ("now", 0.02, "classifier"): 8.23e-4,
+    ("now", 0.05, "classifier"): 21.7e-4,
+    ("now", 0.0, "regressor"): 2.59e-4,
+    ("now", 0.02, "regressor"): 7.01e-4,
+    ("now", 0.05, "regressor"): 15.2e-4,
+    ("ahead", 0.0, "classifier"): 5.44e-3,
+    ("ahead", 0.0, "regressor"): 8.92e-3,
+    ("ahead", 0.0, "lstm-1"): 78.6e-3,
+    ("ahead", 0.0, "lstm-2"): 71.9e-3,
+}
+"""MSE in Tables I and II of the paper (arXiv 2512.17579), by problem, tracker noise in m, and network."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One number: a network, a rival or a floor for one problem at one tracker noise.
+
+    Attributes:
+        problem: `now`, `ahead` or `average`.
+        horizon_s: 0 for `now`.
+        delta_m: Noise of the operator's position, standard deviation per axis, m.
+        name: Of a network, or one of `RIVALS` and `FLOORS`.
+        settings: What of `ModelSpec` differs from the paper's, as sorted pairs; empty for rivals and floors.
+    """
+
+    problem: str
+    horizon_s: float
+    delta_m: float
+    name: str
+    settings: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def is_network(self) -> bool:
+        """Whether it is to be trained here."""
+        return self.name not in (*RIVALS, *FLOORS)
+
+    @property
+    def shown(self) -> str:
+        """What it is called in a table."""
+        said = {"norm=none": "no normalisation", "optimiser=muon": "Muon", "features=distance": "distance"}
+        differs = [said.get(f"{key}={value}", f"{key} {value}") for key, value in self.settings]
+        return ", ".join([self.name, *sorted(differs)])
+
+    @property
+    def key(self) -> str:
+        """A file name without suffix."""
+        words = [self.problem, f"{self.horizon_s:g}s", f"{self.delta_m:g}m", self.name.replace(",", ""), *(
+            f"{key}-{value}" for key, value in self.settings
+        )]  # fmt: skip
+        return "_".join(words).replace(" ", "-")
+
+
+def entries() -> list[Entry]:
+    """Return all numbers of one scene and seed, those of the paper's tables first."""
+    plain, ours = (("norm", "none"),), tuple(sorted(OURS.items()))
+    found = []
+    for delta_m in DELTAS_M:
+        names = [("classifier", ours), ("classifier", ()), ("regressor", ()), ("classifier", plain)]
+        names += [("regressor", plain), ("regressor", ours)]
+        found += [Entry("now", 0.0, delta_m, name, settings) for name, settings in names]
+        found += [Entry("now", 0.0, delta_m, name) for name in (*FLOORS, *RIVALS)]
+    names = [("classifier", ()), ("regressor", ()), ("lstm-1", ()), ("lstm-2", ()), ("classifier", plain)]
+    names += [("regressor", plain), ("lstm-1", plain), ("lstm-2", plain)]
+    found += [Entry("ahead", AHEAD_S, 0.0, name, settings) for name, settings in names]
+    found += [Entry("ahead", AHEAD_S, 0.0, name) for name in RIVALS]
+    for horizon_s in AVERAGES_S:
+        names = [("mixed", ()), ("regressor", ()), ("mixed", plain), ("regressor", plain)]
+        found += [Entry("average", horizon_s, 0.0, name, settings) for name, settings in names]
+        found += [Entry("average", horizon_s, 0.0, name) for name in RIVALS]
+    return found

@@ -1,0 +1,60 @@
+"""Rivals that learn from the same rows as the networks and are judged by the same rows."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from cyclekit.evaluate.baselines import distance_of, fit_thresholds
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.samples import Samples
+
+    Vector = NDArray[np.float64]
+
+
+def predict_by(name: str, learn: Samples, judge: Samples, levels: Sequence[float], now: Vector) -> Vector:
+    """Return what a rival predicts for `judge`, shape (N,).
+
+    Args:
+        name: One of `plan.RIVALS`.
+        learn: Rows to learn from.
+        judge: Rows to predict.
+        levels: Staircase levels, ascending.
+        now: The last scaling known before each row of `judge`, shape (N,).
+    """
+    if name == "persistence":
+        return now
+    if name == "distance staircase":
+        thresholds = fit_thresholds(distance_of(learn), learn.scaling, levels)
+        return np.asarray(np.array(levels)[np.searchsorted(thresholds, distance_of(judge), side="right")])
+    return _boosted(learn, judge) if name == "gradient boosting" else _perceptron(learn, judge)
+
+
+def _boosted(learn: Samples, judge: Samples) -> Vector:
+    from sklearn.ensemble import HistGradientBoostingRegressor
+
+    trees = HistGradientBoostingRegressor(max_iter=300, max_leaf_nodes=63, early_stopping=False, random_state=0)
+    with threadpool_limits(1, user_api="openmp"):  # its threads wait for each other: ruinous where a core is busy
+        trees.fit(learn.X, learn.scaling)
+        return np.clip(np.asarray(trees.predict(judge.X), np.float64), 0.0, 1.0)
+
+
+def _perceptron(learn: Samples, judge: Samples) -> Vector:
+    from sklearn.neural_network import MLPRegressor
+
+    mean, scale = learn.X.mean(axis=0), np.maximum(learn.X.std(axis=0), 1e-6)
+    epochs = int(np.clip(5_000_000 / len(learn), 5, 100))
+    net = MLPRegressor((64,) * 5, batch_size=min(512, len(learn)), max_iter=epochs, random_state=0, tol=0.0)
+    import warnings
+
+    with warnings.catch_warnings(), threadpool_limits(1):
+        warnings.simplefilter("ignore")  # it says that it could go on
+        net.fit((learn.X - mean) / scale, learn.scaling)
+        return np.clip(np.asarray(net.predict((judge.X - mean) / scale), np.float64), 0.0, 1.0)

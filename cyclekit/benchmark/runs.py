@@ -1,0 +1,203 @@
+"""Train and judge everything of the plan; each result is a file of its own, so a run goes on where it stopped."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from cyclekit.atomic import write_text
+from cyclekit.benchmark.floors import bayes, plug_in
+from cyclekit.benchmark.plan import FLOORS, SCENES, Entry, entries
+from cyclekit.benchmark.rivals import predict_by
+from cyclekit.dataset import Dataset
+from cyclekit.errors import DatasetError
+from cyclekit.models.calibration import reliability
+from cyclekit.models.spec import ModelSpec
+from cyclekit.samples import Samples, build_samples
+from cyclekit.train import train
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from cyclekit.models.saved import TrainedModel
+
+    Prepare = Callable[[str, int, Path], Path]
+    Progress = Callable[[float, str], None]
+
+RESULTS = "results"
+_CELLS = 25
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What to run.
+
+    Attributes:
+        executions: Per scene and seed.
+        seeds: Of simulation, noise, split and training.
+        scenes: Which cells.
+        steps: Steps of every training, None for the default of training.
+        only: Only entries whose key contains this text; empty = all.
+    """
+
+    executions: int = 1000
+    seeds: tuple[int, ...] = (1, 2, 3)
+    scenes: tuple[str, ...] = SCENES
+    steps: int | None = None
+    only: str = ""
+
+
+class NoisyDataset(Dataset):
+    """A dataset as a worse tracker would have logged it: white noise on the operator, the same every time."""
+
+    def __init__(self, dataset: Dataset, delta_m: float, seed: int) -> None:
+        """Add noise of `delta_m` per axis, m."""
+        super().__init__(dataset.path, dataset.card)
+        self._clean, self._delta_m, self._seed = dataset, delta_m, seed
+
+    @cached_property
+    def _noisy(self) -> pl.DataFrame:
+        frame = self._clean.samples()
+        noise = np.random.default_rng(self._seed).normal(0.0, self._delta_m or 0.0, (frame.height, 3))
+        columns = [pl.col(f"human_{axis}_m") + pl.Series(noise[:, i]) for i, axis in enumerate("xyz")]
+        return frame.with_columns(columns)
+
+    def samples(self, executions: Sequence[str] | None = None) -> pl.DataFrame:
+        """Return the samples with noise, as `Dataset.samples`."""
+        frame = self._noisy
+        return frame if executions is None else frame.filter(pl.col("execution").is_in(list(executions)))
+
+
+def benchmark_paper(settings: Settings, out: Path, prepare: Prepare, progress: Progress) -> list[dict[str, Any]]:
+    """Run what is missing and return every result.
+
+    Args:
+        settings: What to run.
+        out: Folder; `out/results` holds a JSON file per number.
+        prepare: Simulates and ingests `scene` with `seed` under a folder and returns the dataset's place, beside which
+            lies `truth.json`; called once for each, and not where the dataset is there.
+        progress: Told the fraction done and what is being done.
+    """
+    wanted = [
+        (scene, seed, entry)
+        for seed in settings.seeds
+        for scene in settings.scenes
+        for entry in entries()
+        if settings.only in f"{scene}_{entry.key}"
+    ]
+    found, cell, place = [], None, ("", -1, -1.0)
+    for number, (scene, seed, entry) in enumerate(wanted):
+        progress(number / len(wanted), f"{scene}, seed {seed}: {entry.key}")
+        file = out / RESULTS / f"{scene}_{settings.executions}_{seed}_{settings.steps or 'default'}_{entry.key}.json"
+        if file.is_file():
+            found.append(json.loads(file.read_text(encoding="utf-8")))
+            continue
+        if place != (scene, seed, entry.delta_m) or cell is None:
+            folder = out / f"{scene}-{settings.executions}-{seed}"
+            cell = _Cell(prepare(scene, seed, folder), entry.delta_m, seed, settings.steps)
+            place = (scene, seed, entry.delta_m)
+        result = {"scene": scene, "seed": seed, "executions": settings.executions, **vars(entry), **cell.judge(entry)}
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_text(file, json.dumps(result) + "\n")
+        found.append(json.loads(json.dumps(result)))
+    return found
+
+
+class _Cell:
+    """One scene, seed and noise: what is trained and judged on it."""
+
+    def __init__(self, place: Path, delta_m: float, seed: int, steps: int | None) -> None:
+        self.dataset = NoisyDataset(Dataset.open(place), delta_m, seed)
+        truth = place.parent / "truth.json"
+        if not truth.is_file():
+            raise DatasetError(f"{truth}: not there", cure="Remove the folder and run the benchmark again.")
+        self.safety = json.loads(truth.read_text(encoding="utf-8"))["safety"]
+        self.seed, self.steps, self.delta_m = seed, steps, delta_m
+
+    def judge(self, entry: Entry) -> dict[str, Any]:
+        """Return the errors of one entry on the held-out executions."""
+        begin = time.perf_counter(), time.process_time()
+        if entry.is_network:
+            model = train(self.dataset, self._spec(entry))
+            rows = self._rows(entry, model.card["split"]["test"], model)
+            predicted = model.predict(rows.model_inputs)
+            result = _errors(predicted, rows) | _of_model(model, rows)
+        else:
+            learn, rows = (self._rows(entry, names) for names in self._split())
+            result = _errors(self._rival(entry, learn, rows), rows)
+        took = time.perf_counter() - begin[0], time.process_time() - begin[1]
+        return result | {"seconds": round(took[0], 2), "cpu_seconds": round(took[1], 2)}
+
+    def _spec(self, entry: Entry) -> ModelSpec:
+        settings: dict[str, Any] = dict(entry.settings)
+        if self.steps is not None:
+            rows = self.dataset.samples().height * 0.72  # what two divisions leave to learn from
+            settings["epochs"] = max(round(self.steps / max(rows // 1024, 1)), 1)
+        return ModelSpec.of(entry.problem, entry.name, entry.horizon_s or None, seed=self.seed, **settings)
+
+    def _split(self) -> tuple[list[str], list[str]]:
+        """Return the executions that networks learn from (validation included), and those that all are judged by."""
+        from cyclekit.samples import split_executions
+
+        learn, test = split_executions(self.dataset.executions["execution"].to_list(), seed=self.seed)
+        return list(learn), list(test)
+
+    def _rows(self, entry: Entry, names: Sequence[str], model: TrainedModel | None = None) -> Samples:
+        history = (2, 1) if model is None else model.history
+        allow = () if model is None else model.weights.known
+        frame = self.dataset.samples(list(names))
+        levels = self.safety["levels"]
+        return build_samples(frame, entry.problem, entry.horizon_s, levels, allow=allow, history=history)
+
+    def _rival(self, entry: Entry, learn: Samples, rows: Samples) -> NDArray[np.float64]:
+        robot, human = rows.X[:, :3].astype(np.float64), rows.X[:, 3:6].astype(np.float64)
+        if entry.name == FLOORS[0]:
+            return plug_in(self.safety, robot, human)
+        if entry.name == FLOORS[1]:
+            return bayes(self.safety, robot, human, self.delta_m)
+        names = [rows.executions[i] for i in np.unique(rows.execution)]
+        scaling = self.dataset.samples(names)["scaling"].fill_null(1.0).to_numpy()
+        assert rows.before is not None  # a rival's rows are built with a history of two
+        last = scaling[rows.before[:, 0 if entry.problem == "now" else 1]]
+        return predict_by(entry.name, learn, rows, self.safety["levels"], last)
+
+
+def _errors(predicted: NDArray[np.float64], rows: Samples) -> dict[str, Any]:
+    error = predicted - rows.scaling
+    heat, _, _ = np.histogram2d(rows.scaling, predicted, bins=_CELLS, range=((0, 1), (0, 1)))
+    return {
+        "mse": float(np.mean(error**2)),
+        "bias": float(np.mean(error)),
+        "rows": len(rows),
+        "variance": float(rows.scaling.var()),
+        "heat": heat.astype(int).tolist(),
+    }
+
+
+def _of_model(model: TrainedModel, rows: Samples) -> dict[str, Any]:
+    metrics = {"mse_argmax": model.card["metrics"]["mse_argmax"], "accuracy": model.card["metrics"]["accuracy"]}
+    metrics |= {"temperature": model.card["temperature"], "levels": list(model.levels)}
+    if model.network == "classifier":
+        on = rows.step >= 0
+        found = reliability(model.probabilities(rows.X[on]), rows.step[on])
+        metrics |= {"calibration_error": found.error, "reliability": vars(found)}
+    if model.problem == "now":
+        apart = np.linalg.norm(rows.X[:, :3] - rows.X[:, 3:6], axis=1)
+        known = np.isfinite(apart)
+        edges = np.linspace(0, 4, 81)
+        at = np.digitize(apart[known], edges)
+        count = np.maximum(np.bincount(at, minlength=82), 1)
+        predicted = model.predict(rows.X[known])
+        for name, values in (("true", rows.scaling[known]), ("predicted", predicted)):
+            metrics[f"by_distance_{name}"] = (np.bincount(at, weights=values, minlength=82) / count).tolist()
+        metrics["by_distance_rows"] = np.bincount(at, minlength=82).tolist()
+    return metrics

@@ -1,0 +1,91 @@
+"""`cyclekit benchmark`: the paper's comparison, done again on a simulated cell."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.terminal import Terminal
+
+SCENES = ("box-picking", "pick-and-package", "laser-zones")
+EXAMPLE = "cyclekit benchmark paper --executions 1000 --out out/paper"
+
+
+def benchmark(
+    what: Annotated[Literal["paper"], typer.Argument(help="Which comparison.", metavar="WHAT")],
+    out: Annotated[Path, typer.Option(help="Folder for datasets, results and the page.", metavar="DIR")] = Path(
+        "out/paper"
+    ),
+    executions: Annotated[int, typer.Option(min=10, help="Executions per scene and seed.")] = 1000,
+    seeds: Annotated[str, typer.Option(help="Seeds, with commas between.")] = "1,2,3",
+    scenes: Annotated[
+        str, typer.Option(help="Scenes, with commas between.")
+    ] = "box-picking,pick-and-package,laser-zones",
+    steps: Annotated[int | None, typer.Option(min=10, help="Steps of every training; default: what suits.")] = None,
+    only: Annotated[str, typer.Option(help="Only numbers whose name contains this.")] = "",
+    page: Annotated[Path | None, typer.Option(help="Also put the tables into this Markdown file.")] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate, train every network of the paper, and write its tables and figures beside rivals and floors.
+
+    WHAT is paper. What was done before is kept: the command goes on where it stopped.
+    """
+    from cyclekit.atomic import write_text
+    from cyclekit.benchmark import Settings, benchmark_paper
+    from cyclekit.benchmark.tables import markdown, put_into, write_figures
+
+    del what
+    terminal = Terminal(json=json, quiet=quiet)
+    settings = Settings(executions, _numbers(seeds), _names(scenes), steps, only)
+    with terminal.progress("benchmark") as progress:
+        results = benchmark_paper(settings, out, partial(_prepared, executions), progress)
+        text = markdown(results)
+        write_text(out / "tables.md", text)
+        write_figures(results, out / "figures")
+        if page is not None:
+            put_into(page, text)
+    terminal.answer({"out": str(out), "results": results}, text)
+
+
+def _prepared(executions: int, scene: str, seed: int, folder: Path) -> Path:
+    """Simulate and ingest one scene unless that was done; keep the truth beside the dataset, and drop the logs."""
+    import shutil
+
+    from cyclekit.cli.simulate import simulated
+    from cyclekit.ingest import ingest
+
+    dataset = folder / "dataset"
+    if (dataset / "dataset.json").is_file() and (folder / "truth.json").is_file():
+        return dataset
+    folder.mkdir(parents=True, exist_ok=True)
+    logs = simulated(scene, folder / "logs", executions, seed, {}, lambda _share, _what: None)
+    shutil.copyfile(logs / "truth" / "truth.json", folder / "truth.json")
+    ingest([logs], dataset)
+    shutil.rmtree(logs)
+    return dataset
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    try:
+        seeds = tuple(dict.fromkeys(int(word) for word in text.split(",")))
+    except ValueError as error:
+        msg = f"--seeds {text!r} are no whole numbers with commas between"
+        raise typer.BadParameter(msg) from error
+    if min(seeds) < 0:
+        raise typer.BadParameter("seeds are not negative")
+    return seeds
+
+
+def _names(text: str) -> tuple[str, ...]:
+    from cyclekit.errors import UnknownName
+
+    names = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
+    for name in names:
+        if name not in SCENES:
+            raise UnknownName("--scenes", "scene", name, SCENES)
+    return names

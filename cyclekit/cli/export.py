@@ -1,0 +1,29 @@
+"""`cyclekit export`: a model for other runtimes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.terminal import Terminal
+
+EXAMPLE = "cyclekit export model --out model.onnx"
+
+
+def export(
+    model: Annotated[Path, typer.Argument(help="Folder of the model.", metavar="MODEL")],
+    out: Annotated[Path, typer.Option(help="The ONNX file to write.", metavar="FILE")],
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a model as an ONNX file, checked against cyclekit's own prediction where onnxruntime is installed."""
+    from cyclekit.models.onnx_file import write_onnx
+    from cyclekit.models.saved import load_model
+
+    terminal = Terminal(json=json, quiet=quiet)
+    off = write_onnx(out, load_model(model))
+    checked = "not checked: onnxruntime is not installed" if off is None else f"within {off:.0e} of cyclekit"
+    terminal.done({"onnx": str(out), "difference": off}, f"{out}: {checked}")

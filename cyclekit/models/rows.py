@@ -1,0 +1,131 @@
+"""Samples as tensors on the device, standardised, ready to be picked into batches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from cyclekit.samples import GROUPS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.models.spec import ModelSpec
+    from cyclekit.samples import Samples
+
+    Standard = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+_HUMAN = GROUPS["human"]
+DISTANCE_M = 2.0
+"""What is taken off a distance before the network sees it, m; the distance to somebody who is not there."""
+_STILL_M = 1e-6
+"""An input that varies by less than a micrometre carries nothing, and dividing by that would magnify noise."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """N rows on the device.
+
+    Attributes:
+        table: Standardised inputs, shape (M, F + groups); a row's own input is `table[before[row, -1]]`.
+        before: Rows of `table` that each row sees, shape (N, K); None where it is the row itself (M = N).
+        scaling: Targets, shape (N, 1).
+        step: Levels, shape (N,); -1 = none.
+        weight: Shape (N,).
+        noise_scale: 1/deviation of the operator's coordinates, shape (3,), 1/m.
+        ahead: Standardised position of the operator after the horizon, shape (N, 3); None unless it is forecast.
+        ahead_known: Where that is known, shape (N,).
+        presence: Column of `table` that says whether the operator is there; None where he always is.
+        apart: What turns the inputs into a distance, which then is one more; None where it is none.
+    """
+
+    table: torch.Tensor
+    before: torch.Tensor | None
+    scaling: torch.Tensor
+    step: torch.Tensor
+    weight: torch.Tensor
+    noise_scale: torch.Tensor
+    ahead: torch.Tensor | None
+    ahead_known: torch.Tensor
+    presence: int | None
+    apart: tuple[torch.Tensor, ...] | None = None
+
+    def __len__(self) -> int:
+        """Return N."""
+        return len(self.scaling)
+
+    def inputs(self, part: torch.Tensor, noise_m: float) -> torch.Tensor:
+        """Return the inputs of some rows, (B, F + groups) or (B, K, F + groups), with fresh noise on the operator."""
+        x = self.table[part] if self.before is None else self.table[self.before[part]]
+        if noise_m > 0:
+            noise = torch.randn((*x.shape[:-1], 3)).to(x.device) * (noise_m * self.noise_scale)
+            if self.presence is not None:
+                noise = noise * x[..., self.presence : self.presence + 1]
+            x[..., _HUMAN] += noise
+        if self.apart is None:
+            return x
+        between, of_robot, of_human = self.apart
+        way = x[..., :3] * of_robot - x[..., _HUMAN] * of_human + between
+        metres = torch.linalg.vector_norm(way, dim=-1, keepdim=True)
+        if self.presence is not None:
+            there = x[..., self.presence : self.presence + 1]
+            metres = metres * there + DISTANCE_M * (1 - there)
+        return torch.cat([x, metres - DISTANCE_M], dim=-1)
+
+
+def standardisation(X: NDArray[np.float32]) -> Standard:
+    """Return mean and 1/deviation of every input over the rows that know it, shape (F,); 0 where it does not vary."""
+    known = np.isfinite(X)
+    count = np.maximum(known.sum(axis=0), 1)
+    mean = np.where(known, X, 0.0).sum(axis=0, dtype=np.float64) / count
+    deviation = np.sqrt((np.where(known, X - mean, 0.0) ** 2).sum(axis=0, dtype=np.float64) / count)
+    varies = deviation > _STILL_M
+    return mean, np.where(varies, 1 / np.where(varies, deviation, 1.0), 0.0)
+
+
+def rows_on(device: torch.device, rows: Samples, spec: ModelSpec, standard: Standard, known: Sequence[str]) -> Rows:
+    """Put rows on the device."""
+    raw = rows.X if rows.table is None else rows.table
+    table = _standardised(raw, standard, known)
+    ahead: torch.Tensor | None = None
+    seen: NDArray[np.bool_] = np.zeros(len(rows), np.bool_)
+    if spec.network == "lstm-2" and rows.table is not None and rows.ahead is not None:
+        ahead = torch.from_numpy(table[rows.ahead][:, _HUMAN]).to(device)
+        seen = np.asarray(np.isfinite(rows.table[rows.ahead][:, _HUMAN]).all(axis=1))
+    return Rows(
+        torch.from_numpy(table).to(device),
+        None if rows.before is None else torch.from_numpy(rows.before).to(device),
+        torch.from_numpy(rows.scaling.astype(np.float32))[:, None].to(device),
+        torch.from_numpy(rows.step.astype(np.int64)).to(device),
+        torch.from_numpy(rows.weight).to(device),
+        torch.from_numpy(standard[1][_HUMAN].astype(np.float32)).to(device),
+        ahead,
+        torch.from_numpy(seen).to(device),
+        rows.X.shape[1] + list(known).index("human") if "human" in known else None,
+        _apart(device, standard) if spec.features == "distance" else None,
+    )
+
+
+def _apart(device: torch.device, standard: Standard) -> tuple[torch.Tensor, ...]:
+    """Return what turns standardised positions into metres again: the difference of the means and the deviations."""
+    mean, scale = standard
+    spread = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
+    parts = (mean[:3] - mean[_HUMAN], spread[:3], spread[_HUMAN])
+    return tuple(torch.from_numpy(part.astype(np.float32)).to(device) for part in parts)
+
+
+def _standardised(X: NDArray[np.float32], standard: Standard, known: Sequence[str]) -> NDArray[np.float32]:
+    """Return the standardised inputs, unknown ones 0, and behind them whether each group is known."""
+    mean, scale = standard
+    flags = [np.asarray(np.isfinite(X[:, GROUPS[group]]).all(axis=1), np.float32)[:, None] for group in known]
+    values = np.empty(X.shape, np.float32)
+    values[...] = (X - mean) * scale
+    values[np.isnan(values)] = 0.0
+    for flag, group in zip(flags, known, strict=True):
+        values[:, GROUPS[group]] *= flag
+    return np.ascontiguousarray(np.concatenate([values, *flags], axis=1))

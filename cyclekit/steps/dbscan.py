@@ -1,0 +1,83 @@
+"""DBSCAN of scalars, exactly and in O(n log n): density clusters of numbers on a line, with or without weights."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.errors import ShapeError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+UNKNOWN = -1
+"""Label of what is in no cluster."""
+
+
+def dbscan_1d(
+    values: ArrayLike, *, eps: float, min_samples: float, weight: ArrayLike | None = None
+) -> NDArray[np.int64]:
+    """Cluster scalars by density: exactly DBSCAN, in O(n log n) time and O(n) memory.
+
+    On a line, the neighbours of a value are a run of the sorted values, so two binary searches count them, and a
+    cluster is a run of core values without a gap wider than eps. The labels are those of `sklearn.cluster.DBSCAN`,
+    numbering included, except where two values lie exactly eps apart and rounding decides.
+
+    Args:
+        values: Shape (T,), finite.
+        eps: Neighbourhood radius, closed; above 0.
+        min_samples: Neighbours, itself included, that make a value a core value.
+        weight: How many neighbours each value counts for, shape (T,), as scikit-learn's `sample_weight`; None = 1.
+
+    Returns:
+        Cluster index, shape (T,); -1 = noise.
+
+    Raises:
+        ShapeError: `values` is not one row of finite numbers, or `eps` or `min_samples` is not positive.
+    """
+    x = np.asarray(values, dtype=np.float64)
+    if x.ndim != 1 or not np.isfinite(x).all() or not (eps > 0 and min_samples >= 1):
+        msg = f"DBSCAN needs finite values (T,), eps > 0 and min_samples >= 1; got {x.shape}, {eps}, {min_samples}"
+        raise ShapeError(msg)
+    order = np.argsort(x, kind="stable")
+    line = x[order]
+    low, high = np.searchsorted(line, line - eps, "left"), np.searchsorted(line, line + eps, "right")
+    neighbours: NDArray[np.float64] | NDArray[np.int64] = high - low
+    if weight is not None:
+        total = np.concatenate([[0.0], np.cumsum(np.asarray(weight, np.float64)[order])])
+        neighbours = total[high] - total[low]
+    core = np.flatnonzero(neighbours >= min_samples)
+    result = np.full(x.size, UNKNOWN, np.int64)
+    if core.size == 0:
+        return result
+    run = np.concatenate([[0], np.cumsum(np.diff(line[core]) > eps)])
+    number = _number_by_first(run, order[core])[run]
+    labels = np.full(x.size, UNKNOWN, np.int64)
+    labels[core] = number
+    border = np.flatnonzero(neighbours < min_samples)
+    labels[border] = _border(line[border], line[core], number, eps)
+    result[order] = labels
+    return result
+
+
+def _number_by_first(run: NDArray[np.int64], position: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the number of each run: runs are numbered by where their first core value stands in the data."""
+    starts = np.flatnonzero(np.diff(run, prepend=-1))
+    first = np.minimum.reduceat(position, starts)
+    number = np.empty_like(first)
+    number[np.argsort(first)] = np.arange(first.size)
+    return number
+
+
+def _border(
+    value: NDArray[np.float64], core: NDArray[np.float64], number: NDArray[np.int64], eps: float
+) -> NDArray[np.int64]:
+    """Return the cluster of values that are no core: that of a core value within eps, the lower number winning."""
+    nobody = np.iinfo(np.int64).max
+    right = np.searchsorted(core, value)
+    left, right_in = np.maximum(right - 1, 0), np.minimum(right, core.size - 1)
+    from_left = np.where((right > 0) & (value - core[left] <= eps), number[left], nobody)
+    from_right = np.where((right < core.size) & (core[right_in] - value <= eps), number[right_in], nobody)
+    lowest = np.minimum(from_left, from_right)
+    return np.where(lowest == nobody, UNKNOWN, lowest)

@@ -20,10 +20,11 @@ from cyclekit.dataset import Place
 from cyclekit.errors import EstimateError
 from cyclekit.load_runs import load_runs
 from cyclekit.motion import sampled
+from cyclekit.samples import stretches
 from cyclekit.scaling import with_scaling
 from cyclekit.segment import Execution, find_executions, find_places, find_stops, find_visits
 from cyclekit.session import Grid
-from cyclekit.steps import find_staircase
+from cyclekit.steps import Staircase, find_staircase
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -110,13 +111,22 @@ def derive(
                 rows += _task_rows(name, legs)
                 cards.append(_execution_card(name, session, execution, legs, grid))
     grids, human_places = with_operator(grids, sources, read, cell)
-    staircase = find_staircase(np.concatenate([g.frame["scaling"].to_numpy() for g in grids] or [np.empty(0)]))
+    staircase = _staircase(grids, cell)
     samples = _by_session(grids, staircase.label)
     levels = tuple(round(float(level), 6) for level in staircase.levels)
     tasks = pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.TASKS.items()}, orient="row")
     return Derived(
         samples, tasks, cards, places, human_places, levels, _origin(samples), [*warnings, *staircase.warnings]
     )
+
+
+def _staircase(grids: Sequence[Grid], cell: Cell) -> Staircase:
+    """Find the levels of the scaling of all executions, or label them by those that the cell file fixes."""
+    if not grids:
+        return find_staircase(np.empty(0))
+    frame = pl.concat([grid.frame.select("execution", "t_s", "scaling") for grid in grids])
+    run = stretches(frame, cell.rate_hz)
+    return find_staircase(frame["scaling"].fill_null(np.nan).to_numpy(), run=run, levels=cell.levels or None)
 
 
 def _session_span(entry: Mapping[str, Any]) -> tuple[float, float]:

@@ -121,13 +121,18 @@ def _execute(name: str, start_s: float, rounds: int, operator: _Operator | None)
         motion_s = (arrival - begin) * dt_s
         loss_s = sum(1 - row[13] for row in rows[begin:arrival]) * dt_s
         edges = [start_s + t * dt_s for t in (begin, arrival, tick)]
-        tasks.append([name, index, f"{start}->{goal}", start, goal, *edges, motion_s - loss_s, loss_s, DWELL_S, 0.0])
+        tasks.append(
+            [name, index, f"{start}->{goal}", start, goal, *edges, motion_s - loss_s, 0.0, loss_s, DWELL_S, 0.0]
+        )
     done = pl.DataFrame(tasks, schema=list(schema.TASKS), orient="row")
     return _native(name, start_s, rows), done
 
 
+NOT_ROLLED = {"execution", "t_s", "scaling_origin", "scaling_sd", "scaling_gap", "slider", "step"}
+
+
 def _native(name: str, start_s: float, rows: list[list[Any]]) -> pl.DataFrame:
-    columns = [c for c in schema.SAMPLES if c not in {"execution", "t_s", "scaling_origin", "step"}]
+    columns = [c for c in schema.SAMPLES if c not in NOT_ROLLED]
     types = {c: schema.SAMPLES[c].dtype for c in columns}
     frame = pl.DataFrame(rows, schema={"tick": schema.I64, **types}, orient="row")
     levels = pl.Series(LEVELS)
@@ -135,6 +140,7 @@ def _native(name: str, start_s: float, rows: list[list[Any]]) -> pl.DataFrame:
         execution=pl.lit(name),
         t_s=start_s + pl.col("tick") / NATIVE_HZ,
         scaling_origin=pl.lit("logged"),
+        scaling_sd=pl.lit(0.0),
         step=pl.col("scaling").replace_strict(levels, list(range(len(LEVELS))), return_dtype=pl.Int32),
     ).drop("tick")
 

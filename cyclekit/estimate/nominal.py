@@ -86,7 +86,8 @@ def _execution_track(dataset: Dataset, execution: str) -> tuple[Vector, NDArray[
         return native["t_s"].to_numpy(), xyz, native["scaling"].to_numpy()
     samples = dataset.samples([execution])
     xyz = samples.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()
-    return samples["t_s"].to_numpy(), xyz, samples["scaling"].to_numpy()
+    speed = samples.select(pl.col("scaling") * pl.col("slider").fill_null(1.0)).to_series()
+    return samples["t_s"].to_numpy(), xyz, speed.to_numpy()
 
 
 def _undo_scaling(

@@ -18,6 +18,9 @@ from cyclekit.models.spec import ModelSpec
 from cyclekit.sequences import TaskSequence
 from cyclekit.train import train
 from cyclekit_sim import SimulationOptions, random_sequence, simulate, simulate_sequence
+from cyclekit_sim.plan import prepare, run_alone
+from cyclekit_sim.scenes import BUILT_IN
+from cyclekit_sim.truth import task_rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -81,14 +84,36 @@ def fresh(
     *,
     options: SimulationOptions = PLAIN,
     kind: str = "",
+    paired: bool = False,
 ) -> pl.DataFrame:
-    """Return fresh executions of a sequence, one row each; simulated once per folder `work`."""
+    """Return fresh executions of a sequence, one row each; simulated once per folder `work`.
+
+    `paired`: the same operators for every sequence, so that sequences can be compared by few executions.
+    """
     import hashlib
 
     name = hashlib.sha256(" ".join([scene, kind, str(executions), *places]).encode()).hexdigest()[:16]
+    name += "-paired" if paired else ""
     file = work / "fresh" / f"{name}.parquet"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
-        seed = FRESH_SEED + int(name[:6], 16)
+        seed = FRESH_SEED + (0 if paired else int(name[:6], 16))
         simulate_sequence(scene, places, executions=executions, seed=seed, options=options).write_parquet(file)
     return pl.read_parquet(file)
+
+
+def fresh_tasks(work: Path, scene: str, places: Sequence[str], executions: int) -> list[float]:
+    """Return the mean duration of each task of a sequence over fresh executions, s; simulated once per folder."""
+    import hashlib
+
+    name = hashlib.sha256(" ".join([scene, "tasks", str(executions), *places]).encode()).hexdigest()[:16]
+    file = work / "fresh" / f"{name}-tasks.parquet"
+    if not file.is_file():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        seed = FRESH_SEED + int(name[:6], 16)
+        run = prepare(BUILT_IN[scene], seed, PLAIN, executions=executions, places=places)
+        pl.DataFrame([row for trace in run_alone(run, run.executions) for row in task_rows(trace, 0.0)]).write_parquet(
+            file
+        )
+    rows = pl.read_parquet(file).with_columns(s=pl.col("end_s") - pl.col("start_s"))
+    return rows.group_by("index").agg(pl.col("s").mean()).sort("index")["s"].to_list()

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 ORDER = (
     *("demo", "simulate", "calibrate", "ingest", "inspect", "trace", "convert"),
-    *("train", "evaluate", "estimate", "replay", "report", "adapters"),
+    *("train", "evaluate", "estimate", "plan", "zones", "whatif", "replay", "report", "adapters"),
 )
 """The commands in the order of the work; each is a module of this package with a function of its name."""
 

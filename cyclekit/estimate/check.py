@@ -1,10 +1,13 @@
-"""Does a rollout give what was logged? Logged executions as their own judges, and intervals corrected by them.
+"""Does a rollout give what was logged? Logged executions as their own judges, and intervals that rest on them.
 
 Each complete execution is rolled out twice: beside its own operator, which leaves the network's error alone; and
 beside the operators of all other executions, as a new sequence would be. If the operator does not react to the robot,
-both agree with the log on average. Where in the second distribution the logged duration lies says how each quantile
-must be shifted to hold (conformalised quantile regression: Romano, Patterson, Candès 2019; the operator's own
-execution is left out). A level and its mirror move apart or together; the median stays.
+both agree with the log on average.
+
+The operator of a new cycle is then like those of the logged ones, so the conformal quantile of their rolled-out
+cycles, each off by a residual of executions that the network never saw, covers a new cycle as often as it says (Vovk's
+argument, as in Angelopoulos and Bates, arXiv 2107.07511). Whether it does is measured: each logged duration against the
+rolled-out cycles of all other operators.
 """
 
 from __future__ import annotations
@@ -37,7 +40,7 @@ if TYPE_CHECKING:
     Vector = NDArray[np.float64]
 
 FEW_EXECUTIONS = 10
-"""With fewer executions nothing is corrected: a 5 % quantile of them would be guessed."""
+"""With fewer executions no coverage is told: a 5 % quantile of them would be guessed."""
 REACTS_Z = 3.0
 """So many standard errors between crossed and logged durations are no chance."""
 OWN_BIAS = 0.01
@@ -56,9 +59,10 @@ class Check:
         own_error: Standard error of that mean.
         crossed_bias: Mean of rolled / logged - 1 beside all other operators.
         reacts_z: Difference of the two in standard errors: far from 0, the operator reacts to the robot.
-        shift: By quantile level, what is added to a quantile, as part of the mean; empty with few executions.
-        coverage: Part of the logged executions between the corrected outer quantiles, each corrected by the others.
-        coverage_raw: The same without correction.
+        residuals: logged / rolled - 1 beside their own operators, of the executions the network had not seen (of all,
+            where there are fewer than three).
+        coverage: Part of the logged executions between the outer conformal quantiles of all other operators' cycles;
+            None with few executions.
         coverage_held_out: `coverage` among the executions the network had not seen; None where there are none.
         levels: The outer quantile levels of these coverages.
     """
@@ -69,9 +73,8 @@ class Check:
     own_error: float
     crossed_bias: float
     reacts_z: float
-    shift: Mapping[float, float]
+    residuals: tuple[float, ...]
     coverage: float | None
-    coverage_raw: float | None
     coverage_held_out: float | None
     levels: tuple[float, float]
 
@@ -85,7 +88,7 @@ class Check:
         """What speaks against the rollout, one sentence each."""
         found = []
         if self.executions < FEW_EXECUTIONS:
-            found.append(f"{self.executions} logged executions are too few to correct the quantiles by")
+            found.append(f"{self.executions} logged executions are too few for quantiles that hold")
         if abs(self.own_bias) > max(OWN_BIAS, 3 * self.own_error):
             found.append(f"beside their own operators the logged executions come out {self.own_bias:+.1%} off")
         if abs(self.reacts_z) > REACTS_Z:
@@ -93,12 +96,21 @@ class Check:
                 f"beside other operators the logged executions come out {self.crossed_bias:+.1%} off: the operator "
                 "seems to react to the robot, which no rollout reproduces"
             )
+        wanted = self.levels[1] - self.levels[0]
+        scatter = (wanted * (1 - wanted) / max(self.executions, 1)) ** 0.5
+        if self.coverage is not None and self.coverage < wanted - 3 * scatter:
+            found.append(f"only {self.coverage:.0%} of the logged executions lie in their {wanted:.0%} intervals")
         return tuple(found)
+
+    def quantile(self, cycles_s: Vector, level: float) -> float:
+        """Return the conformal quantile of rolled-out cycles (K,), s, each off by a residual."""
+        off = np.resize(np.array(self.residuals), len(cycles_s))
+        return conformal(cycles_s * (1.0 + np.random.default_rng(0).permutation(off)), level)
 
     def to_json(self) -> dict[str, Any]:
         """Return the check as plain JSON values."""
         out = dict(vars(self))
-        out["shift"] = {f"{level:g}": value for level, value in self.shift.items()}
+        out["residuals"] = list(self.residuals)
         out["levels"] = list(self.levels)
         out["doubts"] = list(self.doubts)
         return out
@@ -170,11 +182,9 @@ def compare(
     judged = own[held_out] if held_out.sum() >= 3 else own
     reacts = (mean - own_s) / logged_s
     z = float(reacts.mean() / max(reacts.std(ddof=1) / np.sqrt(count), 1e-9)) if count > 2 else 0.0
-    scores = {p: _scores(logged_s, crossed_s, mean, p) for p in levels if p != 0.5}
     outer = min(min(levels), 1 - max(levels))
     enough = count >= FEW_EXECUTIONS
-    widest = _scores(logged_s, crossed_s, mean, outer)
-    inside = _inside(widest, 1 - 2 * outer) if enough else np.zeros(0, dtype=bool)
+    inside = np.array([_inside(y, row[np.isfinite(row)], outer) for y, row in zip(logged_s, crossed_s, strict=True)])
     return Check(
         executions=count,
         held_out=int(held_out.sum()),
@@ -182,36 +192,24 @@ def compare(
         own_error=float(judged.std() / np.sqrt(len(judged))),
         crossed_bias=float(cross.mean()),
         reacts_z=z,
-        shift={p: _shift(scores[p], p) if p != 0.5 else 0.0 for p in levels} if enough else {},
+        residuals=tuple((1 / (1 + judged) - 1).tolist()),
         coverage=float(inside.mean()) if enough else None,
-        coverage_raw=float(np.mean(widest <= 0)) if enough else None,
         coverage_held_out=float(inside[held_out].mean()) if enough and held_out.any() else None,
         levels=(outer, 1 - outer),
     )
 
 
-def _scores(logged_s: Vector, crossed_s: NDArray[np.float64], mean_s: Vector, level: float) -> Vector:
-    """How far each execution lies outside of the interval between a level and its mirror, part of the mean; (E,)."""
-    low, high = (np.nanquantile(crossed_s, p, axis=1) for p in (min(level, 1 - level), max(level, 1 - level)))
-    return np.asarray(np.maximum(low - logged_s, logged_s - high) / mean_s)
+def conformal(values: Vector, level: float) -> float:
+    """Return the value (of K) that a further one is at or below with probability `level`, ranks rounded outwards."""
+    ranks = (len(values) + 1) * level
+    rank = np.ceil(ranks) if level > 0.5 else np.floor(ranks)
+    if level == 0.5:
+        return float(np.median(values))
+    return float(np.sort(values)[int(np.clip(rank, 1, len(values))) - 1])
 
 
-def _margin(scores: Vector, covers: float) -> float:
-    """Return the conformal quantile of the scores: rounded up, so that it holds for one execution more."""
-    count = len(scores)
-    rank = int(np.clip(np.ceil((count + 1) * covers), 1, count))
-    return float(np.sort(scores)[rank - 1])
-
-
-def _shift(scores: Vector, level: float) -> float:
-    margin = _margin(scores, abs(1 - 2 * level))
-    return margin if level > 0.5 else -margin
-
-
-def _inside(scores: Vector, covers: float) -> NDArray[np.bool_]:
-    """Tell which executions lie in the interval that all others correct, shape (E,)."""
-    every = np.arange(len(scores))
-    return np.array([scores[e] <= _margin(scores[every != e], covers) for e in every])
+def _inside(logged_s: float, cycles_s: Vector, outer: float) -> bool:
+    return conformal(cycles_s, outer) <= logged_s <= conformal(cycles_s, 1 - outer)
 
 
 def _logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> list[TaskSequence]:

@@ -8,6 +8,7 @@ nominal   nobody in the cell (`rivals`)
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -27,12 +28,13 @@ from cyclekit.estimate.tracks import OperatorTracks, operator_tracks, phase_is_f
 from cyclekit.estimate.walk import Rolled, roll_all, roll_out
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from cyclekit.dataset import Dataset
     from cyclekit.estimate.check import Check
+    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.sequences import TaskSequence
 
@@ -54,6 +56,14 @@ FEW_EXECUTIONS = 20
 
 
 @dataclass(frozen=True)
+class Altered:
+    """Another cell than the one that was logged: its nominal tasks made of the logged ones, and its operator tracks."""
+
+    tasks: Callable[[Mapping[str, NominalTask]], Mapping[str, NominalTask]]
+    tracks: Callable[[OperatorTracks, Mapping[str, NominalTask]], OperatorTracks]
+
+
+@dataclass(frozen=True)
 class _Asked:
     """Everything that one call asks with."""
 
@@ -65,6 +75,7 @@ class _Asked:
     seed: int
     extrapolate: bool
     check: Check | None
+    altered: Altered | None
 
 
 def estimate(
@@ -77,7 +88,8 @@ def estimate(
     takt_s: float | None = None,
     seed: int = 0,
     extrapolate: bool = False,
-    check: Check | None = None,
+    check: Check | Callable[[], Check] | None = None,
+    altered: Altered | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> list[CycleEstimate]:
     """Return the expected cycle time of each sequence, shortest first.
@@ -91,7 +103,9 @@ def estimate(
         takt_s: Also tell the probability that a cycle takes no longer.
         seed: Of the resampling behind the intervals, and of the order in which logged stands are used.
         extrapolate: Answer although the support is below LEAST_SUPPORT; the number is marked.
-        check: From `check_rollout` of the same model and dataset: quantiles and intervals are corrected by it.
+        check: From `check_rollout` of the same model and dataset, or how to make it (called once, for a rollout that
+            can be answered): quantiles and intervals are corrected by it.
+        altered: What is different from the cell that was logged.
         progress: Told fraction and text.
 
     Raises:
@@ -101,9 +115,13 @@ def estimate(
     """
     tell = progress or (lambda fraction, text: None)
     chosen = _chosen(model, estimator)
-    ask = _Asked(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, check)
-    nominal = nominal_tasks(dataset)
+    nominal: Mapping[str, NominalTask] = nominal_tasks(dataset)
+    nominal = altered.tasks(nominal) if altered else nominal
     programs = {sequence: lay_out(sequence, nominal, dataset) for sequence in sequences}
+    if chosen != "rollout":
+        check = None
+    checked = check() if callable(check) else check
+    ask = _Asked(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, checked, altered)
     limits = _limits_of_logs(dataset, model)
     found: list[CycleEstimate] = []
     means: list[Vector] = []
@@ -143,6 +161,8 @@ def _cycles(
     horizon = 2.5 * max(program.length_s for program in programs)
     for _ in range(4):  # tracks must be long enough for the slowest cycle; a cell that halts for long needs more
         tracks = operator_tracks(ask.dataset, horizon_s=horizon, operator=sequences[0].operator)
+        if ask.altered is not None:
+            tracks = ask.altered.tracks(tracks, {task.task: task for program in programs for task in program.tasks})
         rolled = []
         with threadpool_limits(limits=1, user_api="blas"):  # thousands of tiny products: more threads only wait
             for number, cycles in enumerate(_rolled(ask, programs, tracks)):
@@ -162,13 +182,16 @@ def _cycles(
 def _rolled(ask: _Asked, programs: Sequence[Program], tracks: OperatorTracks) -> Iterator[Rolled]:
     if ask.estimator == "average":
         return (by_average(ask.model, program, tracks, seed=ask.seed) for program in programs)  # type: ignore[arg-type]
-    samples = ask.dataset.samples()
-    support = Support(
-        samples.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy(),
-        samples.select("human_x_m", "human_y_m", "human_z_m").to_numpy(),
-    )
+    support = None if getattr(ask.model, "known_everywhere", False) else _support(ask.dataset)
     dynamics = Dynamics.of(ask.dataset.card)
     return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=dynamics)
+
+
+def _support(dataset: Dataset) -> Support:
+    robot, human = (
+        dataset.samples().select(f"{who}_{axis}_m" for axis in "xyz").to_numpy() for who in ("robot", "human")
+    )
+    return Support(robot, human)
 
 
 def _supported(ask: _Asked, sequence: TaskSequence, cycles: Rolled) -> Rolled:
@@ -198,9 +221,8 @@ def _estimate(
     durations = cycles.duration_s
     shares = tuple(_shares(program, cycles))
     expected = float(durations.mean())
-    check = ask.check if ask.estimator == "rollout" else None
+    check = ask.check
     low, high = interval_of_mean(durations, weights, model_error=check.model_error if check else 0.0, seed=ask.seed)
-    shift = check.shift if check else {}
     activities = [*tracks.activities, "unknown"] if tracks else []
     logged = tracks.executions if tracks else tuple(ask.dataset.executions["execution"])
     return CycleEstimate(
@@ -209,7 +231,9 @@ def _estimate(
         expected_s=expected,
         expected_low_s=low,
         expected_high_s=high,
-        quantiles_s={p: float(np.quantile(durations, p)) + shift.get(p, 0.0) * expected for p in ask.quantiles},
+        quantiles_s={
+            p: check.quantile(durations, p) if check else float(np.quantile(durations, p)) for p in ask.quantiles
+        },
         nominal_s=sum(share.nominal_s for share in shares),
         safety_loss_s=sum(share.safety_loss_s for share in shares),
         dwell_s=sum(share.dwell_s for share in shares),
@@ -225,7 +249,7 @@ def _estimate(
         estimator=ask.estimator,
         why=ESTIMATORS[ask.estimator],
         executions=len(set(logged)),
-        calibrated=all(p in shift for p in ask.quantiles),
+        calibrated=check is not None and check.executions >= FEW_EXECUTIONS,
         takt_s=ask.takt_s,
         takt_probability=None if ask.takt_s is None else share_within(durations, ask.takt_s, weights),
         extrapolated=cycles.support < LEAST_SUPPORT,
@@ -268,7 +292,7 @@ def _warnings(ask: _Asked, cycles: Rolled, entry: CycleEstimate) -> list[str]:
         found.append(f"{1 - cycles.support:.0%} of the cycle runs through positions that were never logged")
     if cycles.spliced > 0.1:
         found.append(f"{cycles.spliced:.0%} of the time the operator's track is continued from another execution")
-    if ask.check is not None and ask.estimator == "rollout":
+    if ask.check is not None:
         found.extend(ask.check.doubts)
     return found
 

@@ -8,7 +8,7 @@ which activity cost what) is walked by `walk`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -49,6 +49,7 @@ class TransitTable:
     arrival_s: NDArray[np.float32]
     start_s: float
     tasks: tuple[NominalTask, ...]
+    _drawn: dict[tuple[int, int, int], NDArray[np.float64]] = field(default_factory=dict, repr=False)
 
     def durations(self, sequences: Sequence[Sequence[str]], *, seed: int = 0) -> NDArray[np.float64]:
         """Return how long each sequence of tasks takes on each track, shape (sequences, K), s.
@@ -78,7 +79,10 @@ class TransitTable:
         return time
 
     def _stands(self, task: int, occurrence: int, seed: int) -> NDArray[np.float64]:
-        return stands_of(self.tasks[task], self.arrival_s.shape[1], seed, occurrence)
+        key = task, occurrence, seed
+        if key not in self._drawn:
+            self._drawn[key] = stands_of(self.tasks[task], self.arrival_s.shape[1], seed, occurrence)
+        return self._drawn[key]
 
     def arrive(self, task: NDArray[np.int64], start_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return when tasks (N,) arrive that start at `start_s` (N, K), s; shape (N, K)."""

@@ -150,7 +150,10 @@ def _basis(dataset: Dataset, jobs: Jobs, seed: int) -> tuple[str, list[Order]]:
     found = []
     for entry in dataset.card["executions"]:
         order = tuple(place for place in entry["places"] if place in jobs.visit)
-        if entry["complete"] and sorted(order) == sorted(jobs.visit) and jobs.allowed(order):
+        if not entry["complete"] or sorted(order) != sorted(jobs.visit) or not jobs.allowed(order):
+            continue
+        went, wanted = tuple(entry["places"]), jobs.places(order)
+        if went[: len(wanted)] == wanted and len(went) - len(wanted) <= (jobs.end is None):
             found.append(order)
     if found:
         return "logged orders", found

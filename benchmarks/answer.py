@@ -141,7 +141,8 @@ def orders(asked: argparse.Namespace) -> None:
         chosen["best of all"] = min(best)[1]
         means = [mean for mean, _ in screened]
         OUT.print(f"all {len(some)} orders, {asked.screen} fresh executions each beside the same operators: "
-                  f"{means[0]:.2f} to {means[-1]:.2f} s, mean {np.mean(means):.2f}; the best 6 again by {asked.fresh}")  # fmt: skip
+                  f"{means[0]:.2f} to {means[-1]:.2f} s, mean {np.mean(means):.2f}; the best 6 again "
+                  f"by {asked.fresh}")  # fmt: skip
     table = Table("order by", "fresh mean s", "+- 95 %", "order")
     for name, order in chosen.items():
         places = jobs.places(order)

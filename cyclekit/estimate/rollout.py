@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import polars as pl
 from threadpoolctl import threadpool_limits
 
 from cyclekit.errors import EstimateError, ModelError, UnknownName
+from cyclekit.estimate.limits import limits_of_cycles, limits_of_logs
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.resample import TOGETHER, interval_of_mean, means_below, resampled, share_within
@@ -25,6 +25,7 @@ from cyclekit.estimate.rivals import by_average, by_history, by_nominal
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks, phase_is_free
+from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import Rolled, roll_all, roll_out
 
 if TYPE_CHECKING:
@@ -49,10 +50,10 @@ ESTIMATORS: Mapping[str, str] = {
     "nominal": "the time without an operator was asked for",
 }
 """Estimators by name, and why one is used."""
+MANY = 50
+"""More sequences than this are looked up in the table of arrivals; so many of the best are walked."""
 LEAST_SUPPORT = 0.5
 """Below this part of the cycle in logged cells the question is refused."""
-FEW_EXECUTIONS = 20
-"""With fewer operators the mean itself is uncertain by more than a percent in the cells seen so far."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ def estimate(
         check = None
     checked = check() if callable(check) else check
     ask = _Asked(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, checked, altered)
-    limits = _limits_of_logs(dataset, model)
+    limits = limits_of_logs(dataset, model)
     found: list[CycleEstimate] = []
     means: list[Vector] = []
     for operator in dict.fromkeys(sequence.operator for sequence in sequences):
@@ -131,7 +132,7 @@ def estimate(
         weights = _weights(ask, rolled[0], tracks)
         for sequence, cycles in zip(mine, rolled, strict=True):
             entry = _estimate(ask, sequence, programs[sequence], cycles, tracks, weights)
-            found.append(replace(entry, warnings=(*_warnings(ask, cycles, entry), *limits)))
+            found.append(replace(entry, warnings=(*limits_of_cycles(cycles, entry, checked), *limits)))
             means.append(weights @ cycles.duration_s)
     tell(1.0, "done")
     order = sorted(range(len(found)), key=lambda i: (found[i].expected_s, found[i].name))
@@ -184,7 +185,23 @@ def _rolled(ask: _Asked, programs: Sequence[Program], tracks: OperatorTracks) ->
         return (by_average(ask.model, program, tracks, seed=ask.seed) for program in programs)  # type: ignore[arg-type]
     support = None if getattr(ask.model, "known_everywhere", False) else _support(ask.dataset)
     dynamics = Dynamics.of(ask.dataset.card)
-    return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=dynamics)
+    if len(programs) <= MANY or not dynamics.none:
+        return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=dynamics)
+    return _looked_up(ask, programs, tracks, support)
+
+
+def _looked_up(
+    ask: _Asked, programs: Sequence[Program], tracks: OperatorTracks, support: Support | None
+) -> Iterator[Rolled]:
+    """Look very many sequences up in the table of arrivals, and walk the best of them."""
+    tasks = {task.task: task for program in programs for task in program.tasks}
+    table = transit_table(ask.model, tasks, tracks)
+    found = [table.rolled([task.task for task in program.tasks], seed=ask.seed) for program in programs]
+    best = np.argsort([float(cycles.duration_s.mean()) for cycles in found])[:MANY].tolist()
+    walked = roll_all(ask.model, [programs[i] for i in best], tracks, support, seed=ask.seed)
+    for i, cycles in zip(best, walked, strict=True):
+        found[i] = cycles
+    return iter(found)
 
 
 def _support(dataset: Dataset) -> Support:
@@ -243,13 +260,13 @@ def _estimate(
         warnings=(),
         tasks=shares,
         safety_by_activity_s={
-            name: lost for name, lost in zip(activities, cycles.by_activity_s.tolist(), strict=True) if lost > 0.0
+            name: lost for name, lost in zip(activities, cycles.by_activity_s.tolist(), strict=False) if lost > 0.0
         },
         durations_s=tuple(durations.tolist()),
         estimator=ask.estimator,
         why=ESTIMATORS[ask.estimator],
         executions=len(set(logged)),
-        calibrated=check is not None and check.executions >= FEW_EXECUTIONS,
+        calibrated=check is not None and check.coverage is not None,
         takt_s=ask.takt_s,
         takt_probability=None if ask.takt_s is None else share_within(durations, ask.takt_s, weights),
         extrapolated=cycles.support < LEAST_SUPPORT,
@@ -258,7 +275,7 @@ def _estimate(
 
 def _ranked(found: list[CycleEstimate], means: list[Vector]) -> list[CycleEstimate]:
     """Add to each estimate the probability that its mean is below that of each other one (of the first, if many)."""
-    many = len(found) > 50
+    many = len(found) > MANY
     names = [entry.name for entry in found]
     ranked = []
     for index, entry in enumerate(found):
@@ -279,35 +296,3 @@ def _shares(program: Program, cycles: Rolled) -> Iterator[TaskShare]:
         dwell = stand * task.dwell_s / usual if usual > 0.0 else stand
         wait = stand - dwell
         yield TaskShare(task.task, task.nominal_s + lost + stand, task.nominal_s, lost, dwell, wait)
-
-
-def _warnings(ask: _Asked, cycles: Rolled, entry: CycleEstimate) -> list[str]:
-    """What limits this number, one sentence each."""
-    found = []
-    if entry.extrapolated:
-        found.append("EXTRAPOLATED: most of it runs through positions that were never logged")
-    if entry.tracks and entry.executions < FEW_EXECUTIONS:
-        found.append(f"rests on {entry.executions} operator tracks only: the mean itself is uncertain")
-    if cycles.support < 0.9:
-        found.append(f"{1 - cycles.support:.0%} of the cycle runs through positions that were never logged")
-    if cycles.spliced > 0.1:
-        found.append(f"{cycles.spliced:.0%} of the time the operator's track is continued from another execution")
-    if ask.check is not None:
-        found.extend(ask.check.doubts)
-    return found
-
-
-def _limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
-    """What limits every number from these logs, one sentence each."""
-    found = []
-    samples = dataset.samples()
-    absent = samples["human_x_m"].null_count() / max(samples.height, 1)
-    if absent > 0.01 and model.card.get("scaling_without_operator") is None:
-        found.append(f"in {absent:.0%} of the samples nobody is seen; there the robot is taken to run free")
-    if samples.filter(pl.col("scaling_origin") == "inferred").height:
-        found.append("the speed scaling was not logged but inferred from velocity ratios")
-    if any(record["clock"]["method"] == "assumed-common-start" for record in dataset.recordings):
-        found.append("the clocks of robot and tracker are only assumed to start together")
-    if any(record["clock"]["method"] in ("coarse", "start-text") for record in dataset.recordings):
-        found.append("the clocks of robot and tracker are aligned roughly: the reaction delay is hidden or unknown")
-    return found

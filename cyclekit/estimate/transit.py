@@ -8,6 +8,7 @@ which activity cost what) is walked by `walk`.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from cyclekit.estimate.program import stands_of
 from cyclekit.estimate.safety import SafetyModel, scaling_of
+from cyclekit.estimate.walk import Rolled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -61,6 +63,23 @@ class TransitTable:
             for first in range(0, len(sequences), SEQUENCES_AT_ONCE)
         ]
         return np.concatenate(parts)
+
+    def rolled(self, tasks: Sequence[str], *, seed: int = 0) -> Rolled:
+        """Return the cycles of one sequence of tasks, split by task; activities, support and splices are not known."""
+        code = {name: index for index, name in enumerate(self.names)}
+        count = self.arrival_s.shape[1]
+        time, seen = np.zeros(count), Counter[str]()
+        stands, safety = np.empty((1, len(tasks))), np.empty((1, len(tasks)))
+        for leg, name in enumerate(tasks):
+            task = code[name]
+            arrival = self.arrive(np.array([task]), time[None])[0]
+            stand = self._stands(task, seen[name], seed)
+            seen[name] += 1
+            safety[0, leg] = float(np.mean(arrival - time)) - self.tasks[task].nominal_s
+            stands[0, leg] = stand.mean()
+            time = arrival + stand
+        unknown = float("nan")
+        return Rolled(time, stands, safety, np.zeros(0), unknown, unknown, looked_closely=False)
 
     def _some(self, sequences: Sequence[Sequence[str]], seed: int) -> NDArray[np.float64]:
         code = {name: index for index, name in enumerate(self.names)}

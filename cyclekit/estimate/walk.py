@@ -45,6 +45,8 @@ class Rolled:
         by_activity_s: Safety loss per operator activity, mean over cycles, shape (activities + 1,), last = unknown.
         support: Part of the time in logged cells; NaN where it was not asked for.
         spliced: Part of the time on a track that was continued beyond its own log.
+        looked_closely: False where it comes from the table of arrivals: `stands_s` and `safety_s` are then means, shape
+            (1, tasks), and the activities are not known.
     """
 
     duration_s: Vector
@@ -53,6 +55,7 @@ class Rolled:
     by_activity_s: Vector
     support: float
     spliced: float
+    looked_closely: bool = True
 
 
 def roll_out(
@@ -235,8 +238,9 @@ class _Lines:
 def _human_at(tracks: OperatorTracks, rows: Whole, t_s: float) -> tuple[NDArray[np.float64], int]:
     sample = int(t_s / tracks.step_s + 1e-9)
     weight = t_s / tracks.step_s - sample
-    here, after = tracks.xyz_m[rows, sample], tracks.xyz_m[rows, sample + 1]
-    return np.where(np.isfinite(after), here * (1 - weight) + after * weight, here), sample
+    here, after = tracks.xyz_m[:, sample], tracks.xyz_m[:, sample + 1]
+    between = here + (after - here) * weight
+    return np.where(np.isnan(between), here, between)[rows], sample
 
 
 def _of_one(

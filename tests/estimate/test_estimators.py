@@ -100,6 +100,24 @@ def test_the_table_of_arrivals_says_what_the_walk_says(logged: Dataset, staircas
     assert np.corrcoef(looked_up, walked)[0, 1] > 0.98
 
 
+def test_very_many_sequences_are_looked_up_and_the_best_of_them_walked(
+    logged: Dataset, staircase: Any, routes: Any, monkeypatch: pytest.MonkeyPatch
+):
+    asked = [TaskSequence(f"{n} places", routes[0][:n]) for n in (5, 7, 9, 11, 13)]
+    walked = estimate(staircase, logged, asked)
+    monkeypatch.setattr("cyclekit.estimate.rollout.MANY", 2)
+    found = estimate(staircase, logged, asked)
+    assert [entry.name for entry in found] == [entry.name for entry in walked]
+    for table, walk in zip(found, walked, strict=True):
+        assert table.expected_s == pytest.approx(walk.expected_s, rel=0.01)
+        assert table.safety_loss_s == pytest.approx(walk.safety_loss_s, abs=0.01 * walk.expected_s)
+        assert table.nominal_s == pytest.approx(walk.nominal_s)
+    assert found[0].durations_s == walked[0].durations_s
+    assert any("table of arrivals" in text for text in found[-1].warnings)
+    assert not any("table of arrivals" in text for text in found[0].warnings)
+    assert set(found[-1].beats) == {found[0].name}
+
+
 def test_a_cycle_that_does_not_end_within_its_track_is_not_made_up(logged: Dataset, staircase: Any, routes: Any):
     nominal = nominal_tasks(logged)
     sequence = TaskSequence("A", routes[2])

@@ -27,8 +27,13 @@ BLOCK = 2048
 class SafetyModel(Protocol):
     """What a rollout asks of a model; a staircase written down in a file has it as well."""
 
-    problem: str
-    card: Mapping[str, Any]
+    @property
+    def problem(self) -> str:
+        """What it predicts; `now` for the scaling of the present instant."""
+
+    @property
+    def card(self) -> Mapping[str, Any]:
+        """How it came about."""
 
     def predict(self, X: NDArray[np.float32], /) -> Vector:
         """Return the scaling (N,) for rows x_r, x_h (N, 6), m."""

@@ -122,9 +122,8 @@ def _safety(model: TrainedModel, before: pl.DataFrame, after: pl.DataFrame) -> l
     found = [_shift("everywhere", _by_execution(old), _by_execution(new), LEAST_SCALING)]
     for column in ("robot_task", "human_task"):
         for name in sorted(set(new[column].drop_nulls()) & set(old[column].drop_nulls())):
-            parts = (_by_execution(frame.filter(pl.col(column) == name)) for frame in (old, new))
-            shift = _shift(f"{column.replace('_', ' ')} {name}", *parts, LEAST_SCALING)
-            found.append(shift)
+            was, now = (_by_execution(frame.filter(pl.col(column) == name)) for frame in (old, new))
+            found.append(_shift(f"{column.replace('_', ' ')} {name}", was, now, LEAST_SCALING))
     return found
 
 

@@ -59,7 +59,9 @@ def sequences(asked: argparse.Namespace) -> None:
               f"fresh means known to +-{100 * float((known / means).mean()):.2f} %")  # fmt: skip
     began = time.process_time()
     check = check_rollout(cell.model, cell.dataset)
-    OUT.print(f"check: {time.process_time() - began:.1f} s cpu; {check}")
+    OUT.print(f"check: {time.process_time() - began:.1f} s cpu; own {100 * check.own_bias:+.3f} % +- "
+              f"{100 * check.own_error:.3f}, crossed {100 * check.crossed_bias:+.2f} %, z {check.reacts_z:.1f}, "
+              f"coverage {check.coverage}, held out {check.coverage_held_out}, doubts {check.doubts}")  # fmt: skip
 
     def by(estimator: str, **more: object) -> list[CycleEstimate]:
         model = average_model(asked.work, cell) if estimator == "average" else cell.model
@@ -202,10 +204,13 @@ def hard(asked: argparse.Namespace) -> None:
         truth = truth or [
             float(fresh(asked.work, "box-picking", s.places, asked.fresh)["duration_s"].mean()) for s in wanted
         ]
-        found = {entry.name: entry.expected_s for entry in estimate(cell.model, cell.dataset, wanted)}
-        error = 100 * np.array([found[s.name] / m - 1 for s, m in zip(wanted, truth, strict=True)])
-        OUT.print(f"{kind}: mean |error| {np.abs(error).mean():.2f} %, bias {error.mean():+.2f} %, "
-                  f"worst {error[np.abs(error).argmax()]:+.2f} %")  # fmt: skip
+        check = check_rollout(cell.model, cell.dataset)
+        for name, used in (("uncorrected", None), ("corrected", check)):
+            found = {e.name: e.expected_s for e in estimate(cell.model, cell.dataset, wanted, check=used)}
+            error = 100 * np.array([found[s.name] / m - 1 for s, m in zip(wanted, truth, strict=True)])
+            OUT.print(f"{kind}, {name} (by {100 * (check.factor - 1):+.2f} %): mean |error| "
+                      f"{np.abs(error).mean():.2f} %, bias {error.mean():+.2f} %, "
+                      f"worst {error[np.abs(error).argmax()]:+.2f} %")  # fmt: skip
 
 
 def speed(asked: argparse.Namespace) -> None:

@@ -128,6 +128,8 @@ def judged(check: Check) -> str:
         f"{check.executions} logged executions rolled out beside their own operators: {check.own_bias:+.2%} "
         f"(+-{1.96 * check.own_error:.2%}) on average, {check.held_out} of them unseen by the network",
     ]
+    if abs(check.factor - 1) >= 5e-5:
+        lines.append(f"so every duration above is corrected by {check.factor - 1:+.2%}")
     if check.coverage is not None:
         low, high = check.levels
         lines.append(

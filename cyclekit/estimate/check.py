@@ -79,9 +79,22 @@ class Check:
     levels: tuple[float, float]
 
     @property
+    def factor(self) -> float:
+        """What a rolled-out duration is multiplied by: the bias beside the own operators, as far as it is no chance.
+
+        The bias is drawn towards 0 by its own uncertainty (a James-Stein weight): far above its standard error it is
+        taken out, far below it is left alone.
+        """
+        return 1.0 / (1.0 + self.own_bias * self._sure)
+
+    @property
     def model_error(self) -> float:
-        """Standard deviation of the mean that the network's error stands for, as part of it."""
-        return float(np.hypot(self.own_bias, self.own_error))
+        """Standard deviation of the mean that the network's error still stands for, as part of it."""
+        return float(np.hypot(self.own_bias * (1 - self._sure), self.own_error))
+
+    @property
+    def _sure(self) -> float:
+        return self.own_bias**2 / max(self.own_bias**2 + self.own_error**2, 1e-12)
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -103,8 +116,8 @@ class Check:
         return tuple(found)
 
     def quantile(self, cycles_s: Vector, level: float) -> float:
-        """Return the conformal quantile of rolled-out cycles (K,), s, each off by a residual."""
-        off = np.resize(np.array(self.residuals), len(cycles_s))
+        """Return the conformal quantile of corrected cycles (K,), s, each off by a residual."""
+        off = np.resize(np.array(self.residuals) - np.mean(self.residuals), len(cycles_s))
         return conformal(cycles_s * (1.0 + np.random.default_rng(0).permutation(off)), level)
 
     def to_json(self) -> dict[str, Any]:

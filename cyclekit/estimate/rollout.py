@@ -235,12 +235,14 @@ def _estimate(
     tracks: OperatorTracks | None,
     weights: NDArray[np.float64],
 ) -> CycleEstimate:
+    check = ask.check
+    cycles, slower = (cycles, 1.0) if check is None else _corrected(cycles, check.factor)
     durations = cycles.duration_s
     shares = tuple(_shares(program, cycles))
     expected = float(durations.mean())
-    check = ask.check
     low, high = interval_of_mean(durations, weights, model_error=check.model_error if check else 0.0, seed=ask.seed)
     activities = [*tracks.activities, "unknown"] if tracks else []
+    by_activity = zip(activities, (cycles.by_activity_s * slower).tolist(), strict=False)
     logged = tracks.executions if tracks else tuple(ask.dataset.executions["execution"])
     return CycleEstimate(
         name=sequence.name,
@@ -259,9 +261,7 @@ def _estimate(
         tracks=len(durations) if tracks else 0,
         warnings=(),
         tasks=shares,
-        safety_by_activity_s={
-            name: lost for name, lost in zip(activities, cycles.by_activity_s.tolist(), strict=False) if lost > 0.0
-        },
+        safety_by_activity_s={name: lost for name, lost in by_activity if lost > 0.0},
         durations_s=tuple(durations.tolist()),
         estimator=ask.estimator,
         why=ESTIMATORS[ask.estimator],
@@ -271,6 +271,14 @@ def _estimate(
         takt_probability=None if ask.takt_s is None else share_within(durations, ask.takt_s, weights),
         extrapolated=cycles.support < LEAST_SUPPORT,
     )
+
+
+def _corrected(cycles: Rolled, factor: float) -> tuple[Rolled, float]:
+    """Multiply the durations; the difference is safety loss, as that is what was learned. Also its factor."""
+    lost = float(cycles.safety_s.mean(axis=0).sum())
+    more = (factor - 1) * float(cycles.duration_s.mean())
+    slower = max(1 + more / lost, 0.0) if lost > 0 else 1.0
+    return replace(cycles, duration_s=cycles.duration_s * factor, safety_s=cycles.safety_s * slower), slower
 
 
 def _ranked(found: list[CycleEstimate], means: list[Vector]) -> list[CycleEstimate]:

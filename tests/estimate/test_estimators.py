@@ -156,6 +156,22 @@ def test_an_operator_who_minds_the_robot_is_found_out():
     assert any("react to the robot" in text for text in crossing(100, 4.0).doubts)
 
 
+def test_a_bias_that_is_no_chance_is_taken_out_and_the_parts_still_add_up(logged: Dataset, staircase: Any, routes: Any):
+    biased = replace(crossing(100, 0.0), own_bias=0.02, own_error=0.001)
+    assert biased.factor == pytest.approx(1 / 1.02, abs=1e-4)
+    assert replace(biased, own_error=0.2).factor == pytest.approx(1.0, abs=1e-3)
+    assert replace(biased, own_error=0.2).model_error == pytest.approx(0.2, rel=0.01)
+    sequence = TaskSequence("A", routes[0][:9])
+    (plain,) = estimate(staircase, logged, [sequence])
+    (found,) = estimate(staircase, logged, [sequence], check=biased)
+    assert found.expected_s == pytest.approx(plain.expected_s * biased.factor)
+    assert found.nominal_s == plain.nominal_s
+    assert found.dwell_s == pytest.approx(plain.dwell_s)
+    whole = found.nominal_s + found.safety_loss_s + found.dwell_s + found.wait_s
+    assert whole == pytest.approx(found.expected_s)
+    assert sum(found.safety_by_activity_s.values()) == pytest.approx(found.safety_loss_s)
+
+
 def test_conformal_quantiles_hold_on_new_cycles():
     check = crossing(200, 0.0)
     assert check.residuals == pytest.approx([-0.001] * 20, abs=1e-5)

@@ -213,12 +213,11 @@ def compare(
 
 
 def conformal(values: Vector, level: float) -> float:
-    """Return the value (of K) that a further one is at or below with probability `level`, ranks rounded outwards."""
-    ranks = (len(values) + 1) * level
-    rank = np.ceil(ranks) if level > 0.5 else np.floor(ranks)
-    if level == 0.5:
-        return float(np.median(values))
-    return float(np.sort(values)[int(np.clip(rank, 1, len(values))) - 1])
+    """Return the value that one more is at or below with probability `level`: rank (K + 1) level of K, interpolated.
+
+    Rounding the ranks outwards instead would never cover too little, and at 45 executions far too much.
+    """
+    return float(np.quantile(values, level, method="weibull"))
 
 
 def _inside(logged_s: float, cycles_s: Vector, outer: float) -> bool:

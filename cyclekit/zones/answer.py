@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 LEAST_ROWS = 500
 BY_DISTANCE = 0.02
 """A distance is taken for the rule where it leaves at most this much more unexplained than the best other rule."""
+SAME = 0.003
+"""Distances that explain the same within this cannot be told apart by noisy logs: the first of DISTANCES is taken."""
 LEAST_SEEN = 5
 """A cell of the floor with fewer samples is left blank."""
 
@@ -105,7 +107,7 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> Zones
     levels = model.levels
     predicted = _predicted(model, rows)
     fits = {name: by_distance(rows, levels, name)[1] for name in DISTANCES}
-    nearest = max(fits, key=lambda name: fits[name])
+    nearest = next(name for name in DISTANCES if fits[name] >= max(fits.values()) - SAME)
     parts = {**fits, "place on the floor": by_place(rows), "network": explained(rows.scaling, predicted)}
     is_distance = fits[nearest] >= max(parts["network"], parts["place on the floor"]) - BY_DISTANCE
     rule = nearest if is_distance or fits[nearest] >= parts["place on the floor"] else "place on the floor"

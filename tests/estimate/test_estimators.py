@@ -184,12 +184,18 @@ def test_conformal_quantiles_hold_on_new_cycles():
     assert 0.86 < np.mean(inside) < 0.96
 
 
-@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=60), st.sampled_from([0.05, 0.1, 0.9, 0.95]))
-def test_a_conformal_quantile_is_one_of_the_values_and_no_nearer_to_the_middle(values: list[float], level: float):
-    found = conformal(np.array(values), level)
-    assert found in values
-    plain = np.quantile(values, level, method="inverted_cdf" if level > 0.5 else "higher")
-    assert found >= plain if level > 0.5 else found <= plain
+@given(st.integers(19, 200), st.sampled_from([0.05, 0.1, 0.9, 0.95]))
+def test_of_k_values_in_a_row_one_more_is_below_the_conformal_quantile_as_often_as_it_says(count: int, level: float):
+    """Values 1 ... K cut the line into K + 1 parts that one more falls into with the same probability."""
+    assert conformal(np.arange(1.0, count + 1), level) / (count + 1) == pytest.approx(level)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=60))
+def test_conformal_quantiles_are_in_order_and_within_the_values(values: list[float]):
+    found = [conformal(np.array(values), level) for level in (0.01, 0.05, 0.5, 0.95, 0.99)]
+    assert found == sorted(found)
+    assert min(values) <= found[0]
+    assert found[-1] <= max(values)
 
 
 def test_resampling_draws_tracks_of_an_execution_together():

@@ -5,6 +5,7 @@
     python benchmarks/answer.py zones
     python benchmarks/answer.py whatif
     python benchmarks/answer.py hard
+    python benchmarks/answer.py dynamics
     python benchmarks/answer.py speed
 
 Cells and fresh executions are kept in --work and used again. Truth: `--fresh` executions of each of `--sequences`
@@ -27,7 +28,7 @@ from order_rivals import greedy_by_average, markov_s, monte_carlo_by_average, sy
 from rich.console import Console
 from rich.table import Table
 
-from cyclekit.estimate.check import check_rollout
+from cyclekit.estimate.check import beside_own, check_rollout, logged_durations, logged_sequences
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.rollout import estimate
@@ -213,6 +214,36 @@ def hard(asked: argparse.Namespace) -> None:
                       f"worst {error[np.abs(error).argmax()]:+.2f} %")  # fmt: skip
 
 
+class TrueStaircase:
+    """The true safety function of box-picking, its thresholds at the middle of the hysteresis."""
+
+    problem, card = "now", {}
+
+    def __init__(self, hysteresis_m: float) -> None:
+        self._thresholds = np.array(TRUE_THRESHOLDS["box-picking"]) + hysteresis_m / 2
+
+    def predict(self, X: np.ndarray) -> np.ndarray:
+        """Return the scaling of rows x_r, x_h, shape (N,)."""
+        apart = np.linalg.norm(X[:, :3].astype(float) - X[:, 3:6], axis=1)
+        return np.array([0.0, 0.25, 0.5, 0.75, 1.0])[np.searchsorted(self._thresholds, apart)]
+
+
+def dynamics(asked: argparse.Namespace) -> None:
+    """Executions beside their own operators, the rollout told of latency, ramps and hysteresis or not."""
+    true = {"latency_s": 0.3, "ramp_down_per_s": 2.0, "ramp_up_per_s": 0.5, "hysteresis_m": 0.15}
+    cell = logged(asked.work, "box-picking", 60, options=SimulationOptions(**true), kind="dyn")
+    nominal = nominal_tasks(cell.dataset)
+    executions = logged_sequences(cell.dataset, nominal)
+    tracks = operator_tracks(cell.dataset, horizon_s=300.0, phases=1)
+    took = logged_durations(cell.dataset, executions)
+    for name, model in (("network", cell.model), ("true function", TrueStaircase(true["hysteresis_m"]))):
+        for told in (False, True):
+            cell.dataset.card["dynamics"] = true if told else {}
+            off = 100 * (beside_own(model, cell.dataset, executions, nominal, tracks) / took - 1)
+            OUT.print(f"{name}, {'told' if told else 'not told'}: mean |error| {np.abs(off).mean():.2f} %, "
+                      f"mean {off.mean():+.2f} % +- {1.96 * off.std() / len(off) ** 0.5:.2f}")  # fmt: skip
+
+
 def speed(asked: argparse.Namespace) -> None:
     """One sequence against 1000 tracks, and very many sequences; cpu seconds beside the clock's."""
     cell = logged(asked.work, "box-picking", asked.executions)
@@ -246,7 +277,8 @@ def _timed(what: str, call):  # noqa: ANN001, ANN202
 def main() -> None:
     """Run one measurement, or a small one of each."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
-    runs = {"sequences": sequences, "plan": orders, "zones": zones, "whatif": whatif, "hard": hard, "speed": speed}
+    runs = {"sequences": sequences, "plan": orders, "zones": zones, "whatif": whatif, "hard": hard}
+    runs |= {"dynamics": dynamics, "speed": speed}
     parser.add_argument("what", nargs="?", choices=[*runs, "all"], default="all")
     parser.add_argument("--scene", default="box-picking")
     parser.add_argument("--executions", type=int, default=200)

@@ -150,7 +150,7 @@ def check_rollout(
         EstimateError: No complete execution has an operator track and tasks of known scaling.
     """
     nominal = nominal_tasks(dataset)
-    sequences = _logged_sequences(dataset, nominal)
+    sequences = logged_sequences(dataset, nominal)
     if not sequences:
         msg = f"{dataset.path}: no complete execution of tasks with known scaling, so nothing can be checked"
         raise EstimateError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
@@ -158,12 +158,12 @@ def check_rollout(
     with threadpool_limits(limits=1, user_api="blas"):
         tracks = operator_tracks(dataset, horizon_s=3.0 * longest, phases=1)
         sequences = [sequence for sequence in sequences if sequence.name in tracks.executions]
-        own = _beside_own(model, dataset, sequences, nominal, tracks)
+        own = beside_own(model, dataset, sequences, nominal, tracks)
         asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
         crossed = transit_table(model, asked, tracks, progress=progress).durations(
             [sequence.tasks for sequence in sequences], seed=seed
         )
-    logged = _logged_durations(dataset, sequences)
+    logged = logged_durations(dataset, sequences)
     column = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
     crossed[np.arange(len(sequences)), column] = np.nan  # its own operator is left out
     unseen = set((model.card.get("split") or {}).get("test", ()))
@@ -224,7 +224,8 @@ def _inside(logged_s: float, cycles_s: Vector, outer: float) -> bool:
     return conformal(cycles_s, outer) <= logged_s <= conformal(cycles_s, 1 - outer)
 
 
-def _logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> list[TaskSequence]:
+def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> list[TaskSequence]:
+    """Return the complete executions of known tasks as sequences, each by its own name."""
     found = []
     for entry in dataset.card["executions"]:
         if entry["complete"] and len(entry["places"]) > 1:
@@ -234,12 +235,13 @@ def _logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> l
     return found
 
 
-def _logged_durations(dataset: Dataset, sequences: Sequence[TaskSequence]) -> Vector:
+def logged_durations(dataset: Dataset, sequences: Sequence[TaskSequence]) -> Vector:
+    """Return how long these executions took, shape (E,), s."""
     durations = dict(dataset.executions.select("execution", "duration_s").iter_rows())
     return np.array([durations[sequence.name] for sequence in sequences])
 
 
-def _beside_own(
+def beside_own(
     model: SafetyModel,
     dataset: Dataset,
     sequences: Sequence[TaskSequence],

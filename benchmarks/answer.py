@@ -281,15 +281,19 @@ def main() -> None:
     runs |= {"dynamics": dynamics, "speed": speed}
     parser.add_argument("what", nargs="?", choices=[*runs, "all"], default="all")
     parser.add_argument("--scene", default="box-picking")
-    parser.add_argument("--executions", type=int, default=200)
-    parser.add_argument("--sequences", type=int, default=20)
-    parser.add_argument("--fresh", type=int, default=500)
+    parser.add_argument("--executions", type=int, help="logged; 200, or 60 where all is measured")
+    parser.add_argument("--sequences", type=int, help="20, or 4 where all is measured")
+    parser.add_argument("--fresh", type=int, help="executions of each; 500, or 60 where all is measured")
     parser.add_argument("--by-task", type=int, default=2, help="sequences whose tasks are compared one by one")
     parser.add_argument("--screen", type=int, default=25, help="fresh executions of each of all orders")
     parser.add_argument("--half", action="store_true", help="plan every other slot only: all orders can be tried")
     parser.add_argument("--average", action="store_true", help="also train and ask the average-scaling network")
     parser.add_argument("--work", type=Path, help="folder for cells and fresh executions; else a temporary one")
     asked = parser.parse_args()
+    usual = (60, 4, 60) if asked.what == "all" else (200, 20, 500)
+    for name, value in zip(("executions", "sequences", "fresh"), usual, strict=True):
+        setattr(asked, name, getattr(asked, name) or value)
+    asked.half = asked.half or asked.what == "all"
     asked.cells = [("box-picking", asked.executions, 0.0), ("box-picking", asked.executions, 0.05)]
     asked.cells += [("pick-and-package", 46, 0.0), ("laser-zones", asked.executions, 0.0)]
     with tempfile.TemporaryDirectory() as folder:

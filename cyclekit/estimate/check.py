@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.nominal import nominal_tasks, slider_losses
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.tracks import operator_tracks
@@ -43,6 +43,8 @@ FEW_EXECUTIONS = 10
 """With fewer executions no coverage is told: a 5 % quantile of them would be guessed."""
 REACTS_Z = 3.0
 """So many standard errors between crossed and logged durations are no chance."""
+SLIDER_LOSS = 0.002
+"""An execution that lost more than this part of its time to the speed slider judges no rollout at full speed."""
 OWN_BIAS = 0.01
 """A rollout beside the operators themselves that is off by more than this part is wrong."""
 
@@ -225,10 +227,11 @@ def _inside(logged_s: float, cycles_s: Vector, outer: float) -> bool:
 
 
 def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> list[TaskSequence]:
-    """Return the complete executions of known tasks as sequences, each by its own name."""
+    """Return the complete executions of known tasks at full speed slider as sequences, each by its own name."""
     found = []
+    turned_down = {name for name, part in slider_losses(dataset).items() if part > SLIDER_LOSS}
     for entry in dataset.card["executions"]:
-        if entry["complete"] and len(entry["places"]) > 1:
+        if entry["complete"] and len(entry["places"]) > 1 and entry["execution"] not in turned_down:
             sequence = TaskSequence(entry["execution"], tuple(entry["places"]))
             if all(task in nominal for task in sequence.tasks):
                 found.append(sequence)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from cyclekit.estimate.nominal import slider_losses
+
 if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
     from cyclekit.estimate.check import Check
@@ -44,6 +46,10 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
         found.append(f"in {absent:.0%} of the samples nobody is seen; there the robot is taken to run free")
     if samples.filter(pl.col("scaling_origin") == "inferred").height:
         found.append("the speed scaling was not logged but inferred from velocity ratios")
+    slider = [part for part in slider_losses(dataset).values() if part > 0.0]
+    if slider:
+        most = f"in {len(slider)} executions the speed slider was turned down and cost up to {max(slider):.1%} of them"
+        found.append(f"{most}; the estimate is for full slider")
     if any(record["clock"]["method"] == "assumed-common-start" for record in dataset.recordings):
         found.append("the clocks of robot and tracker are only assumed to start together")
     if any(record["clock"]["method"] in ("coarse", "start-text") for record in dataset.recordings):

@@ -6,6 +6,7 @@
     python benchmarks/answer.py whatif
     python benchmarks/answer.py hard
     python benchmarks/answer.py dynamics
+    python benchmarks/answer.py drift
     python benchmarks/answer.py speed
 
 Cells and fresh executions are kept in --work and used again. Truth: `--fresh` executions of each of `--sequences`
@@ -23,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from cells import HARD, average_model, fresh, fresh_tasks, logged, unseen_sequences
+from cells import HARD, average_model, fresh, fresh_tasks, logged, newer_logs, unseen_sequences
 from order_rivals import greedy_by_average, markov_s, monte_carlo_by_average, synergy_order
 from rich.console import Console
 from rich.table import Table
@@ -35,6 +36,7 @@ from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import roll_out
+from cyclekit.evaluate.drift import drift
 from cyclekit.plan import Jobs, plan
 from cyclekit.plan.search import every_order, random_order, tasks_of
 from cyclekit.whatif import Change, what_if
@@ -244,6 +246,20 @@ def dynamics(asked: argparse.Namespace) -> None:
                       f"mean {off.mean():+.2f} % +- {1.96 * off.std() / len(off) ** 0.5:.2f}")  # fmt: skip
 
 
+def drifts(asked: argparse.Namespace) -> None:
+    """Newer logs of the same cell, and of one whose outer threshold was moved."""
+    cell = logged(asked.work, "box-picking", 45)
+    scene = BUILT_IN["box-picking"]
+    for metres in (2.4, 2.5, 2.7):
+        safety = dataclasses.replace(scene.safety, thresholds_m=(1.2, 1.5, 1.9, metres))  # type: ignore[type-var]
+        BUILT_IN["box-picking"] = dataclasses.replace(scene, safety=safety)
+        found = drift(cell.model, cell.dataset, newer_logs(asked.work, "box-picking", f"{metres}"))
+        first = found.safety[0]
+        OUT.print(f"outer threshold {metres} m: safety changed {found.safety_changed}, habits {found.habits_changed}; "
+                  f"mean |error| {first.before:.4f} -> {first.after:.4f} ({first.z:+.1f} standard errors)")  # fmt: skip
+    BUILT_IN["box-picking"] = scene
+
+
 def speed(asked: argparse.Namespace) -> None:
     """One sequence against 1000 tracks, and very many sequences; cpu seconds beside the clock's."""
     cell = logged(asked.work, "box-picking", asked.executions)
@@ -278,7 +294,7 @@ def main() -> None:
     """Run one measurement, or a small one of each."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     runs = {"sequences": sequences, "plan": orders, "zones": zones, "whatif": whatif, "hard": hard}
-    runs |= {"dynamics": dynamics, "speed": speed}
+    runs |= {"dynamics": dynamics, "drift": drifts, "speed": speed}
     parser.add_argument("what", nargs="?", choices=[*runs, "all"], default="all")
     parser.add_argument("--scene", default="box-picking")
     parser.add_argument("--executions", type=int, help="logged; 200, or 60 where all is measured")

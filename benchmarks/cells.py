@@ -54,6 +54,15 @@ def logged(
     return Logged(scene, Dataset.open(folder / "dataset"), load_model(folder / "model"))
 
 
+def newer_logs(work: Path, scene: str, kind: str, *, executions: int = 20, seed: int = 77) -> Dataset:
+    """Return logs of other operators, of the scene as it is now in BUILT_IN; made once per folder `work` and kind."""
+    folder = work / f"{scene}-newer-{executions}-{seed}-{kind}"
+    if not (folder / "dataset").is_dir():
+        simulate(scene, folder / "logs", executions=executions, seed=seed)
+        ingest([folder / "logs"], folder / "dataset")
+    return Dataset.open(folder / "dataset")
+
+
 def average_model(work: Path, cell: Logged) -> TrainedModel:
     """Return the cell's average-scaling network (horizon 2 s, the length of a task); trained once."""
     folder = cell.dataset.path.parent / "average"

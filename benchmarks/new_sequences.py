@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import polars as pl
+from cells import FRESH_SEED, unseen_sequences
 from rich.console import Console
 from rich.table import Table
 
@@ -24,23 +25,7 @@ from cyclekit.ingest import ingest
 from cyclekit.models.spec import ModelSpec
 from cyclekit.sequences import TaskSequence
 from cyclekit.train import train
-from cyclekit_sim import SimulationOptions, random_sequence, simulate, simulate_sequence
-
-FRESH_SEED = 1_000_000
-"""Seeds of the fresh executions start here, far from those of the logs."""
-
-
-def unseen_sequences(dataset: Dataset, scene: str, count: int) -> list[TaskSequence]:
-    """Return `count` random sequences of the scene that no execution in the dataset followed."""
-    logged = {tuple(entry["places"]) for entry in dataset.card["executions"]}
-    found: list[TaskSequence] = []
-    seed = FRESH_SEED
-    while len(found) < count:
-        places = tuple(random_sequence(scene, seed))
-        seed += 1
-        if places not in logged:
-            found.append(TaskSequence(f"sequence {len(found) + 1}", places))
-    return found
+from cyclekit_sim import SimulationOptions, simulate, simulate_sequence
 
 
 def history_s(dataset: Dataset, sequence: TaskSequence) -> float:

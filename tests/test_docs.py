@@ -13,7 +13,9 @@ import typer.main
 
 from cyclekit.cli import app
 from cyclekit.config import load_cell
+from cyclekit.plan import load_jobs
 from cyclekit.sequences import load_sequences
+from cyclekit.whatif import load_changes
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *ROOT.glob("*/README.md")])
@@ -79,13 +81,15 @@ def blocks(language: str) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize(("document", "block"), blocks("toml"))
-def test_a_toml_example_is_a_cell_file_or_a_sequence_file_that_is_accepted(
-    document: str, block: str, tmp_path: Path
-) -> None:
+def test_a_toml_example_is_a_file_that_is_accepted(document: str, block: str, tmp_path: Path) -> None:
     file = tmp_path / "example.toml"
     file.write_text(block, encoding="utf-8")
     if "[[sequence]]" in block:
         assert load_sequences(file), document
+    elif "[[change]]" in block:
+        assert load_changes(file), document
+    elif "visit = " in block:
+        assert load_jobs(file), document
     else:
         assert load_cell(file), document
 

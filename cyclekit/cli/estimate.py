@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.options import Json, Quiet, levels, seconds
 from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
 
 EXAMPLE = "cyclekit estimate model sequences.toml --dataset dataset"
@@ -28,6 +29,16 @@ def estimate(
     ],
     dataset: Annotated[Path, typer.Option(help="Dataset that holds the robot's motions and the operator's tracks.")],
     out: Annotated[Path | None, typer.Option(help="Also write the result here: JSON, or CSV for x.csv.")] = None,
+    estimator: Annotated[
+        str | None, typer.Option(help="rollout, average, history or nominal; by default what suits the model.")
+    ] = None,
+    takt: Annotated[
+        str | None, typer.Option(metavar="TIME", help="Also tell how many cycles meet it, such as 105s.")
+    ] = None,
+    quantiles: Annotated[str, typer.Option(metavar="LEVELS", help="Of single cycles, percent.")] = "5,50,95",
+    check: Annotated[
+        bool, typer.Option("--check/--no-check", help="Roll out logged executions too, and correct by them.")
+    ] = True,
     seed: Annotated[int, typer.Option(min=0, help="Of the resampling of operator tracks.")] = 0,
     extrapolate: Annotated[
         bool, typer.Option("--extrapolate", help="Answer even where nothing like it was logged.")
@@ -40,22 +51,42 @@ def estimate(
     Per sequence: the mean, the range of single cycles, where the time goes, and what the number rests on.
     """
     from cyclekit.dataset import Dataset
+    from cyclekit.estimate.check import check_rollout
     from cyclekit.estimate.rollout import estimate as estimate_cycles
     from cyclekit.models.saved import load_model
     from cyclekit.sequences import load_sequences
 
     terminal = Terminal(json=json, quiet=quiet)
     wanted = load_sequences(sequences)
+    asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
+    opened, logs = load_model(model), Dataset.open(dataset)
+    checks: list[Check] = []
+
+    def checked() -> Check:
+        checks.append(check_rollout(opened, logs, levels=asked, seed=seed))
+        return checks[0]
+
     with terminal.progress("estimating") as progress:
         found = estimate_cycles(
-            load_model(model), Dataset.open(dataset), wanted, seed=seed, extrapolate=extrapolate, progress=progress
+            opened,
+            logs,
+            wanted,
+            estimator=estimator,
+            quantiles=asked,
+            takt_s=takt_s,
+            seed=seed,
+            extrapolate=extrapolate,
+            check=checked if check else None,
+            progress=progress,
         )
-    document = {"sequences": [entry.to_json() for entry in found]}
+    document: dict[str, Any] = {"sequences": [entry.to_json() for entry in found]}
+    document["check"] = checks[0].to_json() if checks else None
     if out is not None:
         write_out(out, as_csv(found) if out.suffix.lower() == ".csv" else document)
         terminal.remark(f"written: {out}")
     by_task = tasks_table(found[0]) if len(found) == 1 else ""
-    terminal.answer(document, f"{estimates_table(found)}\n{CAPTION}", by_task, loses_most(found), rests_on(found))
+    parts = [f"{estimates_table(found)}\n{CAPTION}", ranking(found), takt_table(found), by_task, loses_most(found)]
+    terminal.answer(document, *parts, rests_on(found), *(judged(entry) for entry in checks))
 
 
 def estimates_table(found: Sequence[CycleEstimate]) -> str:
@@ -74,6 +105,40 @@ def estimates_table(found: Sequence[CycleEstimate]) -> str:
     return table(["sequence ", "expected", cycles, "motion", "safety", "dwell", "wait"], rows)
 
 
+def ranking(found: Sequence[CycleEstimate]) -> str:
+    """Return how sure it is that the first sequence is quicker than each other one."""
+    best = found[0]
+    rows = [[f"{best.name} before {name}", percent(chance)] for name, chance in list(best.beats.items())[:20]]
+    return table(["mean cycle time ", "probability"], rows) if rows else ""
+
+
+def takt_table(found: Sequence[CycleEstimate]) -> str:
+    """Return the part of the cycles that meet the takt time, with its 95 % interval."""
+    rows = []
+    for entry in found:
+        if entry.takt_probability is not None:
+            share, low, high = entry.takt_probability
+            rows.append([entry.name, percent(share), f"{percent(low)} to {percent(high)}"])
+    return table(["sequence ", f"within {found[0].takt_s:g} s", "95%"], rows) if rows else ""
+
+
+def judged(check: Check) -> str:
+    """Return how the rollout compares with the logged executions."""
+    lines = [
+        f"{check.executions} logged executions rolled out beside their own operators: {check.own_bias:+.2%} "
+        f"(+-{1.96 * check.own_error:.2%}) on average, {check.held_out} of them unseen by the network",
+    ]
+    if abs(check.factor - 1) >= 5e-5:
+        lines.append(f"so every duration above is corrected by {check.factor - 1:+.2%}")
+    if check.coverage is not None:
+        low, high = check.levels
+        lines.append(
+            f"beside all other operators: {percent(check.coverage)} lie between the {100 * low:g}% and "
+            f"{100 * high:g}% quantiles, which should hold {percent(high - low)}"
+        )
+    return "How the rollout does on what was logged\n" + bullet([*lines, *check.doubts])
+
+
 def loses_most(found: Sequence[CycleEstimate]) -> str:
     """Return where each sequence loses most to safety: at which task, and while the operator does what."""
     lines = []
@@ -83,10 +148,9 @@ def loses_most(found: Sequence[CycleEstimate]) -> str:
             continue
         task = max(entry.tasks, key=lambda share: share.safety_loss_s)
         text = f"{entry.name}: most at {task.task} ({task.safety_loss_s:.1f} s)"
-        known = {name: lost for name, lost in entry.safety_by_activity_s.items() if name != "unknown"}
-        if known:
-            activity = max(known, key=lambda name: known[name])
-            text += f"; with the operator at or on the way to {activity} ({known[activity]:.1f} s in all)"
+        if entry.costliest_activity is not None:
+            activity, lost = entry.costliest_activity
+            text += f"; with the operator at or on the way to {activity} ({lost:.1f} s in all)"
         lines.append(text)
     return "Where safety slows the robot\n" + bullet(lines)
 
@@ -110,8 +174,9 @@ def rests_on(found: Sequence[CycleEstimate]) -> str:
     lines: list[str] = []
     for entry in found:
         lines.append(
-            f"{entry.name}: {entry.tracks} logged operator tracks; {percent(entry.support)} of the time near logged "
-            f"positions; mean between {entry.expected_low_s:.1f} and {entry.expected_high_s:.1f} s (95%)"
+            f"{entry.name}: {entry.estimator}, as {entry.why}; {entry.executions} logged executions, {entry.tracks} "
+            f"operator tracks; {percent(entry.support)} of the time near logged positions; mean between "
+            f"{entry.expected_low_s:.1f} and {entry.expected_high_s:.1f} s (95%)"
         )
         lines.extend(f"{entry.name}: {text}" for text in entry.warnings)
     return "What the numbers rest on\n" + bullet(lines)

@@ -64,6 +64,23 @@ def seconds(text: str) -> float:
     return value
 
 
+def levels(text: str) -> tuple[float, ...]:
+    """Return percentages such as `5,50,95` as ascending levels in (0, 1).
+
+    Raises:
+        typer.BadParameter: They are not two numbers or more between 0 and 100.
+    """
+    try:
+        found = tuple(sorted({float(part) / 100 for part in text.split(",")}))
+    except ValueError as error:
+        msg = f"{text!r} is no list of percentages; write them as 5,50,95"
+        raise typer.BadParameter(msg) from error
+    if len(found) < 2 or not 0 < found[0] <= found[-1] < 1:
+        msg = f"{text!r}: give two percentages or more, each between 0 and 100, such as 5,50,95"
+        raise typer.BadParameter(msg)
+    return found
+
+
 def vector(text: str) -> tuple[float, float, float]:
     """Return `x,y,z` as three numbers, metres.
 

@@ -59,7 +59,8 @@ def nominal_tasks(dataset: Dataset) -> dict[str, NominalTask]:
         stands_s=(pl.col("dwell_s") + pl.col("wait_s")).sort(),
         repetitions=pl.len(),
     )
-    best = tasks.sort("safety_loss_s", "execution", "index").group_by("task", maintain_order=True).first()
+    slowed = pl.col("safety_loss_s") + _slider_loss(tasks)
+    best = tasks.sort(slowed, "execution", "index").group_by("task", maintain_order=True).first()
     found = {}
     chosen = best.join(means, on="task", suffix="_all").sort("execution", "start_s")
     for (execution,), rows in chosen.group_by(["execution"], maintain_order=True):
@@ -79,15 +80,28 @@ def nominal_tasks(dataset: Dataset) -> dict[str, NominalTask]:
 
 
 def _execution_track(dataset: Dataset, execution: str) -> tuple[Vector, NDArray[np.float64], Vector]:
-    """Times, TCP and scaling of one execution: native rate where the scaling was logged, else the samples."""
+    """Times, TCP and rate of the program of one execution: native where the scaling was logged, else the samples."""
     native = dataset.native_robot(execution)
     if native is not None and native["scaling"].is_not_null().any():
         xyz = native.select("tcp_x_m", "tcp_y_m", "tcp_z_m").to_numpy()
-        return native["t_s"].to_numpy(), xyz, native["scaling"].to_numpy()
+        return native["t_s"].to_numpy(), xyz, native["scaling"].to_numpy()  # what the slider took is in it
     samples = dataset.samples([execution])
     xyz = samples.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()
     speed = samples.select(pl.col("scaling") * pl.col("slider").fill_null(1.0)).to_series()
     return samples["t_s"].to_numpy(), xyz, speed.to_numpy()
+
+
+def _slider_loss(tasks: pl.DataFrame) -> pl.Expr:
+    """Time lost to the operator's speed slider, where the dataset tells it apart from the scaling: else 0, s."""
+    return pl.col("slider_loss_s").fill_null(0.0)
+
+
+def slider_losses(dataset: Dataset) -> dict[str, float]:
+    """Return the part of each execution's time that was lost to the operator's speed slider, by name."""
+    tasks = dataset.tasks()
+    lost = tasks.group_by("execution").agg(_slider_loss(tasks).sum().alias("lost"))
+    durations = dict(dataset.executions.select("execution", "duration_s").iter_rows())
+    return {name: seconds / max(durations[name], 1e-9) for name, seconds in lost.iter_rows() if name in durations}
 
 
 def _undo_scaling(

@@ -5,8 +5,10 @@ How fast that time advances with an operator in the cell is the business of `rol
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+from zlib import crc32
 
 import numpy as np
 
@@ -81,10 +83,20 @@ def _tasks_from(task: str, nominal: Mapping[str, NominalTask]) -> str:
 def draw_stands(program: Program, count: int, seed: int) -> NDArray[np.float64]:
     """Return a stand per cycle and task, shape (count, tasks), seconds: the logged stands, spread evenly and shuffled.
 
-    A robot that is starved of parts now and then has cycles that differ by that alone; mean stands would hide it.
+    A robot that is starved of parts now and then has cycles that differ by that alone; mean stands would hide it. A
+    task draws the same stands in every program, the second time in a program others than the first: programs that are
+    compared meet the same luck.
     """
-    rng = np.random.default_rng(seed)
+    drawn, times = [], Counter[str]()
+    for task in program.tasks:
+        drawn.append(stands_of(task, count, seed, times[task.task]))
+        times[task.task] += 1
+    return np.column_stack(drawn)
+
+
+def stands_of(task: NominalTask, count: int, seed: int, occurrence: int) -> NDArray[np.float64]:
+    """Return the stands of one task at its n-th occurrence in a program, shape (count,), s; see `draw_stands`."""
+    rng = np.random.default_rng([seed, crc32(task.task.encode()), occurrence])
     level = (np.arange(count) + 0.5) / count
-    drawn = [rng.permutation(np.quantile(task.stands_s, level)) for task in program.tasks]
-    stands: NDArray[np.float64] = np.maximum(np.column_stack(drawn), 1e-3)
+    stands: NDArray[np.float64] = np.maximum(rng.permutation(np.quantile(task.stands_s, level)), 1e-3)
     return stands

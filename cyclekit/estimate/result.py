@@ -5,7 +5,8 @@ Only data and its JSON form; how the numbers come about is the business of `roll
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import statistics
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -45,6 +46,14 @@ class CycleEstimate:
         tasks: The split per task, in order.
         safety_by_activity_s: Mean safety loss per operator activity (human task), seconds, where known.
         durations_s: Cycle time on each track, seconds, in the order of the executions they were logged in.
+        estimator: What made the number: `rollout`, `average`, `history` or `nominal`.
+        why: Why that one, one sentence.
+        executions: Number of logged executions it rests on; `tracks` can be more, entered at several phases of each.
+        calibrated: Whether `quantiles_s` and the interval of the mean were corrected by logged executions.
+        takt_s: Takt time that was asked about, seconds.
+        takt_probability: Part of the cycles that meet it, and its 95 % interval from resampling executions.
+        beats: Probability that its mean is below that of another sequence, by name, over common resampled executions.
+        extrapolated: Marked: most of it runs through positions that were never logged.
     """
 
     name: str
@@ -63,6 +72,25 @@ class CycleEstimate:
     tasks: tuple[TaskShare, ...]
     safety_by_activity_s: Mapping[str, float]
     durations_s: tuple[float, ...]
+    estimator: str = "rollout"
+    why: str = ""
+    executions: int = 0
+    calibrated: bool = False
+    takt_s: float | None = None
+    takt_probability: tuple[float, float, float] | None = None
+    beats: Mapping[str, float] = field(default_factory=dict)
+    extrapolated: bool = False
+
+    @property
+    def median_s(self) -> float:
+        """Median of single cycles."""
+        return self.quantiles_s[0.5] if 0.5 in self.quantiles_s else statistics.median(self.durations_s)
+
+    @property
+    def costliest_activity(self) -> tuple[str, float] | None:
+        """The operator's activity that cost most, and its mean loss in seconds; None where none is known."""
+        known = {name: lost for name, lost in self.safety_by_activity_s.items() if name != "unknown"}
+        return max(known.items(), key=lambda entry: entry[1]) if known else None
 
     def to_json(self) -> dict[str, Any]:
         """Return the estimate as plain JSON values; quantile levels become keys such as "0.05"."""
@@ -73,4 +101,7 @@ class CycleEstimate:
         out["quantiles_s"] = {f"{level:g}": value for level, value in self.quantiles_s.items()}
         out["safety_by_activity_s"] = dict(self.safety_by_activity_s)
         out["durations_s"] = list(self.durations_s)
+        out["median_s"] = self.median_s
+        out["takt_probability"] = None if self.takt_probability is None else list(self.takt_probability)
+        out["beats"] = dict(self.beats)
         return out

@@ -1,294 +1,306 @@
-"""Expected cycle time by rolling the learned safety function along a sequence against logged operator tracks.
+"""Expected cycle time of task sequences: the estimators by name, and what each number rests on.
 
-The program of the sequence is a line of nominal time: motions, along which it advances at the scaling s(x_r, x_h), and
-stands, along which it advances at 1. Every logged operator track is walked once beside it, all tracks at the same
-time. Nothing is assumed about the shape of s; it is what the network learned. The operator is taken not to react to
-the robot's order of tasks.
+rollout   the learned safety function walked beside logged operator tracks (`walk`, `transit`)
+average   the paper's way: the mean scaling over a task's horizon (`rivals`)
+history   sums of logged task durations (`rivals`)
+nominal   nobody in the cell (`rivals`)
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import polars as pl
 from threadpoolctl import threadpool_limits
 
-from cyclekit.errors import EstimateError, ModelError
+from cyclekit.errors import EstimateError, ModelError, UnknownName
+from cyclekit.estimate.limits import limits_of_cycles, limits_of_logs
 from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.program import Program, draw_stands, lay_out
+from cyclekit.estimate.program import Program, lay_out
+from cyclekit.estimate.resample import TOGETHER, interval_of_mean, means_below, resampled, share_within
 from cyclekit.estimate.result import CycleEstimate, TaskShare
+from cyclekit.estimate.rivals import by_average, by_history, by_nominal
+from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.support import Support
-from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
+from cyclekit.estimate.tracks import OperatorTracks, operator_tracks, phase_is_free
+from cyclekit.estimate.transit import transit_table
+from cyclekit.estimate.walk import Rolled, roll_all, roll_out
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from cyclekit.dataset import Dataset
-    from cyclekit.models.saved import TrainedModel
+    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.safety import SafetyModel
     from cyclekit.sequences import TaskSequence
 
     Vector = NDArray[np.float64]
 
-TIME_STEP_S = 0.05
-"""Step of the rollout: half a sample of the operator's track."""
-SUPPORT_EVERY = 4
-"""Support is looked up at every so many steps."""
+__all__ = ["ESTIMATORS", "estimate", "lay_out", "roll_out"]
+
+ESTIMATORS: Mapping[str, str] = {
+    "rollout": "the learned safety function is walked beside every logged operator track",
+    "average": "the model predicts mean scalings, which give each task's duration",
+    "history": "logged durations of the same tasks were asked for",
+    "nominal": "the time without an operator was asked for",
+}
+"""Estimators by name, and why one is used."""
+MANY = 50
+"""More sequences than this are looked up in the table of arrivals; so many of the best are walked."""
 LEAST_SUPPORT = 0.5
 """Below this part of the cycle in logged cells the question is refused."""
-FEW_TRACKS = 20
-"""With fewer operator tracks the mean itself is uncertain by more than a percent in the cells seen so far."""
-RESAMPLES = 1000
 
 
 @dataclass(frozen=True)
-class Rolled:
-    """K cycles of one program.
+class Altered:
+    """Another cell than the one that was logged: its nominal tasks made of the logged ones, and its operator tracks."""
 
-    Attributes:
-        duration_s: Shape (K,).
-        stands_s: Stand at each task's goal per cycle, shape (K, tasks).
-        safety_s: Safety loss per cycle and task, shape (K, tasks).
-        by_activity_s: Safety loss per operator activity, mean over cycles, shape (activities + 1,), last = unknown.
-        support: Part of the time in logged cells.
-        spliced: Part of the time on a track that was continued beyond its own log.
-    """
+    tasks: Callable[[Mapping[str, NominalTask]], Mapping[str, NominalTask]]
+    tracks: Callable[[OperatorTracks, Mapping[str, NominalTask]], OperatorTracks]
 
-    duration_s: Vector
-    stands_s: NDArray[np.float64]
-    safety_s: NDArray[np.float64]
-    by_activity_s: Vector
-    support: float
-    spliced: float
+
+@dataclass(frozen=True)
+class _Asked:
+    """Everything that one call asks with."""
+
+    model: SafetyModel
+    dataset: Dataset
+    estimator: str
+    quantiles: tuple[float, ...]
+    takt_s: float | None
+    seed: int
+    extrapolate: bool
+    check: Check | None
+    altered: Altered | None
 
 
 def estimate(
-    model: TrainedModel,
+    model: SafetyModel,
     dataset: Dataset,
     sequences: Sequence[TaskSequence],
     *,
+    estimator: str | None = None,
     quantiles: Sequence[float] = (0.05, 0.5, 0.95),
+    takt_s: float | None = None,
     seed: int = 0,
     extrapolate: bool = False,
+    check: Check | Callable[[], Check] | None = None,
+    altered: Altered | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> list[CycleEstimate]:
     """Return the expected cycle time of each sequence, shortest first.
 
     Args:
-        model: A model of problem `now`.
+        model: A model of problem `now`, or of `average` for that estimator; `history` and `nominal` do not ask it.
         dataset: Logs that hold the tasks and the operator's tracks.
         sequences: What is asked for.
+        estimator: One of ESTIMATORS; None: what suits the model.
         quantiles: Levels in (0, 1) of single cycles.
-        seed: Of the resampling behind the interval of the mean, and of the order in which logged stands are used.
-        extrapolate: Answer although the support is below LEAST_SUPPORT; the number carries a warning.
+        takt_s: Also tell the probability that a cycle takes no longer.
+        seed: Of the resampling behind the intervals, and of the order in which logged stands are used.
+        extrapolate: Answer although the support is below LEAST_SUPPORT; the number is marked.
+        check: From `check_rollout` of the same model and dataset, or how to make it (called once, for a rollout that
+            can be answered): quantiles and intervals are corrected by it.
+        altered: What is different from the cell that was logged.
         progress: Told fraction and text.
 
     Raises:
-        ModelError: The model predicts something else than the present scaling.
-        UnknownName: A place does not exist.
+        ModelError: The model does not predict what the estimator needs.
+        UnknownName: A place or the estimator does not exist.
         EstimateError: A task was never logged, there is no operator track, or the support is too low.
     """
     tell = progress or (lambda fraction, text: None)
-    if model.problem != "now":
-        msg = f"the model predicts problem {model.problem!r}; a rollout needs the scaling of the present instant"
-        raise ModelError(msg, cure="Train one: cyclekit train DATASET --problem now --out MODEL")
-    nominal = nominal_tasks(dataset)
-    programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
-    samples = dataset.samples()
-    support = Support(
-        samples.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy(),
-        samples.select("human_x_m", "human_y_m", "human_z_m").to_numpy(),
-    )
-    found = []
-    for number, (sequence, program) in enumerate(zip(sequences, programs, strict=True)):
-        tell(number / len(sequences), f"rolling out {sequence.name}")
-        rolled, tracks = _with_enough_track(model, dataset, sequence, program, support, seed)
-        if rolled.support < LEAST_SUPPORT and not extrapolate:
-            seen = f"{sequence.shown}: only {rolled.support:.0%} of it runs through positions ever logged"
-            raise EstimateError(seen, cure="Log this part of the cell, or ask with --extrapolate and mark the number.")
-        found.append(_estimate(sequence, program, rolled, tracks, dataset, model, quantiles, seed))
+    chosen = _chosen(model, estimator)
+    nominal: Mapping[str, NominalTask] = nominal_tasks(dataset)
+    nominal = altered.tasks(nominal) if altered else nominal
+    programs = {sequence: lay_out(sequence, nominal, dataset) for sequence in sequences}
+    if chosen != "rollout":
+        check = None
+    checked = check() if callable(check) else check
+    ask = _Asked(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, checked, altered)
+    limits = limits_of_logs(dataset, model)
+    found: list[CycleEstimate] = []
+    means: list[Vector] = []
+    for operator in dict.fromkeys(sequence.operator for sequence in sequences):
+        mine = [sequence for sequence in programs if sequence.operator == operator]
+        rolled, tracks = _cycles(ask, mine, [programs[sequence] for sequence in mine], tell)
+        weights = _weights(ask, rolled[0], tracks)
+        for sequence, cycles in zip(mine, rolled, strict=True):
+            entry = _estimate(ask, sequence, programs[sequence], cycles, tracks, weights)
+            found.append(replace(entry, warnings=(*limits_of_cycles(cycles, entry, checked), *limits)))
+            means.append(weights @ cycles.duration_s)
     tell(1.0, "done")
-    return sorted(found, key=lambda result: (result.expected_s, result.name))
+    order = sorted(range(len(found)), key=lambda i: (found[i].expected_s, found[i].name))
+    return _ranked([found[i] for i in order], [means[i] for i in order])
 
 
-def _with_enough_track(
-    model: TrainedModel, dataset: Dataset, sequence: TaskSequence, program: Program, support: Support, seed: int
-) -> tuple[Rolled, OperatorTracks]:
-    """Roll out with tracks long enough for the slowest cycle; a cell that halts for long needs a second try."""
-    horizon = 2.5 * program.length_s
-    for _ in range(4):
-        tracks = operator_tracks(dataset, horizon_s=horizon, operator=sequence.operator)
+def _chosen(model: SafetyModel, estimator: str | None) -> str:
+    if estimator is None:
+        estimator = "average" if model.problem == "average" else "rollout"
+    if estimator not in ESTIMATORS:
+        raise UnknownName("estimate", "estimator", estimator, ESTIMATORS)
+    needs = {"rollout": "now", "average": "average"}.get(estimator)
+    if needs is not None and model.problem != needs:
+        msg = f"the model predicts problem {model.problem!r}; estimator {estimator!r} needs {needs!r}"
+        raise ModelError(msg, cure=f"Train one: cyclekit train DATASET --problem {needs} --out MODEL")
+    return estimator
+
+
+def _cycles(
+    ask: _Asked, sequences: Sequence[TaskSequence], programs: Sequence[Program], tell: Callable[[float, str], None]
+) -> tuple[list[Rolled], OperatorTracks | None]:
+    """Return the cycles of every sequence, and the tracks they rest on (None where they rest on none)."""
+    if ask.estimator == "history":
+        return [by_history(ask.dataset, program, seed=ask.seed) for program in programs], None
+    if ask.estimator == "nominal":
+        return [by_nominal(program) for program in programs], None
+    horizon = 2.5 * max(program.length_s for program in programs)
+    for _ in range(4):  # tracks must be long enough for the slowest cycle; a cell that halts for long needs more
+        tracks = operator_tracks(ask.dataset, horizon_s=horizon, operator=sequences[0].operator)
+        if ask.altered is not None:
+            tracks = ask.altered.tracks(tracks, {task.task: task for program in programs for task in program.tasks})
+        rolled = []
         with threadpool_limits(limits=1, user_api="blas"):  # thousands of tiny products: more threads only wait
-            rolled = roll_out(model, program, tracks, support, seed=seed)
-        if np.isfinite(rolled.duration_s).all():
-            return rolled, tracks
+            for number, cycles in enumerate(_rolled(ask, programs, tracks)):
+                rolled.append(cycles)
+                tell(number / len(programs), f"rolling out {sequences[number].name}")
+                if not np.isfinite(cycles.duration_s).all():
+                    break
+            else:
+                return [_supported(ask, *pair) for pair in zip(sequences, rolled, strict=True)], tracks
         horizon *= 2.0
-    stuck = float(np.mean(~np.isfinite(rolled.duration_s)))
-    seen = f"{sequence.shown}: {stuck:.0%} of the cycles do not end within {horizon / 2:.0f} s"
+    stuck = float(np.mean(~np.isfinite(rolled[-1].duration_s)))
+    shown = sequences[len(rolled) - 1].shown
+    seen = f"{shown}: {stuck:.0%} of the cycles do not end within {horizon / 2:.0f} s"
     raise EstimateError(seen, cure="The operator's tracks leave the robot halted; check the tracker's frame and clock.")
 
 
-def roll_out(
-    model: TrainedModel, program: Program, tracks: OperatorTracks, support: Support, *, seed: int = 0
-) -> Rolled:
-    """Walk every track beside the program once; a cycle that does not end within its track has duration inf."""
-    count, samples = tracks.activity.shape
-    stands = draw_stands(program, count, seed)
-    walk = _Walk(program, stands)
-    duration = np.full(count, np.inf)
-    activity_s = np.zeros(len(tracks.activities) + 1)
-    without = model.card.get("scaling_without_operator")
-    free = 1.0 if without is None else float(without)
-    known = looked = spliced = 0.0
-    cells_per_s = len(program.leg) / program.length_s
-    for number in range(int((samples - 2) * tracks.step_s / TIME_STEP_S)):
-        going = np.flatnonzero(~np.isfinite(duration))
-        if not len(going):
-            break
-        at = np.minimum((walk.position[going] * cells_per_s).astype(np.int64), len(program.leg) - 1)
-        human, sample = _human_at(tracks, going, number * TIME_STEP_S)
-        robot = program.xyz_m[at]
-        scaling = _scaling(model, robot, human, free)
-        lost, left = walk.advance(going, scaling)
-        arrives = walk.arrived[going]
-        duration[going[arrives]] = (number + 1) * TIME_STEP_S - left[arrives]
-        np.add.at(activity_s, tracks.activity[going, sample], lost)
-        spliced += float(np.count_nonzero(sample >= tracks.logged[going]))
-        if number % SUPPORT_EVERY == 0:
-            known += float(np.count_nonzero(support.near_logged(robot, human)))
-            looked += len(going)
-    steps = max(float(np.where(np.isfinite(duration), duration, 0.0).sum()) / TIME_STEP_S, 1.0)
-    return Rolled(duration, stands, walk.safety_s, activity_s / count, known / max(looked, 1.0), spliced / steps)
+def _rolled(ask: _Asked, programs: Sequence[Program], tracks: OperatorTracks) -> Iterator[Rolled]:
+    if ask.estimator == "average":
+        return (by_average(ask.model, program, tracks, seed=ask.seed) for program in programs)  # type: ignore[arg-type]
+    support = None if getattr(ask.model, "known_everywhere", False) else _support(ask.dataset)
+    dynamics = Dynamics.of(ask.dataset.card)
+    if len(programs) <= MANY or not dynamics.none:
+        return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=dynamics)
+    return _looked_up(ask, programs, tracks, support)
 
 
-class _Walk:
-    """K cycles on their way through one program: where each is, and what it has lost to safety per task."""
-
-    def __init__(self, program: Program, stands_s: NDArray[np.float64]) -> None:
-        """Begin K cycles with their own stands, shape (K, tasks), seconds."""
-        parts = np.array([part for task in program.tasks for part in (task.nominal_s, task.dwell_s + task.wait_s)])
-        self._ends = np.cumsum(parts)
-        self._stand_rate = parts[1::2] / stands_s
-        self._part = np.zeros(len(stands_s), dtype=np.int64)  # even: a motion, odd: the stand after it
-        self.position = np.zeros(len(stands_s))
-        self.safety_s = np.zeros(stands_s.shape)
-
-    @property
-    def arrived(self) -> NDArray[np.bool_]:
-        """Which cycles are at their end, shape (K,)."""
-        return np.asarray(self._part == len(self._ends))
-
-    def advance(self, going: NDArray[np.int64], scaling: Vector) -> tuple[Vector, Vector]:
-        """Go on by TIME_STEP_S; return the safety loss in it and what is left of it at the end, shape (len(going),).
-
-        The step is divided where a motion or a stand ends in it: each has a rate of its own.
-        """
-        lost, left = np.zeros(len(going)), np.full(len(going), TIME_STEP_S)
-        rows = np.arange(len(going))
-        while len(rows):
-            k, part = going[rows], self._part[going[rows]]
-            moving, leg = part % 2 == 0, part // 2
-            rate = np.where(moving, scaling[rows], self._stand_rate[k, leg])
-            to_go = self._ends[part] - self.position[k]
-            needs = np.where(to_go <= 1e-9, 0.0, to_go / np.maximum(rate, 1e-12))
-            done, spent = needs <= left[rows], np.minimum(needs, left[rows])
-            self.position[k] = np.where(done, self._ends[part], self.position[k] + rate * spent)
-            self._part[k] += done
-            loss = np.where(moving, (1.0 - rate) * spent, 0.0)
-            self.safety_s[k, leg] += loss
-            lost[rows] += loss
-            left[rows] -= spent
-            rows = rows[done & (part + 1 < len(self._ends))]
-        return lost, left
+def _looked_up(
+    ask: _Asked, programs: Sequence[Program], tracks: OperatorTracks, support: Support | None
+) -> Iterator[Rolled]:
+    """Look very many sequences up in the table of arrivals, and walk the best of them."""
+    tasks = {task.task: task for program in programs for task in program.tasks}
+    table = transit_table(ask.model, tasks, tracks)
+    found = [table.rolled([task.task for task in program.tasks], seed=ask.seed) for program in programs]
+    best = np.argsort([float(cycles.duration_s.mean()) for cycles in found])[:MANY].tolist()
+    walked = roll_all(ask.model, [programs[i] for i in best], tracks, support, seed=ask.seed)
+    for i, cycles in zip(best, walked, strict=True):
+        found[i] = cycles
+    return iter(found)
 
 
-def _human_at(tracks: OperatorTracks, rows: NDArray[np.int64], t_s: float) -> tuple[NDArray[np.float64], int]:
-    sample = int(t_s / tracks.step_s + 1e-9)
-    weight = t_s / tracks.step_s - sample
-    here, after = tracks.xyz_m[rows, sample], tracks.xyz_m[rows, sample + 1]
-    return np.where(np.isfinite(after), here * (1 - weight) + after * weight, here), sample
+def _support(dataset: Dataset) -> Support:
+    robot, human = (
+        dataset.samples().select(f"{who}_{axis}_m" for axis in "xyz").to_numpy() for who in ("robot", "human")
+    )
+    return Support(robot, human)
 
 
-def _scaling(model: TrainedModel, robot_m: NDArray[np.float64], human_m: NDArray[np.float64], free: float) -> Vector:
-    present = np.isfinite(human_m).all(axis=1)
-    scaling = np.full(len(robot_m), free)
-    if present.any():
-        inputs = np.concatenate([robot_m[present], human_m[present]], axis=1).astype(np.float32)
-        scaling[present] = np.clip(model.predict(inputs), 0.0, 1.0)
-    return scaling
+def _supported(ask: _Asked, sequence: TaskSequence, cycles: Rolled) -> Rolled:
+    """Refuse what lies outside of the logs, unless it was asked for."""
+    if cycles.support < LEAST_SUPPORT and not ask.extrapolate:
+        seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through positions ever logged"
+        raise EstimateError(seen, cure="Log this part of the cell, or ask with --extrapolate and mark the number.")
+    return cycles
+
+
+def _weights(ask: _Asked, cycles: Rolled, tracks: OperatorTracks | None) -> NDArray[np.float64]:
+    """Weights of the cycles in each resample of the logs, shape (resamples, K)."""
+    if tracks is None:  # cycles put together of tasks: each draw is one
+        return resampled([str(k) for k in range(len(cycles.duration_s))], ask.seed)
+    runs_on = len(set(tracks.executions)) < len(tracks.executions) or phase_is_free(ask.dataset)
+    return resampled(tracks.executions, ask.seed, together=TOGETHER if runs_on else 1)
 
 
 def _estimate(
+    ask: _Asked,
     sequence: TaskSequence,
     program: Program,
-    rolled: Rolled,
-    tracks: OperatorTracks,
-    dataset: Dataset,
-    model: TrainedModel,
-    quantiles: Sequence[float],
-    seed: int,
+    cycles: Rolled,
+    tracks: OperatorTracks | None,
+    weights: NDArray[np.float64],
 ) -> CycleEstimate:
-    durations = rolled.duration_s
-    shares = tuple(_shares(program, rolled))
-    low, high = _interval_of_mean(durations, seed)
-    by_activity = dict(zip([*tracks.activities, "unknown"], rolled.by_activity_s.tolist(), strict=True))
+    check = ask.check
+    cycles, slower = (cycles, 1.0) if check is None else _corrected(cycles, check.factor)
+    durations = cycles.duration_s
+    shares = tuple(_shares(program, cycles))
+    expected = float(durations.mean())
+    low, high = interval_of_mean(durations, weights, model_error=check.model_error if check else 0.0, seed=ask.seed)
+    activities = [*tracks.activities, "unknown"] if tracks else []
+    by_activity = zip(activities, (cycles.by_activity_s * slower).tolist(), strict=False)
+    logged = tracks.executions if tracks else tuple(ask.dataset.executions["execution"])
     return CycleEstimate(
         name=sequence.name,
         places=sequence.places,
-        expected_s=float(durations.mean()),
+        expected_s=expected,
         expected_low_s=low,
         expected_high_s=high,
-        quantiles_s={level: float(np.quantile(durations, level)) for level in quantiles},
+        quantiles_s={
+            p: check.quantile(durations, p) if check else float(np.quantile(durations, p)) for p in ask.quantiles
+        },
         nominal_s=sum(share.nominal_s for share in shares),
         safety_loss_s=sum(share.safety_loss_s for share in shares),
         dwell_s=sum(share.dwell_s for share in shares),
         wait_s=sum(share.wait_s for share in shares),
-        support=rolled.support,
-        tracks=len(durations),
-        warnings=tuple(_warnings(rolled, tracks, dataset, model)),
+        support=cycles.support,
+        tracks=len(durations) if tracks else 0,
+        warnings=(),
         tasks=shares,
-        safety_by_activity_s={name: value for name, value in by_activity.items() if value > 0.0},
+        safety_by_activity_s={name: lost for name, lost in by_activity if lost > 0.0},
         durations_s=tuple(durations.tolist()),
+        estimator=ask.estimator,
+        why=ESTIMATORS[ask.estimator],
+        executions=len(set(logged)),
+        calibrated=check is not None and check.coverage is not None,
+        takt_s=ask.takt_s,
+        takt_probability=None if ask.takt_s is None else share_within(durations, ask.takt_s, weights),
+        extrapolated=cycles.support < LEAST_SUPPORT,
     )
 
 
-def _shares(program: Program, rolled: Rolled) -> Iterator[TaskShare]:
+def _corrected(cycles: Rolled, factor: float) -> tuple[Rolled, float]:
+    """Multiply the durations; the difference is safety loss, as that is what was learned. Also its factor."""
+    lost = float(cycles.safety_s.mean(axis=0).sum())
+    more = (factor - 1) * float(cycles.duration_s.mean())
+    slower = max(1 + more / lost, 0.0) if lost > 0 else 1.0
+    return replace(cycles, duration_s=cycles.duration_s * factor, safety_s=cycles.safety_s * slower), slower
+
+
+def _ranked(found: list[CycleEstimate], means: list[Vector]) -> list[CycleEstimate]:
+    """Add to each estimate the probability that its mean is below that of each other one (of the first, if many)."""
+    many = len(found) > MANY
+    names = [entry.name for entry in found]
+    ranked = []
+    for index, entry in enumerate(found):
+        against = [0, index] if many else range(len(found))
+        below = means_below([means[i] for i in against], list(against).index(index))
+        pairs = zip(against, below.tolist(), strict=True)
+        ranked.append(replace(entry, beats={names[i]: value for i, value in pairs if i != index}))
+    return ranked
+
+
+def _shares(program: Program, cycles: Rolled) -> Iterator[TaskShare]:
     """Split the mean duration over the tasks; a step that crosses from one part to the next is shared out with it."""
-    safety, stands = rolled.safety_s.mean(axis=0), rolled.stands_s.mean(axis=0)
+    safety, stands = cycles.safety_s.mean(axis=0), cycles.stands_s.mean(axis=0)
     motion = sum(task.nominal_s for task in program.tasks) + float(safety.sum())
-    stands *= (float(rolled.duration_s.mean()) - motion) / float(stands.sum())
+    stands *= (float(cycles.duration_s.mean()) - motion) / float(stands.sum())
     for task, lost, stand in zip(program.tasks, safety.tolist(), stands.tolist(), strict=True):
         usual = task.dwell_s + task.wait_s
         dwell = stand * task.dwell_s / usual if usual > 0.0 else stand
         wait = stand - dwell
         yield TaskShare(task.task, task.nominal_s + lost + stand, task.nominal_s, lost, dwell, wait)
-
-
-def _interval_of_mean(durations: Vector, seed: int) -> tuple[float, float]:
-    rng = np.random.default_rng(seed)
-    means = durations[rng.integers(0, len(durations), (RESAMPLES, len(durations)))].mean(axis=1)
-    return float(np.quantile(means, 0.025)), float(np.quantile(means, 0.975))
-
-
-def _warnings(rolled: Rolled, tracks: OperatorTracks, dataset: Dataset, model: TrainedModel) -> list[str]:
-    found = []
-    if len(tracks.executions) < FEW_TRACKS:
-        found.append(f"rests on {len(tracks.executions)} operator tracks only: the mean itself is uncertain")
-    if rolled.support < 0.9:
-        found.append(f"{1 - rolled.support:.0%} of the cycle runs through positions that were never logged")
-    if rolled.spliced > 0.1:
-        found.append(f"{rolled.spliced:.0%} of the time the operator's track is continued from another execution")
-    samples = dataset.samples()
-    absent = samples["human_x_m"].null_count() / max(samples.height, 1)
-    if absent > 0.01 and model.card.get("scaling_without_operator") is None:
-        found.append(f"in {absent:.0%} of the samples nobody is seen; there the robot is taken to run free")
-    if samples.filter(pl.col("scaling_origin") == "inferred").height:
-        found.append("the speed scaling was not logged but inferred from velocity ratios")
-    if any(record["clock"]["method"] == "assumed-common-start" for record in dataset.recordings):
-        found.append("the clocks of robot and tracker are only assumed to start together")
-    if any(record["clock"]["method"] in ("coarse", "start-text") for record in dataset.recordings):
-        found.append("the clocks of robot and tracker are aligned roughly: the reaction delay is hidden or unknown")
-    return found

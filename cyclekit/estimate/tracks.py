@@ -1,6 +1,9 @@
 """Logged operator tracks, long enough for any cycle that is rolled out against them.
 
-A track begins where its execution began. Where a cycle takes longer than the logged one, the track goes on: with what
+A track begins where its execution began. An operator who comes and goes as he likes, whatever the robot does, is
+entered at more phases of each execution as well: a cycle may begin at any of them.
+
+Where a cycle takes longer than the logged one, the track goes on: with what
 the operator really did next, if the log runs on; else with the track of another execution that was still running at
 that time since its start, from where its operator was nearest and doing the same. Cycles that take long would
 otherwise be scored against an operator who stands still.
@@ -27,19 +30,26 @@ RUN_ON_S = 5.0
 """The next execution of a session goes on with the same operator if it begins within this time."""
 OTHER_TASK_M = 2.0
 """An operator who does something else counts as being this much farther away."""
+PHASES = 4
+"""Phases of each execution at which a track is entered, where the operator's habits do not begin with it."""
+SAME_SPREAD = (0.6, 1.6)
+"""Where starts are like any other instant, the operator's spread at them is within this ratio of that at all times."""
+SAME_MEAN = 3.5
+"""... and the mean of his position within this many standard errors."""
 
 
 @dataclass(frozen=True)
 class OperatorTracks:
-    """K tracks on one grid of time since the execution began.
+    """K tracks on one grid of time since the cycle began.
 
     Attributes:
         xyz_m: x_h, shape (K, T, 3), base frame; NaN = nobody seen.
         activity: Index into `activities` of what the operator does, shape (K, T); -1 = unknown.
         activities: Names of the operator's tasks.
-        logged: Length of each track that its own execution logged, shape (K,), samples.
-        executions: Name of the execution behind each track.
+        logged: Samples of each track that are what its own operator really did, shape (K,).
+        executions: Name of the execution behind each track; several tracks can be of one.
         step_s: Time between samples.
+        goal_m: g_h, shape (K, T, 3); NaN = unknown.
     """
 
     xyz_m: NDArray[np.float64]
@@ -48,51 +58,97 @@ class OperatorTracks:
     logged: NDArray[np.int64]
     executions: tuple[str, ...]
     step_s: float
+    goal_m: NDArray[np.float64] | None = None
 
 
-def operator_tracks(dataset: Dataset, *, horizon_s: float, operator: Sequence[str] | None = None) -> OperatorTracks:
+@dataclass(frozen=True)
+class _Track:
+    """What was logged of one execution: x_h and g_h, shape (T, 6), activity (T,), and the session times of its ends."""
+
+    where: NDArray[np.float64]
+    activity: NDArray[np.int64]
+    begin_s: float
+    end_s: float
+
+
+def operator_tracks(
+    dataset: Dataset, *, horizon_s: float, operator: Sequence[str] | None = None, phases: int | None = None
+) -> OperatorTracks:
     """Return the tracks of all complete executions with an operator, each at least `horizon_s` long.
 
     Args:
         dataset: Where they were logged.
         horizon_s: Longest cycle that will be asked for.
         operator: Only executions in which the operator's tasks begin in this order.
+        phases: Entries per execution; None: PHASES where `phase_is_free` and no order is asked for, else 1. The first
+            entry of each execution is its beginning, and those come first, in the order of the executions.
 
     Raises:
         EstimateError: No execution has an operator track, or none matches `operator`.
     """
     step = 1.0 / float(dataset.card["rate_hz"])
-    samples = dataset.samples()
-    names = sorted(name for name in samples["human_task"].unique().to_list() if name is not None)
-    code = {name: index for index, name in enumerate(names)}
+    names, tracks = _logged(dataset)
     complete = set(dataset.executions.filter("complete")["execution"].to_list())
-    tracks: dict[str, tuple[NDArray[np.float64], NDArray[np.int64], float, float]] = {}
-    for (execution,), rows in samples.group_by(["execution"], maintain_order=True):
-        xyz = rows.select("human_x_m", "human_y_m", "human_z_m").to_numpy()
-        activity = np.array([code.get(name, -1) for name in rows["human_task"].to_list()])
-        t = rows["t_s"].to_numpy()
-        tracks[str(execution)] = (xyz, activity, float(t[0]), float(t[-1]))
-    begins = [name for name in tracks if name in complete and np.isfinite(tracks[name][0]).any()]
+    begins = [name for name in tracks if name in complete and np.isfinite(tracks[name].where[:, :3]).any()]
     if not begins:
         seen = f"{dataset.path}: no complete execution has an operator track"
         raise EstimateError(seen, cure="Ingest the tracker's log together with the robot's.")
     if operator is not None:
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
+    if phases is None:
+        phases = PHASES if operator is None and phase_is_free(dataset) else 1
     ran_on = {name: _run_on(dataset, tracks, name, step) for name in begins}
     length = int(np.ceil(horizon_s / step)) + 2
-    xyz, activity = _extended([ran_on[name] for name in begins], length)
-    logged = np.array([len(tracks[name][0]) for name in begins])
-    return OperatorTracks(xyz, activity, tuple(names), logged, tuple(begins), step)
+    entries = [(name, len(tracks[name].where) * phase // phases) for phase in range(phases) for name in begins]
+    streams = [(ran_on[name][0][at:], ran_on[name][1][at:]) for name, at in entries]
+    where, activity = _extended(streams, length)
+    logged = np.array([len(stream) for stream, _ in streams])
+    executions = tuple(name for name, _ in entries)
+    return OperatorTracks(where[..., :3], activity, tuple(names), logged, executions, step, where[..., 3:])
+
+
+def phase_is_free(dataset: Dataset) -> bool:
+    """Tell whether a cycle may begin at any instant of the operator's day.
+
+    So where the log runs on from execution to execution, and where the operator stands when one begins is no different
+    from where he stands at any time: its mean within SAME_MEAN standard errors, its spread within SAME_SPREAD.
+    """
+    _, tracks = _logged(dataset)
+    if len(tracks) < 8:
+        return False
+    order = dataset.executions.sort("session", "start_s")
+    pause = order.select((pl.col("start_s") - pl.col("end_s").shift().over("session")).alias("pause"))["pause"]
+    if (pause <= RUN_ON_S).sum() < 0.8 * (len(pause) - order["session"].n_unique()) or pause.null_count() == len(pause):
+        return False
+    everywhere = np.concatenate([track.where[:, :2] for track in tracks.values()])
+    starts = np.array([track.where[0, :2] for track in tracks.values()])
+    everywhere, starts = (part[np.isfinite(part).all(axis=1)] for part in (everywhere, starts))
+    if len(starts) < 8:
+        return False
+    spread, there = everywhere.std(axis=0), starts.std(axis=0)
+    off = np.abs(starts.mean(axis=0) - everywhere.mean(axis=0)) / np.maximum(spread / np.sqrt(len(starts)), 1e-9)
+    ratio = there / np.maximum(spread, 1e-9)
+    return bool((off < SAME_MEAN).all() and (ratio > SAME_SPREAD[0]).all() and (ratio < SAME_SPREAD[1]).all())
+
+
+def _logged(dataset: Dataset) -> tuple[list[str], dict[str, _Track]]:
+    """The operator's tasks, and what was logged of him in each execution."""
+    samples = dataset.samples()
+    names = sorted(name for name in samples["human_task"].unique().to_list() if name is not None)
+    code = {name: index for index, name in enumerate(names)}
+    columns = [f"human_{part}{axis}_m" for part in ("", "goal_") for axis in "xyz"]
+    tracks: dict[str, _Track] = {}
+    for (execution,), rows in samples.group_by(["execution"], maintain_order=True):
+        activity = np.array([code.get(name, -1) for name in rows["human_task"].to_list()])
+        where = rows.select(pl.col(columns).cast(pl.Float64).fill_null(np.nan)).to_numpy()
+        tracks[str(execution)] = _Track(where, activity, float(rows["t_s"][0]), float(rows["t_s"][-1]))
+    return names, tracks
 
 
 def _matching(
-    dataset: Dataset,
-    tracks: dict[str, tuple[NDArray[np.float64], NDArray[np.int64], float, float]],
-    begins: list[str],
-    names: list[str],
-    wanted: tuple[str, ...],
+    dataset: Dataset, tracks: dict[str, _Track], begins: list[str], names: list[str], wanted: tuple[str, ...]
 ) -> list[str]:
-    orders = {name: _order(tracks[name][1], names) for name in begins}
+    orders = {name: _order(tracks[name].activity, names) for name in begins}
     found = [name for name in begins if orders[name][: len(wanted)] == wanted]
     if not found:
         common = max(orders.values(), key=list(orders.values()).count)
@@ -107,24 +163,20 @@ def _order(activity: NDArray[np.int64], names: list[str]) -> tuple[str, ...]:
 
 
 def _run_on(
-    dataset: Dataset,
-    tracks: dict[str, tuple[NDArray[np.float64], NDArray[np.int64], float, float]],
-    name: str,
-    step: float,
+    dataset: Dataset, tracks: dict[str, _Track], name: str, step: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """The track of an execution and of those that follow it in the same session without a longer pause."""
     order = dataset.executions.filter(pl.col("session") == pl.lit(_session(dataset, name)))["execution"].to_list()
-    xyz, activity, _, end = tracks[name]
-    parts, doing = [xyz], [activity]
+    end, parts, doing = tracks[name].end_s, [tracks[name].where], [tracks[name].activity]
     for following in order[order.index(name) + 1 : order.index(name) + 3]:
-        if following not in tracks or tracks[following][2] - end > RUN_ON_S:
+        if following not in tracks or tracks[following].begin_s - end > RUN_ON_S:
             break
-        next_xyz, next_activity, begin, next_end = tracks[following]
-        pause = max(0, round((begin - end) / step) - 1)
+        after = tracks[following]
+        pause = max(0, round((after.begin_s - end) / step) - 1)
         weight = (np.arange(1, pause + 1) / (pause + 1))[:, None]
-        parts += [parts[-1][-1] * (1 - weight) + next_xyz[0] * weight, next_xyz]
-        doing += [np.full(pause, doing[-1][-1]), next_activity]
-        end = next_end
+        parts += [parts[-1][-1] * (1 - weight) + after.where[0] * weight, after.where]
+        doing += [np.full(pause, doing[-1][-1]), after.activity]
+        end = after.end_s
     return np.concatenate(parts), np.concatenate(doing)
 
 
@@ -138,7 +190,7 @@ def _extended(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Lay the tracks on one grid of `length` samples, short ones continued by donors (see the module's text)."""
     count = len(tracks)
-    xyz = np.full((count, length, 3), np.nan)
+    xyz = np.full((count, length, tracks[0][0].shape[1]), np.nan)
     activity = np.full((count, length), -1, dtype=np.int64)
     own = np.array([min(len(track), length) for track, _ in tracks])
     for k, (track, doing) in enumerate(tracks):
@@ -162,7 +214,7 @@ def _donor(
     running = np.flatnonzero(own > at + 1)
     if not len(running):
         return None
-    here, there = xyz[k, at], xyz[running, at]
+    here, there = xyz[k, at, :3], xyz[running, at, :3]
     absent = ~np.isfinite(there[:, 0])
     distance = np.where(absent, np.inf, np.linalg.norm(np.nan_to_num(there - here), axis=1))
     if not np.isfinite(here[0]):

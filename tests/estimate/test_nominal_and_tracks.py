@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.nominal import STEP_S, nominal_tasks
+from cyclekit.estimate.nominal import STEP_S, nominal_tasks, slider_losses
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import operator_tracks
 
@@ -47,6 +47,21 @@ def test_a_task_logged_without_scaling_has_no_nominal_motion(hand_made: Any):
     unknown = found.tasks().with_columns(nominal_s=pl.lit(None, pl.Float64))
     unknown.write_parquet(found.path / "tasks.parquet")
     assert nominal_tasks(found) == {}
+
+
+def test_a_speed_slider_is_undone_like_the_scaling_where_the_dataset_tells_it_apart(hand_made: Any):
+    """1 m in 2 s as logged, the half below 0.5 m at a quarter of the speed: 1.25 s, half of which lead to 0.6875 m."""
+    found = hand_made({"a": ([0.0, 0.0], {0.0: (3.0, 0.0), 15.0: (3.0, 0.0)})})
+    told = found.tasks().with_columns(nominal_s=pl.lit(1.25), slider_loss_s=pl.lit(0.75))
+    told.write_parquet(found.path / "tasks.parquet")
+    file = next((found.path / "recordings").glob("*/robot.parquet"))
+    slider = pl.when(pl.col("tcp_x_m") < 0.5).then(0.25).otherwise(1.0)
+    pl.read_parquet(file, glob=False).with_columns(slider=slider).write_parquet(file)
+    for task in nominal_tasks(found).values():
+        assert task.xyz_m[len(task.xyz_m) // 2, 0] == pytest.approx(0.6875, abs=0.02)
+    lost = slider_losses(found)
+    assert set(lost) == set(found.executions["execution"])
+    assert all(0.2 < part < 0.5 for part in lost.values())
 
 
 HALTED = {

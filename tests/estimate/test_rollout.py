@@ -165,7 +165,7 @@ def test_a_task_that_was_never_logged_is_refused_with_those_that_were(logged: Da
 
 def test_a_model_of_another_problem_is_refused(logged: Dataset, constant: Any):
     model = constant(1.0)
-    model.problem = "average"
+    model.problem = "ahead"
     with pytest.raises(ModelError, match="cyclekit train DATASET --problem now"):
         estimate(model, logged, [SHORT])
 

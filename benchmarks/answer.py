@@ -1,0 +1,324 @@
+"""The answer against fresh simulated executions: sequences, orders, zones, what-if, harder logs, speed.
+
+    python benchmarks/answer.py sequences --scene box-picking --executions 45
+    python benchmarks/answer.py plan      --scene laser-zones --executions 200
+    python benchmarks/answer.py zones
+    python benchmarks/answer.py whatif
+    python benchmarks/answer.py hard
+    python benchmarks/answer.py dynamics
+    python benchmarks/answer.py drift
+    python benchmarks/answer.py speed
+
+Cells and fresh executions are kept in --work and used again. Truth: `--fresh` executions of each of `--sequences`
+sequences that no logged execution followed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from cells import HARD, average_model, fresh, fresh_tasks, logged, newer_logs, unseen_sequences
+from order_rivals import greedy_by_average, markov_s, monte_carlo_by_average, synergy_order
+from rich.console import Console
+from rich.table import Table
+
+from cyclekit.estimate.check import beside_own, check_rollout, logged_durations, logged_sequences
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.program import lay_out
+from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.tracks import operator_tracks
+from cyclekit.estimate.transit import transit_table
+from cyclekit.estimate.walk import roll_out
+from cyclekit.evaluate.drift import drift
+from cyclekit.plan import Jobs, plan
+from cyclekit.plan.search import every_order, random_order, tasks_of
+from cyclekit.whatif import Change, what_if
+from cyclekit.zones import read_zones
+from cyclekit_sim import SimulationOptions
+from cyclekit_sim.scenes import BUILT_IN
+
+if TYPE_CHECKING:
+    from cyclekit.estimate.result import CycleEstimate
+
+OUT = Console(width=150)
+TRUE_THRESHOLDS = {"box-picking": (1.2, 1.5, 1.9, 2.4), "pick-and-package": (0.6, 0.8, 1.2, 1.6)}
+
+
+def sequences(asked: argparse.Namespace) -> None:
+    """Expected cycle times of sequences not in the logs, by every estimator."""
+    cell = logged(asked.work, asked.scene, asked.executions)
+    wanted = unseen_sequences(cell.dataset, asked.scene, asked.sequences)
+    truth = [fresh(asked.work, asked.scene, s.places, asked.fresh)["duration_s"].to_numpy() for s in wanted]
+    means = np.array([part.mean() for part in truth])
+    known = np.array([1.96 * part.std() / len(part) ** 0.5 for part in truth])
+    OUT.print(f"{asked.scene}, {asked.executions} logged, {len(wanted)} sequences, {asked.fresh} fresh each; "
+              f"fresh means known to +-{100 * float((known / means).mean()):.2f} %")  # fmt: skip
+    began = time.process_time()
+    check = check_rollout(cell.model, cell.dataset)
+    OUT.print(f"check: {time.process_time() - began:.1f} s cpu; own {100 * check.own_bias:+.3f} % +- "
+              f"{100 * check.own_error:.3f}, crossed {100 * check.crossed_bias:+.2f} %, z {check.reacts_z:.1f}, "
+              f"coverage {check.coverage}, held out {check.coverage_held_out}, doubts {check.doubts}")  # fmt: skip
+
+    def by(estimator: str, **more: object) -> list[CycleEstimate]:
+        model = average_model(asked.work, cell) if estimator == "average" else cell.model
+        found = estimate(model, cell.dataset, wanted, estimator=estimator, **more)
+        return sorted(found, key=lambda entry: [s.name for s in wanted].index(entry.name))
+
+    began = time.process_time()
+    rolled = by("rollout", check=check)
+    OUT.print(f"{len(wanted)} sequences against {rolled[0].tracks} tracks: {time.process_time() - began:.1f} s cpu")
+    rows = {"rollout": np.array([entry.expected_s for entry in rolled])}
+    for name in ("history", "nominal", *(["average"] if asked.average else [])):
+        rows[name] = np.array([entry.expected_s for entry in by(name)])
+    rows["Markov chain"] = np.array(markov_s(cell.dataset, wanted))
+    table = Table("estimator", "mean |error| %", "bias %", "worst %")
+    for name, values in rows.items():
+        error = 100 * (values / means - 1)
+        table.add_row(name, *(f"{x:+.2f}" for x in (np.abs(error).mean(), error.mean(), error[np.abs(error).argmax()])))
+    OUT.print(table)
+    _intervals(rolled, by("rollout"), truth, means)
+    _tasks(asked, rolled, wanted)
+
+
+def _intervals(
+    rolled: list[CycleEstimate], raw: list[CycleEstimate], truth: list[np.ndarray], means: np.ndarray
+) -> None:
+    for name, entries in (("corrected", rolled), ("uncorrected", raw)):
+        inside = [
+            np.mean((part >= entry.quantiles_s[0.05]) & (part <= entry.quantiles_s[0.95]))
+            for entry, part in zip(entries, truth, strict=True)
+        ]
+        wrong = [
+            100 * abs(entry.quantiles_s[p] / np.quantile(part, p) - 1)
+            for entry, part in zip(entries, truth, strict=True)
+            for p in (0.05, 0.5, 0.95)
+        ]
+        held = [entry.expected_low_s <= m <= entry.expected_high_s for entry, m in zip(entries, means, strict=True)]
+        OUT.print(f"{name}: 90 % intervals of cycles cover {100 * np.mean(inside):.1f} % "
+                  f"({100 * min(inside):.0f} to {100 * max(inside):.0f} by sequence); quantile errors mean "
+                  f"{np.mean(wrong):.2f} %, worst {max(wrong):.2f} %; 95 % intervals of the mean hold in "
+                  f"{sum(held)} of {len(held)}")  # fmt: skip
+
+
+def _tasks(asked: argparse.Namespace, rolled: list[CycleEstimate], wanted: list) -> None:
+    errors = []
+    for entry, sequence in list(zip(rolled, wanted, strict=True))[: asked.by_task]:
+        true = fresh_tasks(asked.work, asked.scene, sequence.places, asked.fresh)
+        errors += [100 * (task.expected_s / mean - 1) for task, mean in zip(entry.tasks, true, strict=True)]
+    if errors:
+        OUT.print(f"per task ({len(errors)} tasks of {asked.by_task} sequences): mean |error| "
+                  f"{np.abs(errors).mean():.2f} %, worst {max(errors, key=abs):+.2f} %")  # fmt: skip
+
+
+def orders(asked: argparse.Namespace) -> None:
+    """The planned order against all orders (where few) and the rivals' orders, judged by fresh executions."""
+    cell = logged(asked.work, asked.scene, asked.executions)
+    slots = list(BUILT_IN[asked.scene].slots)[:: 2 if asked.half else 1]
+    jobs = Jobs(tuple(slots), "home", "home", "conveyor")
+    began = time.process_time()
+    found = plan(cell.model, cell.dataset, jobs)
+    OUT.print(f"{asked.scene}: {found.searched}, {found.tried} orders, {time.process_time() - began:.1f} s cpu")
+    OUT.print(f"expected {found.expected_s:.2f}, {found.against} {found.against_s:.2f}, saves {found.saves_s}, "
+              f"on unseen operators {found.saves_unseen_s:.2f}")  # fmt: skip
+    few = len(slots) <= 7
+    rng = np.random.default_rng(1)
+    some = list(every_order(jobs)) if few else [random_order(jobs, rng) for _ in range(2000)]
+    average = average_model(asked.work, cell)
+    chosen = {"plan": found.order}
+    for name, rule in (
+        ("greedy by average net", greedy_by_average),
+        ("Monte Carlo by average net", monte_carlo_by_average),
+    ):
+        began = time.process_time()
+        chosen[name] = rule(average, cell.dataset, jobs)
+        OUT.print(f"{name}: {time.process_time() - began:.1f} s cpu")
+    chosen["pairwise synergies"] = synergy_order(cell.dataset, jobs, some)
+    if few:
+        screened = sorted((_mean_s(asked, jobs, order, asked.screen), order) for order in some)
+        best = [(_mean_s(asked, jobs, order, asked.fresh), order) for _, order in screened[:6]]
+        chosen["best of all"] = min(best)[1]
+        means = [mean for mean, _ in screened]
+        OUT.print(f"all {len(some)} orders, {asked.screen} fresh executions each beside the same operators: "
+                  f"{means[0]:.2f} to {means[-1]:.2f} s, mean {np.mean(means):.2f}; the best 6 again "
+                  f"by {asked.fresh}")  # fmt: skip
+    table = Table("order by", "fresh mean s", "+- 95 %", "order")
+    for name, order in chosen.items():
+        places = jobs.places(order)
+        part = fresh(asked.work, asked.scene, places, asked.fresh, paired=True)["duration_s"].to_numpy()
+        table.add_row(name, f"{part.mean():.2f}", f"{1.96 * part.std() / len(part) ** 0.5:.2f}", " ".join(order))
+    OUT.print(table)
+
+
+def _mean_s(asked: argparse.Namespace, jobs: Jobs, order: tuple[str, ...], executions: int) -> float:
+    part = fresh(asked.work, asked.scene, jobs.places(order), executions, paired=True)
+    return float(part["duration_s"].to_numpy().mean())
+
+
+def zones(asked: argparse.Namespace) -> None:
+    """Thresholds read back, without and with tracker noise."""
+    table = Table("scene", "executions", "delta m", "rule", "explained", "thresholds m (95 %)", "worst error m")
+    for scene, executions, delta in asked.cells:
+        options = SimulationOptions(delta_m=delta)
+        cell = logged(asked.work, scene, executions, options=options, kind="plain" if delta == 0 else "noise")
+        found = read_zones(cell.model, cell.dataset)
+        shown = ", ".join(f"{t.metres:.3f} ({t.low:.3f}-{t.high:.3f})" for t in found.thresholds)
+        true = TRUE_THRESHOLDS.get(scene)
+        wrong = (
+            "" if true is None else f"{max(abs(t.metres - m) for t, m in zip(found.thresholds, true, strict=True)):.4f}"
+        )
+        explained = ", ".join(f"{name} {share:.1%}" for name, share in found.explained.items())
+        table.add_row(scene, str(executions), f"{delta}", found.rule, explained, shown, wrong)
+    OUT.print(table)
+
+
+def whatif(asked: argparse.Namespace) -> None:
+    """The staircase of pick-and-package on the logs of box-picking, against simulating that cell."""
+    cell = logged(asked.work, "box-picking", asked.executions)
+    wanted = unseen_sequences(cell.dataset, "box-picking", asked.sequences)
+    change = Change("small", levels=(0.0, 0.25, 0.5, 0.75, 1.0), thresholds_m=TRUE_THRESHOLDS["pick-and-package"])
+    found = {entry.after.name: entry.after for entry in what_if(cell.model, cell.dataset, wanted, [change])}
+    scene = BUILT_IN["box-picking"]
+    BUILT_IN["box-picking"] = dataclasses.replace(scene, safety=BUILT_IN["pick-and-package"].safety)
+    table = Table("sequence", "fresh mean s", "what-if s", "error %")
+    errors = []
+    for sequence in wanted:
+        part = fresh(asked.work, "box-picking", sequence.places, asked.fresh, kind="small")["duration_s"].to_numpy()
+        entry = found[sequence.name]
+        errors.append(100 * (entry.expected_s / part.mean() - 1))
+        table.add_row(sequence.name, f"{part.mean():.2f}", f"{entry.expected_s:.2f}", f"{errors[-1]:+.2f}")
+    BUILT_IN["box-picking"] = scene
+    OUT.print(table)
+    OUT.print(f"mean |error| {np.abs(errors).mean():.2f} %, worst {max(errors, key=abs):+.2f} %")
+
+
+def hard(asked: argparse.Namespace) -> None:
+    """Noise, dropouts, no logged scaling and a wrong clock together, against clean logs of the same executions."""
+    truth, wanted = None, None
+    for kind, options in (("plain", SimulationOptions()), ("hard", HARD)):
+        cell = logged(asked.work, "box-picking", asked.executions, options=options, kind=kind)
+        wanted = wanted or unseen_sequences(cell.dataset, "box-picking", asked.sequences)
+        truth = truth or [
+            float(fresh(asked.work, "box-picking", s.places, asked.fresh)["duration_s"].mean()) for s in wanted
+        ]
+        check = check_rollout(cell.model, cell.dataset)
+        for name, used in (("uncorrected", None), ("corrected", check)):
+            found = {e.name: e.expected_s for e in estimate(cell.model, cell.dataset, wanted, check=used)}
+            error = 100 * np.array([found[s.name] / m - 1 for s, m in zip(wanted, truth, strict=True)])
+            OUT.print(f"{kind}, {name} (by {100 * (check.factor - 1):+.2f} %): mean |error| "
+                      f"{np.abs(error).mean():.2f} %, bias {error.mean():+.2f} %, "
+                      f"worst {error[np.abs(error).argmax()]:+.2f} %")  # fmt: skip
+
+
+class TrueStaircase:
+    """The true safety function of box-picking, its thresholds at the middle of the hysteresis."""
+
+    problem, card = "now", {}
+
+    def __init__(self, hysteresis_m: float) -> None:
+        self._thresholds = np.array(TRUE_THRESHOLDS["box-picking"]) + hysteresis_m / 2
+
+    def predict(self, X: np.ndarray) -> np.ndarray:
+        """Return the scaling of rows x_r, x_h, shape (N,)."""
+        apart = np.linalg.norm(X[:, :3].astype(float) - X[:, 3:6], axis=1)
+        return np.array([0.0, 0.25, 0.5, 0.75, 1.0])[np.searchsorted(self._thresholds, apart)]
+
+
+def dynamics(asked: argparse.Namespace) -> None:
+    """Executions beside their own operators, the rollout told of latency, ramps and hysteresis or not."""
+    true = {"latency_s": 0.3, "ramp_down_per_s": 2.0, "ramp_up_per_s": 0.5, "hysteresis_m": 0.15}
+    cell = logged(asked.work, "box-picking", 60, options=SimulationOptions(**true), kind="dyn")
+    nominal = nominal_tasks(cell.dataset)
+    executions = logged_sequences(cell.dataset, nominal)
+    tracks = operator_tracks(cell.dataset, horizon_s=300.0, phases=1)
+    took = logged_durations(cell.dataset, executions)
+    for name, model in (("network", cell.model), ("true function", TrueStaircase(true["hysteresis_m"]))):
+        for told in (False, True):
+            cell.dataset.card["dynamics"] = true if told else {}
+            off = 100 * (beside_own(model, cell.dataset, executions, nominal, tracks) / took - 1)
+            OUT.print(f"{name}, {'told' if told else 'not told'}: mean |error| {np.abs(off).mean():.2f} %, "
+                      f"mean {off.mean():+.2f} % +- {1.96 * off.std() / len(off) ** 0.5:.2f}")  # fmt: skip
+
+
+def drifts(asked: argparse.Namespace) -> None:
+    """Newer logs of the same cell, and of one whose outer threshold was moved."""
+    cell = logged(asked.work, "box-picking", 45)
+    scene = BUILT_IN["box-picking"]
+    for metres in (2.4, 2.5, 2.7):
+        safety = dataclasses.replace(scene.safety, thresholds_m=(1.2, 1.5, 1.9, metres))  # type: ignore[type-var]
+        BUILT_IN["box-picking"] = dataclasses.replace(scene, safety=safety)
+        found = drift(cell.model, cell.dataset, newer_logs(asked.work, "box-picking", f"{metres}"))
+        first = found.safety[0]
+        OUT.print(f"outer threshold {metres} m: safety changed {found.safety_changed}, habits {found.habits_changed}; "
+                  f"mean |error| {first.before:.4f} -> {first.after:.4f} ({first.z:+.1f} standard errors)")  # fmt: skip
+    BUILT_IN["box-picking"] = scene
+
+
+def speed(asked: argparse.Namespace) -> None:
+    """One sequence against 1000 tracks, and very many sequences; cpu seconds beside the clock's."""
+    cell = logged(asked.work, "box-picking", asked.executions)
+    nominal = nominal_tasks(cell.dataset)
+    wanted = unseen_sequences(cell.dataset, "box-picking", 1)[0]
+    program = lay_out(wanted, nominal, cell.dataset)
+    tracks = operator_tracks(cell.dataset, horizon_s=2.5 * program.length_s)
+    for count in (250, 500, 1000):
+        rows = np.arange(count) % len(tracks.executions)
+        many = dataclasses.replace(
+            tracks, **{n: getattr(tracks, n)[rows] for n in ("xyz_m", "activity", "logged", "goal_m")},
+            executions=tuple(f"{tracks.executions[k]} {i}" for i, k in enumerate(rows.tolist())),
+        )  # fmt: skip
+        _timed(f"1 sequence, {count} tracks", lambda many=many: roll_out(cell.model, program, many, None))
+    table = _timed("table of arrivals", lambda: transit_table(cell.model, nominal, tracks))
+    jobs = Jobs(BUILT_IN["box-picking"].slots, "home", "home", "conveyor")
+    rng = np.random.default_rng(0)
+    for count in (1000, 10_000):
+        tasks = [tasks_of(jobs.places(random_order(jobs, rng))) for _ in range(count)]
+        _timed(f"{count} sequences, {len(tracks.executions)} tracks", lambda tasks=tasks: table.durations(tasks))
+
+
+def _timed(what: str, call):  # noqa: ANN001, ANN202
+    wall, cpu = time.perf_counter(), time.process_time()
+    found = call()
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    OUT.print(f"{what}: {wall:.2f} s, {cpu:.2f} s cpu (load {os.getloadavg()[0]:.1f})")
+    return found
+
+
+def main() -> None:
+    """Run one measurement, or a small one of each."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
+    runs = {"sequences": sequences, "plan": orders, "zones": zones, "whatif": whatif, "hard": hard}
+    runs |= {"dynamics": dynamics, "drift": drifts, "speed": speed}
+    parser.add_argument("what", nargs="?", choices=[*runs, "all"], default="all")
+    parser.add_argument("--scene", default="box-picking")
+    parser.add_argument("--executions", type=int, help="logged; 200, or 60 where all is measured")
+    parser.add_argument("--sequences", type=int, help="20, or 4 where all is measured")
+    parser.add_argument("--fresh", type=int, help="executions of each; 500, or 60 where all is measured")
+    parser.add_argument("--by-task", type=int, default=2, help="sequences whose tasks are compared one by one")
+    parser.add_argument("--screen", type=int, default=25, help="fresh executions of each of all orders")
+    parser.add_argument("--half", action="store_true", help="plan every other slot only: all orders can be tried")
+    parser.add_argument("--average", action="store_true", help="also train and ask the average-scaling network")
+    parser.add_argument("--work", type=Path, help="folder for cells and fresh executions; else a temporary one")
+    asked = parser.parse_args()
+    usual = (60, 4, 60) if asked.what == "all" else (200, 20, 500)
+    for name, value in zip(("executions", "sequences", "fresh"), usual, strict=True):
+        setattr(asked, name, getattr(asked, name) or value)
+    asked.half = asked.half or asked.what == "all"
+    asked.cells = [("box-picking", asked.executions, 0.0), ("box-picking", asked.executions, 0.05)]
+    asked.cells += [("pick-and-package", 46, 0.0), ("laser-zones", asked.executions, 0.0)]
+    with tempfile.TemporaryDirectory() as folder:
+        asked.work = asked.work or Path(folder)
+        for name, run in runs.items():
+            if asked.what in (name, "all"):
+                OUT.rule(name)
+                run(asked)
+
+
+if __name__ == "__main__":
+    main()

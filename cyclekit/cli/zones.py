@@ -1,0 +1,69 @@
+"""`cyclekit zones`: the safety function read back from logs and network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
+
+if TYPE_CHECKING:
+    from cyclekit.zones import Zones
+
+EXAMPLE = "cyclekit zones model dataset --out zones.svg"
+
+
+def zones(
+    model: Annotated[Path, typer.Argument(help="Folder of the model.", metavar="MODEL")],
+    dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", metavar="DATASET")],
+    out: Annotated[Path | None, typer.Option(help="Also draw it here, as SVG.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the resampling behind the intervals.")] = 0,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Read the safety function back: levels, thresholds, zones.
+
+    Thresholds in metres where a distance explains the slow-down; a map of the floor where it does not. No safety proof.
+    """
+    from cyclekit.dataset import Dataset
+    from cyclekit.models.saved import load_model
+    from cyclekit.zones import read_zones, zones_svg
+
+    terminal = Terminal(json=json, quiet=quiet)
+    with terminal.progress("reading zones"):
+        found = read_zones(load_model(model), Dataset.open(dataset), seed=seed)
+    if out is not None:
+        write_out(out, zones_svg(found))
+        terminal.remark(f"written: {out}")
+    terminal.answer(found.to_json(), _rule(found), _thresholds(found), _explained(found), bullet(found.notes))
+
+
+def _rule(found: Zones) -> str:
+    levels = ", ".join(
+        f"{level:.2f} ({percent(share)})" for level, share in zip(found.levels, found.shares, strict=True)
+    )
+    late = "unknown" if found.hysteresis_m is None else f"{found.hysteresis_m:.3f} m ({found.hysteresis_origin})"
+    return (
+        f"levels, share of the samples: {levels}\nthe speed goes by: {found.rule}\nhysteresis: {late}\n"
+        f"from {found.rows} samples of {found.executions} executions"
+    )
+
+
+def _thresholds(found: Zones) -> str:
+    rows = [
+        [
+            f"{entry.slower:.2f} -> {entry.faster:.2f}",
+            *(f"{metres:.3f}" for metres in (entry.metres, entry.low, entry.high, network)),
+        ]
+        for entry, network in zip(found.thresholds, found.thresholds_of_network, strict=True)
+    ]
+    title = "" if found.is_distance else "Best thresholds on a distance, though distance is not enough"
+    return table(["level ", "threshold, m", "from", "to (95%)", "of the network"], rows, title=title)
+
+
+def _explained(found: Zones) -> str:
+    best = sorted(found.explained.items(), key=lambda entry: -entry[1])
+    return table(["explained by ", "of the variance"], [[name, f"{share:.1%}"] for name, share in best])

@@ -1,0 +1,261 @@
+"""Does a rollout give what was logged? Logged executions as their own judges, and intervals that rest on them.
+
+Each complete execution is rolled out twice: beside its own operator, which leaves the network's error alone; and
+beside the operators of all other executions, as a new sequence would be. If the operator does not react to the robot,
+both agree with the log on average.
+
+The operator of a new cycle is then like those of the logged ones, so the conformal quantile of their rolled-out
+cycles, each off by a residual of executions that the network never saw, covers a new cycle as often as it says (Vovk's
+argument, as in Angelopoulos and Bates, arXiv 2107.07511). Whether it does is measured: each logged duration against the
+rolled-out cycles of all other operators.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from cyclekit.errors import EstimateError
+from cyclekit.estimate.nominal import nominal_tasks, slider_losses
+from cyclekit.estimate.program import lay_out
+from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.tracks import operator_tracks
+from cyclekit.estimate.transit import transit_table
+from cyclekit.estimate.walk import walk
+from cyclekit.sequences import TaskSequence
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset import Dataset
+    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.tracks import OperatorTracks
+
+    Vector = NDArray[np.float64]
+
+FEW_EXECUTIONS = 10
+"""With fewer executions no coverage is told: a 5 % quantile of them would be guessed."""
+REACTS_Z = 3.0
+"""So many standard errors between crossed and logged durations are no chance."""
+SLIDER_LOSS = 0.002
+"""An execution that lost more than this part of its time to the speed slider judges no rollout at full speed."""
+OWN_BIAS = 0.01
+"""A rollout beside the operators themselves that is off by more than this part is wrong."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """How rolled-out durations compare with logged ones; parts of the duration.
+
+    Attributes:
+        executions: How many logged executions were rolled out.
+        held_out: How many of them the network had never seen.
+        own_bias: Mean of rolled / logged - 1, each execution beside its own operator, on those the network had not
+            seen (on all, where there are none).
+        own_error: Standard error of that mean.
+        crossed_bias: Mean of rolled / logged - 1 beside all other operators.
+        reacts_z: Difference of the two in standard errors: far from 0, the operator reacts to the robot.
+        residuals: logged / rolled - 1 beside their own operators, of the executions the network had not seen (of all,
+            where there are fewer than three).
+        coverage: Part of the logged executions between the outer conformal quantiles of all other operators' cycles;
+            None with few executions.
+        coverage_held_out: `coverage` among the executions the network had not seen; None where there are none.
+        levels: The outer quantile levels of these coverages.
+    """
+
+    executions: int
+    held_out: int
+    own_bias: float
+    own_error: float
+    crossed_bias: float
+    reacts_z: float
+    residuals: tuple[float, ...]
+    coverage: float | None
+    coverage_held_out: float | None
+    levels: tuple[float, float]
+
+    @property
+    def factor(self) -> float:
+        """What a rolled-out duration is multiplied by: the bias beside the own operators, as far as it is no chance.
+
+        The bias is drawn towards 0 by its own uncertainty (a James-Stein weight): far above its standard error it is
+        taken out, far below it is left alone.
+        """
+        return 1.0 / (1.0 + self.own_bias * self._sure)
+
+    @property
+    def model_error(self) -> float:
+        """Standard deviation of the mean that the network's error still stands for, as part of it."""
+        return float(np.hypot(self.own_bias * (1 - self._sure), self.own_error))
+
+    @property
+    def _sure(self) -> float:
+        return self.own_bias**2 / max(self.own_bias**2 + self.own_error**2, 1e-12)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What speaks against the rollout, one sentence each."""
+        found = []
+        if self.executions < FEW_EXECUTIONS:
+            found.append(f"{self.executions} logged executions are too few for quantiles that hold")
+        if abs(self.own_bias) > max(OWN_BIAS, 3 * self.own_error):
+            found.append(f"beside their own operators the logged executions come out {self.own_bias:+.1%} off")
+        if abs(self.reacts_z) > REACTS_Z:
+            found.append(
+                f"beside other operators the logged executions come out {self.crossed_bias:+.1%} off: the operator "
+                "seems to react to the robot, which no rollout reproduces"
+            )
+        wanted = self.levels[1] - self.levels[0]
+        scatter = (wanted * (1 - wanted) / max(self.executions, 1)) ** 0.5
+        if self.coverage is not None and self.coverage < wanted - 3 * scatter:
+            found.append(f"only {self.coverage:.0%} of the logged executions lie in their {wanted:.0%} intervals")
+        return tuple(found)
+
+    def quantile(self, cycles_s: Vector, level: float) -> float:
+        """Return the conformal quantile of corrected cycles (K,), s, each off by a residual."""
+        off = np.resize(np.array(self.residuals) - np.mean(self.residuals), len(cycles_s))
+        return conformal(cycles_s * (1.0 + np.random.default_rng(0).permutation(off)), level)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the check as plain JSON values."""
+        out = dict(vars(self))
+        out["residuals"] = list(self.residuals)
+        out["levels"] = list(self.levels)
+        out["doubts"] = list(self.doubts)
+        return out
+
+
+def check_rollout(
+    model: SafetyModel,
+    dataset: Dataset,
+    *,
+    levels: Sequence[float] = (0.05, 0.5, 0.95),
+    seed: int = 0,
+    progress: Callable[[float, str], None] | None = None,
+) -> Check:
+    """Roll out the logged executions and compare.
+
+    Args:
+        model: A model of problem `now`.
+        dataset: The logs.
+        levels: Quantile levels that will be asked for.
+        seed: Of the order in which logged stands are used.
+        progress: Told fraction and text.
+
+    Raises:
+        EstimateError: No complete execution has an operator track and tasks of known scaling.
+    """
+    nominal = nominal_tasks(dataset)
+    sequences = logged_sequences(dataset, nominal)
+    if not sequences:
+        msg = f"{dataset.path}: no complete execution of tasks with known scaling, so nothing can be checked"
+        raise EstimateError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
+    longest = max(sum(nominal[task].nominal_s + nominal[task].dwell_s for task in s.tasks) for s in sequences)
+    with threadpool_limits(limits=1, user_api="blas"):
+        tracks = operator_tracks(dataset, horizon_s=3.0 * longest, phases=1)
+        sequences = [sequence for sequence in sequences if sequence.name in tracks.executions]
+        own = beside_own(model, dataset, sequences, nominal, tracks)
+        asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
+        crossed = transit_table(model, asked, tracks, progress=progress).durations(
+            [sequence.tasks for sequence in sequences], seed=seed
+        )
+    logged = logged_durations(dataset, sequences)
+    column = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
+    crossed[np.arange(len(sequences)), column] = np.nan  # its own operator is left out
+    unseen = set((model.card.get("split") or {}).get("test", ()))
+    held_out = np.array([sequence.name in unseen for sequence in sequences])
+    return compare(logged, own, np.where(np.isfinite(crossed), crossed, np.nan), held_out, levels)
+
+
+def compare(
+    logged_s: Vector,
+    own_s: Vector,
+    crossed_s: NDArray[np.float64],
+    held_out: NDArray[np.bool_],
+    levels: Sequence[float],
+) -> Check:
+    """Compare rolled with logged durations.
+
+    Args:
+        logged_s: Durations in the log, shape (E,).
+        own_s: Rolled out beside their own operators, shape (E,).
+        crossed_s: Beside each of K operators, shape (E, K); NaN is left out.
+        held_out: Which executions the network never saw, shape (E,).
+        levels: Quantile levels in (0, 1).
+    """
+    good = np.isfinite(own_s) & np.isfinite(crossed_s).any(axis=1)
+    logged_s, own_s, crossed_s, held_out = logged_s[good], own_s[good], crossed_s[good], held_out[good]
+    count = len(logged_s)
+    mean = np.nanmean(crossed_s, axis=1)
+    own, cross = own_s / logged_s - 1, mean / logged_s - 1
+    judged = own[held_out] if held_out.sum() >= 3 else own
+    reacts = (mean - own_s) / logged_s
+    z = float(reacts.mean() / max(reacts.std(ddof=1) / np.sqrt(count), 1e-9)) if count > 2 else 0.0
+    outer = min(min(levels), 1 - max(levels))
+    enough = count >= FEW_EXECUTIONS
+    inside = np.array([_inside(y, row[np.isfinite(row)], outer) for y, row in zip(logged_s, crossed_s, strict=True)])
+    return Check(
+        executions=count,
+        held_out=int(held_out.sum()),
+        own_bias=float(judged.mean()),
+        own_error=float(judged.std() / np.sqrt(len(judged))),
+        crossed_bias=float(cross.mean()),
+        reacts_z=z,
+        residuals=tuple((1 / (1 + judged) - 1).tolist()),
+        coverage=float(inside.mean()) if enough else None,
+        coverage_held_out=float(inside[held_out].mean()) if enough and held_out.any() else None,
+        levels=(outer, 1 - outer),
+    )
+
+
+def conformal(values: Vector, level: float) -> float:
+    """Return the value that one more is at or below with probability `level`: rank (K + 1) level of K, interpolated.
+
+    Rounding the ranks outwards instead would never cover too little, and at 45 executions far too much.
+    """
+    return float(np.quantile(values, level, method="weibull"))
+
+
+def _inside(logged_s: float, cycles_s: Vector, outer: float) -> bool:
+    return conformal(cycles_s, outer) <= logged_s <= conformal(cycles_s, 1 - outer)
+
+
+def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> list[TaskSequence]:
+    """Return the complete executions of known tasks at full speed slider as sequences, each by its own name."""
+    found = []
+    turned_down = {name for name, part in slider_losses(dataset).items() if part > SLIDER_LOSS}
+    for entry in dataset.card["executions"]:
+        if entry["complete"] and len(entry["places"]) > 1 and entry["execution"] not in turned_down:
+            sequence = TaskSequence(entry["execution"], tuple(entry["places"]))
+            if all(task in nominal for task in sequence.tasks):
+                found.append(sequence)
+    return found
+
+
+def logged_durations(dataset: Dataset, sequences: Sequence[TaskSequence]) -> Vector:
+    """Return how long these executions took, shape (E,), s."""
+    durations = dict(dataset.executions.select("execution", "duration_s").iter_rows())
+    return np.array([durations[sequence.name] for sequence in sequences])
+
+
+def beside_own(
+    model: SafetyModel,
+    dataset: Dataset,
+    sequences: Sequence[TaskSequence],
+    nominal: Mapping[str, NominalTask],
+    tracks: OperatorTracks,
+) -> Vector:
+    """Roll out each execution beside its own operator and with its own stands, shape (E,), s."""
+    programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
+    by_execution = dataset.tasks().sort("execution", "index").group_by(["execution"], maintain_order=True)
+    stands = {str(name): (rows["dwell_s"] + rows["wait_s"]).to_numpy() for (name,), rows in by_execution}
+    own = [np.maximum(stands[sequence.name][: len(sequence.tasks)], 1e-3)[None, :] for sequence in sequences]
+    track = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
+    walked = walk(model, programs, np.arange(len(programs)), track, own, tracks, dynamics=Dynamics.of(dataset.card))
+    return walked.duration_s

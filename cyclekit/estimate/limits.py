@@ -1,0 +1,57 @@
+"""What limits an estimate, in words: few operators, positions never logged, clocks and scaling only inferred."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.estimate.nominal import slider_losses
+
+if TYPE_CHECKING:
+    from cyclekit.dataset import Dataset
+    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.walk import Rolled
+
+FEW_EXECUTIONS = 20
+"""With fewer operators the mean itself is uncertain by more than a percent in the cells seen so far."""
+
+
+def limits_of_cycles(cycles: Rolled, entry: CycleEstimate, check: Check | None) -> list[str]:
+    """Return what limits one sequence's number, one sentence each."""
+    found = []
+    if entry.extrapolated:
+        found.append("EXTRAPOLATED: most of it runs through positions that were never logged")
+    if entry.tracks and entry.executions < FEW_EXECUTIONS:
+        found.append(f"rests on {entry.executions} operator tracks only: the mean itself is uncertain")
+    if entry.tracks and entry.estimator == "rollout" and not cycles.looked_closely:
+        found.append("looked up in the table of arrivals, as one of many: support and activities are not known")
+    if cycles.support < 0.9:
+        found.append(f"{1 - cycles.support:.0%} of the cycle runs through positions that were never logged")
+    if cycles.spliced > 0.1:
+        found.append(f"{cycles.spliced:.0%} of the time the operator's track is continued from another execution")
+    if check is not None:
+        found.extend(check.doubts)
+    return found
+
+
+def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
+    """Return what limits every number from these logs, one sentence each."""
+    found = []
+    samples = dataset.samples()
+    absent = samples["human_x_m"].null_count() / max(samples.height, 1)
+    if absent > 0.01 and model.card.get("scaling_without_operator") is None:
+        found.append(f"in {absent:.0%} of the samples nobody is seen; there the robot is taken to run free")
+    if samples.filter(pl.col("scaling_origin") == "inferred").height:
+        found.append("the speed scaling was not logged but inferred from velocity ratios")
+    slider = [part for part in slider_losses(dataset).values() if part > 0.0]
+    if slider:
+        most = f"in {len(slider)} executions the speed slider was turned down and cost up to {max(slider):.1%} of them"
+        found.append(f"{most}; the estimate is for full slider")
+    if any(record["clock"]["method"] == "assumed-common-start" for record in dataset.recordings):
+        found.append("the clocks of robot and tracker are only assumed to start together")
+    if any(record["clock"]["method"] in ("coarse", "start-text") for record in dataset.recordings):
+        found.append("the clocks of robot and tracker are aligned roughly: the reaction delay is hidden or unknown")
+    return found

@@ -1,0 +1,63 @@
+"""What finite logs leave open: logged executions drawn again and again, the same draw for every sequence.
+
+Tracks of one execution are drawn together, and where the log runs on, neighbouring executions too: their tracks hold
+the same stretch of the operator's day.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+
+RESAMPLES = 1000
+TOGETHER = 3
+"""Neighbouring executions drawn together where the log runs on."""
+
+
+def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> NDArray[np.float64]:
+    """Return the weight of each track in each resample, shape (RESAMPLES, K); each row sums to 1.
+
+    Args:
+        executions: Execution behind each of K tracks.
+        seed: Same seed, same draw.
+        together: How many neighbouring executions are drawn as one block.
+    """
+    names, which = np.unique(np.array(executions), return_inverse=True)
+    rng = np.random.default_rng(seed)
+    blocks = -(-len(names) // together)
+    starts = rng.integers(0, len(names), (RESAMPLES, blocks))
+    drawn = (starts[:, :, None] + np.arange(together)).reshape(RESAMPLES, -1) % len(names)
+    times = np.zeros((RESAMPLES, len(names)))
+    np.add.at(times, (np.arange(RESAMPLES)[:, None], drawn), 1.0)
+    weight = times[:, which]
+    return np.asarray(weight / weight.sum(axis=1, keepdims=True))
+
+
+def interval_of_mean(
+    durations_s: Vector, weights: NDArray[np.float64], *, model_error: float, seed: int
+) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of K cycles: finite logs, and the network's error as part of the mean."""
+    means = weights @ durations_s
+    means *= 1.0 + model_error * np.random.default_rng(seed + 1).standard_normal(len(means))
+    return float(np.quantile(means, 0.025)), float(np.quantile(means, 0.975))
+
+
+def share_within(durations_s: Vector, takt_s: float, weights: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return the part of K cycles that take at most `takt_s`, and its 95 % interval over the resamples."""
+    meets = (durations_s <= takt_s).astype(np.float64)
+    shares = weights @ meets
+    return float(meets.mean()), float(np.quantile(shares, 0.025)), float(np.quantile(shares, 0.975))
+
+
+def means_below(means: Sequence[Vector], index: int) -> Vector:
+    """Return the probability that the mean of sequence `index` is below that of each, shape (N,); ties count half."""
+    mine = means[index]
+    return np.array([float(np.mean(mine < other) + 0.5 * np.mean(mine == other)) for other in means])

@@ -1,0 +1,116 @@
+"""The scaling that a rollout meets: what the network says of two positions, and how s follows it in time.
+
+A safety system answers late (latency), lets s change only so fast (ramps), and gives speed back a little farther out
+than it took it (hysteresis). Where these were read from the logs they are in the dataset's card under `dynamics`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from typing import Any
+
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+
+BLOCK = 2048
+"""Rows predicted at once: a block and its layers stay in the fast cache."""
+
+
+class SafetyModel(Protocol):
+    """What a rollout asks of a model; a staircase written down in a file has it as well."""
+
+    @property
+    def problem(self) -> str:
+        """What it predicts; `now` for the scaling of the present instant."""
+
+    @property
+    def card(self) -> Mapping[str, Any]:
+        """How it came about."""
+
+    def predict(self, X: NDArray[np.float32], /) -> Vector:
+        """Return the scaling (N,) for rows x_r, x_h (N, 6), m."""
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """How s follows the safety function in time; None where nothing of it was seen.
+
+    Attributes:
+        latency_s: From positions to the scaling that answers to them.
+        ramp_down_per_s, ramp_up_per_s: Fastest fall and rise of s.
+        hysteresis_m: How much farther away the operator must be for s to rise than for it to fall.
+    """
+
+    latency_s: float | None = None
+    ramp_down_per_s: float | None = None
+    ramp_up_per_s: float | None = None
+    hysteresis_m: float | None = None
+
+    @classmethod
+    def of(cls, card: Mapping[str, Any]) -> Dynamics:
+        """Return what a dataset's card says; nothing where it says nothing."""
+        said = card.get("dynamics") or {}
+        return cls(**{name: said.get(name) for name in cls.__dataclass_fields__})
+
+    @property
+    def none(self) -> bool:
+        """Whether s follows at once."""
+        return not any(vars(self).values())
+
+
+def scaling_of(model: SafetyModel, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
+    """Return s of each pair of positions, shape (N, 3) both; where nobody is seen, what the logs showed then."""
+    without = model.card.get("scaling_without_operator")
+    scaling = np.full(len(robot_m), 1.0 if without is None else float(without))
+    present = np.flatnonzero(np.isfinite(human_m).all(axis=1))
+    if len(present):
+        inputs = np.concatenate([robot_m[present], human_m[present]], axis=1).astype(np.float32)
+        blocks = range(0, len(inputs), BLOCK)
+        found = np.concatenate([model.predict(inputs[start : start + BLOCK]) for start in blocks])
+        scaling[present] = np.clip(found, 0.0, 1.0)
+    return scaling
+
+
+class Follower:
+    """s of N cycles over time, one call per step of `step_s`, all rows every time."""
+
+    def __init__(self, model: SafetyModel, dynamics: Dynamics, count: int, step_s: float) -> None:
+        self._model, self._dynamics, self._step_s = model, dynamics, step_s
+        self._delay = round((dynamics.latency_s or 0.0) / step_s)
+        self._seen: deque[Vector] = deque()
+        self._held: Vector | None = None
+        self._s: Vector | None = None
+        self._count = count
+
+    def advance(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
+        """Return s (N,) of this step for positions (N, 3) at its middle."""
+        self._seen.append(self._wanted(robot_m, human_m))
+        wanted = self._seen.popleft() if len(self._seen) > self._delay else self._seen[0]
+        if self._s is not None:
+            down, up = self._dynamics.ramp_down_per_s, self._dynamics.ramp_up_per_s
+            lowest = -np.inf if not down else self._s - down * self._step_s
+            highest = np.inf if not up else self._s + up * self._step_s
+            wanted = np.clip(wanted, lowest, highest)
+        self._s = wanted
+        return wanted
+
+    def _wanted(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
+        """The safety function with its hysteresis: what was learned lies half way between falling and rising."""
+        half = (self._dynamics.hysteresis_m or 0.0) / 2
+        if half == 0.0:
+            return scaling_of(self._model, robot_m, human_m)
+        way = human_m - robot_m
+        way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+        rising = scaling_of(self._model, robot_m, human_m - half * way)
+        falling = scaling_of(self._model, robot_m, human_m + half * way)
+        falling = np.maximum(falling, rising)
+        self._held = falling if self._held is None else np.clip(self._held, rising, falling)
+        return self._held

@@ -1,0 +1,194 @@
+"""When a task arrives that starts at a given instant of a given track: a table that makes any order a few look-ups.
+
+Where s depends on the present positions alone, a motion that starts later never arrives earlier, and what happens in a
+task depends on the order before it through its start only. So each task is walked once from every instant of every
+track, and ten thousand orders cost no more network than one. What the table leaves out (latency, ramps, hysteresis;
+which activity cost what) is walked by `walk`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.estimate.program import stands_of
+from cyclekit.estimate.safety import SafetyModel, scaling_of
+from cyclekit.estimate.walk import Rolled
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.tracks import OperatorTracks
+
+PATH_S = 0.1
+"""Nominal time between the points of a motion at which s is looked up."""
+HUMAN_M = 0.06
+"""Edge of the cells of operator positions; doubled while there are more than MOST_CELLS."""
+MOST_CELLS = 8_000
+EVERY = 2
+"""A start at every so many samples of the track; between them arrivals are interpolated."""
+SEQUENCES_AT_ONCE = 256
+
+
+@dataclass(frozen=True)
+class TransitTable:
+    """Arrivals of every task from every start on K tracks.
+
+    Attributes:
+        names: The tasks.
+        arrival_s: Shape (tasks, K, starts), s since the track began; inf: not within the track.
+        start_s: Time between starts.
+        tasks: What each is at scaling 1.
+    """
+
+    names: tuple[str, ...]
+    arrival_s: NDArray[np.float32]
+    start_s: float
+    tasks: tuple[NominalTask, ...]
+    _drawn: dict[tuple[int, int, int], NDArray[np.float64]] = field(default_factory=dict, repr=False)
+
+    def durations(self, sequences: Sequence[Sequence[str]], *, seed: int = 0) -> NDArray[np.float64]:
+        """Return how long each sequence of tasks takes on each track, shape (sequences, K), s.
+
+        A cycle that does not end within its track has inf.
+        """
+        parts = [
+            self._some(sequences[first : first + SEQUENCES_AT_ONCE], seed)
+            for first in range(0, len(sequences), SEQUENCES_AT_ONCE)
+        ]
+        return np.concatenate(parts)
+
+    def rolled(self, tasks: Sequence[str], *, seed: int = 0) -> Rolled:
+        """Return the cycles of one sequence of tasks, split by task; activities, support and splices are not known."""
+        code = {name: index for index, name in enumerate(self.names)}
+        count = self.arrival_s.shape[1]
+        time, seen = np.zeros(count), Counter[str]()
+        stands, safety = np.empty((1, len(tasks))), np.empty((1, len(tasks)))
+        for leg, name in enumerate(tasks):
+            task = code[name]
+            arrival = self.arrive(np.array([task]), time[None])[0]
+            stand = self._stands(task, seen[name], seed)
+            seen[name] += 1
+            safety[0, leg] = float(np.mean(arrival - time)) - self.tasks[task].nominal_s
+            stands[0, leg] = stand.mean()
+            time = arrival + stand
+        unknown = float("nan")
+        return Rolled(time, stands, safety, np.zeros(0), unknown, unknown, looked_closely=False)
+
+    def _some(self, sequences: Sequence[Sequence[str]], seed: int) -> NDArray[np.float64]:
+        code = {name: index for index, name in enumerate(self.names)}
+        count = self.arrival_s.shape[1]
+        time = np.zeros((len(sequences), count))
+        longest = max(len(sequence) for sequence in sequences)
+        occurrence = [dict.fromkeys(sequence, 0) for sequence in sequences]
+        for place in range(longest):
+            rows = np.array([i for i, sequence in enumerate(sequences) if len(sequence) > place])
+            tasks = [sequences[i][place] for i in rows.tolist()]
+            stands = np.empty((len(rows), count))
+            for row, (i, name) in enumerate(zip(rows.tolist(), tasks, strict=True)):
+                stands[row] = self._stands(code[name], occurrence[i][name], seed)
+                occurrence[i][name] += 1
+            time[rows] = self.arrive(np.array([code[name] for name in tasks]), time[rows]) + stands
+        return time
+
+    def _stands(self, task: int, occurrence: int, seed: int) -> NDArray[np.float64]:
+        key = task, occurrence, seed
+        if key not in self._drawn:
+            self._drawn[key] = stands_of(self.tasks[task], self.arrival_s.shape[1], seed, occurrence)
+        return self._drawn[key]
+
+    def arrive(self, task: NDArray[np.int64], start_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return when tasks (N,) arrive that start at `start_s` (N, K), s; shape (N, K)."""
+        starts = self.arrival_s.shape[2]
+        place = np.minimum(np.nan_to_num(start_s, posinf=1e9) / self.start_s, starts - 1.001)
+        below = place.astype(np.int64)
+        flat = (task[:, None] * self.arrival_s.shape[1] + np.arange(self.arrival_s.shape[1])) * starts + below
+        table = self.arrival_s.reshape(-1)
+        early, late = table[flat], table[flat + 1]
+        way = place - below
+        with np.errstate(invalid="ignore"):
+            found = np.where(np.isfinite(late), early + (late - early) * way, np.inf)
+        return np.where(start_s <= (starts - 1) * self.start_s, found, np.inf)
+
+
+def transit_table(
+    model: SafetyModel,
+    tasks: Mapping[str, NominalTask],
+    tracks: OperatorTracks,
+    *,
+    progress: Callable[[float, str], None] | None = None,
+) -> TransitTable:
+    """Walk every task of `tasks` from every start of every track.
+
+    Memory: 4 bytes per task, track and start (0.2 s), and as much for s per point of the motions and cell of positions.
+    """
+    tell = progress or (lambda fraction, text: None)
+    cell_of, cells = _human_cells(tracks)
+    names = tuple(sorted(tasks))
+    arrivals = []
+    for number, name in enumerate(names):
+        tell(number / len(names), f"walking {name}")
+        arrivals.append(_arrivals(model, tasks[name], cell_of, cells, tracks.step_s))
+    return TransitTable(names, np.stack(arrivals), EVERY * tracks.step_s, tuple(tasks[name] for name in names))
+
+
+def _human_cells(tracks: OperatorTracks) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the cell of every sample (K, T) and the mean position in each cell (C, 3); one of NaN is for nobody."""
+    flat = tracks.xyz_m.reshape(-1, 3)
+    seen = np.isfinite(flat).all(axis=1)
+    edge = HUMAN_M
+    while True:
+        index = np.floor(flat[seen] / edge).astype(np.int64) + (1 << 19)
+        packed = (index[:, 0] << 40) | (index[:, 1] << 20) | index[:, 2]
+        _, cell = np.unique(packed, return_inverse=True)
+        count = int(cell.max(initial=-1)) + 1
+        if count <= MOST_CELLS:
+            break
+        edge *= 2**0.5
+    size = np.maximum(np.bincount(cell, minlength=count), 1)
+    means = np.stack([np.bincount(cell, flat[seen, axis], minlength=count) / size for axis in range(3)], axis=1)
+    cell_of = np.full(len(flat), count, dtype=np.int64)
+    cell_of[seen] = cell
+    return cell_of.reshape(tracks.xyz_m.shape[:2]), np.concatenate([means, np.full((1, 3), np.nan)])
+
+
+def _arrivals(
+    model: SafetyModel,
+    task: NominalTask,
+    cell_of: NDArray[np.int64],
+    cells: NDArray[np.float64],
+    step_s: float,
+) -> NDArray[np.float32]:
+    """Return when the motion ends that starts at each EVERY-th sample, shape (K, starts), s; inf: not on the track."""
+    points = max(1, round(task.nominal_s / PATH_S))
+    middle = (np.arange(points) + 0.5) / points * (len(task.xyz_m) - 1)
+    path = task.xyz_m[np.rint(middle).astype(np.int64)]
+    count = len(cells)
+    table = scaling_of(model, np.repeat(path, count, axis=0), np.tile(cells, (points, 1))).astype(np.float32)
+    tracks, samples = cell_of.shape
+    begins = np.arange(0, samples - 1, EVERY)
+    arrival = np.full(tracks * len(begins), np.inf, dtype=np.float32)
+    row, sample = np.divmod(np.arange(tracks * len(begins)), len(begins))
+    at = row * samples + begins[sample]  # where in the flat track each start is now
+    end = (row + 1) * samples - 1
+    done_s, rate = np.zeros(len(at), dtype=np.float32), np.ones(len(at), dtype=np.float32)
+    which, flat, per_s = np.arange(len(at)), cell_of.ravel(), points / task.nominal_s
+    passed = 0.0
+    while len(which):
+        point = np.minimum(((done_s + rate * (step_s / 2)) * per_s).astype(np.int64), points - 1)
+        rate = table[point * count + flat[at]]
+        ahead = done_s + rate * step_s
+        there = ahead >= task.nominal_s
+        if there.any():
+            used = (task.nominal_s - done_s[there]) / rate[there]
+            arrival[which[there]] = begins[sample[which[there]]] * step_s + passed + used
+        passed += step_s
+        keep = ~there & (at + 1 < end)
+        which, done_s, rate, at, end = which[keep], ahead[keep], rate[keep], at[keep] + 1, end[keep]
+    return arrival.reshape(tracks, len(begins))

@@ -1,0 +1,104 @@
+"""The work to be put in order: places to visit, the place between them, and what must come first.
+
+start = "home"
+end = "home"
+via = "conveyor"                        # visited before each; leave it out where the robot goes straight on
+visit = ["left_1", "left_2", "right_1"]
+before = [["left_1", "left_2"]]         # the first one before the second one
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.toml_file import list_at, read_toml
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+_KEYS = ("start", "end", "via", "visit", "before")
+_EXAMPLE = 'start = "home"  end = "home"  via = "conveyor"  visit = ["left_1", "right_1"]'
+
+
+@dataclass(frozen=True)
+class Jobs:
+    """Places to visit in an order that is to be found.
+
+    Attributes:
+        visit: The places; one that is visited twice stands there twice.
+        start, end: Where the robot begins and ends; None: where it happens to be.
+        via: Place visited before each.
+        before: Pairs of places; every visit to the first comes before every visit to the second.
+        shown: How a message names it.
+    """
+
+    visit: tuple[str, ...]
+    start: str
+    end: str | None = None
+    via: str | None = None
+    before: tuple[tuple[str, str], ...] = ()
+    shown: str = "the jobs"
+
+    def __post_init__(self) -> None:
+        """Refuse jobs that no order can fulfil.
+
+        Raises:
+            UnknownName: A constraint names a place that is not visited.
+            ConfigError: There is nothing to order, or the constraints form a circle.
+        """
+        if len(self.visit) < 2:
+            raise ConfigError(f"{self.shown}: fewer than two places to visit", cure=_EXAMPLE)
+        for pair in self.before:
+            for name in pair:
+                if name not in self.visit:
+                    raise UnknownName(self.shown, "place in before", name, self.visit)
+        left = set(self.visit)
+        while free := {name for name in left if not any(b == name and a in left for a, b in self.before)}:
+            left -= free
+        if left:
+            msg = f"{self.shown}: the constraints form a circle: {', '.join(sorted(left))}"
+            raise ConfigError(msg, cure="No order is possible; take one of these pairs out of before.")
+
+    def places(self, order: Sequence[str]) -> tuple[str, ...]:
+        """Return the places that the robot goes through for an order of the visits."""
+        stops = [stop for name in order for stop in ((self.via, name) if self.via else (name,))]
+        found = [self.start, *stops, *([self.end] if self.end else [])]
+        return tuple(name for i, name in enumerate(found) if i == 0 or name != found[i - 1])
+
+    def allowed(self, order: Sequence[str]) -> bool:
+        """Tell whether an order keeps every constraint."""
+        last = {name: i for i, name in enumerate(order)}
+        first = {name: i for i, name in reversed(list(enumerate(order)))}
+        return all(last[a] < first[b] for a, b in self.before)
+
+    def next_of(self, left: Sequence[str]) -> list[str]:
+        """Return which of the visits that are left may come next, each once."""
+        return [name for name in dict.fromkeys(left) if not any(b == name and a in left for a, b in self.before)]
+
+
+def load_jobs(path: Path) -> Jobs:
+    """Read a jobs file.
+
+    Raises:
+        ConfigError: The file cannot be read, or its jobs cannot be put in any order.
+    """
+    raw = read_toml(path)
+    for key in raw:
+        if key not in _KEYS:
+            raise UnknownName(str(path), "key", key, _KEYS)
+    for key in ("start", "visit"):
+        if key not in raw:
+            raise ConfigError(f"{path}: no {key} in it", cure=_EXAMPLE)
+    visit = tuple(map(str, list_at(str(path), raw, "visit")))
+    pairs = [_pair(path, entry) for entry in list_at(str(path), raw, "before")]
+    end, via = (None if raw.get(key) is None else str(raw[key]) for key in ("end", "via"))
+    return Jobs(visit, str(raw["start"]), end, via, tuple(pairs), str(path))
+
+
+def _pair(path: Path, entry: object) -> tuple[str, str]:
+    if not isinstance(entry, list) or len(entry) != 2:
+        raise ConfigError(f"{path}: {entry!r} in before is no pair", cure='before = [["left_1", "left_2"]]')
+    return str(entry[0]), str(entry[1])

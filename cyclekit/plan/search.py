@@ -1,0 +1,158 @@
+"""Orders of the same visits, scored on all operator tracks at once through the transit table.
+
+Where all orders are few they are all tried, each prefix once. Otherwise three searches share the work: greedy (the
+visit that loses least comes next), Monte Carlo (random orders), and a local search from the best of both that moves
+one visit or swaps two until nothing gets better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from math import factorial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.estimate.transit import TransitTable
+    from cyclekit.plan.jobs import Jobs
+
+    Order = tuple[str, ...]
+
+FEW_ORDERS = 6000
+"""Up to this many orders all are tried (7! = 5040)."""
+RANDOM_ORDERS = 400
+STARTS = 4
+"""Local searches begin at the greedy order and at so many of the best random ones."""
+
+
+class Scorer:
+    """Mean duration of orders over the tracks `which`, shape (k,); all tracks where None."""
+
+    def __init__(
+        self, table: TransitTable, jobs: Jobs, *, which: NDArray[np.int64] | None = None, seed: int = 0
+    ) -> None:
+        self._table, self.jobs, self._seed = table, jobs, seed
+        self._rows = which
+
+    @classmethod
+    def of_unfinished(cls, scorer: Scorer) -> Scorer:
+        """Return a scorer of orders that go on: the robot does not return to the end after them."""
+        return cls(scorer._table, replace(scorer.jobs, end=None), which=scorer._rows, seed=scorer._seed)
+
+    @property
+    def nominal_s(self) -> dict[str, float]:
+        """Duration of each task without an operator, s."""
+        return {task.task: task.nominal_s + task.dwell_s + task.wait_s for task in self._table.tasks}
+
+    def durations(self, orders: Sequence[Order]) -> NDArray[np.float64]:
+        """Return the duration of each order on each track, shape (orders, k), s."""
+        found = self._table.durations([tasks_of(self.jobs.places(order)) for order in orders], seed=self._seed)
+        return found if self._rows is None else np.asarray(found[:, self._rows])
+
+    def means(self, orders: Sequence[Order]) -> NDArray[np.float64]:
+        """Return the mean duration of each order, shape (orders,), s."""
+        return np.asarray(self.durations(orders).mean(axis=1))
+
+
+def tasks_of(places: Sequence[str]) -> list[str]:
+    """Return the tasks `start->goal` between places."""
+    return [f"{a}->{b}" for a, b in pairwise(places)]
+
+
+def best_order(
+    scorer: Scorer, *, seed: int = 0, progress: Callable[[float, str], None] | None = None
+) -> tuple[Order, str, int]:
+    """Return the best order found, how it was searched for (`all orders` or `search`), and how many were scored."""
+    tell = progress or (lambda fraction, text: None)
+    jobs = scorer.jobs
+    if factorial(len(jobs.visit)) <= FEW_ORDERS:
+        orders = list(every_order(jobs))
+        tell(0.5, f"trying {len(orders)} orders")
+        return orders[int(scorer.means(orders).argmin())], "all orders", len(orders)
+    rng = np.random.default_rng(seed)
+    greedy = greedy_order(scorer)
+    random = [random_order(jobs, rng) for _ in range(RANDOM_ORDERS)]
+    ranked = [random[i] for i in np.argsort(scorer.means(random))[:STARTS]]
+    tried, found = RANDOM_ORDERS, []
+    for number, start in enumerate([greedy, *ranked]):
+        tell(number / (STARTS + 1), f"local search {number + 1} of {STARTS + 1}")
+        order, mean, count = _improved(scorer, start)
+        found.append((mean, order))
+        tried += count
+    return min(found)[1], "search", tried
+
+
+def every_order(jobs: Jobs) -> Iterator[Order]:
+    """Yield every allowed order once."""
+
+    def following(done: Order, left: tuple[str, ...]) -> Iterator[Order]:
+        if not left:
+            yield done
+        for name in jobs.next_of(left):
+            rest = list(left)
+            rest.remove(name)
+            yield from following((*done, name), tuple(rest))
+
+    yield from following((), jobs.visit)
+
+
+def greedy_order(scorer: Scorer) -> Order:
+    """Return the order in which each next visit is the one after which least was lost, as part of the nominal time."""
+    jobs, nominal = scorer.jobs, scorer.nominal_s
+    unfinished = Scorer.of_unfinished(scorer)
+    done: Order = ()
+    left = list(jobs.visit)
+    while left:
+        options = jobs.next_of(left)
+        orders = [(*done, name) for name in options]
+        free = np.array([sum(nominal[task] for task in tasks_of(unfinished.jobs.places(order))) for order in orders])
+        taken = unfinished.means(orders)
+        chosen = options[int((taken / free).argmin())]
+        done, left = (*done, chosen), _without(left, chosen)
+    return done
+
+
+def random_order(jobs: Jobs, rng: np.random.Generator) -> Order:
+    """Return an allowed order; each next visit is drawn from those that may come."""
+    done: Order = ()
+    left = list(jobs.visit)
+    while left:
+        chosen = str(rng.choice(jobs.next_of(left)))
+        done, left = (*done, chosen), _without(left, chosen)
+    return done
+
+
+def _improved(scorer: Scorer, order: Order) -> tuple[Order, float, int]:
+    """Move one visit or swap two, the best of all such steps, until none helps; order, its mean, orders scored."""
+    best, tried = float(scorer.means([order])[0]), 1
+    while True:
+        around = [near for near in dict.fromkeys(_neighbours(order)) if scorer.jobs.allowed(near)]
+        means = scorer.means(around)
+        tried += len(around)
+        if not len(around) or means.min() >= best - 1e-9:
+            return order, best, tried
+        order, best = around[int(means.argmin())], float(means.min())
+
+
+def _neighbours(order: Order) -> Iterator[Order]:
+    for i in range(len(order)):
+        rest = order[:i] + order[i + 1 :]
+        for j in range(len(order)):
+            if j != i:
+                yield (*rest[:j], order[i], *rest[j:])
+        for j in range(i + 1, len(order)):
+            swapped = list(order)
+            swapped[i], swapped[j] = swapped[j], swapped[i]
+            yield tuple(swapped)
+
+
+def _without(names: Sequence[str], name: str) -> list[str]:
+    rest = list(names)
+    rest.remove(name)
+    return rest

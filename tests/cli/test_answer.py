@@ -1,0 +1,143 @@
+"""The commands that ask on: estimate with its options, plan, zones, whatif, drift; errors with a cure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+import pytest
+
+from cyclekit.sequences import load_sequences
+
+if TYPE_CHECKING:
+    from .conftest import Shell
+
+
+def test_an_estimate_tells_takt_quantiles_ranking_and_check(
+    model: Path, dataset: Path, sequences: Path, cyclekit: Shell
+):
+    words = ("estimate", model, sequences, "--dataset", dataset, "--extrapolate", "--quiet")
+    typed = cyclekit(*words, "--takt", "12s", "--quantiles", "10,50,90", "--json")
+    assert typed.code == 0, typed.err
+    first, second = typed.document["sequences"]
+    assert set(first["quantiles_s"]) == {"0.1", "0.5", "0.9"}
+    assert first["takt_s"] == 12.0
+    assert 0 <= first["takt_probability"][0] <= 1
+    assert first["beats"][second["name"]] == pytest.approx(1 - second["beats"][first["name"]])
+    assert typed.document["check"]["executions"] == 6
+    shown = cyclekit(*words, "--takt", "12s").out
+    assert "within 12 s" in shown
+    assert "probability" in shown
+    assert "logged executions rolled out beside their own operators" in shown
+
+
+@pytest.mark.parametrize("name", ["history", "nominal"])
+def test_other_estimators_are_asked_by_name(name: str, model: Path, dataset: Path, sequences: Path, cyclekit: Shell):
+    typed = cyclekit("estimate", model, sequences, "--dataset", dataset, "--estimator", name, "--json", "--quiet")
+    assert typed.code == 0, typed.err
+    assert {entry["estimator"] for entry in typed.document["sequences"]} == {name}
+    assert typed.document["check"] is None
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--estimator", "guess"], "unknown estimator 'guess'"),
+        (["--estimator", "average"], "needs 'average'"),
+    ],
+)
+def test_an_estimator_that_cannot_answer_is_refused(
+    words: list[str], said: str, model: Path, dataset: Path, sequences: Path, cyclekit: Shell
+):
+    typed = cyclekit("estimate", model, sequences, "--dataset", dataset, *words)
+    assert typed.code == 1
+    assert said in typed.err
+
+
+@pytest.mark.parametrize("words", [["--quantiles", "5"], ["--quantiles", "5,x"], ["--takt", "soon"]])
+def test_a_wrong_option_is_told_as_such(words: list[str], model: Path, dataset: Path, sequences: Path, cyclekit: Shell):
+    assert cyclekit("estimate", model, sequences, "--dataset", dataset, *words).code == 2
+
+
+@pytest.fixture
+def jobs(dataset: Path, tmp_path: Path) -> Path:
+    from cyclekit.dataset import Dataset
+
+    logged = Dataset.open(dataset)
+    tasks = set(logged.tasks()["task"])
+    slots = [n for n in logged.places if f"conveyor->{n}" in tasks and f"{n}->conveyor" in tasks][:3]
+    names = ", ".join(f'"{slot}"' for slot in slots)
+    file = tmp_path / "jobs.toml"
+    file.write_text(f'start = "home"\nvia = "conveyor"\nvisit = [{names}]\n', encoding="utf-8")
+    return file
+
+
+def test_a_plan_is_an_order_and_a_sequence_file(
+    model: Path, dataset: Path, jobs: Path, tmp_path: Path, cyclekit: Shell
+):
+    out = tmp_path / "planned.toml"
+    typed = cyclekit("plan", model, jobs, "--dataset", dataset, "--out", out, "--json", "--quiet")
+    assert typed.code == 0, typed.err
+    assert typed.document["tried"] == 6
+    (planned,) = load_sequences(out)
+    assert list(planned.places) == typed.document["places"]
+    shown = cyclekit("plan", model, jobs, "--dataset", dataset, "--quiet").out
+    assert shown.startswith("order: ")
+    assert "with operators the order was not chosen by" in shown
+
+
+def test_a_plan_of_a_place_that_does_not_exist_is_refused(model: Path, dataset: Path, tmp_path: Path, cyclekit: Shell):
+    file = tmp_path / "jobs.toml"
+    file.write_text('start = "home"\nvisit = ["left_1", "left_11"]\n', encoding="utf-8")
+    typed = cyclekit("plan", model, file, "--dataset", dataset)
+    assert typed.code == 1
+    assert "unknown place 'left_11'" in typed.err
+    assert "left_1" in typed.err
+
+
+def test_zones_are_a_table_and_a_picture(model: Path, dataset: Path, tmp_path: Path, cyclekit: Shell):
+    out = tmp_path / "zones.svg"
+    typed = cyclekit("zones", model, dataset, "--out", out, "--json", "--quiet")
+    assert typed.code == 0, typed.err
+    assert len(typed.document["thresholds"]) == len(typed.document["levels"]) - 1
+    assert ElementTree.parse(out).getroot().tag.endswith("svg")
+    shown = cyclekit("zones", model, dataset, "--quiet").out
+    assert "threshold, m" in shown
+    assert "no safety proof" in shown
+
+
+def test_what_if_says_that_it_is_no_safety_proof(
+    model: Path, dataset: Path, sequences: Path, tmp_path: Path, cyclekit: Shell
+):
+    file = tmp_path / "changes.toml"
+    file.write_text('[[change]]\nname = "open"\nlevels = [0.5, 1.0]\nthresholds_m = [0.1]\n', encoding="utf-8")
+    words = ("whatif", model, sequences, file, "--dataset", dataset, "--extrapolate", "--quiet")
+    out = tmp_path / "answers.json"
+    typed = cyclekit(*words, "--out", out, "--json")
+    assert typed.code == 0, typed.err
+    assert "no safety proof" in typed.document["safety"]
+    assert all("no safety proof" in entry["safety"] for entry in typed.document["answers"])
+    assert all(entry["after"]["safety_loss_s"] < 0.1 for entry in typed.document["answers"])
+    assert "no safety proof" in out.read_text(encoding="utf-8")
+    shown = cyclekit(*words).out
+    assert "no safety proof" in shown
+    assert "open" in shown
+
+
+def test_a_change_of_a_place_that_does_not_exist_is_refused(
+    model: Path, dataset: Path, sequences: Path, tmp_path: Path, cyclekit: Shell
+):
+    file = tmp_path / "changes.toml"
+    file.write_text("[[change]]\nplaces = { conveyer = [0.0, 0.0, 0.0] }\n", encoding="utf-8")
+    typed = cyclekit("whatif", model, sequences, file, "--dataset", dataset, "--extrapolate")
+    assert typed.code == 1
+    assert "unknown place 'conveyer'" in typed.err
+    assert "conveyor" in typed.err
+
+
+def test_evaluate_says_whether_the_cell_has_changed(model: Path, dataset: Path, cyclekit: Shell):
+    typed = cyclekit("evaluate", model, dataset, "--trained-on", dataset, "--quiet")
+    assert typed.code == 0, typed.err
+    assert "the operator's habits: no change seen" in typed.out
+    assert "drift" in cyclekit("evaluate", model, dataset, "--trained-on", dataset, "--json", "--quiet").document

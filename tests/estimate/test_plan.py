@@ -1,0 +1,127 @@
+"""Orders: all of them where few, a search that finds the same, constraints kept, impossible work refused."""
+
+from __future__ import annotations
+
+from itertools import permutations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from cyclekit.errors import ConfigError, EstimateError, UnknownName
+from cyclekit.estimate.nominal import NominalTask
+from cyclekit.estimate.transit import TransitTable
+from cyclekit.plan import Jobs, load_jobs, plan, search
+from cyclekit.plan.search import Scorer, best_order, every_order, greedy_order, random_order, tasks_of
+
+if TYPE_CHECKING:
+    from cyclekit.dataset import Dataset
+
+NAMES = ("a", "b", "c", "d", "e")
+STARTS = 401
+
+
+def table(names: tuple[str, ...] = NAMES) -> TransitTable:
+    """Tasks whose duration depends on when they start, another way for each and each of three operators."""
+    jobs = Jobs(names, "home", "home", "via")
+    tasks = sorted({task for pair in permutations(names, 2) for task in tasks_of(jobs.places(pair))})
+    rng = np.random.default_rng(5)
+    start = np.arange(STARTS) * 0.2
+    phase = rng.uniform(0, 6, (len(tasks), 3, 1))
+    arrival = start + 2.0 + np.sin(start / 4.0 + phase)
+    stand = np.array([0.5, 0.5])
+    nominal = tuple(NominalTask(task, np.zeros((2, 3)), 1.0, 0.5, 0.0, stand, 2) for task in tasks)
+    return TransitTable(tuple(tasks), arrival.astype(np.float32), 0.2, nominal)
+
+
+def test_all_orders_are_tried_where_they_are_few_and_the_best_is_returned():
+    scorer = Scorer(table(), Jobs(NAMES, "home", "home", "via"))
+    order, how, tried = best_order(scorer)
+    assert (how, tried) == ("all orders", 120)
+    means = {other: float(scorer.means([other])[0]) for other in permutations(NAMES)}
+    assert means[order] == pytest.approx(min(means.values()))
+
+
+def test_the_search_finds_the_best_of_all_orders(monkeypatch: pytest.MonkeyPatch):
+    scorer = Scorer(table(), Jobs(NAMES, "home", "home", "via"))
+    best = float(scorer.means([best_order(scorer)[0]])[0])
+    monkeypatch.setattr(search, "FEW_ORDERS", 1)
+    monkeypatch.setattr(search, "RANDOM_ORDERS", 20)
+    order, how, tried = best_order(scorer)
+    assert how == "search"
+    assert tried > 20
+    assert float(scorer.means([order])[0]) <= best * 1.005
+
+
+def test_constraints_are_kept_by_every_way_to_an_order(monkeypatch: pytest.MonkeyPatch):
+    jobs = Jobs(NAMES, "home", "home", "via", before=(("e", "a"), ("a", "b")))
+    orders = list(every_order(jobs))
+    assert len(orders) == 20
+    assert set(orders) == {order for order in permutations(NAMES) if jobs.allowed(order)}
+    scorer = Scorer(table(), jobs)
+    assert jobs.allowed(greedy_order(scorer))
+    assert jobs.allowed(random_order(jobs, np.random.default_rng(0)))
+    monkeypatch.setattr(search, "FEW_ORDERS", 1)
+    monkeypatch.setattr(search, "RANDOM_ORDERS", 10)
+    order = best_order(scorer)[0]
+    assert order.index("e") < order.index("a") < order.index("b")
+
+
+def test_a_duration_is_the_arrivals_one_after_the_other():
+    made = table()
+    (found,) = made.durations([["home->via", "via->a"]])
+    one, two = made.names.index("home->via"), made.names.index("via->a")
+    grid = np.arange(STARTS) * 0.2
+    for k in range(3):
+        time = np.interp(0.0, grid, made.arrival_s[one, k]) + 0.5
+        assert found[k] == pytest.approx(np.interp(time, grid, made.arrival_s[two, k]) + 0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('start = "home"\nvisit = ["a", "b"]\nbefore = [["a", "b"], ["b", "a"]]', "form a circle: a, b"),
+        ('start = "home"\nvisit = ["a", "b"]\nbefore = [["a", "x"]]', "unknown place in before 'x'"),
+        ('start = "home"\nvisit = ["a", "b"]\nbefore = ["a"]', "in before is no pair"),
+        ('start = "home"\nvisit = ["a"]', "fewer than two places"),
+        ('visit = ["a", "b"]', "no start in it"),
+        ('start = "home"\nvisits = ["a", "b"]', "unknown key 'visits'"),
+    ],
+)
+def test_jobs_that_no_order_can_fulfil_are_refused(text: str, said: str, tmp_path: Path):
+    file = tmp_path / "jobs.toml"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=said) as caught:
+        load_jobs(file)
+    assert caught.value.cure
+
+
+def jobs_logged(logged: Dataset, count: int) -> Jobs:
+    tasks = set(logged.tasks()["task"])
+    known = [n for n in logged.places if f"conveyor->{n}" in tasks and f"{n}->conveyor" in tasks]
+    return Jobs(tuple(known[:count]), "home", None, "conveyor")
+
+
+def test_a_planned_order_saves_against_others_also_beside_operators_it_was_not_chosen_by(
+    logged: Dataset, staircase: Any
+):
+    jobs = jobs_logged(logged, 4)
+    found = plan(staircase, logged, jobs)
+    assert sorted(found.order) == sorted(jobs.visit)
+    assert found.places == jobs.places(found.order)
+    assert (found.searched, found.tried, found.executions) == ("all orders", 24, 16)
+    assert found.against == "random orders"
+    assert found.saves_s[0] == pytest.approx(found.against_s - found.expected_s)
+    assert found.saves_s[1] <= found.saves_s[0] <= found.saves_s[2]
+    assert found.saves_s[0] > 0
+    assert found.saves_unseen_s <= found.saves_s[0] + 1e-6
+
+
+def test_work_that_was_never_logged_is_refused_with_the_cure(logged: Dataset, staircase: Any):
+    with pytest.raises(UnknownName) as caught:
+        plan(staircase, logged, Jobs(("left_1", "left_9"), "home", None, "conveyor"))
+    assert caught.value.nearest is not None
+    with pytest.raises(EstimateError, match="was never logged") as refused:
+        plan(staircase, logged, Jobs(("left_1", "left_2"), "home", None))
+    assert "before" in str(refused.value.cure)

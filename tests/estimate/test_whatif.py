@@ -1,0 +1,133 @@
+"""Another cell on the same logs: safety function, moved base and places, an operator who comes more or less often."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from cyclekit.errors import ConfigError, EstimateError, UnknownName
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.tracks import OperatorTracks
+from cyclekit.sequences import TaskSequence
+from cyclekit.whatif import NO_PROOF, Change, load_changes, what_if
+from cyclekit.whatif.alter import WrittenSafety, altered_tasks, altered_tracks
+from cyclekit.whatif.change import Zone
+
+from .conftest import LEVELS, THRESHOLDS_M
+
+if TYPE_CHECKING:
+    from cyclekit.dataset import Dataset
+
+
+def test_a_written_staircase_is_that_staircase(staircase: Any):
+    X = np.random.default_rng(0).uniform(-3, 3, (500, 6)).astype(np.float32)
+    written = WrittenSafety(Change("paper", levels=LEVELS, thresholds_m=THRESHOLDS_M))
+    np.testing.assert_array_equal(written.predict(X), staircase.predict(X))
+
+
+def test_written_zones_take_the_slowest_that_the_operator_stands_in():
+    zones = (Zone((-1.0, 1.0), (-1.0, 1.0), 0.0), Zone((-2.0, 2.0), (-2.0, 2.0), 0.5))
+    written = WrittenSafety(Change("zones", levels=(0.0, 0.5, 1.0), zones=zones))
+    X = np.zeros((3, 6), dtype=np.float32)
+    X[:, 3] = (0.9, 1.5, 2.5)
+    assert written.predict(X).tolist() == [0.0, 0.5, 1.0]
+
+
+def test_the_same_staircase_changes_nothing_and_a_smaller_one_saves_time(logged: Dataset, staircase: Any):
+    places = tuple(logged.card["executions"][0]["places"])
+    changes = [
+        Change("same", levels=LEVELS, thresholds_m=THRESHOLDS_M),
+        Change("small", levels=LEVELS, thresholds_m=(0.6, 0.8, 1.2, 1.6)),
+    ]
+    same, small = what_if(staircase, logged, [TaskSequence("A", places)], changes)
+    assert same.saves_s == pytest.approx((0.0, 0.0, 0.0))
+    assert small.saves_s[0] > 20
+    assert small.saves_s[1] < small.saves_s[0] < small.saves_s[2]
+    assert small.saves_s[0] == pytest.approx(small.before.expected_s - small.after.expected_s)
+    for entry in (same, small):
+        assert NO_PROOF in entry.after.warnings
+        assert entry.to_json()["safety"] == NO_PROOF
+
+
+def test_a_moved_place_bends_the_motions_there_and_no_others(logged: Dataset):
+    before = nominal_tasks(logged)
+    x, y, z = logged.places["conveyor"].xyz_m
+    after = altered_tasks(Change("farther", places={"conveyor": (x + 0.2, y, z)}), before, logged)
+    for name, task in before.items():
+        start, goal = name.split("->")
+        shift = [0.2 * (place == "conveyor") for place in (start, goal)]
+        assert after[name].xyz_m[[0, -1], 0] - task.xyz_m[[0, -1], 0] == pytest.approx(shift)
+        np.testing.assert_allclose(after[name].xyz_m[:, 1:], task.xyz_m[:, 1:])
+        if "conveyor" not in (start, goal):
+            assert after[name] is task
+    with pytest.raises(UnknownName):
+        altered_tasks(Change("slip", places={"conveyer": (0, 0, 0)}), before, logged)
+
+
+def tracks_of(near: list[bool]) -> OperatorTracks:
+    x = np.where(near, 0.5, 5.0)
+    xyz = np.stack([x, 0 * x, 0 * x], axis=1)[None]
+    return OperatorTracks(xyz, np.zeros((1, len(x)), dtype=np.int64), ("w",), np.array([len(x)]), ("e",), 0.1)
+
+
+def test_half_as_often_stretches_the_time_away_and_keeps_the_visits(logged: Dataset, staircase: Any):
+    tasks = nominal_tasks(logged)
+    near = ([False] * 30 + [True] * 10) * 10
+    tracks = tracks_of(near)
+    half = altered_tracks(Change("half", frequency=0.5), tracks, tasks, staircase)
+    seen = half.xyz_m[0, :, 0] < 1.0
+    starts = np.flatnonzero(np.diff(seen.astype(int)) == 1)
+    assert np.diff(starts) == pytest.approx([80] * (len(starts) - 1), abs=1)
+    assert seen.sum() == pytest.approx(50, abs=3)
+    twice = altered_tracks(Change("twice", frequency=2.0), tracks, tasks, staircase)
+    starts = np.flatnonzero(np.diff((twice.xyz_m[0, : twice.logged[0], 0] < 1.0).astype(int)) == 1)
+    assert np.diff(starts) == pytest.approx([20] * (len(starts) - 1), abs=1)
+
+
+def test_an_operator_who_is_always_there_cannot_come_more_often(logged: Dataset, staircase: Any):
+    tasks = nominal_tasks(logged)
+    with pytest.raises(EstimateError, match="away 0% of the time"):
+        altered_tracks(Change("more", frequency=2.0), tracks_of([True] * 50), tasks, staircase)
+    with pytest.raises(EstimateError) as caught:
+        altered_tracks(Change("more", frequency=9.0), tracks_of([True, False] * 50), tasks, staircase)
+    assert "At most 2.00 times" in str(caught.value.cure)
+
+
+def test_a_moved_base_sees_the_operator_from_where_it_stands(logged: Dataset, staircase: Any):
+    tracks = tracks_of([True] * 5)
+    seen = altered_tracks(Change("turned", base_m=(0.5, -1.0, 0.0), base_yaw_deg=90.0), tracks, {}, staircase)
+    np.testing.assert_allclose(seen.xyz_m[0, 0], [1.0, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("levels = [0.0, 1.0]", "need thresholds_m or zones"),
+        ("levels = [1.0, 0.0]\nthresholds_m = [1.0]", "levels"),
+        ("levels = [0.0, 1.0]\nthresholds_m = [1.0, 2.0]", "2 levels and 2 thresholds"),
+        ("levels = [0.0, 0.5, 1.0]\nthresholds_m = [2.0, 1.0]", "thresholds_m"),
+        ("levels = [0.0, 1.0]\nzones = [{ x_m = [0, 1], y_m = [0, 1], level = 0.5 }]", "not among levels"),
+        ("levels = [0.0, 1.0]\nzones = [{ x_m = [1, 0], y_m = [0, 1], level = 0.0 }]", "must be less"),
+        ("frequency = 0.0", "frequency"),
+        ("places = { conveyor = [0.1, 0.2] }", "not what it should be"),
+        ("base = 3", "not what it should be"),
+        ("threshold_m = [1.0]", "unknown key 'threshold_m'"),
+        ("", "nothing is changed"),
+    ],
+)
+def test_a_change_that_is_none_is_refused(text: str, said: str, tmp_path: Path):
+    file = tmp_path / "changes.toml"
+    file.write_text(f"[[change]]\n{text}\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=said) as caught:
+        load_changes(file)
+    assert caught.value.cure
+
+
+def test_a_file_without_changes_is_refused(tmp_path: Path):
+    file = tmp_path / "changes.toml"
+    file.write_text("", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"no \[\[change\]\]"):
+        load_changes(file)

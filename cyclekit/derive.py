@@ -17,9 +17,10 @@ from cyclekit.account import Leg, account, usual_dwells
 from cyclekit.activity import with_operator
 from cyclekit.align import place_in_time
 from cyclekit.dataset import Place
+from cyclekit.dynamics import Change, Dynamics, changes_of, read_dynamics
 from cyclekit.errors import EstimateError
 from cyclekit.load_runs import load_runs
-from cyclekit.motion import sampled
+from cyclekit.motion import pieces, sampled
 from cyclekit.samples import stretches
 from cyclekit.scaling import with_scaling
 from cyclekit.segment import Execution, find_executions, find_places, find_stops, find_visits
@@ -56,6 +57,7 @@ class Derived:
     human_places: Mapping[str, Place]
     levels: tuple[float, ...]
     origin: str | None
+    dynamics: Dynamics
     warnings: list[str]
 
 
@@ -115,9 +117,27 @@ def derive(
     samples = _by_session(grids, staircase.label)
     levels = tuple(round(float(level), 6) for level in staircase.levels)
     tasks = pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.TASKS.items()}, orient="row")
-    return Derived(
-        samples, tasks, cards, places, human_places, levels, _origin(samples), [*warnings, *staircase.warnings]
-    )
+    dynamics = _dynamics(sessions, grids, runs, levels)
+    said = [*warnings, *staircase.warnings]
+    return Derived(samples, tasks, cards, places, human_places, levels, _origin(samples), dynamics, said)
+
+
+def _dynamics(
+    sessions: Sequence[Session], grids: Sequence[Grid], runs: Sequence[Run], levels: Sequence[float]
+) -> Dynamics:
+    """Read latency, ramps and hysteresis from the scaling at its native rate; sessions follow each other in time."""
+    changes, times, distances, begin = list[Change](), [np.empty(0)], [np.empty(0)], 0.0
+    for session in sessions:
+        for number in session.runs:
+            for _, part in pieces(runs[number]):
+                found = changes_of(part.t_s, part.scaling, levels)
+                changes += [change._replace(t_s=change.t_s + begin) for change in found]
+        for grid in (grid for grid in grids if grid.session is session):
+            tcp = grid.frame.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()
+            times.append(grid.t_s + begin)
+            distances.append(np.linalg.norm(tcp - grid.human_m, axis=1))
+        begin += session.span_s[1] - min(session.span_s[0], 0.0) + 1e4
+    return read_dynamics(changes, np.concatenate(times), np.concatenate(distances))
 
 
 def _staircase(grids: Sequence[Grid], cell: Cell) -> Staircase:

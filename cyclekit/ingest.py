@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -254,6 +254,7 @@ def _card(
         "human_places": {name: _without_name(place) for name, place in derived.human_places.items()},
         "levels": list(derived.levels),
         "scaling_origin": derived.origin,
+        "dynamics": asdict(derived.dynamics),
         "rows": {"samples": sum(f.height for f in derived.samples.values()), "tasks": derived.tasks.height},
         "warnings": derived.warnings,
     }

@@ -19,7 +19,7 @@ FLOORS = [
     {"convert", "figures", "ingest", "train"},
     {"derive", "intake", "models"},
     {"discover", "scaling"},
-    {"account", "activity", "align", "calibrate", "labelling"},
+    {"account", "activity", "align", "calibrate", "dynamics", "labelling"},
     {"load_runs", "people", "registry", "samples"},
     {"override", "plausible", "privacy", "segment", "session", "steps"},
     {"stored_run"},

@@ -124,6 +124,8 @@ def _dataset(found: DatasetDescription) -> str:
         f"  executions  {found.executions}{cut}, {duration(found.duration_s)} in all",
         f"  samples     {found.samples} at 10 Hz; operator seen in {percent(found.operator_seen)}",
         f"  scaling     known in {percent(found.scaling_known)} of them{inferred}",
+        f"  in motion   known in {percent(found.motion_covered)} of the samples{_deviation(found)}",
+        *([f"  unknown     {_reasons(found.scaling_gaps)}"] if found.scaling_gaps else []),
         f"  recordings  {found.recordings}, from {found.sources} source files",
     ]
     head += [bullet([reason], mark=f"  set aside   {count} rows: ") for reason, count in found.set_aside.items()]
@@ -137,6 +139,14 @@ def _dataset(found: DatasetDescription) -> str:
     parts.append(bullet(_some(silences, SHOWN_FILES)))
     parts.append(bullet(_some(found.warnings, SHOWN_FILES), mark="! "))
     return "\n\n".join(part for part in parts if part)
+
+
+def _deviation(found: DatasetDescription) -> str:
+    return "" if found.scaling_sd is None else f", to {found.scaling_sd:.4f} (median standard deviation)"
+
+
+def _reasons(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{reason} {count}" for reason, count in counts.items())
 
 
 def _clocks(clocks: Mapping[str, Mapping[str, Any]]) -> str:

@@ -162,7 +162,20 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
         warnings=tuple(_warnings(dataset)),
         clocks={str(record["id"]): dict(record["clock"]) for record in records},
         operator={str(record["id"]): dict(record["operator"]) for record in records if "operator" in record},
+        **_coverage(samples),
     )
+
+
+def _coverage(samples: pl.DataFrame) -> dict[str, Any]:
+    """Return how much of the scaling is known, why the rest is not, and how sure what was inferred is."""
+    moving = samples.filter("robot_moving")["scaling"]
+    deviation = samples.filter(pl.col("scaling_origin") == "inferred")["scaling_sd"].median()
+    reasons = samples["scaling_gap"].drop_nulls().value_counts(sort=True, name="samples")
+    return {
+        "scaling_gaps": dict(reasons.iter_rows()),
+        "motion_covered": 1.0 - moving.null_count() / max(1, len(moving)),
+        "scaling_sd": deviation if isinstance(deviation, float) else None,
+    }
 
 
 def _set_aside(records: list[dict[str, Any]]) -> dict[str, int]:

@@ -91,6 +91,8 @@ class DatasetDescription:
         tasks: Per task: how often, mean seconds of motion at full speed, of safety loss, of dwell and wait.
         level_share: Fraction of the samples per staircase level.
         scaling_known: Fraction of the samples whose scaling is known; `scaling_inferred`: of those, not logged.
+        scaling_gaps: Why it is unknown in the others: samples by reason; `motion_covered`: fraction of the samples of
+            moving robots in which it is known; `scaling_sd`: median standard deviation of an inferred one.
         operator_seen: Fraction of the samples in which the operator's position is known.
         gaps: Silences per recording and table (`id/robot`), where there are any.
         clocks: How each recording's clock was related to its session's, by recording: method, offset_s, rate, and
@@ -119,6 +121,9 @@ class DatasetDescription:
     warnings: tuple[str, ...]
     clocks: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     operator: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    scaling_gaps: Mapping[str, int] = field(default_factory=dict)
+    motion_covered: float = 0.0
+    scaling_sd: float | None = None
     kind: str = "dataset"
 
     def to_json(self) -> dict[str, Any]:

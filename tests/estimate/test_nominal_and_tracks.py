@@ -56,7 +56,8 @@ def test_a_speed_slider_is_undone_like_the_scaling_where_the_dataset_tells_it_ap
     told.write_parquet(found.path / "tasks.parquet")
     file = next((found.path / "recordings").glob("*/robot.parquet"))
     slider = pl.when(pl.col("tcp_x_m") < 0.5).then(0.25).otherwise(1.0)
-    pl.read_parquet(file, glob=False).with_columns(slider=slider).write_parquet(file)
+    native = pl.read_parquet(file, glob=False).with_columns(slider=slider)
+    native.with_columns(scaling=pl.col("scaling") * slider).write_parquet(file)  # logged is what is in force
     for task in nominal_tasks(found).values():
         assert task.xyz_m[len(task.xyz_m) // 2, 0] == pytest.approx(0.6875, abs=0.02)
     lost = slider_losses(found)

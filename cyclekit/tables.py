@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     Columns = Mapping[str, NDArray[np.float64]]
 
 GROUP_ROWS = 1 << 17
-_KEPT_BYTES = 64 << 20  # of decoded row groups
+_KEPT_BYTES = 160 << 20
 _LEVEL = 1  # of zstd: higher ones take longer and save a hundredth
 
 

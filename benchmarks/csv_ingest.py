@@ -1,0 +1,111 @@
+"""Ingest of a large UR log beside what polars needs to read the whole file and to make the 10 Hz table alone.
+
+    python benchmarks/csv_ingest.py [--rows 830000] [--repeats 3]
+
+The log has 500 rows a second and 71 columns, full-precision doubles, space-delimited, as UR's `record.py` writes it.
+Each way runs in a process of its own, in turn (A B C, A B C): polars reading the file; the bare pipeline (scan, ten
+columns, means of 0.1 s, Parquet); `cyclekit convert` to 10 Hz; `cyclekit ingest` without and with checksums.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+HZ, BLOCK = 500, 50_000
+READ = "import polars as pl; pl.read_csv({log!r}, separator=' ')"
+BARE = """
+import polars as pl
+names = ['timestamp', *(f'actual_TCP_pose_{{i}}' for i in range(6))]
+names += ['speed_scaling', 'target_speed_fraction', 'runtime_state']
+log = pl.scan_csv({log!r}, separator=' ').select(names)
+log.group_by((pl.col('timestamp') * 10).floor().alias('bin')).mean().sink_parquet({out!r}, compression='zstd')
+"""
+
+
+def write(file: Path, rows: int) -> None:
+    """Write the log: a tool on a circle, a staircase with ramps, noise."""
+    rng = np.random.default_rng(0)
+    groups = [
+        f"{kind}_{name}" for kind in ("target", "actual") for name in ("q", "qd", "current", "TCP_pose", "TCP_speed")
+    ]
+    with file.open("wb") as log:
+        for begin in range(0, rows, BLOCK):
+            t = (begin + np.arange(min(BLOCK, rows - begin))) / HZ
+            columns = {"timestamp": 100.0 + t}
+            for name in groups:
+                columns |= {f"{name}_{i}": np.sin(0.7 * t + i) * 0.3 + rng.normal(0, 1e-4, len(t)) for i in range(6)}
+            columns["speed_scaling"] = np.clip(np.round(2 + 2 * np.sin(0.2 * t)) / 4, 0, 1)
+            columns["target_speed_fraction"] = np.ones(len(t))
+            table = pl.DataFrame(columns).with_columns(
+                runtime_state=pl.lit(2), safety_mode=pl.lit(1), robot_mode=pl.lit(7),
+                **{f"output_double_register_{i}": pl.Series(rng.normal(0, 1, len(t))) for i in range(5)},
+            )  # fmt: skip
+            table.write_csv(log, include_header=begin == 0, separator=" ")
+
+
+def run(words: list[str]) -> tuple[float, float, float]:
+    """Return wall seconds, processor seconds and peak MiB of a process."""
+    began = time.perf_counter()
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(process.pid, 0)
+    if status:
+        raise SystemExit(f"failed: {words}")
+    return time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+
+
+def main() -> None:
+    """Print the table: medians."""
+    ask = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    ask.add_argument("--rows", type=int, default=830_000)
+    ask.add_argument("--repeats", type=int, default=3)
+    given = ask.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        log, out = str(Path(scratch) / "robot.csv"), str(Path(scratch) / "out")
+        write(Path(log), given.rows)
+        python, cyclekit = [sys.executable, "-c"], [sys.executable, "-m", "cyclekit"]
+        ways = {
+            "polars reads the whole file": [*python, READ.format(log=log)],
+            "bare polars pipeline, 10 Hz, ten columns": [*python, BARE.format(log=log, out=out + "1.parquet")],
+            "cyclekit convert, 10 Hz": [
+                *cyclekit,
+                "convert",
+                log,
+                "--out",
+                out + "2.parquet",
+                "--rate",
+                "10",
+                "--quiet",
+            ],
+            "cyclekit ingest, no checksums": [
+                *cyclekit,
+                "ingest",
+                log,
+                "--out",
+                out + "3",
+                "--no-checksums",
+                "--quiet",
+            ],
+            "cyclekit ingest": [*cyclekit, "ingest", log, "--out", out + "4", "--quiet"],
+        }
+        found: dict[str, list[tuple[float, float, float]]] = {name: [] for name in ways}
+        for _ in range(given.repeats):
+            for name, words in ways.items():
+                found[name].append(run(words))
+        print(f"{Path(log).stat().st_size / 1e9:.2f} GB, {given.rows} rows, median of {given.repeats}\n")
+        print("| way | s | cpu s | peak MiB |\n|---|---|---|---|")
+        for name, each in found.items():
+            seconds, cpu, peak = np.median(np.array(each), axis=0)
+            print(f"| {name} | {seconds:.2f} | {cpu:.2f} | {peak:.0f} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -104,17 +104,14 @@ class StoredRun:
         for number in np.unique(step).tolist():
             last = int(rows[number + 1]) if number + 1 < len(rows) else self.rows
             here = step == number
-            found[here] = rows[number] + self.window(int(rows[number]), last - 1).row_at(t_s[here])
+            times_there = self.table.read(self.first + int(rows[number]), self.first + last)["t_s"]
+            before = np.searchsorted(times_there, t_s[here] - self.offset_s + 1e-9, side="right") - 1
+            found[here] = rows[number] + np.clip(before, 0, None)
         return found
 
     def with_scaling(self, parts: Sequence[Part]) -> StoredRun:
         """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
-        kept = Overlay(
-            [
-                Part(part.first, part.scaling.astype(np.float32), part.deviation.astype(np.float32), part.gap)
-                for part in parts
-            ]
-        )
+        kept = Overlay(parts)
         return replace(self, inferred=kept, knows_scaling=kept.is_known)
 
 

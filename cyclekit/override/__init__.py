@@ -19,9 +19,11 @@ from cyclekit.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, TOO_SLOW, Part
 from cyclekit.override.advance import advance
 from cyclekit.override.path import along
 from cyclekit.override.reference import (
+    AMONG,
     Reference,
     Repetition,
     is_common_stop,
+    is_elsewhere,
     reference_of,
     takes_another,
     with_dynamics,
@@ -53,14 +55,17 @@ PATHS = 4
 LEAST_NOISE = 1e-6
 """Noise of a coordinate (rad or m) that shows none: logs are written with so many digits."""
 _NOISE_LEGS, _NOISE_ROWS = 40, 4000
+_NONE, _NO_GAPS = np.empty(0), np.empty(0, np.int8)
 
 
 class _Leg(NamedTuple):
-    """A motion between two visits: rows `first` to `last` of a run."""
+    """A motion between two visits, rows `first` to `last` of a run, and how long it lasts."""
 
+    task: str
     run: int
     first: int
     last: int
+    lasts_s: float
 
 
 def infer_overrides(
@@ -80,33 +85,40 @@ def infer_overrides(
     Returns:
         Of each run its parts (none for a run that knows its scaling); and the references of each task, one per path.
     """
-    legs = _legs(executions)
-    noise = _noise(runs, [leg for found in legs.values() for leg in found])
-    found: dict[str, list[Reference]] = {}
-    members: dict[str, list[tuple[_Leg, int | None]]] = {}
-    for number, (task, mine) in enumerate(legs.items()):
-        progress(0.5 * number / len(legs))
-        members[task], found[task] = _references(runs, mine, set(alone), noise)
-    flat = [(task, i) for task, references in found.items() for i in range(len(references))]
-    shares = with_dynamics([found[task][i] for task, i in flat])
-    for (task, i), share in zip(flat, shares, strict=True):
-        found[task][i] = replace(found[task][i], slowed=share)
-    parts: list[list[Part]] = [[] for _ in runs]
-    for number, (task, assigned) in enumerate(members.items()):
-        progress(0.5 + 0.5 * number / len(members))
-        for leg, which in assigned:
-            if not runs[leg.run].knows_scaling:
-                reference = None if which is None else found[task][which]
-                parts[leg.run].append(_inferred(runs, leg, reference, noise, bool(found[task])))
-    return parts, {task: references for task, references in found.items() if references}
+    left = _legs(runs, executions)
+    noise = _noise(runs, left)
+    found: dict[str, list[Reference]] = {leg.task: [] for leg in left}
+    parts: list[tuple[_Leg, Part, int]] = []
+    asked = set(found)
+    for attempt in range(PATHS):
+        tried = _references(runs, [leg for leg in left if leg.task in asked], set(alone), noise)
+        others = []
+        for number, leg in enumerate(left):  # in the order of time: each stretch of a log is read once
+            progress((attempt + number / len(left)) / PATHS)
+            part = _inferred(runs, leg, tried[leg.task], noise) if leg.task in tried else None
+            if part is None:
+                others.append(leg)
+            else:
+                parts.append((leg, part, attempt))
+        asked = {leg.task for leg, _, which in parts if which == attempt}
+        for task in asked:
+            found[task].append(tried[task])
+        left = others
+        if not asked or not left:
+            break
+    references = _with_shares({task: mine for task, mine in found.items() if mine})
+    return _told(runs, parts, left, references), references
 
 
-def _legs(executions: Sequence[Execution]) -> dict[str, list[_Leg]]:
-    legs: dict[str, list[_Leg]] = {}
-    for execution in executions:
+def _legs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[_Leg]:
+    """Return every motion, in the order of time."""
+    legs = []
+    for execution in sorted(executions, key=lambda e: (e.run, e.visits[0].first if e.visits else 0)):
+        run = runs[execution.run]
         for start, goal in pairwise(execution.visits):
             if goal.first - start.last >= 4:
-                legs.setdefault(f"{start.place}->{goal.place}", []).append(_Leg(execution.run, start.last, goal.first))
+                lasts_s = run.time_at(goal.first) - run.time_at(start.last)
+                legs.append(_Leg(f"{start.place}->{goal.place}", execution.run, start.last, goal.first, lasts_s))
     return legs
 
 
@@ -137,55 +149,69 @@ def _repetition(runs: Sequence[Run], leg: _Leg, noise: Mapping[int, Vector]) -> 
 
 def _references(
     runs: Sequence[Run], legs: Sequence[_Leg], alone: set[int], noise: Mapping[int, Vector]
-) -> tuple[list[tuple[_Leg, int | None]], list[Reference]]:
-    """Sort the repetitions of a task by the path they take; return each with the number of its path, and the paths."""
-    left, sorted_out, references = list(legs), list[tuple[_Leg, int | None]](), list[Reference]()
-    while left and len(references) < PATHS:
-        sure = [leg for leg in left if leg.run in alone or runs[leg.run].knows_scaling]
-        among = sorted(sure or left, key=lambda leg: _lasts(runs, leg))
-        repetitions = (_repetition(runs, leg, noise) for leg in among[: 2 * PATHS * 10])
+) -> dict[str, Reference]:
+    """Return the reference of each task's path that its fastest repetitions take, where there is one."""
+    by_task: dict[str, list[_Leg]] = {}
+    for leg in legs:
+        by_task.setdefault(leg.task, []).append(leg)
+    found = {}
+    for task, mine in by_task.items():
+        sure = [leg for leg in mine if leg.run in alone or runs[leg.run].knows_scaling]
+        fastest = sorted(sure or mine, key=lambda leg: leg.lasts_s)[: 2 * AMONG]
+        repetitions = [_repetition(runs, leg, noise) for leg in sorted(fastest, key=lambda leg: (leg.run, leg.first))]
         reference = reference_of([r for r in repetitions if r is not None], alone=bool(sure))
-        if reference is None:
-            break
-        others = []
-        for leg in left:
-            repetition = _repetition(runs, leg, noise)
-            same = repetition is not None and repetition.points.shape[1] == reference.path.points.shape[1]
-            if repetition is None or not same or takes_another(reference.path, repetition):
-                others.append(leg)
-            else:
-                sorted_out.append((leg, len(references)))
-        if len(others) == len(left):
-            break
-        references.append(reference)
-        left = others
-    return [*sorted_out, *((leg, None) for leg in left)], references
+        if reference is not None:
+            found[task] = reference
+    return found
 
 
-def _lasts(runs: Sequence[Run], leg: _Leg) -> float:
-    return runs[leg.run].time_at(leg.last) - runs[leg.run].time_at(leg.first)
+def _with_shares(found: Mapping[str, Sequence[Reference]]) -> dict[str, list[Reference]]:
+    """Return the references with the share of full speed at which each motion was always run."""
+    shares = iter(with_dynamics([reference for mine in found.values() for reference in mine]))
+    return {task: [replace(reference, slowed=next(shares)) for reference in mine] for task, mine in found.items()}
 
 
-def _inferred(
-    runs: Sequence[Run], leg: _Leg, reference: Reference | None, noise: Mapping[int, Vector], other: bool
-) -> Part:
-    """Return the scaling of one repetition, unknown with its reason where it cannot be known."""
-    count = leg.last + 1 - leg.first
-    repetition = _repetition(runs, leg, noise) if reference is not None else None
-    if reference is None or repetition is None:
-        nothing = np.full(count, np.nan)
-        return Part(leg.first, nothing, nothing, np.full(count, OTHER_PATH if other else NO_REFERENCE, np.int8))
+def _told(
+    runs: Sequence[Run],
+    parts: Sequence[tuple[_Leg, Part, int]],
+    left: Sequence[_Leg],
+    found: Mapping[str, Sequence[Reference]],
+) -> list[list[Part]]:
+    """Return the parts of each run that does not know its scaling; of motions without a reference only the reason."""
+    told: list[list[Part]] = [[] for _ in runs]
+    for leg, part, number in parts:
+        never_full = found[leg.task][number].slowed < 1.0
+        told[leg.run].append(_unknown(leg, NEVER_FULL) if never_full else part)
+    for leg in left:
+        told[leg.run].append(_unknown(leg, OTHER_PATH if leg.task in found else NO_REFERENCE))
+    return [[] if run.knows_scaling else mine for run, mine in zip(runs, told, strict=True)]
+
+
+def _unknown(leg: _Leg, why: int) -> Part:
+    nothing = np.full(leg.last + 1 - leg.first, np.nan, np.float32)
+    return Part(leg.first, nothing, nothing, np.full(len(nothing), why, np.int8))
+
+
+def _inferred(runs: Sequence[Run], leg: _Leg, reference: Reference, noise: Mapping[int, Vector]) -> Part | None:
+    """Return the scaling of one repetition, unknown with its reason where it cannot be known.
+
+    None where it takes another path, or cannot be seen. Of a run that knows its scaling nothing is inferred.
+    """
+    repetition = _repetition(runs, leg, noise)
+    if repetition is None or repetition.points.shape[1] != reference.path.points.shape[1]:
+        return None
+    if runs[leg.run].knows_scaling:
+        return None if takes_another(reference.path, repetition) else Part(leg.first, _NONE, _NONE, _NO_GAPS)
     place = along(reference.path, repetition.t_s, repetition.points)
+    if is_elsewhere(reference.path, place.off):
+        return None
     nominal = np.interp(place.own_s, reference.path.own_s, reference.path.nominal_s)
     rate, deviation = advance(repetition.t_s, nominal, place.variance_s2)
     rate, deviation = rate / repetition.slider, deviation / repetition.slider
     deviation = np.hypot(np.hypot(deviation, LEAST_SD), np.minimum(np.abs(np.gradient(rate)), EDGE_SD))
     row = np.clip(np.searchsorted(reference.path.own_s, place.own_s), 0, len(reference.confirmed) - 1)
-    gap = np.zeros(count, np.int8)
+    gap = np.zeros(len(rate), np.int8)
     gap[deviation > UNSURE] = TOO_SLOW
     gap[~reference.confirmed[row] | is_common_stop(reference, repetition.t_s, rate, place.own_s)] = NO_REFERENCE
-    if reference.slowed < 1.0:
-        gap[:] = NEVER_FULL
-    return Part(
-        leg.first, np.where(gap == 0, np.clip(rate, 0.0, 1.0), np.nan), np.where(gap == 0, deviation, np.nan), gap
-    )
+    known = np.where(gap == 0, np.array([np.clip(rate, 0.0, 1.0), deviation]), np.nan).astype(np.float32)
+    return Part(leg.first, known[0], known[1], gap)

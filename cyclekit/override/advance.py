@@ -28,72 +28,58 @@ _LEAST = 1e-18  # of information: the window says nothing
 
 @dataclass(frozen=True)
 class _Fit:
-    """Sufficient statistics of weighted lines through stretches of rows; each shape (T,).
+    """Sufficient statistics of weighted lines through stretches of rows.
 
     Attributes:
-        weight, t, y: Sum of the weights, weighted means of time and nominal time.
-        tt, ty, yy: Weighted sums of squares and products about the means.
-        rows: How many rows count.
+        sums: Shape (7, T): sum of the weights, weighted means of time and nominal time, weighted sums of squares and
+            products about the means (tt, ty, yy), and how many rows count.
     """
 
-    weight: Vector
-    t: Vector
-    y: Vector
-    tt: Vector
-    ty: Vector
-    yy: Vector
-    rows: Vector
+    sums: NDArray[np.float64]
 
-    def at(self, index: NDArray[np.int64]) -> _Fit:
-        """Return the stretches that begin at the rows `index`; a negative one is empty."""
-        here = np.clip(index, 0, len(self.t) - 1)
-        inside = (index >= 0) & (index < len(self.t))
-        zero = np.zeros(len(index))
-        return _Fit(
-            np.where(inside, self.weight[here], zero),
-            self.t[here],
-            self.y[here],
-            np.where(inside, self.tt[here], zero),
-            np.where(inside, self.ty[here], zero),
-            np.where(inside, self.yy[here], zero),
-            np.where(inside, self.rows[here], zero),
-        )
+    def shifted(self, rows: int) -> _Fit:
+        """Return, row by row, the stretch that begins so many rows later (earlier where negative); outside, none."""
+        moved = np.zeros_like(self.sums)
+        count = self.sums.shape[1]
+        if abs(rows) < count:
+            moved[:, max(-rows, 0) : count - max(rows, 0)] = self.sums[:, max(rows, 0) : count + min(rows, 0)]
+        return _Fit(moved)
 
     def joined(self, other: _Fit) -> _Fit:
         """Return the statistics of two stretches taken together (Chan, Golub and LeVeque 1979: no cancellation)."""
-        weight = self.weight + other.weight
-        share = np.divide(other.weight, weight, out=np.zeros_like(weight), where=weight > 0)
-        dt, dy, between = other.t - self.t, other.y - self.y, self.weight * share
-        return _Fit(
-            weight,
-            self.t + share * dt,
-            self.y + share * dy,
-            self.tt + other.tt + between * dt * dt,
-            self.ty + other.ty + between * dt * dy,
-            self.yy + other.yy + between * dy * dy,
-            self.rows + other.rows,
-        )
+        mine, theirs = self.sums, other.sums
+        weight = mine[0] + theirs[0]
+        share = np.divide(theirs[0], weight, out=np.zeros_like(weight), where=weight > 0)
+        d = theirs[1:3] - mine[1:3]
+        both = mine + theirs
+        both[1:3] = mine[1:3] + share * d
+        across = (mine[0] * share) * d
+        both[3:5] += across[0] * d
+        both[5] += across[1] * d[1]
+        return _Fit(both)
 
     def chosen(self, other: _Fit, which: NDArray[np.bool_]) -> _Fit:
         """Return `other` where `which` says so, else this."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return _Fit(*(np.where(which, theirs, mine) for mine, theirs in pairs))
+        return _Fit(np.where(which, other.sums, self.sums))
 
     @property
     def slope(self) -> Vector:
         """The line's slope."""
-        return np.divide(self.ty, self.tt, out=np.zeros_like(self.tt), where=self.tt > _LEAST)
+        tt, ty = self.sums[3:5]
+        return np.asarray(np.divide(ty, tt, out=np.zeros_like(tt), where=tt > _LEAST))
 
     @property
     def variance(self) -> Vector:
         """The slope's variance; infinite where the stretch says nothing."""
-        return np.divide(1.0, self.tt, out=np.full_like(self.tt, np.inf), where=self.tt > _LEAST)
+        tt = self.sums[3]
+        return np.asarray(np.divide(1.0, tt, out=np.full_like(tt, np.inf), where=tt > _LEAST))
 
     @property
     def agrees(self) -> NDArray[np.bool_]:
         """Whether the misfit is what noise gives: chi-squared with rows - 2 degrees of freedom."""
-        misfit = self.yy - self.ty * self.slope
-        freedom = np.maximum(self.rows - 2.0, 0.0)
+        _, _, _, _, ty, yy, rows = self.sums
+        misfit = yy - ty * self.slope
+        freedom = np.maximum(rows - 2.0, 0.0)
         return np.asarray(misfit <= freedom + MISFIT * np.sqrt(2.0 * freedom) + MISFIT)
 
 
@@ -110,17 +96,19 @@ def advance(t_s: Vector, nominal_s: Vector, variance_s2: Vector) -> tuple[Vector
     count = len(t_s)
     weight = np.divide(1.0, variance_s2, out=np.zeros(count), where=np.isfinite(variance_s2))
     zero = np.zeros(count)
-    stretch = _Fit(weight, t_s - t_s[0], nominal_s - nominal_s[0], zero, zero, zero, (weight > 0).astype(np.float64))
+    stretch = _Fit(np.array([weight, t_s - t_s[0], nominal_s - nominal_s[0], zero, zero, zero, weight > 0]))
     row = np.arange(count)
-    here, following = stretch.at(row), stretch.at(row + 1)
+    here, following = stretch, stretch.shifted(1)
     back, ahead = here, following
     back_fits = ahead_fits = np.ones(count, np.bool_)
     for doubling in range(1, DOUBLINGS + 1):
         size = 1 << (doubling - 1)
-        stretch = stretch.joined(stretch.at(row + size))
-        longer_back, longer_ahead = stretch.at(row + 1 - 2 * size), stretch.at(row + 1)
+        stretch = stretch.joined(stretch.shifted(size))
+        longer_back, longer_ahead = stretch.shifted(1 - 2 * size), stretch.shifted(1)
         back_fits = back_fits & (row + 1 >= 2 * size) & longer_back.joined(following).agrees
         ahead_fits = ahead_fits & (row + 2 * size < count) & here.joined(longer_ahead).agrees
+        if not (back_fits.any() or ahead_fits.any()):
+            break
         back, ahead = back.chosen(longer_back, back_fits), ahead.chosen(longer_ahead, ahead_fits)
     before, after, both = back.joined(following), here.joined(ahead), back.joined(ahead)
     side = after.chosen(before, before.variance < after.variance)

@@ -121,8 +121,12 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
 def takes_another(path: Path, repetition: Repetition) -> bool:
     """Tell whether a repetition takes another path between the same places."""
     thin = np.unique(np.linspace(0, len(repetition.t_s) - 1, LOOKED_AT).astype(np.int64))
-    found = along(path, repetition.t_s[thin], repetition.points[thin])
-    return bool(np.quantile(found.off, 0.95) > max(OFF * path.length, 20.0))
+    return is_elsewhere(path, along(path, repetition.t_s[thin], repetition.points[thin]).off)
+
+
+def is_elsewhere(path: Path, off: Vector) -> bool:
+    """Tell whether rows so far off a path, shape (T,), in units of the noise, are of another path."""
+    return bool(np.quantile(off, 0.95) > max(OFF * path.length, 20.0))
 
 
 def _top(rates: Points, deviations: Points, top: float) -> tuple[Vector, NDArray[np.int64]]:

@@ -25,6 +25,7 @@ from cyclekit.samples import stretches
 from cyclekit.scaling import with_scaling
 from cyclekit.segment import Execution, find_executions, find_places, find_stops, find_visits
 from cyclekit.session import Grid
+from cyclekit.stand import stands_of
 from cyclekit.steps import Staircase, find_staircase
 
 if TYPE_CHECKING:
@@ -32,9 +33,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cyclekit.account import Dwell
     from cyclekit.config import Cell, Source
     from cyclekit.motion import Run, Sampled
     from cyclekit.session import Session
+    from cyclekit.stand import Stands
     from cyclekit.tables import StoredTable
 
     Vector = NDArray[np.float64]
@@ -97,15 +100,18 @@ def derive(
     places = find_places(runs, stops, cell.places)
     executions = find_executions(find_visits(stops, places, runs), places, cell.executions, marks)
     executions += _whole_runs(runs, executions)
-    runs, warnings = with_scaling(runs, executions, sessions, lambda done, told: progress(0.2 + 0.4 * done, told))
-    dwells = usual_dwells(runs, executions)
+    runs, warnings = with_scaling(
+        runs, executions, places, sessions, lambda done, told: progress(0.2 + 0.4 * done, told)
+    )
+    stands = stands_of(runs, executions, places)
+    dwells = usual_dwells(executions, stands)
     by_run: dict[int, list[Execution]] = {}
     for found in executions:
         by_run.setdefault(found.run, []).append(found)
     grids, rows, cards = [], [], []
     for number, session in enumerate(sessions):
         progress(0.6 + 0.3 * number / len(sessions), f"samples of {session.name}")
-        for k, (execution, legs) in enumerate(_session_executions(session, runs, by_run, dwells), 1):
+        for k, (execution, legs) in enumerate(_session_executions(session, runs, by_run, stands, dwells), 1):
             name = f"{session.name}.{k:03d}"
             grid = _grid(session, name, execution, legs, runs, places, cell)
             if len(grid.t_s):
@@ -164,12 +170,16 @@ def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Ex
 
 
 def _session_executions(
-    session: Session, runs: Sequence[Run], by_run: Mapping[int, list[Execution]], dwells: Mapping[str, float]
+    session: Session,
+    runs: Sequence[Run],
+    by_run: Mapping[int, list[Execution]],
+    stands: Stands,
+    dwells: Mapping[str, Dwell],
 ) -> list[tuple[Execution | None, list[Leg]]]:
     if not session.runs:
         return [(None, [])]
     mine = [execution for number in session.runs for execution in sorted(by_run.get(number, []), key=_first_row)]
-    return [(e, account(runs[e.run], e, dwells) if e.visits else []) for e in mine]
+    return [(e, account(runs[e.run], e, stands, dwells) if e.visits else []) for e in mine]
 
 
 def _first_row(execution: Execution) -> int:

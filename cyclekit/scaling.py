@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING
 
 from cyclekit.account import halts_at_places, slowest_speed
 from cyclekit.override import infer_overrides
+from cyclekit.stand import stands_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from cyclekit.dataset import Place
     from cyclekit.motion import Run
     from cyclekit.override import Reference
     from cyclekit.segment import Execution
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 def with_scaling(
     runs: Sequence[Run],
     executions: Sequence[Execution],
+    places: Mapping[str, Place],
     sessions: Sequence[Session],
     progress: Callable[[float, str], None],
 ) -> tuple[list[Run], list[str]]:
@@ -27,6 +30,7 @@ def with_scaling(
     Args:
         runs: All runs.
         executions: Their executions, from `segment`.
+        places: All places.
         sessions: Which runs were recorded with nobody in the cell.
         progress: Told fraction and text.
     """
@@ -41,7 +45,8 @@ def with_scaling(
         return list(runs), [f"{said}, and no motion repeats, so it could not be inferred either"]
     done = [run if run.knows_scaling else run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
     slowest = slowest_speed([part.scaling for n in silent for part in sorted(parts[n], key=lambda part: part.first)])
-    halts = halts_at_places(done, [execution for execution in executions if execution.run in set(silent)], slowest)
+    mine = [execution for execution in executions if execution.run in set(silent)]
+    halts = halts_at_places(done, mine, stands_of(done, mine, places), slowest)
     for number in silent:
         done[number] = runs[number].with_scaling([*parts[number], *halts[number]])
     return done, [f"{said}: inferred from velocity ratios against {_how(references)}"]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.account import fill_nearest
+from cyclekit.stand import fill_nearest
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

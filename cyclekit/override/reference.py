@@ -96,9 +96,9 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
     path = path_of(fastest[0].t_s, fastest[0].points)
     rates, deviations, stops = [], [], []
     for repetition in fastest:
-        if takes_another(path, repetition):
-            continue
         found = along(path, repetition.t_s, repetition.points)
+        if is_elsewhere(path, found.off):
+            continue
         rate, deviation = advance(repetition.t_s, found.own_s, found.variance_s2)
         stops.append(_stops(repetition.t_s, rate, found.own_s))
         rows = np.searchsorted(np.maximum.accumulate(found.own_s), path.own_s, side="right") - 1

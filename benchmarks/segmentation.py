@@ -1,0 +1,123 @@
+"""Tasks and executions found in logs against the simulator's, and what a row costs as logs grow.
+
+    python benchmarks/segmentation.py [--executions 1000] [--scenes box-picking,...] [--rates 125] [--quick]
+
+Each scene is simulated with ramps (2.5/s), a reaction time (0.1 s) and the encoder noise of a real UR5, logged in one
+long run; with the override in the log and without it; and once with dwells longer than any halt (`pick` 20 s). Every
+task of the truth is looked for among the found ones: the same start and goal, begun within two seconds. A true one
+that is not there is lost, a found one that is no true one is invented. Boundaries are departure and arrival.
+
+The second table ingests 10, 100 and `--executions` executions without the override in one log each: cpu time per row.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from cyclekit.dataset import Dataset
+from cyclekit.ingest import ingest
+from cyclekit_sim import SCENES, SimulationOptions, simulate
+
+SEED = 31
+NEAR_S = 2.0
+HALTS_S = 20.0
+
+
+def logs_of(folder: Path, scene: str, count: int, rate: int, *, logged: bool, dwell_s: float | None = None) -> Path:
+    """Simulate a cell; one log holds all executions."""
+    options = SimulationOptions(
+        robot_rate_hz=rate, ramp_down_per_s=2.5, ramp_up_per_s=2.5, latency_s=0.1, encoder_noise_rad=2e-5,
+        log_override=logged, executions_per_session=count, pick_s=dwell_s,
+    )  # fmt: skip
+    return simulate(scene, folder, executions=count, seed=SEED, options=options)
+
+
+def truth_of(logs: Path) -> pl.DataFrame:
+    """Return the true tasks in the time of the dataset: that of the log's first row."""
+    executions = pl.read_parquet(logs / "truth" / "executions.parquet").select("execution", "session")
+    tasks = pl.read_parquet(logs / "truth" / "tasks.parquet").join(executions, on="execution")
+    begins = {
+        file.parent.name: float(pl.read_csv(file, separator=" ", n_rows=1, columns=["timestamp"])["timestamp"][0])
+        for file in logs.glob("session_*/robot.csv")
+    }
+    begin = pl.col("session").replace_strict(begins, return_dtype=pl.Float64)
+    moving = pl.col("nominal_s") + pl.col("safety_loss_s")
+    return tasks.select(
+        "session",
+        task=pl.format("{}->{}", "start_place", "goal_place"),
+        start_s=pl.col("start_s") - begin,
+        arrival_s=pl.col("start_s") - begin + moving,
+    ).sort("session", "start_s")
+
+
+def compare(truth: pl.DataFrame, found: pl.DataFrame) -> tuple[int, int, np.ndarray]:
+    """Return how many tasks are lost, how many invented, and the errors of the boundaries of the others, (2 N,)."""
+    found = found.select(
+        "task", "start_s", "arrival_s", session=pl.col("execution").str.split(".").list.first(), begin=pl.col("start_s")
+    ).sort("session", "begin")
+    both = truth.join_asof(
+        found, left_on="start_s", right_on="begin", by=["session", "task"], strategy="nearest", tolerance=NEAR_S,
+        check_sortedness=False,
+    ).filter(pl.col("start_s_right").is_not_null()).unique(["session", "start_s_right"])  # fmt: skip
+    errors = [(both[f"{name}_right"] - both[name]).to_numpy() for name in ("start_s", "arrival_s")]
+    return truth.height - both.height, found.height - both.height, np.concatenate(errors)
+
+
+def measured(logs: Path, out: Path) -> tuple[Dataset, int, float]:
+    """Ingest; return the dataset, the robot's rows and the cpu seconds."""
+    began = time.process_time()
+    dataset = Dataset.open(ingest([logs], out).dataset)
+    return dataset, sum(entry["rows"].get("robot") or 0 for entry in dataset.recordings), time.process_time() - began
+
+
+def row_of(name: str, scene: str, count: int, rate: int, *, logged: bool, dwell_s: float | None = None) -> str:
+    """Simulate, ingest and compare one case; return its row of the table."""
+    with tempfile.TemporaryDirectory() as scratch:
+        logs = logs_of(Path(scratch) / "logs", scene, count, rate, logged=logged, dwell_s=dwell_s)
+        dataset, rows, seconds = measured(logs, Path(scratch) / "dataset")
+        truth, cards = truth_of(logs), dataset.executions
+        lost, invented, errors = compare(truth, dataset.tasks())
+        size = np.abs(errors)
+        return (
+            f"| {scene} | {rate} | {name} | {len(cards)} of {count} | {truth.height} | {lost} | {invented} | "
+            f"{(size <= 0.1).mean():.4f} | {np.median(size):.3f} | {size.max(initial=0.0):.3f} | "
+            f"{1e6 * seconds / rows:.1f} |"
+        )
+
+
+def main() -> None:
+    """Print the tables."""
+    ask = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    ask.add_argument("--executions", type=int, default=1000)
+    ask.add_argument("--scenes", default=",".join(SCENES))
+    ask.add_argument("--rates", default="125,500")
+    ask.add_argument("--cases", default="logged,inferred,long dwells")
+    ask.add_argument("--growth", default="10,100,1000", help="executions of the second table; empty = no such table")
+    given = ask.parse_args()
+    print(
+        "| scene | Hz | override | executions | tasks | lost | invented | in 0.1 s | median s | worst s | us a row |\n"
+        "|---|---|---|---|---|---|---|---|---|---|---|"
+    )
+    for scene in given.scenes.split(","):
+        for rate in map(int, given.rates.split(",")):
+            for case in given.cases.split(","):
+                count = given.executions if rate == 125 else max(10, given.executions // 10)
+                dwell_s = HALTS_S if case == "long dwells" else None
+                print(row_of(case, scene, count, rate, logged=case == "logged", dwell_s=dwell_s), flush=True)
+    if given.growth:
+        print("\n| scene | executions in one log | rows | cpu us a row |\n|---|---|---|---|")
+        for count in map(int, given.growth.split(",")):
+            with tempfile.TemporaryDirectory() as scratch:
+                logs = logs_of(Path(scratch) / "logs", "box-picking", count, 125, logged=False)
+                _, rows, seconds = measured(logs, Path(scratch) / "dataset")
+                print(f"| box-picking | {count} | {rows} | {1e6 * seconds / rows:.1f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -28,7 +28,7 @@ FLOORS = [
     {"atomic", "tables"},
     {"config", "schema", "sequences"},
     {"toml_file"},
-    {"colours", "errors", "labels"},
+    {"ahead", "colours", "errors", "labels"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
 

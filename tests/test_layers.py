@@ -20,7 +20,7 @@ FLOORS = [
     {"derive", "intake", "models"},
     {"discover", "scaling"},
     {"account", "activity", "align", "calibrate", "dynamics", "labelling"},
-    {"load_runs", "people", "registry", "samples"},
+    {"load_runs", "people", "registry", "samples", "signals"},
     {"override", "plausible", "privacy", "segment", "session", "steps"},
     {"stored_run"},
     {"motion"},

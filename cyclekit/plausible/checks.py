@@ -191,13 +191,20 @@ class PeopleChecks(_Checks):
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without what cannot be."""
         frame = self.timed(self.finite(frame))
+        groups, times = tracks(frame), column(frame, "t_s")
+        if any((np.diff(times[rows]) <= 0.0).any() for rows in groups):  # else no time is twice there, or stray
+            frame = self._in_order(frame)
+            groups = tracks(frame)
+        return placed(self, frame, self._places, groups)
+
+    def _in_order(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Set aside what repeats a time of its person, and single times that do not fit between their neighbours."""
         twice = frame.select(~pl.struct("t_s", "person").is_first_distinct()).to_series().to_numpy()
         frame = self.drop(frame, twice, "repeats person and time of a row before it")
         bad = np.zeros(frame.height, bool)
         for rows in tracks(frame):
             bad[rows] = stray_times(column(frame, "t_s")[rows])
-        frame = self.drop(frame, bad, "its time does not fit between its neighbours")
-        return placed(self, frame, self._places, tracks(frame))
+        return self.drop(frame, bad, "its time does not fit between its neighbours")
 
     def warnings(self) -> list[str]:
         """Say what was found, once all was seen."""
@@ -282,5 +289,6 @@ def tracks(frame: pl.DataFrame) -> Sequence[Track]:
     """Row numbers of each person, in order; all rows where the table has no persons."""
     if "person" not in frame.columns:
         return [slice(None)]
-    grouped = frame.with_row_index("__row").group_by("person", maintain_order=True).agg("__row")
-    return [np.asarray(rows, np.int64) for rows in grouped["__row"].to_list()]
+    grouped = frame.lazy().with_row_index("__row").group_by("person", maintain_order=True).agg("__row").collect()
+    rows = grouped["__row"].explode().to_numpy().astype(np.int64)
+    return np.split(rows, np.cumsum(grouped["__row"].list.len().to_numpy())[:-1])

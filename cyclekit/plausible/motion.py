@@ -77,8 +77,9 @@ class Places:
         bad = np.zeros(len(times), bool)
         if self._scale_off:
             return bad
+        xyz = np.clip(xyz, -NOWHERE_M, NOWHERE_M)
         for rows in groups:
-            stray, jumps = self._of_track(times[rows], np.clip(xyz[:, rows], -NOWHERE_M, NOWHERE_M), here[rows])
+            stray, jumps = self._of_track(times[rows], xyz[:, rows], here[rows])
             bad[rows] = stray
             self._jumps += jumps
         return bad

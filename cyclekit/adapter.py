@@ -35,6 +35,8 @@ class ReadOptions:
         skeletons: Fill `Recording.skeletons` too, where the log has them. Personal data: only on request.
         frame_given: The cell file says where this log's frame stands, so positions stay in it, even where the log
             itself knows the way to the robot's base.
+        columns: Canonical columns that somebody will look at, beside `t_s`; empty = all. An adapter may leave the
+            others out where that saves time.
     """
 
     role: Role | None = None
@@ -43,6 +45,7 @@ class ReadOptions:
     rate_hz: float | None = None
     skeletons: bool = False
     frame_given: bool = False
+    columns: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

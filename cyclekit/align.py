@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import datetime
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -30,24 +30,26 @@ from cyclekit.clock import (
 )
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.frames import to_base
+from cyclekit.signals import event_times
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from cyclekit.config import Source, Sync
     from cyclekit.session import Session
+    from cyclekit.signals import Read, Stored
+    from cyclekit.tables import StoredTable
 
     Vector = NDArray[np.float64]
     Points = NDArray[np.float64]
-    Read = Callable[[str, str], pl.DataFrame | None]
 
 CLOCK = "clock: "
 """How a warning of a recording begins that was found here, and not when its log was read."""
-OUTPUT = "digital-output "
-_ON = {"1", "1.0", "true", "on", "high"}
-_OFF = {"0", "0.0", "false", "off", "low"}
+FINE_S = 0.01
+"""Clocks are told from robot rows this far apart: twice as dense as the grid that speeds are compared on."""
+_TCP = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
 START_GOOD_TO_S = 1.0
 LATE_S = 0.1
 """Stamps that typically lie further above the line under their delays are worth a word."""
@@ -55,8 +57,20 @@ RESTART_S = 1.0
 """A device's clock that steps back by more than this began anew."""
 
 
+class _Tables(NamedTuple):
+    """The ways to the tables of the recordings."""
+
+    read: Read
+    stored: Stored
+
+
 def place_in_time(
-    session: Session, sources: Mapping[str, Source | None], read: Read, *, coarse_step_s: float | None = None
+    session: Session,
+    sources: Mapping[str, Source | None],
+    read: Read,
+    stored: Stored,
+    *,
+    coarse_step_s: float | None = None,
 ) -> None:
     """Give each recording of a session its clock: `entry["clock"]` with method, offset, rate and how good it is.
 
@@ -64,13 +78,14 @@ def place_in_time(
         session: Its first entry is the clock's master.
         sources: What the cell file says about each recording, by id.
         read: Returns a native table of a recording (id, table), None if it has none.
+        stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
         coarse_step_s: Where nothing says how a clock relates, align on the operator being near while the robot slows,
             in whole steps of this length; None = do not.
 
     Raises:
         ConfigError: What the cell file asks for cannot be followed with these logs.
     """
-    master = session.entries[0]
+    master, tables = session.entries[0], _Tables(read, stored)
     borrowers = []
     for entry in session.entries:
         source = sources[entry["id"]]
@@ -78,7 +93,7 @@ def place_in_time(
             borrowers.append(entry)
             continue
         try:
-            fit = _fit(entry, master, source, sources[master["id"]], read, coarse_step_s)
+            fit = _fit(entry, master, source, sources[master["id"]], tables, coarse_step_s)
         except ConfigError as error:
             seen = f"{entry['sources'][0]['path']}: {error.seen}"
             raise ConfigError(seen, nearest=error.nearest, cure=error.cure) from error
@@ -99,7 +114,7 @@ def _fit(
     master: dict[str, Any],
     source: Source | None,
     master_source: Source | None,
-    read: Read,
+    tables: _Tables,
     coarse_step_s: float | None,
 ) -> ClockFit:
     log = LogClock(entry["clock"]["kind"], entry["first_s"])
@@ -110,9 +125,9 @@ def _fit(
     if source is not None and source.sync_events:
         found = fit_pairs(*np.array(source.sync_events).T)
     elif source is not None and source.sync is not None:
-        found = _by_events(entry["id"], master["id"], source.sync, read)
+        found = _by_events(entry, master, source.sync, tables)
     elif source is not None and source.sees is not None:
-        found = _by_motion(entry["id"], master["id"], source, read)
+        found = _by_motion(entry, master, source, tables)
     if found is not None:
         return found.since(main.first_s)
     if source is not None and source.start is not None and source.clock_offset_s is None:
@@ -120,14 +135,14 @@ def _fit(
     plain = fit_clock(log, main, source)
     if plain.method != "assumed-common-start":
         return plain
-    if (stamped := _by_stamps(entry, master, read)) is not None:
+    if (stamped := _by_stamps(entry, master, tables.read)) is not None:
         return stamped.since(main.first_s)
-    if any(_restarts(_stamps_of(one, read)) for one in (entry, master)):
+    if any(_restarts(_stamps_of(one, tables.read)) for one in (entry, master)):
         said = "a device's clock was restarted while recording, so its stamps place no clock: split the log there; "
         plain = replace(plain, warning=said + str(plain.warning))
     if coarse_step_s is None or "people" not in entry["tables"]:
         return plain
-    return _coarse(entry, master, source, read, coarse_step_s) or plain
+    return _coarse(entry, master, source, tables, coarse_step_s) or plain
 
 
 def _borrowed(
@@ -162,66 +177,34 @@ def _means(path: str, entry: Mapping[str, Any], source: Source | None) -> bool:
     return shown == path or fnmatchcase(shown, path) or (source is not None and source.path == path)
 
 
-def _by_events(log: str, robot: str, sync: Sync, read: Read) -> ClockFit:
-    return fit_events(_event_times(log, sync.other, read), _event_times(robot, sync.robot, read))
+def _by_events(log: Mapping[str, Any], robot: Mapping[str, Any], sync: Sync, tables: _Tables) -> ClockFit:
+    return fit_events(event_times(log, sync.other, *tables), event_times(robot, sync.robot, *tables))
 
 
-def _event_times(recording: str, signal: str, read: Read) -> Vector:
-    """Return when a signal of a recording changes, its own clock: outputs and on/off signals when they rise."""
-    robot = read(recording, "robot") if signal.startswith(OUTPUT) or signal == "register" else None
-    if robot is not None and signal == "register":
-        return _changes(robot["t_s"], robot["register"].cast(pl.String))
-    if robot is not None:
-        bit = signal.removeprefix(OUTPUT)
-        if not bit.isdigit() or int(bit) > 62:
-            raise ConfigError(f"sync: {signal!r} is no output", cure=f'Write "{OUTPUT}0" to "{OUTPUT}62".')
-        bits = robot["digital_out_bits"]
-        on = pl.Series(((bits.fill_null(0).to_numpy() >> int(bit)) & 1).astype(np.int64)).cast(pl.String)
-        return _changes(robot["t_s"], pl.select(pl.when(bits.is_not_null()).then(on)).to_series())
-    events = read(recording, "events")
-    name, _, value = signal.partition("=")
-    if events is None:
-        cure = "Put sync at the log that holds the events, and same_clock_as at this one."
-        raise ConfigError(f"sync: {signal!r} is an event, and {recording} holds none", cure=cure)
-    if name not in (known := events["signal"].unique().to_list()):
-        raise UnknownName("sync", "signal", name, [*known, f"{OUTPUT}0", "register"])
-    mine = events.filter(pl.col("signal") == name).sort("t_s")
-    return _changes(mine["t_s"], mine["value"], wanted=value or None, sampled=False)
-
-
-def _changes(t: pl.Series, values: pl.Series, *, wanted: str | None = None, sampled: bool = True) -> Vector:
-    """Return when the values change; an on/off signal counts when it rises, `wanted` picks the changes to one value.
-
-    In a sampled log the change lies between two rows: in the middle, or at the later one where rows are missing.
-    """
-    known = values.is_not_null()
-    t, values = t.filter(known), values.filter(known)
-    if len(values) == 0:
-        return np.empty(0)
-    before = values.shift(1)
-    changed = values != before if sampled else (values != before).fill_null(value=True)
-    switches = set(values.str.to_lowercase().unique().to_list()) <= _ON | _OFF
-    if wanted is not None:
-        changed &= values == wanted
-    elif switches:
-        changed &= values.str.to_lowercase().is_in(list(_ON))
-    rows = np.flatnonzero(changed.fill_null(value=False).to_numpy())
-    at = t.to_numpy()
-    if not sampled:
-        return np.asarray(at[rows])
-    step = at[rows] - at[rows - 1]
-    return np.asarray(np.where(step <= 0.1, at[rows] - step / 2, at[rows]))
-
-
-def _by_motion(log: str, robot: str, source: Source, read: Read) -> ClockFit:
-    people, motion = read(log, "people"), read(robot, "robot")
-    if people is None or motion is None:
+def _by_motion(log: Mapping[str, Any], robot: Mapping[str, Any], source: Source, tables: _Tables) -> ClockFit:
+    people = tables.read(log["id"], "people")
+    if people is None or "robot" not in robot["tables"]:
         raise ConfigError('sees = "tcp" needs a log of positions, and a robot log', cure="Remove it.")
     people = flange(people, source).sort("t_s")
-    motion = motion.sort("t_s")
-    tcp = motion.select("tcp_x_m", "tcp_y_m", "tcp_z_m").to_numpy()
     seen = people.select("x_m", "y_m", "z_m").to_numpy()
-    return fit_motion(people["t_s"].to_numpy(), seen, motion["t_s"].to_numpy(), tcp)
+    return fit_motion(people["t_s"].to_numpy(), seen, *_thinned(tables.stored(robot["id"], ["t_s", *_TCP])))
+
+
+def _thinned(table: StoredTable) -> tuple[Vector, Points]:
+    """Return times, shape (N,), and the other columns, (N, K), of rows about FINE_S apart, in order of time.
+
+    A controller logs more of them than a clock needs, and hours of all would not fit into memory.
+    """
+    parts = []
+    for begin, end in table.groups:
+        columns = table.read(begin, end)
+        steps = np.diff(columns["t_s"])
+        usual_s = float(np.median(steps[steps > 0])) if (steps > 0).any() else FINE_S
+        some = slice(None, None, max(1, round(FINE_S / usual_s)))
+        parts.append(np.stack([columns[name][some] for name in table.columns]))
+    rows = np.concatenate(parts, axis=1) if parts else np.empty((len(table.columns), 0))
+    rows = rows[:, np.argsort(rows[0], kind="stable")]
+    return rows[0], rows[1:].T
 
 
 def flange(people: pl.DataFrame, source: Source) -> pl.DataFrame:
@@ -295,10 +278,13 @@ def _by_start(log: LogClock, main: LogClock, start: str, robot: Source | None) -
 
 
 def _coarse(
-    entry: dict[str, Any], master: dict[str, Any], source: Source | None, read: Read, step_s: float
+    entry: dict[str, Any], master: dict[str, Any], source: Source | None, tables: _Tables, step_s: float
 ) -> ClockFit | None:
-    people, robot = read(entry["id"], "people"), read(master["id"], "robot")
-    if people is None or robot is None or people.height == 0 or robot.height == 0:
+    people = tables.read(entry["id"], "people")
+    if people is None or people.height == 0 or "robot" not in master["tables"]:
+        return None
+    robot = _thinned(tables.stored(master["id"], ["t_s", *_TCP, "scaling"]))
+    if len(robot[0]) == 0:
         return None
     count = int((entry["last_s"] - entry["first_s"]) / step_s) + 1
     at = entry["first_s"] + np.arange(count) * step_s
@@ -307,9 +293,7 @@ def _coarse(
         xyz = to_base(rows.select("x_m", "y_m", "z_m").to_numpy(), source.frame if source else None, up=entry["up"])
         tracks.append(_nearest_rows(rows["t_s"].to_numpy(), xyz, at, step_s))
     grid = master["first_s"] + np.arange(int((master["last_s"] - master["first_s"]) / step_s) + 1) * step_s
-    robot = robot.sort("t_s")
-    values = robot.select("tcp_x_m", "tcp_y_m", "tcp_z_m", "scaling").to_numpy()
-    sampled = _nearest_rows(robot["t_s"].to_numpy(), values, grid, step_s)
+    sampled = _nearest_rows(*robot, grid, step_s)
     found = coarse_fit(tracks, sampled[:, :3], sampled[:, 3], step_s=step_s)
     return replace(found, offset_s=found.offset_s - entry["first_s"]) if found else None
 

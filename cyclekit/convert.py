@@ -6,7 +6,7 @@ is in the log's own clock and frame, checked as every log is (`plausible`), and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,6 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.adapter import StreamingAdapter
 from cyclekit.atomic import replaced
 from cyclekit.config import Cell
 from cyclekit.discover import find_all, options_of
@@ -24,7 +23,7 @@ from cyclekit.registry import adapter_named
 from cyclekit.tables import TableWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -94,7 +93,8 @@ def convert(
     found, _ = find_all([log], cell or Cell())
     if len(found) != 1:
         raise LogError(log, f"holds {len(found)} logs", cure="Convert one at a time, or use `cyclekit ingest`.")
-    parts = _Parts(found[0].path, found[0].adapter, options_of(found[0].source, skeletons=table == "skeletons"))
+    options = replace(options_of(found[0].source, skeletons=table == "skeletons"), columns=tuple(columns))
+    parts = _Parts(found[0].path, found[0].adapter, options)
     with replaced(out) as temporary:
         rows = _write(parts, temporary, out, table, rate_hz, columns, progress)
     about = (found[0].adapter, parts.table, rows, parts.rows_read, parts.set_aside)
@@ -105,17 +105,11 @@ class _Parts:
     """The parts of one table of a log, and what else there is to say of it."""
 
     def __init__(self, path: Path, adapter: str, options: Any) -> None:  # noqa: ANN401
-        self._path, self._adapter, self._options = path, adapter_named(adapter).adapter, options
+        self._path, self._adapter, self._options = path, adapter_named(adapter), options
         self.table, self.rows_read, self.set_aside, self.warnings = "", 0, 0, tuple[str, ...]()
 
     def of(self, table: str | None) -> Iterator[pl.DataFrame]:
-        adapter, options = self._adapter, self._options
-        parts: Iterable[Recording]
-        if isinstance(adapter, StreamingAdapter):
-            parts = adapter.stream(self._path, options)
-        else:
-            parts = [adapter.read(self._path, options)]
-        for part in examined_parts(parts):
+        for part in examined_parts(self._adapter.parts(self._path, self._options)):
             self._note(part)
             tables = part.tables()
             self.table = self.table or table or next((name for name in TABLES if name in tables), "")
@@ -142,7 +136,7 @@ def _write(
     thin = Thinner(rate_hz) if rate_hz is not None else None
     writer: _Output | None = None
     for frame in parts.of(table):
-        frame = frame.select(_chosen(frame, columns, parts.table))
+        frame = pl.DataFrame([frame[name] for name in _chosen(frame, columns, parts.table)])
         ready = thin.add(frame) if thin else frame
         writer = writer or _Output(temporary, out.suffix, ready, parts.table)
         writer.write(ready)
@@ -209,7 +203,7 @@ class Thinner:
 
     def add(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the rows that are complete now; the rows of the last length of time wait for the next part."""
-        rows = frame if self._waiting is None else pl.concat([self._waiting, frame])
+        rows = frame if self._waiting is None else pl.concat([self._waiting, frame], rechunk=True)
         cells = self._cells(rows["t_s"].to_numpy())
         last = int(np.searchsorted(cells, cells[-1])) if len(cells) else 0
         self._waiting = rows[last:]
@@ -237,24 +231,28 @@ def _averaged(rows: pl.DataFrame, cells: NDArray[np.int64]) -> pl.DataFrame:
     if "person" in rows.columns:
         keys = ["\x1fcell", *(name for name in ("person", "joint") if name in rows.columns)]
         grouped = rows.with_columns(pl.Series("\x1fcell", cells)).group_by(keys, maintain_order=True)
-        means = grouped.agg(_mean_or_last(name, dtype) for name, dtype in rows.schema.items() if name not in keys)
-        return means.select(rows.columns)
+        kept = grouped.agg(_mean_or_last(name, dtype) for name, dtype in rows.schema.items() if name not in keys)
+        return kept.select(rows.columns)
     starts = np.flatnonzero(np.diff(cells, prepend=cells[0] - 1))
-    return pl.DataFrame({name: _means(rows[name], starts) for name in rows.columns}, schema=rows.schema)
+    floats = [column for column in rows.get_columns() if column.dtype.is_float()]
+    means = {column.name: column for column in _means(floats, starts)}
+    others = pl.DataFrame([column for column in rows.get_columns() if column.name not in means])
+    in_force = others[np.append(starts[1:], rows.height) - 1] if others.width else others
+    return pl.DataFrame([means[name] if name in means else in_force.get_column(name) for name in rows.columns])
 
 
 def _mean_or_last(name: str, dtype: pl.DataType) -> pl.Expr:
     return pl.col(name).mean() if dtype.is_float() else pl.col(name).drop_nulls().last()
 
 
-def _means(column: pl.Series, starts: NDArray[np.int64]) -> pl.Series:
-    if not column.dtype.is_float():
-        return column.gather(np.append(starts[1:], len(column)) - 1)
-    values = column.to_numpy()
-    counts = np.diff(np.append(starts, len(values)))
-    sums = np.add.reduceat(values, starts)
+def _means(columns: Sequence[pl.Series], starts: NDArray[np.int64]) -> list[pl.Series]:
+    """Return the mean of what is known from each start to the next, column by column; unknown where nothing is."""
+    values = np.stack([column.to_numpy() for column in columns])
+    counts = np.diff(np.append(starts, values.shape[1]))
+    sums = np.add.reduceat(values, starts, axis=1)
     if np.isnan(sums).any():
         known = np.isfinite(values)
-        counts, sums = np.add.reduceat(known, starts), np.add.reduceat(np.where(known, values, 0.0), starts)
-    mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-    return pl.Series(column.name, mean).fill_nan(None)
+        counts = np.add.reduceat(known, starts, axis=1, dtype=np.int64)
+        sums = np.add.reduceat(np.where(known, values, 0.0), starts, axis=1)
+    means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    return [pl.Series(column.name, mean, nan_to_null=True) for column, mean in zip(columns, means, strict=True)]

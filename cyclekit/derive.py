@@ -37,13 +37,11 @@ if TYPE_CHECKING:
     from cyclekit.config import Cell, Source
     from cyclekit.motion import Run, Sampled
     from cyclekit.session import Session
+    from cyclekit.signals import Read, Stored
     from cyclekit.stand import Stands
-    from cyclekit.tables import StoredTable
 
     Vector = NDArray[np.float64]
     Rows = NDArray[np.int64]
-    Read = Callable[[str, str], pl.DataFrame | None]
-    Stored = Callable[[str, Sequence[str]], StoredTable]
 
 _MOST_SAMPLES = 10_000_000
 """Of one execution: eleven days at 10 Hz. A time that cannot be would ask for more memory than there is."""
@@ -92,10 +90,10 @@ def derive(
             found in a way that these logs do not allow.
     """
     for session in sessions:
-        place_in_time(session, sources, read, coarse_step_s=1.0 / cell.rate_hz if coarse else None)
+        place_in_time(session, sources, read, stored, coarse_step_s=1.0 / cell.rate_hz if coarse else None)
         spans = [_session_span(entry) for entry in session.entries]
         session.span_s = (min(a for a, _ in spans), max(b for _, b in spans))
-    runs, marks = load_runs(sessions, stored, cell, lambda done, told: progress(0.2 * done, told))
+    runs, marks = load_runs(sessions, read, stored, cell, lambda done, told: progress(0.2 * done, told))
     stops = [stop for number, run in enumerate(runs) for stop in find_stops(run, number)]
     places = find_places(runs, stops, cell.places)
     executions = find_executions(find_visits(stops, places, runs), places, cell.executions, marks)

@@ -7,31 +7,38 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit import schema
-from cyclekit.errors import ConfigError
+from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.motion import COLUMNS
+from cyclekit.signals import OUTPUT, REGISTER, event_times
 from cyclekit.stored_run import runs_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from cyclekit.config import Cell
     from cyclekit.motion import Run
     from cyclekit.session import Session
+    from cyclekit.signals import Read, Stored
     from cyclekit.tables import StoredTable
 
+    Vector = NDArray[np.float64]
     Rows = NDArray[np.int64]
-    Stored = Callable[[str, Sequence[str]], StoredTable]
+
+WHERE = "[executions] signal"
+LATE_S = 0.25
+"""A signal may come so much later than the departure that it stands for."""
 
 
 def load_runs(
-    sessions: Sequence[Session], stored: Stored, cell: Cell, progress: Callable[[float, str], None]
+    sessions: Sequence[Session], read: Read, stored: Stored, cell: Cell, progress: Callable[[float, str], None]
 ) -> tuple[list[Run], list[Rows]]:
     """Return every run of every session, and of each the rows at which something logged says that a cycle begins.
 
     Args:
         sessions: In one clock; told which runs are theirs.
+        read: Returns a native table of a recording (id, table), None if it has none.
         stored: Opens the robot table of a recording (id, columns).
         cell: What begins an execution.
         progress: Told fraction and text.
@@ -48,13 +55,13 @@ def load_runs(
         if not entry["rows"].get("robot"):
             continue
         table = stored(entry["id"], COLUMNS)
-        marked = _marked(stored, entry, cell)
+        marked = _marked(session, read, stored, cell)
         more, states = _more(stored, entry["id"], table.names), _not_playing(stored, entry["id"])
         for run in runs_of(table, entry["clock"]["offset_s"], gap_s=gap_s, more=more, states=states):
             session.runs.append(len(runs))
             runs.append(run)
-            inside = marked[(marked > run.first) & (marked < run.end)]
-            marks.append(inside - run.first - 1)
+            first, last = run.time_at(0), run.time_at(run.rows - 1)
+            marks.append(run.row_at(marked[(marked > first) & (marked <= last)] - LATE_S))
     return runs, marks
 
 
@@ -76,24 +83,32 @@ def _not_playing(stored: Stored, recording: str) -> list[tuple[int, int, str]]:
     return [(first, last, state) for first, last, state in table.states("state") if state != "playing"]
 
 
-def _marked(stored: Stored, entry: Mapping[str, Any], cell: Cell) -> Rows:
-    """Return the rows at which the register or the output that marks executions has changed."""
-    how = cell.executions
+def _marked(session: Session, read: Read, stored: Stored, cell: Cell) -> Vector:
+    """Return when something logged says that an execution begins, session time."""
+    how, entry = cell.executions, session.entries[0]
     column = {"register": "register", "digital-output": "digital_out_bits"}.get(how.begin)
-    if column is None:
-        return np.empty(0, np.int64)
-    table = stored(entry["id"], (column,))
-    if table.unknown(column) == table.rows:
-        seen = f"{entry['sources'][0]['path']}: executions are to begin by {how.begin}, and that was not logged"
-        raise ConfigError(seen, cure='Log it, or set begin = "auto" in [executions] of the cell file.')
-    found, before = [np.empty(0, np.int64)], None
-    for number, (begin, _) in enumerate(table.groups):
-        values, is_known = table.whole_numbers(number, column)
-        known = np.flatnonzero(is_known)
-        if not len(known):
-            continue
-        values = (values[known] >> how.bit) & 1 if how.begin == "digital-output" else values[known]
-        steps = np.diff(values, prepend=values[0] if before is None else before)
-        found.append(begin + known[(steps > 0) if how.begin == "digital-output" else (steps != 0)])
-        before = int(values[-1])
-    return np.concatenate(found)
+    if column is not None:
+        table = stored(entry["id"], (column,))
+        if table.unknown(column) == table.rows:
+            seen = f"{entry['sources'][0]['path']}: executions are to begin by {how.begin}, and that was not logged"
+            raise ConfigError(seen, cure='Log it, or set begin = "auto" in [executions] of the cell file.')
+    signal = {"register": REGISTER, "digital-output": f"{OUTPUT}{how.bit}"}.get(how.begin, how.signal)
+    if signal is None:
+        return np.empty(0)
+    if not signal.startswith((OUTPUT, REGISTER)):
+        entry = _holding(signal.partition("=")[0], session, read)
+    clock = entry["clock"]
+    times = event_times(entry, signal, read, stored, WHERE)
+    return np.asarray(times * clock["rate"] + clock["offset_s"])
+
+
+def _holding(name: str, session: Session, read: Read) -> dict[str, Any]:
+    """Return the recording of a session whose events hold a signal."""
+    known: list[str] = []
+    for entry in session.entries:
+        events = read(entry["id"], "events") if "events" in entry["tables"] else None
+        names = [] if events is None else events["signal"].unique(maintain_order=True).to_list()
+        if name in names:
+            return entry
+        known += names
+    raise UnknownName(f"{session.name}, {WHERE}", "signal", name, [*known, f"{OUTPUT}0", REGISTER])

@@ -13,6 +13,8 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, cast
 
+from cyclekit.adapter import StreamingAdapter
+from cyclekit.ahead import ahead
 from cyclekit.dataset import CARD
 from cyclekit.errors import CyclekitError, UnknownFormat, UnknownName
 
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from cyclekit.adapter import Adapter
+    from cyclekit.adapter import Adapter, ReadOptions, Recording
 
 GROUP = "cyclekit.adapters"
 _LFS = b"version https://git-lfs.github.com/spec/"
@@ -35,6 +37,17 @@ class Registered:
     version: str
     summary: str
     adapter: Adapter
+
+    def parts(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        """Yield a log in consecutive parts, each read while the one before it is worked on; one part if need be.
+
+        Raises:
+            LogError, ConfigError: As the adapter's `read`.
+        """
+        if isinstance(self.adapter, StreamingAdapter):
+            yield from ahead(self.adapter.stream(path, options))
+        else:
+            yield self.adapter.read(path, options)
 
 
 @cache

@@ -324,7 +324,7 @@ def _begins(seen: Sequence[Visit], how: Executions, home: str, marked: Rows) -> 
     last = len(seen) - 1
     if how.begin in {"file", "gap"}:
         return [0, last]
-    if how.begin in {"register", "digital-output"}:
+    if how.begin in {"register", "digital-output", "signal"}:
         departures = np.array([visit.last for visit in seen])
         begins = {int(np.searchsorted(departures, row)) for row in [-1, *marked.tolist()]}
         return sorted({b for b in begins if b < last} | {last})

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 if TYPE_CHECKING:
@@ -204,6 +203,8 @@ def _unknown(about: pq.FileMetaData, column: int) -> int:
 
 def shift_times(file: Path, shift_s: float, *, column: str = "t_s") -> None:
     """Subtract `shift_s` from the times in a column of a table that is not in place yet."""
+    import pyarrow.compute as pc  # takes as long to import as a small log to read, and is needed only here
+
     table = pq.ParquetFile(file)
     about, part = table.schema_arrow, file.with_suffix(".part")
     texts = [field.name for field in about if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)]

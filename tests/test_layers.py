@@ -21,14 +21,14 @@ FLOORS = [
     {"discover", "scaling"},
     {"account", "activity", "align", "calibrate", "dynamics", "labelling"},
     {"load_runs", "people", "registry", "samples", "stand"},
-    {"override", "plausible", "privacy", "segment", "session", "steps"},
+    {"override", "plausible", "privacy", "segment", "session", "signals", "steps"},
     {"stored_run"},
     {"motion"},
     {"adapter", "clock", "dataset", "frames"},
     {"atomic", "tables"},
     {"config", "schema", "sequences"},
     {"toml_file"},
-    {"colours", "errors", "labels"},
+    {"ahead", "colours", "errors", "labels"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
 

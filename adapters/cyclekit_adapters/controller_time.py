@@ -13,6 +13,8 @@ import numpy as np
 import polars as pl
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from cyclekit_adapters.delimited import Rows
 
 DAY_S = 86_400.0
@@ -26,25 +28,41 @@ class Once:
     Attributes:
         time: Name of the time column; it has no nulls.
         repeated: Rows so far that repeat the one before them.
-        back: How often so far the clock stepped back.
+        back: How often so far the clock stepped back for good. A single time that does not fit between its neighbours
+            is a garbled number, which is set aside later, and no restart.
     """
 
     time: str
     repeated: int = 0
-    back: int = 0
-    _last: float | None = None
+    _back: int = 0
+    _ends: tuple[float, ...] = ()
+
+    @property
+    def back(self) -> int:
+        """As above; a last row that steps back counts, since nothing says that it does not fit."""
+        ends = self._ends
+        return self._back + (len(ends) > 1 and ends[-1] < ends[-2] and not (len(ends) > 2 and ends[-1] > ends[-3]))
 
     def rows(self, rows: Rows, reason: str = REPEATED) -> Rows:
         """Return the rows that go on (or step back: a new run), with the repeats set aside."""
         times = rows.frame[self.time].to_numpy()
         if not len(times):
             return rows
-        steps = np.diff(times, prepend=np.nan if self._last is None else self._last)
-        again = steps == 0.0
+        again = np.diff(times, prepend=self._ends[-1] if self._ends else np.nan) == 0.0
         self.repeated += int(again.sum())
-        self.back += int((steps < 0.0).sum())
-        self._last = float(times[-1])
+        self._count(times[~again])
         return rows.without(pl.Series(again), reason) if again.any() else rows
+
+    def _count(self, times: NDArray[np.float64]) -> None:
+        """Count the steps back among different times, shape (N,); the last row waits for the one behind it."""
+        known = len(self._ends)
+        seen = np.concatenate([self._ends, times])
+        self._ends = tuple(seen[-3:].tolist())
+        back = np.flatnonzero(seen[1:] < seen[:-1]) + 1  # rows before which it steps back
+        back = back[(back >= known - 1) & (back < len(seen) - 1)]
+        low = seen[back + 1] > seen[back - 1]  # the row itself is the one that does not fit
+        high = (back > 1) & (seen[back] > seen[back - 2])  # the row before it is
+        self._back += int((~low & ~high).sum())
 
     def warnings(self) -> list[str]:
         """Say where the controller's clock steps back, and how many rows were repeats."""

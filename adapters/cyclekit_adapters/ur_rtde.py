@@ -55,7 +55,7 @@ class _UrRtdeCsv:
         register = _register(path, layout, options)
         joints = _joints(layout.names)
         _require(path, layout.names, joints)
-        wanted = ["timestamp", *_POSITION, *_SPEED, *_FRACTIONS, "runtime_state", _OUTPUTS, register, *joints]
+        wanted = _fields(register, joints, options.columns)
         present = [name for name in wanted if name in layout.names]
         once, seen = Once("timestamp"), _Seen()
 
@@ -74,11 +74,11 @@ class _UrRtdeCsv:
         def finish(last: Recording) -> Recording:
             facts = {
                 "writer": _writer(layout),
-                "register": register if register in present else "not recorded",
+                "register": register if register in layout.names else "not recorded",
                 "repeated_rows": str(once.repeated),
                 "speed_scaling": "speed_scaling * target_speed_fraction while runtime_state is 2 (playing)",
             }
-            return replace(last, warnings=(*once.warnings(), *seen.warnings(present)), facts=facts)
+            return replace(last, warnings=(*once.warnings(), *seen.warnings(layout.names)), facts=facts)
 
         if isinstance(layout, BinaryLayout):
             blocks = read_binary_rows(path, layout, numbers=present, time="timestamp")
@@ -117,6 +117,20 @@ def _joints(names: tuple[str, ...]) -> dict[str, str]:
     return {name: column for name, column in (angles | speeds).items() if name in names}
 
 
+def _fields(register: str, joints: dict[str, str], columns: Sequence[str]) -> list[str]:
+    """Return the fields that some canonical columns are made of; those of all, where none is named."""
+    made_of = {f"tcp_{axis}_m": _POSITION for axis in "xyz"} | {
+        "tcp_speed_m_s": _SPEED,
+        "scaling": [*_FRACTIONS, "runtime_state"],
+        "slider": ["target_speed_fraction"],
+        "state": ["runtime_state"],
+        "digital_out_bits": [_OUTPUTS],
+        "register": [register],
+    }
+    made_of |= {column: [name] for name, column in joints.items()}
+    return list(dict.fromkeys(["timestamp", *(f for c in columns or made_of for f in made_of.get(c, []))]))
+
+
 def _require(path: Path, names: tuple[str, ...], joints: dict[str, str]) -> None:
     missing = {"timestamp"}.difference(names)
     if not all(f"actual_q_{joint}" in joints for joint in range(6)):
@@ -143,7 +157,7 @@ def _robot(frame: pl.DataFrame, register: str, joints: dict[str, str]) -> pl.Dat
             columns.append(pl.when(state == _PLAYING).then(product).alias("scaling"))
     whole = {_OUTPUTS: "digital_out_bits", register: "register"}
     columns += [pl.col(n).cast(pl.Int64, strict=False).alias(c) for n, c in whole.items() if n in have]
-    columns += [pl.col(name).alias(column) for name, column in joints.items()]
+    columns += [pl.col(name).alias(column) for name, column in joints.items() if name in have]
     return conform(frame.lazy().select(columns), ROBOT)
 
 
@@ -154,29 +168,32 @@ def _fraction(value: pl.Expr) -> pl.Expr:
 
 @dataclass
 class _Seen:
-    """What was seen of the speed scaling so far."""
+    """What was seen of the speed scaling so far.
 
-    played: bool = False
+    Attributes:
+        played: Whether the program played in any row; None = that field is not read.
+    """
+
+    played: bool | None = None
     spread: Spread = field(default_factory=lambda: Spread(tuple(_FRACTIONS)))
 
     def add(self, frame: pl.DataFrame) -> None:
-        self.played = self.played or (
-            "runtime_state" in frame.columns and bool((frame["runtime_state"] == _PLAYING).any())
-        )
+        if "runtime_state" in frame.columns:
+            self.played = self.played or bool((frame["runtime_state"] == _PLAYING).any())
         self.spread.add(frame)
 
-    def warnings(self, present: Sequence[str]) -> list[str]:
+    def warnings(self, recorded: Sequence[str]) -> list[str]:
         said = []
-        if absent := [name for name in (*_FRACTIONS, "runtime_state") if name not in present]:
+        if absent := [name for name in (*_FRACTIONS, "runtime_state") if name not in recorded]:
             said.append(f"{', '.join(absent)} not recorded: the speed scaling is unknown")
-        elif not self.played:
+        elif self.played is False:
             said.append("the program plays in no row (runtime_state is never 2): the speed scaling is unknown")
         said += [
             f"{name} exceeds 1 in places, so it is no fraction there: left unknown"
             for name in _FRACTIONS
             if self.spread.most.get(name, 0.0) > 1.0 + _SLACK
         ]
-        if not set(_POSITION).issubset(present):
+        if not set(_POSITION).issubset(recorded):
             said.append("actual_TCP_pose not recorded: only joint angles are known")
         return said
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Begin = Literal["auto", "file", "gap", "home", "register", "digital-output"]
+Begin = Literal["auto", "file", "gap", "home", "register", "digital-output", "signal"]
 Point = tuple[float, float, float]
 Matrix = tuple[Point, Point, Point]
 IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -97,12 +97,15 @@ class Executions:
         gap_s: A silence of the robot log longer than this separates executions.
         home: Place that an execution starts from; None = where the recording starts, if it returns there.
         bit: Digital output whose rising edge begins an execution (begin = "digital-output").
+        signal: What begins one (begin = "signal"): an event of any log, "signal" or "signal=value"; "register=100" for
+            a program line.
     """
 
     begin: Begin = "auto"
     gap_s: float = 2.0
     home: str | None = None
     bit: int = 0
+    signal: str | None = None
 
 
 @dataclass(frozen=True)

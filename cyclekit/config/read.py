@@ -100,7 +100,10 @@ def _executions(where: str, raw: Mapping[str, Any]) -> Executions:
     bit = raw.get("bit", 0)
     if not isinstance(bit, int) or isinstance(bit, bool) or not 0 <= bit < 63:
         raise ConfigError(f"{where}: bit = {bit!r} must be a number from 0 to 62", cure="bit = 0")
-    return Executions(raw.get("begin", "auto"), _positive(where, raw, "gap_s", 2.0), _text(where, raw, "home"), bit)
+    begin, signal = raw.get("begin", "auto"), _text(where, raw, "signal")
+    if (begin == "signal") != (signal is not None):
+        raise ConfigError(f'{where}: begin = "signal" and signal = "…" go together', cure='signal = "cycle_start=1"')
+    return Executions(begin, _positive(where, raw, "gap_s", 2.0), _text(where, raw, "home"), bit, signal)
 
 
 def _source(where: str, entry: Mapping[str, Any]) -> Source:

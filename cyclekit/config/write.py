@@ -39,6 +39,7 @@ def cell_to_toml(cell: Cell) -> str:
     ]
     lines += [f"home = {_toml(begin.home)}"] if begin.home else []
     lines += [f"bit = {begin.bit}"] if begin.bit else []
+    lines += [f"signal = {_toml(begin.signal)}"] if begin.signal else []
     return "\n".join(lines) + "\n"
 
 

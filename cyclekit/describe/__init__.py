@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from cyclekit.adapter import Recording, StreamingAdapter
+from cyclekit.adapter import Recording
 from cyclekit.atomic import recover
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.describe.facts import (
@@ -98,11 +98,10 @@ def _describe_logs(path: Path, progress: Progress | None) -> LogsDescription:
 
 
 def _describe_log(path: Path, entry: Registered, options: ReadOptions) -> LogFacts:
-    adapter, surveys, set_aside, rows_read = entry.adapter, dict[str, TableSurvey](), dict[str, int](), 0
-    stream = adapter.stream(path, options) if isinstance(adapter, StreamingAdapter) else [adapter.read(path, options)]
+    surveys, set_aside, rows_read = dict[str, TableSurvey](), dict[str, int](), 0
     warnings: dict[str, None] = {}
     last = Recording()
-    for part in examined_parts(stream):
+    for part in examined_parts(entry.parts(path, options)):
         last, rows_read = part, rows_read + part.rows_read
         for name, table in part.tables().items():
             surveys.setdefault(name, TableSurvey()).add(table)

@@ -14,7 +14,6 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.adapter import StreamingAdapter
 from cyclekit.discover import Log, options_of
 from cyclekit.errors import LogError
 from cyclekit.plausible import examined_parts
@@ -23,7 +22,6 @@ from cyclekit.registry import adapter_named
 from cyclekit.tables import TableWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from cyclekit.adapter import Recording
@@ -89,13 +87,13 @@ def _is_ours(error: BaseException, folder: Path) -> bool:
 
 
 def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
-    sources = digests.sources(log)
+    sources, options = digests.sources(log), options_of(log.source, skeletons=how.skeletons)
     written: dict[str, _Table] = {}
     aside, counts, rows_read = None, dict[str, int](), 0
     last: Recording | None = None
     nameless = Nameless(keep=log.source.sees_as if log.source else None) if how.pseudonymise else None
     try:
-        for part in examined_parts(_parts(log, how)):
+        for part in examined_parts(adapter_named(log.adapter).parts(log.path, options)):
             last = nameless.part(part) if nameless else part
             rows_read += last.rows_read
             for name, frame in last.tables().items():
@@ -116,14 +114,6 @@ def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
         raise
     assert last is not None
     return Kept(_entry(log, last, written, sources, rows_read, counts))
-
-
-def _parts(log: Log, how: How) -> Iterator[Recording]:
-    adapter, options = adapter_named(log.adapter).adapter, options_of(log.source, skeletons=how.skeletons)
-    if isinstance(adapter, StreamingAdapter):
-        yield from adapter.stream(log.path, options)
-    else:
-        yield adapter.read(log.path, options)
 
 
 class _Table:

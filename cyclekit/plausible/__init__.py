@@ -45,7 +45,7 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
     part = next(parts, None)
     while part is not None:
         after = next(parts, None)
-        tables, aside = {}, [] if part.set_aside is None else [_reasons(part.set_aside)]
+        tables, aside = {}, [] if part.set_aside is None or part.set_aside.is_empty() else [_reasons(part.set_aside)]
         for name, check in checks.items():
             table = part.tables().get(name)
             if table is not None:

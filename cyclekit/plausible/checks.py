@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cyclekit.plausible.motion import Track
+
     Vector = NDArray[np.float64]
     Mask = NDArray[np.bool_]
 
@@ -141,7 +143,7 @@ class RobotChecks(_Checks):
         frame = self.drop(frame, repeated(times), "repeats the time of the row before it")
         bad = stray_times(column(frame, "t_s"))
         frame = self.drop(frame, bad, "its time does not fit between its neighbours")
-        frame = placed(self, frame, self._places, [np.arange(frame.height)])
+        frame = placed(self, frame, self._places, tracks(frame))
         for name, seen in self._fractions.items():
             value = column(frame, name)
             frame = seen.look(frame, name, value, (value < 0.0) | (value > 1.001))
@@ -189,13 +191,20 @@ class PeopleChecks(_Checks):
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without what cannot be."""
         frame = self.timed(self.finite(frame))
+        groups, times = tracks(frame), column(frame, "t_s")
+        if any((np.diff(times[rows]) <= 0.0).any() for rows in groups):  # else no time is twice there, or stray
+            frame = self._in_order(frame)
+            groups = tracks(frame)
+        return placed(self, frame, self._places, groups)
+
+    def _in_order(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Set aside what repeats a time of its person, and single times that do not fit between their neighbours."""
         twice = frame.select(~pl.struct("t_s", "person").is_first_distinct()).to_series().to_numpy()
         frame = self.drop(frame, twice, "repeats person and time of a row before it")
         bad = np.zeros(frame.height, bool)
         for rows in tracks(frame):
             bad[rows] = stray_times(column(frame, "t_s")[rows])
-        frame = self.drop(frame, bad, "its time does not fit between its neighbours")
-        return placed(self, frame, self._places, tracks(frame))
+        return self.drop(frame, bad, "its time does not fit between its neighbours")
 
     def warnings(self) -> list[str]:
         """Say what was found, once all was seen."""
@@ -219,7 +228,7 @@ class _Beyond:
         return frame.with_columns(pl.when(pl.Series(~wrong)).then(pl.col(name)).alias(name))
 
 
-def placed(checks: _Checks, frame: pl.DataFrame, places: Places, groups: Sequence[NDArray[np.int64]]) -> pl.DataFrame:
+def placed(checks: _Checks, frame: pl.DataFrame, places: Places, groups: Sequence[Track]) -> pl.DataFrame:
     """Set aside positions out of reach and single positions that nothing can have jumped to."""
     kind: Kind = places.kind
     times, xyz = column(frame, "t_s"), positions(frame, kind)
@@ -227,10 +236,10 @@ def placed(checks: _Checks, frame: pl.DataFrame, places: Places, groups: Sequenc
     reason = f"{kind.whose} more than {kind.reach_m:.0f} m away: no such place"
     if beyond.any():
         frame = checks.drop(frame, beyond, reason)
-        groups = tracks(frame) if "person" in frame.columns else [np.arange(frame.height)]
-        times, xyz = times[~beyond], xyz[~beyond]
+        groups = tracks(frame)
+        times, xyz = times[~beyond], xyz[:, ~beyond]
     stray = places.strays(times, xyz, groups, is_here(frame))
-    places.look_still(xyz[is_here(frame)])
+    places.look_still(xyz[:, is_here(frame)])
     jumped = f"{kind.whose} cannot have jumped there and back (faster than {kind.speed_m_s:.0f} m/s)"
     return checks.drop(frame, stray, jumped)
 
@@ -244,8 +253,8 @@ def column(frame: pl.DataFrame, name: str) -> Vector:
 
 
 def positions(frame: pl.DataFrame, kind: Kind) -> Vector:
-    """Return the positions of a table, shape (N, 3), metres."""
-    return np.column_stack([column(frame, name) for name in kind.columns])
+    """Return the positions of a table, shape (3, N), metres."""
+    return np.stack([column(frame, name) for name in kind.columns])
 
 
 def _is_finite(values: pl.Series) -> bool:
@@ -276,9 +285,10 @@ def stray_times(times: Vector) -> Mask:
     return bad
 
 
-def tracks(frame: pl.DataFrame) -> Sequence[NDArray[np.int64]]:
-    """Row numbers of each person, in order."""
+def tracks(frame: pl.DataFrame) -> Sequence[Track]:
+    """Row numbers of each person, in order; all rows where the table has no persons."""
     if "person" not in frame.columns:
-        return [np.arange(frame.height)]
-    grouped = frame.with_row_index("__row").group_by("person", maintain_order=True).agg("__row")
-    return [np.asarray(rows, np.int64) for rows in grouped["__row"].to_list()]
+        return [slice(None)]
+    grouped = frame.lazy().with_row_index("__row").group_by("person", maintain_order=True).agg("__row").collect()
+    rows = grouped["__row"].explode().to_numpy().astype(np.int64)
+    return np.split(rows, np.cumsum(grouped["__row"].list.len().to_numpy())[:-1])

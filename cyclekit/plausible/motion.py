@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     Vector = NDArray[np.float64]
     Mask = NDArray[np.bool_]
+    Track = NDArray[np.int64] | slice
 
 STILL_ROWS = 100
 """A value that stays the same over fewer rows says nothing."""
@@ -56,64 +57,69 @@ class Places:
         self._still, self._seen = True, 0
 
     def out_of_reach(self, xyz: Vector, here: Mask) -> Mask:
-        """Tell which positions, shape (N, 3), are out of reach; none where most are, for then the unit is another.
+        """Tell which positions, shape (3, N), are out of reach; none where most are, for then the unit is another.
 
         As a whole such a table is consistent, and only a person knows what it is.
         """
-        far = np.linalg.norm(np.nan_to_num(np.clip(xyz, -NOWHERE_M, NOWHERE_M)), axis=1)
+        far = _length(np.nan_to_num(np.clip(xyz, -NOWHERE_M, NOWHERE_M)))
         beyond = far > self.kind.reach_m
-        known = int(np.isfinite(xyz[:, 0]).sum())
+        known = int(np.isfinite(xyz[0]).sum())
         if self._scale_off is None and known:
             self._scale_off = bool(beyond.sum() > 0.5 * known)
             self._far_m = float(np.median(far[beyond])) if self._scale_off else 0.0
         if self._scale_off:
             self._far_rows += int((beyond & here).sum())
-            return np.zeros(len(xyz), bool)
+            return np.zeros(len(far), bool)
         return np.asarray(beyond)
 
-    def strays(self, times: Vector, xyz: Vector, groups: Sequence[NDArray[np.int64]], here: Mask) -> Mask:
+    def strays(self, times: Vector, xyz: Vector, groups: Sequence[Track], here: Mask) -> Mask:
         """Tell which positions are single strays of their track, and count the jumps that remain without them."""
         bad = np.zeros(len(times), bool)
         if self._scale_off:
             return bad
+        xyz = np.clip(xyz, -NOWHERE_M, NOWHERE_M)
         for rows in groups:
-            stray, jumps = self._of_track(times[rows], np.clip(xyz[rows], -NOWHERE_M, NOWHERE_M), here[rows])
+            stray, jumps = self._of_track(times[rows], xyz[:, rows], here[rows])
             bad[rows] = stray
             self._jumps += jumps
         return bad
 
     def _of_track(self, times: Vector, xyz: Vector, here: Mask) -> tuple[Mask, int]:
         bad = np.zeros(len(times), bool)
-        seen = np.flatnonzero(np.isfinite(xyz[:, :2]).all(axis=1))
+        seen = np.flatnonzero(np.isfinite(xyz[0]) & np.isfinite(xyz[1]))
         if len(seen) < 2:
             return bad, 0
-        t, p = times[seen], np.nan_to_num(xyz[seen])
+        t, p = times[seen], np.nan_to_num(xyz[:, seen])
         steps = np.diff(t)
         if self._usual_s is None and (steps > 0).any():
             self._usual_s = float(np.median(steps[steps > 0]))
         jump = self._cannot(t, p)
+        if not jump.any():
+            return bad, 0
         if len(seen) > 2:
             across = ~self._cannot(t, p, apart=2)
             bad[seen[1:-1][jump[:-1] & jump[1:] & across]] = True
         kept = ~bad[seen]
-        return bad, int((self._cannot(t[kept], p[kept]) & here[seen][kept][1:]).sum())
+        return bad, int((self._cannot(t[kept], p[:, kept]) & here[seen][kept][1:]).sum())
 
     def _cannot(self, t: Vector, p: Vector, apart: int = 1) -> Mask:
         """Tell of each row and the one `apart` rows later whether the way between them is impossible."""
         step = t[apart:] - t[:-apart]
-        way = np.linalg.norm(p[apart:] - p[:-apart], axis=1)
+        way = _length(p[:, apart:] - p[:, :-apart])
         possible = self.kind.slack_m + self.kind.speed_m_s * np.maximum(step, self._usual_s or 0.0)
         return np.asarray((way > possible) & (step > 0))
 
     def look_still(self, xyz: Vector) -> None:
         """Note whether the position has ever changed; a real sensor has noise, even of somebody who stands still."""
-        known = xyz[np.isfinite(xyz[:, :2]).all(axis=1)][:, :2]
-        if not len(known):
+        known = np.isfinite(xyz[0]) & np.isfinite(xyz[1])
+        if not known.any():
             return
+        first = int(np.argmax(known))
         if self._same is None:
-            self._same = known[0]
-        self._seen += len(known)
-        self._still = self._still and bool((known == self._same).all())
+            self._same = xyz[:2, first]
+        self._seen += int(known.sum())
+        x, y = self._same
+        self._still = self._still and bool(((xyz[0] == x) & (xyz[1] == y))[known].all())
 
     def warnings(self) -> tuple[list[str], list[str]]:
         """Say whether the position never changed, and all else."""
@@ -131,3 +137,9 @@ class Places:
         return [
             f"{kind.whose} stays at exactly ({x:g}, {y:g}) m in all {self._seen} rows: is the right signal logged?"
         ], said
+
+
+def _length(vectors: Vector) -> Vector:
+    """Return the lengths of vectors, shape (3, N); row by row, which is several times faster than across."""
+    x, y, z = vectors
+    return np.asarray(np.sqrt(x * x + y * y + z * z))

@@ -34,20 +34,15 @@ class Sliding:
 
     def with_neighbours(self, frame: pl.DataFrame, *, last: bool) -> pl.DataFrame:
         """Return the next window: rows judged before, those that waited and those of `frame`."""
-        rows = frame if self._waiting is None else pl.concat([self._waiting, frame])
+        rows = frame if self._waiting is None else pl.concat([self._waiting, frame], rechunk=True)
         ahead = 0 if last else min(self._beside(rows), rows.height)
         here = rows.height - ahead
         self._waiting, before = rows[here:], self._before
-        known = rows[:here] if before is None else pl.concat([before, rows[:here]])
+        seen = rows if before is None else pl.concat([before, rows], rechunk=True)
+        known = seen[: seen.height - ahead]
         self._before = known.tail(self._beside(known))
-        window = _placed(rows, [HERE] * here + [AHEAD] * ahead)
-        if before is None:
-            return window
-        return pl.concat([_placed(before, [BEFORE] * before.height), window])
-
-
-def _placed(rows: pl.DataFrame, place: list[int]) -> pl.DataFrame:
-    return rows.hstack([pl.Series(PLACE, np.array(place, np.int8))])
+        place = np.repeat(np.array([BEFORE, HERE, AHEAD], np.int8), [seen.height - rows.height, here, ahead])
+        return seen.hstack([pl.Series(PLACE, place)])
 
 
 def let_through(window: pl.DataFrame) -> pl.DataFrame:

@@ -182,6 +182,8 @@ def test_a_name_that_is_not_known_is_refused_with_the_nearest(tmp_path: Path, te
         'sources = [{ path = "a", sync_events = 3 }]',
         'sources = [{ path = "a", same_clock_as = 3 }]',
         'sources = [{ path = "a", sees_as = "Flange" }]',
+        '[executions]\nbegin = "signal"',
+        '[executions]\nsignal = "cycle_start"',
         'sources = [{ path = "a", sees = "tcp", clock_offset_s = 3 }]',
         'sources = [{ path = "a", sees = "tcp", clock_rate = 1.1 }]',
         'sources = [{ path = "a", same_clock_as = "b", sync_events = [[1, 2]] }]',
@@ -262,7 +264,8 @@ CELL = st.builds(
         gap_s=POSITIVE,
         home=st.none() | TEXT.filter(bool),
         bit=st.integers(0, 62),
-    ),
+    )
+    | st.builds(Executions, begin=st.just("signal"), signal=TEXT.filter(bool)),
     rate_hz=POSITIVE,
     bridge_s=NUMBER,
     levels=st.just(()) | st.lists(st.floats(0, 1), min_size=2, max_size=5, unique=True).map(sorted).map(tuple),

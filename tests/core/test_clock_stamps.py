@@ -47,7 +47,11 @@ def stamps(zero_s: float, drift: float, *, seed: int = 1, least_s: float = 0.001
 def placed(master: dict[str, Any], other: dict[str, Any], tables: dict[str, pl.DataFrame], **sources: Source) -> Any:
     session = Session("s", [master, other])
     known = {one["id"]: sources.get(one["id"]) for one in session.entries}
-    place_in_time(session, known, lambda name, table: tables.get(name) if table == "stamps" else None)
+
+    def no_robot(name: str, columns: Any) -> Any:
+        raise AssertionError(name)
+
+    place_in_time(session, known, lambda name, table: tables.get(name) if table == "stamps" else None, no_robot)
     return other["clock"]
 
 

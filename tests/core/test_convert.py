@@ -11,6 +11,7 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from polars.testing import assert_frame_equal
 
 from cyclekit.convert import Thinner, convert
 from cyclekit.errors import ConfigError, LogError, UnknownName
@@ -38,6 +39,27 @@ def test_every_row_of_a_log_comes_through(tmp_path: Path, robot_log: Any):
     same = pl.read_csv(tmp_path / "run.csv.csv")
     assert same.columns == ["t_s", "tcp_x_m"]
     assert same["tcp_x_m"].to_list() == pytest.approx(table["tcp_x_m"].to_list())
+
+
+def test_columns_that_nobody_asks_for_are_not_read_and_those_asked_for_are_the_same(tmp_path: Path, robot_log: Any):
+    log = robot_log(tmp_path / "run.csv", [("stand", 0.5), ("move", 0.3)])
+    convert(log, tmp_path / "all.parquet")
+    every = pl.read_parquet(tmp_path / "all.parquet")
+    for columns in (["tcp_y_m"], ["scaling", "state"], ["slider"], ["source_row"], ["tcp_speed_m_s", "q2_rad"]):
+        known = [name for name in columns if name in every.columns]
+        done = convert(log, tmp_path / "some.parquet", columns=known)
+        assert_frame_equal(pl.read_parquet(tmp_path / "some.parquet"), every.select("t_s", *known))
+        assert done.warnings == ()
+    lines = log.read_text(encoding="utf-8").splitlines()
+    cells = lines[0].replace(",", " ").split()
+    place = cells.index("speed_scaling")
+    mark = "," if "," in lines[0] else " "
+    broken = lines[7].split(mark)
+    broken[place] = "x7"
+    lines[7] = mark.join(broken)
+    log.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    assert convert(log, tmp_path / "some.parquet", columns=["scaling"]).rows_set_aside == 1
+    assert convert(log, tmp_path / "some.parquet", columns=["tcp_x_m"]).rows_set_aside == 0
 
 
 def test_numbers_are_averaged_and_words_are_those_in_force_at_the_end():

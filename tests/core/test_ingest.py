@@ -17,6 +17,7 @@ from cyclekit.config import Cell, Executions, Source
 from cyclekit.dataset import Dataset
 from cyclekit.errors import ConfigError, CyclekitError, DatasetError, LogError, UnknownFormat, UnknownName
 from cyclekit.ingest import ingest, suggest_cell
+from cyclekit.registry import Registered
 
 if TYPE_CHECKING:
     from conftest import Cells, SimulatedCell
@@ -386,17 +387,15 @@ def test_progress_goes_from_nothing_to_the_whole(three_runs: Path, tmp_path: Pat
 
 def stop_at(monkeypatch: pytest.MonkeyPatch, name: str, reads: list[str]) -> None:
     """Let the next ingest be interrupted when it comes to a log."""
-    from cyclekit.intake import keep
+    parts = Registered.parts
 
-    parts = keep._parts
-
-    def interrupted(log: Any, how: Any) -> Any:
-        if log.path.name == name:
-            monkeypatch.setattr(keep, "_parts", parts)
+    def interrupted(entry: Registered, path: Path, options: Any) -> Any:
+        if path.name == name:
+            monkeypatch.setattr(Registered, "parts", parts)
             raise KeyboardInterrupt
-        return parts(log, how)
+        return parts(entry, path, options)
 
-    monkeypatch.setattr(keep, "_parts", interrupted)
+    monkeypatch.setattr(Registered, "parts", interrupted)
 
 
 @pytest.mark.usefixtures("large")

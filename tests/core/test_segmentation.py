@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -217,6 +218,37 @@ def test_executions_can_begin_by_the_register_that_counts_them(cells: Cells, tmp
     counted = Cell(told.name, told.sources, told.ignore, places=told.places, executions=Executions("register"))
     found = made_of(tmp_path, cell.logs, counted)
     assert [entry["places"] for entry in found.card["executions"]] == cell.routes
+
+
+def test_executions_can_begin_by_an_event_of_another_log_of_the_session(cells: Cells, tmp_path: Path):
+    cell = cells("pick-and-package")
+    logs = shutil.copytree(cell.logs, tmp_path / "logs")
+    told = load_cell(logs / "cell.toml")
+    behind = next(source.clock_offset_s for source in told.sources if source.role == "events")
+    with (logs / "session_000" / "events.csv").open("a", encoding="utf-8") as events:
+        for start in cell.executions["start_s"].to_list():
+            events.write(f"{start - behind - 0.2:.4f},cycle_start,1\n{start - behind:.4f},cycle_start,0\n")
+    begun = Executions("signal", signal="cycle_start=1")
+    counted = Cell(told.name, told.sources, told.ignore, places=told.places, executions=begun)
+    found = made_of(tmp_path, logs, counted)
+    assert [entry["places"] for entry in found.card["executions"]] == cell.routes
+    unknown = Cell(told.name, told.sources, told.ignore, executions=Executions("signal", signal="cycle_strat"))
+    with pytest.raises(UnknownName, match="cycle_start"):
+        ingest([logs], tmp_path / "other", cell=unknown)
+
+
+def test_executions_can_begin_at_a_program_line_in_the_register(tmp_path: Path, robot_log: Any):
+    doing: list[tuple[str, float]] = [("stand", 1.0)]
+    for _ in range(6):
+        doing += [("move", 1.0), ("stand", 0.6), ("move", 0.0), ("stand", 0.6)]
+    log = robot_log(tmp_path / "run.csv", doing)
+    rows = pl.read_csv(log, separator=" ")
+    away = (pl.col("actual_TCP_pose_0") > 1e-6).cast(pl.Int64)
+    lap = ((away.diff().fill_null(0) == 1).cast(pl.Int64).cum_sum() - 1) % 2  # every other departure is a cycle
+    line = pl.when(away == 0).then(10).when(lap == 0).then(100).otherwise(200)
+    rows.with_columns(output_int_register_0=line).write_csv(log, separator=" ")
+    found = made_of(tmp_path, log, Cell(executions=Executions("signal", signal="register=100")))
+    assert [len(entry["places"]) for entry in found.card["executions"]] == [5, 5, 5]
 
 
 def test_a_home_that_is_no_place_is_refused(tmp_path: Path, robot_log: Any):

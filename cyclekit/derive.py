@@ -27,6 +27,7 @@ from cyclekit.segment import Execution, find_executions, find_places, find_stops
 from cyclekit.session import Grid
 from cyclekit.stand import stands_of
 from cyclekit.steps import Staircase, find_staircase
+from cyclekit.turns import with_turns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -96,7 +97,12 @@ def derive(
     runs, marks = load_runs(sessions, read, stored, cell, lambda done, told: progress(0.2 * done, told))
     stops = [stop for number, run in enumerate(runs) for stop in find_stops(run, number)]
     places = find_places(runs, stops, cell.places)
-    executions = find_executions(find_visits(stops, places, runs), places, cell.executions, marks)
+    visits = find_visits(stops, places, runs)
+    if all(len({visit.place for visit in seen}) < 2 for seen in visits):  # it rests at one place at most
+        stops = with_turns(runs, stops)
+        places = find_places(runs, stops, cell.places)
+        visits = find_visits(stops, places, runs)
+    executions = find_executions(visits, places, cell.executions, marks)
     executions += _whole_runs(runs, executions)
     runs, warnings = with_scaling(
         runs, executions, places, sessions, lambda done, told: progress(0.2 + 0.4 * done, told)

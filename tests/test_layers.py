@@ -20,7 +20,7 @@ FLOORS = [
     {"derive", "intake", "models"},
     {"discover", "scaling"},
     {"account", "activity", "align", "calibrate", "dynamics", "labelling"},
-    {"load_runs", "people", "registry", "samples", "stand"},
+    {"load_runs", "people", "registry", "samples", "stand", "turns"},
     {"override", "plausible", "privacy", "segment", "session", "signals", "steps"},
     {"stored_run"},
     {"motion"},

@@ -26,6 +26,7 @@ from cyclekit.scaling import with_scaling
 from cyclekit.segment import Execution, find_executions, find_places, find_stops, find_visits
 from cyclekit.session import Grid
 from cyclekit.steps import Staircase, find_staircase
+from cyclekit.tables import forget
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -110,6 +111,7 @@ def derive(
                 grids.append(grid)
                 rows += _task_rows(name, legs)
                 cards.append(_execution_card(name, session, execution, legs, grid))
+    forget()  # the samples of many hours take that memory
     grids, human_places = with_operator(grids, sources, read, cell)
     staircase = _staircase(grids, cell)
     samples = _by_session(grids, staircase.label)

@@ -79,6 +79,7 @@ class TableWriter:
 
     def abandon(self) -> None:
         """Give up: what is there is half a table, and whoever began it removes it."""
+        self._parquet.is_open = False  # else it would try to end the file when it is collected, and complain
         with suppress(Exception):
             self._file.close()
 
@@ -193,12 +194,24 @@ class StoredTable:
 _decoded: OrderedDict[tuple[Path, tuple[str, ...], int], Columns] = OrderedDict()
 
 
+def forget() -> None:
+    """Give back the memory of what was read last: for one who has other use for it now."""
+    _decoded.clear()
+
+
 def _unknown(about: pq.FileMetaData, column: int) -> int:
     total = 0
     for group in range(about.num_row_groups):
         said = about.row_group(group).column(column).statistics
         total += said.null_count if said is not None and said.has_null_count else about.row_group(group).num_rows
     return total
+
+
+def parts_of(file: Path) -> Iterator[pl.DataFrame]:
+    """Yield a Parquet table in parts; it may be larger than memory."""
+    with pq.ParquetFile(file) as parquet:
+        for group in range(parquet.metadata.num_row_groups):
+            yield pl.DataFrame(parquet.read_row_group(group, use_threads=False))
 
 
 def shift_times(file: Path, shift_s: float, *, column: str = "t_s") -> None:

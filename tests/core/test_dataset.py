@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import random
@@ -17,7 +18,7 @@ import pandas as pd
 import polars as pl
 import pytest
 
-from cyclekit import schema
+from cyclekit import schema, tables
 from cyclekit.atomic import settle, staged, write_text
 from cyclekit.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, UnknownName
@@ -269,3 +270,15 @@ def test_an_ingest_killed_at_any_moment_leaves_the_old_dataset_or_the_new_one(tm
     seen.append(Dataset.open(tmp_path / "dataset").card["name"])
     assert set(seen) == {"a", "b"}  # every child found a whole dataset, of the one kind or the other
     assert caught_at_work >= 3  # and the kills did hit ingests that were under way
+
+
+def test_a_table_that_is_given_up_makes_no_noise_when_it_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    complaints: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", complaints.append)
+    monkeypatch.setattr(tables, "GROUP_ROWS", 2)
+    writer = tables.TableWriter(tmp_path / "a.parquet", schema.EVENTS)
+    writer.write(pl.concat([schema.empty(schema.EVENTS), pl.DataFrame({"t_s": [1.0, 2.0, 3.0]})], how="diagonal"))
+    writer.abandon()
+    del writer
+    gc.collect()
+    assert complaints == []

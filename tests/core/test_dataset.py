@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import duckdb
+import numpy as np
 import pandas as pd
 import polars as pl
 import pytest
@@ -282,3 +283,17 @@ def test_a_table_that_is_given_up_makes_no_noise_when_it_goes(tmp_path: Path, mo
     del writer
     gc.collect()
     assert complaints == []
+
+
+def test_what_was_decoded_is_kept_up_to_its_limit_and_the_oldest_goes_first(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(tables, "_KEPT_BYTES", 100)
+    kept = tables._Decoded()
+    keys = [(Path("a"), ("x",), number) for number in range(5)]
+    for key in keys[:3]:
+        kept.keep(key, {"x": np.zeros(5)})  # 40 bytes each
+    assert [kept.get(key) is not None for key in keys[:3]] == [False, True, True]
+    kept.get(keys[1])
+    kept.keep(keys[3], {"x": np.zeros(5)})  # the one looked at last stays
+    assert [kept.get(key) is not None for key in keys[:4]] == [False, True, False, True]
+    kept.keep(keys[4], {"x": np.zeros(500)})
+    assert [kept.get(key) is not None for key in keys] == [False] * 4 + [True]

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 import pytest
+from tracker_logs import kinect2, ur_rtde
 
 from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
-
-if TYPE_CHECKING:
-    pass
 
 
 @pytest.fixture
@@ -74,3 +71,17 @@ def test_names_come_back_only_from_the_logs(mapped: Path, tmp_path: Path):
     assert (again.unchanged, again.recordings_new) == (False, 2)
     assert json.loads((out / "dataset.json").read_text(encoding="utf-8"))["pseudonymised"] is False
     assert ingest([mapped], out, pseudonymise=True).recordings_new == 2
+
+
+@pytest.mark.parametrize("pseudonymise", [False, True])
+def test_joints_are_kept_on_request_only_and_under_no_other_name(tmp_path: Path, *, pseudonymise: bool):
+    for write in (ur_rtde, kinect2):
+        (tmp_path / "logs" / write.__name__).mkdir(parents=True)
+        write(tmp_path / "logs" / write.__name__, 300)
+    plain = ingest([tmp_path / "logs"], tmp_path / "plain", pseudonymise=pseudonymise)
+    assert not list(Path(plain.dataset).rglob("skeletons.parquet"))
+    joints = ingest([tmp_path / "logs"], tmp_path / "joints", pseudonymise=pseudonymise, keep_skeletons=True)
+    (file,) = Path(joints.dataset).rglob("skeletons.parquet")
+    table, people = pl.read_parquet(file), pl.read_parquet(file.with_name("people.parquet"))
+    assert table["joint"].n_unique() == 25
+    assert set(table["person"]) == set(people["person"]) == {f"person_{n}" if pseudonymise else f"{n}" for n in (1, 2)}

@@ -27,6 +27,7 @@ from cyclekit.segment import Execution, find_executions, find_places, find_stops
 from cyclekit.session import Grid
 from cyclekit.stand import stands_of
 from cyclekit.steps import Staircase, find_staircase
+from cyclekit.tables import forget
 from cyclekit.turns import with_turns
 
 if TYPE_CHECKING:
@@ -122,6 +123,7 @@ def derive(
                 grids.append(grid)
                 rows += _task_rows(name, legs)
                 cards.append(_execution_card(name, session, execution, legs, grid))
+    forget()  # the samples of many hours take that memory
     grids, human_places = with_operator(grids, sources, read, cell)
     staircase = _staircase(grids, cell)
     samples = _by_session(grids, staircase.label)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 from collections import OrderedDict
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -52,8 +53,7 @@ class TableWriter:
         """
         types = {name: column.dtype for name, column in columns.items()} | dict.fromkeys(more, pl.Float64())
         self.rows, self._pieces, self._waiting, self._path = 0, list[pl.DataFrame](), 0, file
-        self._empty = pl.DataFrame(schema=types)
-        layout = self._empty.to_arrow(compat_level=pl.CompatLevel.oldest()).schema
+        self._empty, layout = _empty(tuple(types.items()))
         texts = [name for name, dtype in types.items() if dtype == pl.String()]
         numbers = [name for name, dtype in types.items() if dtype.is_float()]
         with _as_os_error(file):
@@ -79,6 +79,7 @@ class TableWriter:
 
     def abandon(self) -> None:
         """Give up: what is there is half a table, and whoever began it removes it."""
+        self._parquet.is_open = False  # else it would try to end the file when it is collected, and complain
         with suppress(Exception):
             self._file.close()
 
@@ -100,6 +101,13 @@ class TableWriter:
             self.close()
         else:
             self.abandon()
+
+
+@lru_cache(maxsize=64)  # thousands of small tables have the same columns
+def _empty(types: tuple[tuple[str, pl.DataType], ...]) -> tuple[pl.DataFrame, pa.Schema]:
+    """Return a table without rows, and its layout in Arrow's words."""
+    empty = pl.DataFrame(schema=dict(types))
+    return empty, empty.to_arrow(compat_level=pl.CompatLevel.oldest()).schema
 
 
 @contextmanager
@@ -178,19 +186,49 @@ class StoredTable:
 
     def _group(self, number: int) -> Columns:
         key = (self._file, tuple(self._columns), number)
-        if key in _decoded:
-            _decoded.move_to_end(key)
-            return _decoded[key]
+        if (known := _decoded.get(key)) is not None:
+            return known
         with pq.ParquetFile(self._file) as parquet:
             table = parquet.read_row_group(number, columns=self._columns, use_threads=False)
         frame = pl.DataFrame(table)  # not by Arrow's own way to numpy, which imports pandas where there is one
-        _decoded[key] = {name: frame[name].cast(pl.Float64).to_numpy() for name in self._columns}
-        while len(_decoded) > 1 and sum(v.nbytes for part in _decoded.values() for v in part.values()) > _KEPT_BYTES:
-            _decoded.popitem(last=False)
-        return _decoded[key]
+        columns = {name: frame[name].cast(pl.Float64).to_numpy() for name in self._columns}
+        _decoded.keep(key, columns)
+        return columns
 
 
-_decoded: OrderedDict[tuple[Path, tuple[str, ...], int], Columns] = OrderedDict()
+class _Decoded:
+    """What was decoded last, up to _KEPT_BYTES of it; the latest part stays however large it is."""
+
+    def __init__(self) -> None:
+        self._parts: OrderedDict[tuple[Path, tuple[str, ...], int], Columns] = OrderedDict()
+        self._bytes = 0
+
+    def get(self, key: tuple[Path, tuple[str, ...], int]) -> Columns | None:
+        if key in self._parts:
+            self._parts.move_to_end(key)
+        return self._parts.get(key)
+
+    def keep(self, key: tuple[Path, tuple[str, ...], int], columns: Columns) -> None:
+        self._parts[key] = columns
+        self._bytes += _size(columns)
+        while len(self._parts) > 1 and self._bytes > _KEPT_BYTES:
+            self._bytes -= _size(self._parts.popitem(last=False)[1])
+
+    def clear(self) -> None:
+        self._parts.clear()
+        self._bytes = 0
+
+
+_decoded = _Decoded()
+
+
+def _size(columns: Columns) -> int:
+    return sum(values.nbytes for values in columns.values())
+
+
+def forget() -> None:
+    """Give back the memory of what was read last: for one who has other use for it now."""
+    _decoded.clear()
 
 
 def _unknown(about: pq.FileMetaData, column: int) -> int:
@@ -199,6 +237,13 @@ def _unknown(about: pq.FileMetaData, column: int) -> int:
         said = about.row_group(group).column(column).statistics
         total += said.null_count if said is not None and said.has_null_count else about.row_group(group).num_rows
     return total
+
+
+def parts_of(file: Path) -> Iterator[pl.DataFrame]:
+    """Yield a Parquet table in parts; it may be larger than memory."""
+    with pq.ParquetFile(file) as parquet:
+        for group in range(parquet.metadata.num_row_groups):
+            yield pl.DataFrame(parquet.read_row_group(group, use_threads=False))
 
 
 def shift_times(file: Path, shift_s: float, *, column: str = "t_s") -> None:

@@ -6,7 +6,11 @@ recording knows its place in its file, so a number that looks wrong can be looke
 
 from __future__ import annotations
 
+import codecs
+import gzip
+import zlib
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +25,7 @@ AROUND_S = 0.2
 """Rows of people and events this near to a sample are shown."""
 _SHOWN = 12
 _LONGEST_LINE = 2000
+_GZIP = b"\x1f\x8b"
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,7 @@ class Origin:
         t_s: Session time of the row, seconds.
         values: What is known in it.
         text: The line itself, where the folder of logs was given and it is a text; None otherwise.
+        among: What is counted, where a log has several kinds of messages: their topics.
     """
 
     table: str
@@ -45,6 +51,7 @@ class Origin:
     t_s: float
     values: dict[str, Any]
     text: str | None = None
+    among: str | None = None
 
 
 @dataclass(frozen=True)
@@ -67,7 +74,7 @@ def trace(dataset: Dataset, execution: str, at_s: float, *, logs: Path | str | N
         dataset: Where to look.
         execution: Its name, or its number from 1.
         at_s: Seconds since the execution began.
-        logs: Folder of the logs, to show the lines themselves.
+        logs: Folder of the logs, or the log itself, to show the lines.
 
     Raises:
         UnknownName: There is no such execution.
@@ -105,9 +112,10 @@ def _of_recording(dataset: Dataset, record: dict[str, Any], at_s: float, logs: P
             shown = record["sources"][0]["path"]
             if len(record["sources"]) > 1:
                 shown = shown.rpartition("/")[0]
-            text = _line(Path(logs) / shown, line) if logs is not None and record["rows_are"] == "line" else None
+            text = _line(_file(Path(logs), shown), line) if logs is not None and record["rows_are"] == "line" else None
             where = (table, record["id"], shown, record["rows_are"], line)
-            found.append(Origin(*where, t_s * rate + offset_s, values, text))
+            among = record["facts"].get(f"rows of {table}", "").removeprefix("messages of ") or None
+            found.append(Origin(*where, t_s * rate + offset_s, values, text, among))
     return found
 
 
@@ -115,12 +123,22 @@ def _nearest(rows: pl.DataFrame, own_s: float) -> pl.DataFrame:
     return rows.sort((pl.col("t_s") - own_s).abs(), maintain_order=True).head(_SHOWN).sort("t_s", maintain_order=True)
 
 
+def _file(logs: Path, shown: str) -> Path:
+    """Return the log in the folder of logs, which may have been given as the log itself."""
+    return logs if logs.is_file() and logs.name == Path(shown).name else logs / shown
+
+
 def _line(file: Path, number: int | None) -> str | None:
-    """Return one line of a text, counted from 1."""
+    """Return one line of a text, counted from 1; None where it cannot be read, or is packed otherwise than by gzip."""
     if number is None or not file.is_file():
         return None
     with file.open("rb") as log:
-        for count, line in enumerate(log, 1):
-            if count == number:
-                return line[:_LONGEST_LINE].decode("utf-8", "replace").rstrip("\r\n")
-    return None
+        first = log.read(4)
+    opened = gzip.open if first.startswith(_GZIP) else open
+    encoding = "utf-16" if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    try:
+        with opened(file, "rt", encoding=encoding, errors="replace", newline="\n") as log:
+            found = next(islice(log, number - 1, None), None)
+    except (OSError, EOFError, zlib.error):
+        return None
+    return None if found is None or "\0" in found else found[:_LONGEST_LINE].rstrip("\r\n")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from cyclekit.errors import DamagedLog
 from cyclekit_adapters.delimited import nothing_usable
 
 if TYPE_CHECKING:
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
     from cyclekit.adapter import Recording
     from cyclekit_adapters.delimited import Rows
+
+MANY, HARDLY_ANY = 1_000_000, 0.01
+"""A log of which less than this share of so many rows can be used is something else, however long one goes on."""
 
 
 def in_parts(
@@ -37,7 +41,7 @@ def in_parts(
         finish: Adds to the last part what is known now.
 
     Raises:
-        DamagedLog: No row of the log is usable.
+        DamagedLog: No row of the log is usable, or hardly any of very many.
     """
     last: Recording | None = None
     rows_read, usable, unknown = 0, 0, 0
@@ -47,6 +51,8 @@ def in_parts(
         unknown += rows.not_finite
         if aside is None and rows.set_aside.height:
             aside = rows.set_aside
+        if rows_read > MANY and usable < rows_read * HARDLY_ANY and aside is not None:
+            raise _hardly_any(path, rows_read, usable, aside)
         if last is not None:
             yield last
         last = make(rows)
@@ -57,3 +63,9 @@ def in_parts(
         said = f"{unknown} values are written as NaN or infinity: unknown there"
         done = replace(done, warnings=(*done.warnings, said))
     yield done
+
+
+def _hardly_any(path: Path, rows_read: int, usable: int, aside: pl.DataFrame) -> DamagedLog:
+    line, reason = aside.row(0)
+    cause = f"of its first {rows_read} rows only {usable} can be used; the first that cannot (line {line}): {reason}"
+    return DamagedLog(path, cause, cure="Check what the file is; to read its good rows, cut them out of it.")

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 ONE_BY_ONE = 1 << 17
 """Bytes; a block in trouble is halved down to here, then read line by line."""
+_BLANKS = f"{CELL} \t"
 _CUT = "the last line has no line end: it was cut while being written"
 
 
@@ -92,6 +93,9 @@ class RowParser:
 
     def _halved(self, block: bytes) -> Iterator[Rows]:
         """Yield the rows of whole lines: at once where all is well, else half by half."""
+        if block.isspace():
+            self.line += block.count(b"\n")
+            return
         if not self.ended and not self.torn and (rows := self._at_once(block)) is not None:
             yield rows
             return
@@ -166,7 +170,7 @@ class RowParser:
         The same names again are a recording that was continued; other names are another table, whose numbers must
         not be taken for this one's. Directly below the names, words are units or descriptions.
         """
-        if cells is None:
+        if cells is None or not cells.strip(_BLANKS):
             return self.ended or reason
         fields = [cell.strip().lstrip("\ufeff").strip('"') for cell in cells.split(CELL)]
         if tuple(fields) == self.layout.names:

@@ -21,7 +21,7 @@ def trace(
     execution: Annotated[str, typer.Option(help="Name of the execution, or its number from 1.", metavar="ID")],
     at: Annotated[str, typer.Option(help="Time since the execution began: 12.5s, 2min.", metavar="TIME")] = "1ms",
     logs: Annotated[
-        Path | None, typer.Option(help="Folder of the logs, to show the lines themselves.", metavar="LOGS")
+        Path | None, typer.Option(help="Folder of the logs, or the log itself, to show the lines.", metavar="LOGS")
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
@@ -44,7 +44,8 @@ def page(found: Trace) -> str:
     lines = [f"execution {found.execution}, sample at {found.sample['t_s']:.3f} s of its session"]
     lines += [f"  {name}: {_shown(value)}" for name, value in found.sample.items() if name not in ("execution", "t_s")]
     for origin in found.origins:
-        place = f"{origin.row_is} {origin.source_row}" if origin.source_row is not None else "no row"
+        among = f" of {origin.among}" if origin.among else ""
+        place = f"{origin.row_is} {origin.source_row}{among}" if origin.source_row is not None else "no row"
         lines.append(f"{origin.table}: {origin.file}, {place}, {origin.t_s:.3f} s")
         if origin.text is not None:
             lines.append(f"  {origin.text[:400]}")

@@ -74,7 +74,7 @@ def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How) -> Kep
     except (OSError, MemoryError) as error:
         if _is_ours(error, folder):
             raise
-        told = getattr(error, "strerror", None) or error or "too large for the memory"
+        told = getattr(error, "strerror", None) or str(error) or "too large for the memory"
         problem = LogError(log.path, f"cannot be read ({told})", cure="Check the file.")
     shutil.rmtree(folder, ignore_errors=True)
     return problem

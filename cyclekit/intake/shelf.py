@@ -14,11 +14,10 @@ import shutil
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-import polars as pl
-
-from cyclekit.atomic import write_parquet
+from cyclekit import schema
 from cyclekit.intake.keep import QUARANTINE
 from cyclekit.intake.take_over import as_read, link_folder, named_anew
+from cyclekit.tables import TableWriter, parts_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -57,9 +56,10 @@ class Shelf:
         (target / _ENTRY).unlink()
         aside = target / f"{QUARANTINE}.parquet"
         if aside.is_file() and entry["id"] != log.id:
-            rows = pl.read_parquet(aside, glob=False)
             aside.unlink()  # it is a link
-            write_parquet(named_anew(rows, log), aside)
+            with TableWriter(aside, schema.QUARANTINE) as table:
+                for part in parts_of(place / aside.name):
+                    table.write(named_anew(part, log))
         return as_read(entry, log)
 
     def put(self, entry: dict[str, Any], log: Log, staging: Path) -> None:

@@ -11,8 +11,8 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.activity import OPERATOR
 from cyclekit.align import CLOCK
-from cyclekit.atomic import write_parquet
 from cyclekit.intake.keep import QUARANTINE
+from cyclekit.tables import TableWriter, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,8 +35,9 @@ def take_over(entry: dict[str, Any], log: Log, old: Path, staging: Path) -> dict
     target = staging / "recordings" / log.id
     link_folder(old / "recordings" / entry["id"], target)
     if entry["rows_set_aside"]:
-        rows = pl.scan_parquet(old / _ALL, glob=False).filter(pl.col("recording") == entry["id"]).collect()
-        write_parquet(named_anew(rows, log), target / _ALL)
+        with TableWriter(target / _ALL, schema.QUARANTINE) as table:
+            for part in parts_of(old / _ALL):
+                table.write(named_anew(part.filter(pl.col("recording") == entry["id"]), log))
     return as_read(entry, log)
 
 
@@ -66,7 +67,9 @@ def link_folder(source: Path, target: Path) -> None:
 def gather_quarantine(entries: Sequence[dict[str, Any]], staging: Path) -> None:
     """Put what each recording set aside into one table of the dataset."""
     files = [staging / "recordings" / entry["id"] / _ALL for entry in entries if entry["rows_set_aside"]]
-    parts = [pl.read_parquet(file, glob=False) for file in files]
-    write_parquet(pl.concat([schema.empty(schema.QUARANTINE), *parts]), staging / _ALL)
+    with TableWriter(staging / _ALL, schema.QUARANTINE) as table:
+        for file in files:
+            for part in parts_of(file):  # a logger that repeats its rows may have set millions aside
+                table.write(part)
     for file in files:
         file.unlink()

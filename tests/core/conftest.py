@@ -9,7 +9,9 @@ from typing import Any
 
 import polars as pl
 import pytest
+from ingested import ROUND_TRIP
 
+from cyclekit import registry
 from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
 from cyclekit_sim import SimulationOptions, simulate
@@ -135,3 +137,44 @@ def motive_log() -> Any:
         return path
 
     return write
+
+
+@pytest.fixture
+def three_runs(tmp_path: Path, robot_log: Any) -> Path:
+    """A folder of three robot logs."""
+    for number in range(3):
+        robot_log(tmp_path / "logs" / f"run_{number}.csv", [*ROUND_TRIP, ("stand", 0.1 * number)])
+    return tmp_path / "logs"
+
+
+@pytest.fixture
+def large(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every log counts as one that takes long to read."""
+    monkeypatch.setattr("cyclekit.intake.shelf.WORTH_BYTES", 0)
+
+
+@pytest.fixture
+def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the logs that adapters read while the test runs."""
+    names: list[str] = []
+    for entry in registry.adapters().values():
+        for method in ("read", "stream"):
+            read = getattr(entry.adapter, method, None)
+
+            def counted(path: Path, options: Any, read: Any = read) -> Any:
+                names.append(path.name)
+                return read(path, options)
+
+            if read is not None:
+                monkeypatch.setattr(entry.adapter, method, counted, raising=False)
+    return names
+
+
+@pytest.fixture
+def logs(tmp_path: Path, robot_log: Any) -> Path:
+    """Two logs, one of which was cut in its last line."""
+    whole = robot_log(tmp_path / "logs" / "a.csv", ROUND_TRIP)
+    cut = robot_log(tmp_path / "logs" / "b.csv", ROUND_TRIP)
+    cut.write_bytes(cut.read_bytes()[:-9])
+    assert whole.is_file()
+    return tmp_path / "logs"

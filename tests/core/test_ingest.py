@@ -11,60 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 import pytest
+from ingested import ROUND_TRIP, bytes_and_times, only_bytes
 
-from cyclekit import registry
 from cyclekit.config import Cell, Executions, Source
 from cyclekit.dataset import Dataset
 from cyclekit.errors import ConfigError, CyclekitError, DatasetError, LogError, UnknownFormat, UnknownName
 from cyclekit.ingest import ingest, suggest_cell
-from cyclekit.registry import Registered
 
 if TYPE_CHECKING:
     from conftest import Cells, SimulatedCell
 
-ROUND_TRIP = [("stand", 0.5), ("move", 0.3), ("stand", 0.6), ("move", 0.0), ("stand", 0.5)]
 WALK = [(1.0 + 0.01 * i, 2.0, 0.2) for i in range(150)]
-
-
-@pytest.fixture
-def three_runs(tmp_path: Path, robot_log: Any) -> Path:
-    """A folder of three robot logs."""
-    for number in range(3):
-        robot_log(tmp_path / "logs" / f"run_{number}.csv", [*ROUND_TRIP, ("stand", 0.1 * number)])
-    return tmp_path / "logs"
-
-
-@pytest.fixture
-def large(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every log counts as one that takes long to read."""
-    monkeypatch.setattr("cyclekit.intake.shelf.WORTH_BYTES", 0)
-
-
-@pytest.fixture
-def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Names of the logs that adapters read while the test runs."""
-    names: list[str] = []
-    for entry in registry.adapters().values():
-        for method in ("read", "stream"):
-            read = getattr(entry.adapter, method, None)
-
-            def counted(path: Path, options: Any, read: Any = read) -> Any:
-                names.append(path.name)
-                return read(path, options)
-
-            if read is not None:
-                monkeypatch.setattr(entry.adapter, method, counted, raising=False)
-    return names
-
-
-def bytes_and_times(folder: Path) -> dict[str, tuple[str, int]]:
-    files = sorted(file for file in folder.rglob("*") if file.is_file())
-    digest = {file: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
-    return {f.relative_to(folder).as_posix(): (digest[f], f.stat().st_mtime_ns) for f in files}
-
-
-def only_bytes(folder: Path) -> dict[str, str]:
-    return {name: digest for name, (digest, _) in bytes_and_times(folder).items()}
 
 
 def test_the_same_ingest_again_changes_nothing_and_reads_nothing(three_runs: Path, tmp_path: Path, reads: list[str]):
@@ -383,123 +340,6 @@ def test_progress_goes_from_nothing_to_the_whole(three_runs: Path, tmp_path: Pat
     ingest([three_runs], tmp_path / "dataset", progress=lambda fraction, text: told.append(fraction))
     assert told == sorted(told)
     assert 0 <= told[0] < told[-1] <= 1
-
-
-def stop_at(monkeypatch: pytest.MonkeyPatch, name: str, reads: list[str]) -> None:
-    """Let the next ingest be interrupted when it comes to a log."""
-    parts = Registered.parts
-
-    def interrupted(entry: Registered, path: Path, options: Any) -> Any:
-        if path.name == name:
-            monkeypatch.setattr(Registered, "parts", parts)
-            raise KeyboardInterrupt
-        return parts(entry, path, options)
-
-    monkeypatch.setattr(Registered, "parts", interrupted)
-
-
-@pytest.mark.usefixtures("large")
-def test_an_interrupted_ingest_goes_on_where_it_was(
-    three_runs: Path, tmp_path: Path, reads: list[str], monkeypatch: pytest.MonkeyPatch
-):
-    out = tmp_path / "out" / "dataset"
-    stop_at(monkeypatch, "run_2.csv", reads)
-    with pytest.raises(KeyboardInterrupt):
-        ingest([three_runs], out)
-    assert not out.exists()
-    assert reads == ["run_0.csv", "run_1.csv"]
-    reads.clear()
-    report = ingest([three_runs], out)
-    assert reads == ["run_2.csv"]
-    assert (report.recordings_new, report.recordings_kept) == (1, 2)
-    assert only_bytes(out) == only_bytes(Path(ingest([three_runs], tmp_path / "afresh").dataset))
-    assert [entry.name for entry in out.parent.iterdir()] == ["dataset"]
-
-
-@pytest.mark.usefixtures("large")
-def test_what_an_interrupted_ingest_had_read_is_not_taken_for_a_log_that_has_changed_since(
-    three_runs: Path, tmp_path: Path, reads: list[str], monkeypatch: pytest.MonkeyPatch, robot_log: Any
-):
-    out = tmp_path / "dataset"
-    stop_at(monkeypatch, "run_2.csv", reads)
-    with pytest.raises(KeyboardInterrupt):
-        ingest([three_runs], out)
-    robot_log(three_runs / "run_0.csv", [*ROUND_TRIP, ("move", 0.3), ("stand", 1.0)])
-    reads.clear()
-    ingest([three_runs], out)
-    assert reads == ["run_0.csv", "run_2.csv"]
-    assert only_bytes(out) == only_bytes(Path(ingest([three_runs], tmp_path / "afresh").dataset))
-
-
-@pytest.mark.usefixtures("large")
-def test_a_cell_file_that_was_wrong_costs_no_second_reading(three_runs: Path, tmp_path: Path, reads: list[str]):
-    with pytest.raises(UnknownName):
-        ingest([three_runs], tmp_path / "dataset", cell=Cell(executions=Executions(home="nowhere")))
-    assert len(reads) == 3
-    reads.clear()
-    assert ingest([three_runs], tmp_path / "dataset").recordings_kept == 3
-    assert reads == []
-
-
-@pytest.mark.usefixtures("large")
-def test_nothing_that_names_a_person_stays_beside_an_interrupted_ingest(
-    three_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: list[str]
-):
-    stop_at(monkeypatch, "run_2.csv", reads)
-    with pytest.raises(KeyboardInterrupt):
-        ingest([three_runs], tmp_path / "out" / "dataset", pseudonymise=True)
-    assert list((tmp_path / "out").iterdir()) == []
-
-
-@pytest.mark.usefixtures("large")
-@pytest.mark.parametrize("again", [{}, {"pseudonymise": True}])
-def test_what_a_killed_ingest_left_of_its_readings_is_removed_by_the_next(
-    three_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, again: dict[str, bool]
-):
-    from cyclekit.intake import shelf
-
-    out, whole, rmtree = tmp_path / "out" / "dataset", ["dataset"], shelf.shutil.rmtree
-
-    def killed(path: Path, **how: Any) -> None:
-        if path.exists() and path.name.startswith(".dataset.read"):
-            next(file for file in sorted(path.rglob("*")) if file.suffix == ".parquet").unlink()
-            monkeypatch.setattr(shelf.shutil, "rmtree", rmtree)
-            raise KeyboardInterrupt
-        rmtree(path, **how)
-
-    monkeypatch.setattr(shelf.shutil, "rmtree", killed)
-    with pytest.raises(KeyboardInterrupt):
-        ingest([three_runs], out)
-    assert sorted(entry.name for entry in out.parent.iterdir()) != whole
-    first = only_bytes(out)
-    ingest([three_runs], out, **again)
-    assert sorted(entry.name for entry in out.parent.iterdir()) == whole
-    assert again or only_bytes(out) == first
-
-
-@pytest.mark.usefixtures("large")
-def test_a_recording_that_lost_a_table_while_it_was_removed_is_never_used(
-    three_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    from cyclekit.intake import shelf
-
-    out, rmtree = tmp_path / "out" / "dataset", shelf.shutil.rmtree
-
-    def killed(path: Path, **how: Any) -> None:
-        if path.exists() and path.name.startswith(".dataset.read"):
-            for file in path.rglob("robot.parquet"):
-                file.unlink()
-            raise KeyboardInterrupt
-        rmtree(path, **how)
-
-    monkeypatch.setattr(shelf.shutil, "rmtree", killed)
-    with pytest.raises(KeyboardInterrupt):
-        ingest([three_runs], out)
-    monkeypatch.undo()
-    first = only_bytes(out)
-    rmtree(out)
-    ingest([three_runs], out)
-    assert only_bytes(out) == first
 
 
 def test_another_rate_gives_other_samples_of_the_same_recordings(three_runs: Path, tmp_path: Path, reads: list[str]):

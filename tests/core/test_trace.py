@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ from cyclekit.ingest import ingest
 from cyclekit.trace import trace
 
 if TYPE_CHECKING:
-    from conftest import SimulatedCell
+    from conftest import Cells, SimulatedCell
 
 
 def test_the_line_that_is_named_holds_the_position_of_the_sample(boxes: SimulatedCell):
@@ -56,3 +57,26 @@ def test_without_the_logs_the_place_and_the_values_are_told(boxes: SimulatedCell
 def test_an_unknown_execution_is_refused(boxes: SimulatedCell):
     with pytest.raises(UnknownName, match="nowhere"):
         trace(boxes.dataset, "nowhere", 1.0)
+
+
+@pytest.mark.parametrize("way", ["utf-16", "gzip", "the log itself"])
+def test_the_line_is_shown_however_the_log_is_written_and_given(tmp_path: Path, robot_log: Any, way: str):
+    plain = robot_log(tmp_path / "plain.csv", [("stand", 0.5), ("move", 0.3), ("stand", 0.5), ("move", 0.0)])
+    text = plain.read_text(encoding="utf-8")
+    log = tmp_path / "logs" / ("run.csv.gz" if way == "gzip" else "run.csv")
+    log.parent.mkdir()
+    log.write_bytes(
+        gzip.compress(text.encode()) if way == "gzip" else text.encode("utf-16" if "utf" in way else "utf-8")
+    )
+    dataset = Dataset.open(ingest([log], tmp_path / "dataset").dataset)
+    found = trace(dataset, "1", 0.4, logs=log if way == "the log itself" else log.parent)
+    (robot,) = [origin for origin in found.origins if origin.table == "robot"]
+    assert robot.source_row is not None
+    assert robot.text == text.splitlines()[robot.source_row - 1]
+    assert robot.text.split(" ")[1] == f"{found.sample['robot_x_m']:.7f}"
+
+
+def test_a_message_is_one_of_a_topic(cells: Cells):
+    found = trace(cells("laser-zones", 2, logs="mcap").dataset, "1", 5.0)
+    among = {origin.table: origin.among for origin in found.origins}
+    assert (among["robot"], among["people"]) == ("/tcp_pose_broadcaster/pose", "/poses")

@@ -1,0 +1,71 @@
+"""What it costs that nobody logged the override: networks and cycle times from inferred instead of logged scaling.
+
+    python benchmarks/inferred_networks.py [--executions 100] [--scenes box-picking,...] [--seeds 3]
+
+The same executions (ramps 2.5/s, reaction time 0.1 s, encoder noise of a real UR5) are logged with and without the
+override. Both datasets train the same network; both networks are judged on other executions whose override was logged,
+and both answer what unseen sequences take.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from cells import Logged, logged, unseen_sequences
+
+from cyclekit.estimate.rollout import estimate
+from cyclekit.evaluate import evaluate
+from cyclekit.models.spec import ModelSpec
+from cyclekit.train import train
+from cyclekit_sim import SCENES, SimulationOptions
+
+REAL = SimulationOptions(ramp_down_per_s=2.5, ramp_up_per_s=2.5, latency_s=0.1, encoder_noise_rad=2e-5)
+
+
+def errors(cell: Logged, judge: Logged, seeds: int) -> list[float]:
+    """Return the one-step MSE on the executions of `judge`, of a network for each seed."""
+    models = [train(cell.dataset, ModelSpec.of(problem="now", seed=seed)) for seed in range(seeds)]
+    return [evaluate(model, judge.dataset, boosting=False).metrics.mse_mean for model in models]
+
+
+def compare(work: Path, scene: str, count: int, seeds: int) -> str:
+    """Return one row of the table."""
+    told = logged(work, scene, count, options=REAL, kind="told")
+    silent = logged(work, scene, count, options=replace(REAL, log_override=False), kind="silent")
+    judge = logged(work, scene, 40, seed=5, options=REAL, kind="judge")
+    with_log, without = errors(told, judge, seeds), errors(silent, judge, seeds)
+    wanted = unseen_sequences(told.dataset, scene, 10)
+    times = [
+        np.array([entry.expected_s for entry in estimate(cell.model, cell.dataset, wanted)]) for cell in (told, silent)
+    ]
+    moved = 100 * (times[1] / times[0] - 1)
+    change = 100 * (np.mean(without) / np.mean(with_log) - 1)
+    spread = 100 * np.std(with_log) / np.mean(with_log)
+    return (
+        f"| {scene} | {count} | {1e4 * np.mean(with_log):.2f} | {1e4 * np.mean(without):.2f} | {change:+.1f} % | "
+        f"{spread:.1f} % | {np.abs(moved).mean():.2f} % | {moved[np.abs(moved).argmax()]:+.2f} % |"
+    )
+
+
+def main() -> None:
+    """Print one row per scene."""
+    ask = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    ask.add_argument("--executions", type=int, default=100)
+    ask.add_argument("--scenes", default=",".join(SCENES))
+    ask.add_argument("--seeds", type=int, default=3)
+    given = ask.parse_args()
+    print(
+        "| scene | executions | MSE x1e4, logged | inferred | change | by seed | cycle time moves | worst of 10 |\n"
+        "|---|---|---|---|---|---|---|---|"
+    )
+    for scene in given.scenes.split(","):
+        with tempfile.TemporaryDirectory() as scratch:
+            print(compare(Path(scratch), scene, given.executions, given.seeds), flush=True)
+
+
+if __name__ == "__main__":
+    main()

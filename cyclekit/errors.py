@@ -12,6 +12,7 @@
     ├── EstimateError       the question cannot be answered from these logs
     ├── ShapeError          arrays that do not fit together (a mistake of the caller)
     ├── BusyPlace           another process is writing where we were told to write
+    ├── EngineError         the cluster cannot be reached, or a task's worker died again and again
     └── MissingExtra        an optional dependency is not installed
 
 A message has three parts: what was seen and where, the nearest right thing if one is near, and the cure. The parts
@@ -123,6 +124,10 @@ class BusyPlace(CyclekitError):
             f"{path}: another cyclekit{who} is writing there",
             cure="Wait until it has finished, or write somewhere else.",
         )
+
+
+class EngineError(CyclekitError):
+    """The engine that was asked for cannot be reached, or lost what it was at again and again."""
 
 
 class MissingExtra(CyclekitError):

@@ -24,6 +24,7 @@ from cyclekit.config import Cell, NamedPlace, Source
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, find_all, matches
+from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import ConfigError, DatasetError, LogError
 from cyclekit.intake import How, read_all
 from cyclekit.intake.shelf import Shelf
@@ -70,7 +71,7 @@ def ingest(
     out: Path | str,
     *,
     cell: Path | Cell | None = None,
-    jobs: int = 1,
+    engine: Engine = LOCAL,
     rate_hz: float | None = None,
     pseudonymise: bool = False,
     keep_skeletons: bool = False,
@@ -84,7 +85,7 @@ def ingest(
         logs: Files and folders, any mix.
         out: Folder of the dataset.
         cell: Cell file; by default `cell.toml` beside the logs, if there is one.
-        jobs: Logs read at the same time, in processes of their own.
+        engine: Where logs are read, and how many at the same time.
         rate_hz: Rate of the samples, in place of the cell file's.
         pseudonymise: Keep neither the names that trackers give nor wall-clock time (docs/privacy.md).
         keep_skeletons: Keep every joint of every person, where a tracker has them; no estimate needs it.
@@ -107,7 +108,7 @@ def ingest(
         settings = replace(settings, rate_hz=_rate(rate_hz))
     found, not_read = find_all(roots, settings)
     how = How(pseudonymise=pseudonymise, skeletons=keep_skeletons, checksums=checksums)
-    wanted = _Wanted(settings, tuple(found), tuple(not_read), jobs, how, align_clocks)
+    wanted = _Wanted(settings, tuple(found), tuple(not_read), engine, how, align_clocks)
     shelf = Shelf(out, "skeletons" if keep_skeletons else "plain")
     if not unsettled(out) and not shelf.is_left and (card := _up_to_date(out, wanted)):
         return _report(out, card, new=0, kept=len(found), unchanged=True)
@@ -130,7 +131,7 @@ class _Wanted:
     cell: Cell
     logs: tuple[Log, ...]
     not_read: tuple[tuple[str, str], ...]
-    jobs: int
+    engine: Engine
     how: How
     align_clocks: Literal["coarse"] | None = None
 
@@ -157,7 +158,7 @@ def _build(
         staging,
         old=None if wanted.how.pseudonymise or not alike else old,
         shelf=shelf,
-        jobs=wanted.jobs,
+        engine=wanted.engine,
         how=wanted.how,
         tell=lambda f, text: tell(0.6 * f, text),
     )

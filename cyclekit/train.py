@@ -11,16 +11,18 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import cyclekit
 from cyclekit import schema
+from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, MissingExtra
 from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
 from cyclekit.models.metrics import measure
-from cyclekit.models.saved import MODEL_VERSION, TrainedModel
+from cyclekit.models.saved import MODEL_VERSION, TrainedModel, save_model
 from cyclekit.samples import (
     GROUPS,
     Samples,
@@ -36,7 +38,6 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from cyclekit.dataset import Dataset
     from cyclekit.models.spec import ModelSpec
 
     Progress = Callable[[float, str], None]
@@ -107,6 +108,26 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
         "history": [asdict(epoch) for epoch in fitted.history],
     }
     return replace(model, card=json.loads(json.dumps(card)))  # as it will be read back: lists, no tuples
+
+
+@dataclass(frozen=True)
+class Training:
+    """One model to train, as a task of an engine: the places of dataset and model, and what to train."""
+
+    dataset: str
+    spec: ModelSpec
+    out: str
+
+
+def train_at(what: Training, *, progress: Progress | None = None) -> dict[str, Any]:
+    """Train a model and put it in its place; return its card.
+
+    Raises:
+        CyclekitError: As `train`, or the model cannot be written.
+    """
+    model = train(Dataset.open(what.dataset), what.spec, progress=progress)
+    save_model(Path(what.out), model)
+    return model.card
 
 
 def fingerprint(dataset: Dataset) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet, levels, seconds
+from cyclekit.cli.options import EngineName, Jobs, Json, Quiet, RayAddress, engine_of, levels, seconds
 from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
 
 if TYPE_CHECKING:
@@ -43,6 +43,9 @@ def estimate(
     extrapolate: Annotated[
         bool, typer.Option("--extrapolate", help="Answer even where nothing like it was logged.")
     ] = False,
+    engine: EngineName = "local",
+    jobs: Jobs = None,
+    ray_address: RayAddress = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -56,7 +59,7 @@ def estimate(
     from cyclekit.models.saved import load_model
     from cyclekit.sequences import load_sequences
 
-    terminal = Terminal(json=json, quiet=quiet)
+    terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     wanted = load_sequences(sequences)
     asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
     opened, logs = load_model(model), Dataset.open(dataset)
@@ -77,6 +80,7 @@ def estimate(
             seed=seed,
             extrapolate=extrapolate,
             check=checked if check else None,
+            engine=work,
             progress=progress,
         )
     document: dict[str, Any] = {"sequences": [entry.to_json() for entry in found]}

@@ -8,24 +8,27 @@ a model is trained is the business of `train`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError
 from cyclekit.evaluate.baselines import Row, rivals
+from cyclekit.evaluate.drift import Drift, drift
 from cyclekit.labelling import without_slider
 from cyclekit.models.metrics import Metrics, measure
+from cyclekit.models.saved import load_model
 from cyclekit.samples import Samples, build_samples
 from cyclekit.train import fingerprint
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cyclekit.dataset import Dataset
     from cyclekit.models.saved import TrainedModel
 
-__all__ = ["Evaluation", "LevelRow", "Row", "evaluate"]
+__all__ = ["Evaluation", "LevelRow", "Row", "evaluate", "evaluate_at"]
 
 
 @dataclass(frozen=True)
@@ -139,6 +142,17 @@ def evaluate(model: TrainedModel, dataset: Dataset, *, boosting: bool = True) ->
         dict(rows.dropped),
         tuple(notes),
     )
+
+
+def evaluate_at(model: str, *, dataset: str, trained_on: str | None = None) -> tuple[Evaluation, Drift | None]:
+    """Judge the model of one place, as a task of an engine; where `trained_on` is given, also what has changed since.
+
+    Raises:
+        CyclekitError: As `evaluate` and `drift`.
+    """
+    opened, judged = load_model(Path(model)), Dataset.open(dataset)
+    changed = None if trained_on is None else drift(opened, Dataset.open(trained_on), judged)
+    return evaluate(opened, judged), changed
 
 
 def _held_out(model: TrainedModel) -> tuple[str, ...]:

@@ -187,6 +187,14 @@ def load_model(path: Path) -> TrainedModel:
     return TrainedModel(*made, weights, dict(about["card"]), layout.history)
 
 
+def models_in(path: Path) -> list[Path]:
+    """Return the models of a folder that is none itself, by name; else the path."""
+    recover(path)
+    if path.is_dir() and not (path / CARD).is_file():
+        return sorted(folder.parent for folder in path.glob(f"*/{CARD}")) or [path]
+    return [path]
+
+
 def _check_versions(about: dict[str, Any]) -> None:
     if about.get("format") != FORMAT:
         raise NotAModel("not the card of a cyclekit model")

@@ -23,6 +23,7 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.atomic import recover
 from cyclekit.errors import DatasetError, UnknownName
+from cyclekit.storage import local
 from cyclekit.tables import StoredTable
 
 if TYPE_CHECKING:
@@ -50,19 +51,27 @@ class Place:
 class Dataset:
     """A dataset opened for reading; tables are read when asked for."""
 
-    def __init__(self, path: Path, card: dict[str, Any]) -> None:
-        """Use `Dataset.open`; this only keeps what it is given."""
+    def __init__(self, path: Path, card: dict[str, Any], place: str | None = None) -> None:
+        """Use `Dataset.open`; this only keeps what it is given.
+
+        Args:
+            path: Its folder on this machine.
+            card: What its `dataset.json` says.
+            place: Where it can be opened from any machine; the folder where nothing else is given.
+        """
         self.path = path
         self.card = card
+        self.place = place or str(path)
 
     @classmethod
     def open(cls, path: Path | str) -> Dataset:
-        """Open the dataset at `path`.
+        """Open the dataset at `path`, a folder or a URL (`storage`).
 
         Raises:
             DatasetError: There is no dataset, or it is of another schema version.
+            StorageError: The URL cannot be read.
         """
-        path = Path(path)
+        place, path = str(path), local(path)
         text = _card_text(path)
         if text is None:
             seen = "no such folder" if not path.exists() else f"no {CARD} in it, so it is no cyclekit dataset"
@@ -77,7 +86,7 @@ class Dataset:
         if version != schema.SCHEMA_VERSION:
             msg = f"{path}: dataset of schema version {version}, this cyclekit reads version {schema.SCHEMA_VERSION}"
             raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
-        return cls(path, card)
+        return cls(path, card, place)
 
     @cached_property
     def executions(self) -> pl.DataFrame:

@@ -11,7 +11,6 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -126,7 +125,7 @@ def train_at(what: Training, *, progress: Progress | None = None) -> dict[str, A
         CyclekitError: As `train`, or the model cannot be written.
     """
     model = train(Dataset.open(what.dataset), what.spec, progress=progress)
-    save_model(Path(what.out), model)
+    save_model(what.out, model)
     return model.card
 
 

@@ -62,7 +62,7 @@ class NoisyDataset(Dataset):
 
     def __init__(self, dataset: Dataset, delta_m: float, seed: int) -> None:
         """Add noise of `delta_m` per axis, m."""
-        super().__init__(dataset.path, dataset.card)
+        super().__init__(dataset.path, dataset.card, dataset.place)
         self._clean, self._delta_m, self._seed = dataset, delta_m, seed
 
     @cached_property

@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import EngineName, Jobs, Json, Quiet, RayAddress, engine_of, levels, seconds
+from cyclekit.cli.options import (
+    EngineName,
+    Jobs,
+    Json,
+    LoggedPlace,
+    ModelPlace,
+    Quiet,
+    RayAddress,
+    engine_of,
+    levels,
+    seconds,
+)
 from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
 
 if TYPE_CHECKING:
@@ -23,11 +34,11 @@ _SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
 def estimate(
-    model: Annotated[Path, typer.Argument(help="Folder of the model.", metavar="MODEL")],
+    model: ModelPlace,
     sequences: Annotated[
         Path, typer.Argument(help="Sequence file: names and ordered places or tasks.", metavar="SEQUENCES.toml")
     ],
-    dataset: Annotated[Path, typer.Option(help="Dataset that holds the robot's motions and the operator's tracks.")],
+    dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the result here: JSON, or CSV for x.csv.")] = None,
     estimator: Annotated[
         str | None, typer.Option(help="rollout, average, history or nominal; by default what suits the model.")

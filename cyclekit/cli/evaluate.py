@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import EngineName, Jobs, Json, Quiet, RayAddress, engine_of
+from cyclekit.cli.options import DatasetPlace, EngineName, Jobs, Json, Quiet, RayAddress, engine_of
 from cyclekit.cli.terminal import Terminal, percent, table
 
 if TYPE_CHECKING:
@@ -20,10 +20,10 @@ EXAMPLE = "cyclekit evaluate model dataset"
 
 
 def evaluate(
-    model: Annotated[Path, typer.Argument(help="Folder of the model, or of several.", metavar="MODEL")],
-    dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", metavar="DATASET")],
+    model: Annotated[str, typer.Argument(help="Model, or a folder of several.", metavar="MODEL")],
+    dataset: DatasetPlace,
     trained_on: Annotated[
-        Path | None, typer.Option(help="Dataset of the training: says whether DATASET shows a changed cell.")
+        str | None, typer.Option(help="Dataset of the training: says whether DATASET shows a changed cell.")
     ] = None,
     engine: EngineName = "local",
     jobs: Jobs = None,
@@ -42,18 +42,18 @@ def evaluate(
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     models = models_in(model)
-    judge = partial(evaluate_at, dataset=str(dataset), trained_on=None if trained_on is None else str(trained_on))
+    judge = partial(evaluate_at, dataset=dataset, trained_on=trained_on)
     found: dict[str, tuple[Evaluation, Drift | None]] = {}
     with terminal.progress("evaluating") as progress:
-        for done in work.map(judge, [str(each) for each in models]):
+        for done in work.map(judge, models):
             found[done.item] = done.get()
             progress(len(found) / len(models), done.item)
     terminal.warnings(list(dict.fromkeys(note for judged, _ in found.values() for note in judged.notes)))
     if models == [model]:
-        judged, changed = found[str(model)]
+        judged, changed = found[model]
         terminal.answer(_document(judged, changed), _head(judged), _errors(judged), _levels(judged), _drift(changed))
         return
-    rows = {each.name: found[str(each)] for each in models}
+    rows = {Path(each).name: found[each] for each in models}
     documents = {name: _document(*both) for name, both in rows.items()}
     changes = [f"{name}\n{_drift(changed)}" for name, (_, changed) in rows.items() if changed is not None]
     terminal.answer({"models": documents}, _beside(rows), *changes)

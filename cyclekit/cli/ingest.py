@@ -17,8 +17,8 @@ EXAMPLE = "cyclekit ingest logs --out dataset"
 
 
 def ingest(
-    logs: Annotated[list[Path], typer.Argument(help="Logs: files and folders, in any mix.", metavar="LOGS...")],
-    out: Annotated[Path, typer.Option(help="Folder of the dataset.", metavar="DATASET")],
+    logs: Annotated[list[str], typer.Argument(help="Logs: files and folders, in any mix.", metavar="LOGS...")],
+    out: Annotated[str, typer.Option(help="Dataset to make: a folder or a URL.", metavar="DATASET")],
     cell: Annotated[Path | None, typer.Option(help="Cell file; default: cell.toml in the folder of logs.")] = None,
     engine: EngineName = "local",
     jobs: Jobs = None,
@@ -71,10 +71,10 @@ def ingest(
 def summary(report: IngestReport) -> str:
     """Return what an ingest did, in two or three lines."""
     if report.unchanged:
-        return f"{report.dataset}: up to date ({report.recordings_kept} recordings, nothing read again)"
+        return f"{report.place}: up to date ({report.recordings_kept} recordings, nothing read again)"
     kept = f", {report.recordings_kept} kept" if report.recordings_kept else ""
     return (
-        f"{report.dataset}: {report.executions} executions, {report.tasks} robot tasks, {report.samples} samples\n"
+        f"{report.place}: {report.executions} executions, {report.tasks} robot tasks, {report.samples} samples\n"
         f"  recordings: {report.recordings_new} read{kept}; files not read: {len(report.not_read)}\n"
-        f"next: cyclekit inspect {report.dataset}, or cyclekit train {report.dataset} --out model"
+        f"next: cyclekit inspect {report.place}, or cyclekit train {report.place} --out model"
     )

@@ -12,6 +12,11 @@ if TYPE_CHECKING:
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, all else on standard error.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no remarks; errors are still shown.")]
 
+DatasetPlace = Annotated[str, typer.Argument(help="Dataset: a folder or its URL.", metavar="DATASET")]
+ModelPlace = Annotated[str, typer.Argument(help="Model: a folder or its URL.", metavar="MODEL")]
+LoggedPlace = Annotated[
+    str, typer.Option("--dataset", help="Dataset that holds the robot's motions and the operator's tracks.")
+]
 EngineName = Annotated[Literal["local", "ray"], typer.Option(help="Where the work is done (docs/fleet.md).")]
 Jobs = Annotated[int | None, typer.Option(min=1, help="At the same time; default: 1, with Ray as many as cores.")]
 RayAddress = Annotated[

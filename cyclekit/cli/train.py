@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from cyclekit.cli.options import EngineName, Jobs, Json, Quiet, RayAddress, engine_of, seconds, whole_numbers
+from cyclekit.cli.options import (
+    DatasetPlace,
+    EngineName,
+    Jobs,
+    Json,
+    Quiet,
+    RayAddress,
+    engine_of,
+    seconds,
+    whole_numbers,
+)
 from cyclekit.cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -19,8 +28,8 @@ Network = Literal["classifier", "regressor", "lstm-1", "lstm-2", "mixed"]
 
 
 def train(
-    dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", metavar="DATASET")],
-    out: Annotated[Path, typer.Option(help="Folder of the model.", metavar="MODEL")],
+    dataset: DatasetPlace,
+    out: Annotated[str, typer.Option(help="Model to make: a folder or a URL.", metavar="MODEL")],
     problem: Annotated[
         Problem, typer.Option(help="Predict the scaling now, ahead by the horizon, or its average over it.")
     ] = "now",
@@ -63,14 +72,15 @@ def train(
     from functools import partial
 
     from cyclekit.models.spec import ModelSpec
+    from cyclekit.storage import join
     from cyclekit.train import Training, train_at
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     settings: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}
     spec = partial(ModelSpec.of, problem, network, horizon_s, norm=norm, **settings)
-    todo = [Training(str(dataset), spec(seed=seed), str(out))]
+    todo = [Training(dataset, spec(seed=seed), out)]
     if chosen is not None:
-        todo = [Training(str(dataset), spec(seed=one), str(out / f"seed-{one}")) for one in chosen]
+        todo = [Training(dataset, spec(seed=one), join(out, f"seed-{one}")) for one in chosen]
     with terminal.progress("training") as progress:
         here = work.stays_here(len(todo)) and len(todo) == 1
         cards: dict[str, dict[str, Any]] = {}

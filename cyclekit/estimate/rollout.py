@@ -208,7 +208,7 @@ def _walked(ask: _Asked, turn: _Round) -> Iterator[Rolled]:
     programs, tracks = turn.programs, turn.tracks
     if ask.altered is None and not ask.engine.stays_here(len(programs)):
         operator = turn.sequences[0].operator
-        asked = Asked(ask.model, str(ask.dataset.path), operator, turn.horizon_s, ask.seed)
+        asked = Asked(ask.model, ask.dataset.place, operator, turn.horizon_s, ask.seed)
         return roll_spread(ask.engine, asked, turn.sequences, len(tracks.executions))
     support = None if getattr(ask.model, "known_everywhere", False) else logged_support(ask.dataset)
     return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=Dynamics.of(ask.dataset.card))

@@ -8,7 +8,6 @@ a model is trained is the business of `train`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -150,7 +149,7 @@ def evaluate_at(model: str, *, dataset: str, trained_on: str | None = None) -> t
     Raises:
         CyclekitError: As `evaluate` and `drift`.
     """
-    opened, judged = load_model(Path(model)), Dataset.open(dataset)
+    opened, judged = load_model(model), Dataset.open(dataset)
     changed = None if trained_on is None else drift(opened, Dataset.open(trained_on), judged)
     return evaluate(opened, judged), changed
 

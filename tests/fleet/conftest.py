@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import secrets
 import signal
 import socket
 import subprocess
 import sys
+import time
+import urllib.request
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -88,3 +91,40 @@ def small_cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     (folder / "sequences.toml").write_text("\n".join(entries), encoding="utf-8")
     return folder
+
+
+@pytest.fixture(scope="session")
+def bucket(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The URL of a bucket on a real S3 server of this machine, which the environment points to."""
+    if find_spec("moto") is None:
+        pytest.skip("needs an S3 server: pip install 'moto[server]'")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    place, secret = f"http://127.0.0.1:{port}", secrets.token_hex(8)
+    given = {"AWS_ACCESS_KEY_ID": secret, "AWS_SECRET_ACCESS_KEY": secret, "AWS_DEFAULT_REGION": "us-east-1"}
+    given |= {"AWS_ENDPOINT_URL": place, "AWS_EC2_METADATA_DISABLED": "true"}
+    words = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
+    with (tmp_path_factory.mktemp("s3") / "server.log").open("w") as log, pytest.MonkeyPatch.context() as patch:
+        for name, value in given.items():
+            patch.setenv(name, value)
+        patch.setenv("CYCLEKIT_CACHE", str(tmp_path_factory.mktemp("cache")))
+        server = subprocess.Popen(words, stdout=log, stderr=log)
+        try:
+            _answers(port)
+            urllib.request.urlopen(urllib.request.Request(f"{place}/plant", method="PUT")).close()
+            yield "s3://plant"
+        finally:
+            server.kill()
+            server.wait()
+
+
+def _answers(port: int) -> None:
+    for _ in range(300):
+        try:
+            socket.create_connection(("127.0.0.1", port)).close()
+        except OSError:
+            time.sleep(0.1)
+        else:
+            return
+    raise TimeoutError(port)

@@ -62,6 +62,7 @@ class Dataset:
         self.path = path
         self.card = card
         self.place = place or str(path)
+        self._part = False
 
     @classmethod
     def open(cls, path: Path | str) -> Dataset:
@@ -87,6 +88,17 @@ class Dataset:
             msg = f"{path}: dataset of schema version {version}, this cyclekit reads version {schema.SCHEMA_VERSION}"
             raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
         return cls(path, card, place)
+
+    def only(self, executions: Sequence[str]) -> Dataset:
+        """Return the dataset as if it held these executions alone: their samples, tasks and entries.
+
+        Raises:
+            UnknownName: An execution is not in the dataset.
+        """
+        entries = [self._execution(name) for name in executions]
+        part = Dataset(self.path, {**self.card, "executions": entries}, self.place)
+        part._part = True
+        return part
 
     @cached_property
     def executions(self) -> pl.DataFrame:
@@ -124,6 +136,8 @@ class Dataset:
             UnknownName: An execution is not in the dataset.
         """
         files = sorted((self.path / "samples").glob("*.parquet"))
+        if executions is None and self._part:
+            executions = self.executions["execution"].to_list()
         if executions is not None:
             sessions = {self._execution(name)["session"] for name in executions}
             files = [file for file in files if file.stem in sessions]
@@ -135,11 +149,13 @@ class Dataset:
     def scan_samples(self) -> pl.LazyFrame:
         """Return all samples unread, for those who need a few columns of many executions."""
         files = sorted((self.path / "samples").glob("*.parquet"))
-        return pl.scan_parquet(files, glob=False) if files else schema.empty(schema.SAMPLES).lazy()
+        if not files:
+            return schema.empty(schema.SAMPLES).lazy()
+        return self._mine(pl.scan_parquet(files, glob=False))
 
     def tasks(self) -> pl.DataFrame:
         """Return one row per executed robot task (table TASKS)."""
-        return pl.read_parquet(self.path / "tasks.parquet", glob=False)
+        return self._mine(pl.scan_parquet(self.path / "tasks.parquet", glob=False)).collect()
 
     def quarantine(self) -> pl.DataFrame:
         """Return every row that was set aside (table QUARANTINE), in order of recording."""
@@ -185,8 +201,16 @@ class Dataset:
             return str(names[int(name) - 1])
         return str(self._execution(name)["execution"])
 
+    def _mine(self, rows: pl.LazyFrame) -> pl.LazyFrame:
+        """Return the rows of the executions that the dataset holds, if it is only a part of what is on the disk."""
+        return rows.filter(pl.col("execution").is_in(self.executions["execution"].to_list())) if self._part else rows
+
+    @cached_property
+    def _by_name(self) -> dict[str, dict[str, Any]]:
+        return {entry["execution"]: entry for entry in self.card["executions"]}
+
     def _execution(self, name: str) -> dict[str, Any]:
-        by_name = {entry["execution"]: entry for entry in self.card["executions"]}
+        by_name = self._by_name
         if name not in by_name:
             names = list(by_name)
             shown = ", ".join(names[:3]) + (f" … {names[-1]} ({len(names)} in all)" if len(names) > 3 else "")

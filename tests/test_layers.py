@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 FLOORS = [
     {"__main__"},
     {"cli"},
+    {"fleet"},
     {"benchmark", "describe", "replay", "report", "trace"},
     {"plan", "whatif", "zones"},
     {"estimate", "evaluate"},

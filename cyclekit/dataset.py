@@ -58,11 +58,13 @@ class Dataset:
             path: Its folder on this machine.
             card: What its `dataset.json` says.
             place: Where it can be opened from any machine; the folder where nothing else is given.
+
+        `is_part` is true of what `only` returns.
         """
         self.path = path
         self.card = card
         self.place = place or str(path)
-        self._part = False
+        self.is_part = False
 
     @classmethod
     def open(cls, path: Path | str) -> Dataset:
@@ -97,7 +99,7 @@ class Dataset:
         """
         entries = [self._execution(name) for name in executions]
         part = Dataset(self.path, {**self.card, "executions": entries}, self.place)
-        part._part = True
+        part.is_part = True
         return part
 
     @cached_property
@@ -136,15 +138,17 @@ class Dataset:
             UnknownName: An execution is not in the dataset.
         """
         files = sorted((self.path / "samples").glob("*.parquet"))
-        if executions is None and self._part:
+        if executions is None and self.is_part:
             executions = self.executions["execution"].to_list()
         if executions is not None:
             sessions = {self._execution(name)["session"] for name in executions}
             files = [file for file in files if file.stem in sessions]
         if not files:
             return schema.empty(schema.SAMPLES)
-        frame = pl.concat([pl.read_parquet(file, glob=False) for file in files])
-        return frame if executions is None else frame.filter(pl.col("execution").is_in(list(executions)))
+        if executions is None:
+            return pl.concat([pl.read_parquet(file, glob=False) for file in files])
+        wanted = pl.col("execution").is_in(list(executions))  # of a file, only what is wanted comes into memory
+        return pl.concat([pl.scan_parquet(file, glob=False).filter(wanted).collect() for file in files])
 
     def scan_samples(self) -> pl.LazyFrame:
         """Return all samples unread, for those who need a few columns of many executions."""
@@ -156,6 +160,11 @@ class Dataset:
     def tasks(self) -> pl.DataFrame:
         """Return one row per executed robot task (table TASKS)."""
         return self._mine(pl.scan_parquet(self.path / "tasks.parquet", glob=False)).collect()
+
+    def done_tasks(self) -> pl.DataFrame:
+        """Return which tasks were done in which executions: execution, task, each pair once."""
+        rows = self._mine(pl.scan_parquet(self.path / "tasks.parquet", glob=False))
+        return rows.select("execution", "task").unique(maintain_order=True).collect()
 
     def quarantine(self) -> pl.DataFrame:
         """Return every row that was set aside (table QUARANTINE), in order of recording."""
@@ -203,7 +212,7 @@ class Dataset:
 
     def _mine(self, rows: pl.LazyFrame) -> pl.LazyFrame:
         """Return the rows of the executions that the dataset holds, if it is only a part of what is on the disk."""
-        return rows.filter(pl.col("execution").is_in(self.executions["execution"].to_list())) if self._part else rows
+        return rows.filter(pl.col("execution").is_in(self.executions["execution"].to_list())) if self.is_part else rows
 
     @cached_property
     def _by_name(self) -> dict[str, dict[str, Any]]:

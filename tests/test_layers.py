@@ -20,7 +20,7 @@ FLOORS = [
     {"convert", "figures", "ingest", "train"},
     {"derive", "intake", "models"},
     {"discover", "scaling"},
-    {"account", "activity", "align", "calibrate", "dynamics", "labelling"},
+    {"account", "activity", "align", "calibrate", "dynamics", "labelling", "out_of_core"},
     {"load_runs", "people", "registry", "samples"},
     {"override", "plausible", "privacy", "segment", "session", "steps"},
     {"stored_run"},

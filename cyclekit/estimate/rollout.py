@@ -28,6 +28,7 @@ from cyclekit.estimate.spread import Asked, logged_support, roll_spread
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks, phase_is_free
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import Rolled, roll_all, roll_out
+from cyclekit.out_of_core import in_memory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -120,6 +121,7 @@ def estimate(
     """
     tell = progress or (lambda fraction, text: None)
     chosen = _chosen(model, estimator)
+    dataset, left_out = in_memory(dataset)
     nominal: Mapping[str, NominalTask] = nominal_tasks(dataset)
     nominal = altered.tasks(nominal) if altered else nominal
     programs = {sequence: lay_out(sequence, nominal, dataset) for sequence in sequences}
@@ -127,7 +129,7 @@ def estimate(
         check = None
     checked = check() if callable(check) else check
     ask = _Asked(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, checked, altered, engine)
-    limits = limits_of_logs(dataset, model)
+    limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, model)]
     found: list[CycleEstimate] = []
     means: list[Vector] = []
     for operator in dict.fromkeys(sequence.operator for sequence in sequences):
@@ -208,7 +210,8 @@ def _walked(ask: _Asked, turn: _Round) -> Iterator[Rolled]:
     programs, tracks = turn.programs, turn.tracks
     if ask.altered is None and not ask.engine.stays_here(len(programs)):
         operator = turn.sequences[0].operator
-        asked = Asked(ask.model, ask.dataset.place, operator, turn.horizon_s, ask.seed)
+        some = tuple(ask.dataset.executions["execution"]) if ask.dataset.is_part else None
+        asked = Asked(ask.model, ask.dataset.place, some, operator, turn.horizon_s, ask.seed)
         return roll_spread(ask.engine, asked, turn.sequences, len(tracks.executions))
     support = None if getattr(ask.model, "known_everywhere", False) else logged_support(ask.dataset)
     return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=Dynamics.of(ask.dataset.card))

@@ -30,10 +30,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Asked:
-    """What every task needs beside its sequences: model, dataset, operator, length of the tracks, seed."""
+    """What every task needs beside its sequences.
+
+    Attributes:
+        dataset: Its place.
+        executions: Which of it are looked at; None = all.
+        operator: Order of the operator's tasks; None = any.
+        horizon_s: Length of the tracks.
+    """
 
     model: SafetyModel
     dataset: str
+    executions: tuple[str, ...] | None
     operator: tuple[str, ...] | None
     horizon_s: float
     seed: int
@@ -55,7 +63,7 @@ def roll_spread(engine: Engine, asked: Asked, sequences: Sequence[TaskSequence],
 
 def _walk(asked: Asked, sequences: Sequence[TaskSequence]) -> list[Rolled]:
     with threadpool_limits(limits=1, user_api="blas"):
-        logs, nominal, tracks, support = _of_logs(asked.dataset, asked.operator, asked.horizon_s)
+        logs, nominal, tracks, support = _of_logs(asked.dataset, asked.executions, asked.operator, asked.horizon_s)
         programs = [lay_out(sequence, nominal, logs) for sequence in sequences]
         known = getattr(asked.model, "known_everywhere", False)
         dynamics = Dynamics.of(logs.card)
@@ -65,9 +73,10 @@ def _walk(asked: Asked, sequences: Sequence[TaskSequence]) -> list[Rolled]:
 
 @lru_cache(maxsize=1)
 def _of_logs(
-    dataset: str, operator: tuple[str, ...] | None, horizon_s: float
+    dataset: str, executions: tuple[str, ...] | None, operator: tuple[str, ...] | None, horizon_s: float
 ) -> tuple[Dataset, Mapping[str, NominalTask], OperatorTracks, Support]:
     logs = Dataset.open(dataset)
+    logs = logs if executions is None else logs.only(executions)
     tracks = operator_tracks(logs, horizon_s=horizon_s, operator=operator)
     return logs, nominal_tasks(logs), tracks, logged_support(logs)
 

@@ -19,6 +19,7 @@ from cyclekit.evaluate.drift import Drift, drift
 from cyclekit.labelling import without_slider
 from cyclekit.models.metrics import Metrics, measure
 from cyclekit.models.saved import load_model
+from cyclekit.out_of_core import memory_rows, some_executions
 from cyclekit.samples import Samples, build_samples
 from cyclekit.train import fingerprint
 
@@ -116,15 +117,19 @@ def evaluate(model: TrainedModel, dataset: Dataset, *, boosting: bool = True) ->
     """
     same = model.card.get("dataset_sha256") == fingerprint(dataset)
     executions = _held_out(model) if same else tuple(dataset.executions["execution"].to_list())
+    every = len(executions)
+    executions = some_executions(dataset, executions, memory_rows())
     rows = _rows(model, dataset, executions)
     if not len(rows):
         why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "it is empty"
         msg = f"{dataset.path}: no sample can be judged ({why})"
         raise DatasetError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
     metrics = measure(model, rows)
-    table, notes = list(_read_outs(metrics)), []
+    table, notes = list(_read_outs(metrics)), list[str]()
+    if len(executions) < every:
+        notes.append(f"{len(executions)} of {every} executions are judged, drawn at random: memory takes no more")
     if same:
-        learned = _rows(model, dataset, tuple(model.card["split"]["train"]))
+        learned = _rows(model, dataset, some_executions(dataset, model.card["split"]["train"], memory_rows()))
         table += rivals(learned, rows, model.levels, boosting=boosting)
     else:
         notes.append("not the dataset the model was trained on: all executions are judged, without rivals")

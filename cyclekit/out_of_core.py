@@ -70,9 +70,9 @@ def some_executions(dataset: Dataset, names: Sequence[str], rows: int, *, seed: 
 def in_memory(dataset: Dataset, *, seed: int = 0) -> tuple[Dataset, str | None]:
     """Return the dataset, or as much of it as memory takes and what was left out in a sentence.
 
-    Of each task, at least one execution is kept, however rare it is.
+    Of each task, at least one execution is kept, however rare it is. What is a part already stays as it is.
     """
-    if rows_of(dataset) <= memory_rows():
+    if dataset.is_part or rows_of(dataset) <= memory_rows():
         return dataset, None
     names = dataset.executions["execution"].to_list()
     chosen = set(some_executions(dataset, names, memory_rows(), seed=seed))

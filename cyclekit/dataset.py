@@ -23,6 +23,7 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.atomic import recover
 from cyclekit.errors import DatasetError, UnknownName
+from cyclekit.storage import local
 from cyclekit.tables import StoredTable
 
 if TYPE_CHECKING:
@@ -50,19 +51,30 @@ class Place:
 class Dataset:
     """A dataset opened for reading; tables are read when asked for."""
 
-    def __init__(self, path: Path, card: dict[str, Any]) -> None:
-        """Use `Dataset.open`; this only keeps what it is given."""
+    def __init__(self, path: Path, card: dict[str, Any], place: str | None = None) -> None:
+        """Use `Dataset.open`; this only keeps what it is given.
+
+        Args:
+            path: Its folder on this machine.
+            card: What its `dataset.json` says.
+            place: Where it can be opened from any machine; the folder where nothing else is given.
+
+        `is_part` is true of what `only` returns.
+        """
         self.path = path
         self.card = card
+        self.place = place or str(path)
+        self.is_part = False
 
     @classmethod
     def open(cls, path: Path | str) -> Dataset:
-        """Open the dataset at `path`.
+        """Open the dataset at `path`, a folder or a URL (`storage`).
 
         Raises:
             DatasetError: There is no dataset, or it is of another schema version.
+            StorageError: The URL cannot be read.
         """
-        path = Path(path)
+        place, path = str(path), local(path)
         text = _card_text(path)
         if text is None:
             seen = "no such folder" if not path.exists() else f"no {CARD} in it, so it is no cyclekit dataset"
@@ -77,7 +89,18 @@ class Dataset:
         if version != schema.SCHEMA_VERSION:
             msg = f"{path}: dataset of schema version {version}, this cyclekit reads version {schema.SCHEMA_VERSION}"
             raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
-        return cls(path, card)
+        return cls(path, card, place)
+
+    def only(self, executions: Sequence[str]) -> Dataset:
+        """Return the dataset as if it held these executions alone: their samples, tasks and entries.
+
+        Raises:
+            UnknownName: An execution is not in the dataset.
+        """
+        entries = [self._execution(name) for name in executions]
+        part = Dataset(self.path, {**self.card, "executions": entries}, self.place)
+        part.is_part = True
+        return part
 
     @cached_property
     def executions(self) -> pl.DataFrame:
@@ -115,22 +138,33 @@ class Dataset:
             UnknownName: An execution is not in the dataset.
         """
         files = sorted((self.path / "samples").glob("*.parquet"))
+        if executions is None and self.is_part:
+            executions = self.executions["execution"].to_list()
         if executions is not None:
             sessions = {self._execution(name)["session"] for name in executions}
             files = [file for file in files if file.stem in sessions]
         if not files:
             return schema.empty(schema.SAMPLES)
-        frame = pl.concat([pl.read_parquet(file, glob=False) for file in files])
-        return frame if executions is None else frame.filter(pl.col("execution").is_in(list(executions)))
+        if executions is None:
+            return pl.concat([pl.read_parquet(file, glob=False) for file in files])
+        wanted = pl.col("execution").is_in(list(executions))  # of a file, only what is wanted comes into memory
+        return pl.concat([pl.scan_parquet(file, glob=False).filter(wanted).collect() for file in files])
 
     def scan_samples(self) -> pl.LazyFrame:
         """Return all samples unread, for those who need a few columns of many executions."""
         files = sorted((self.path / "samples").glob("*.parquet"))
-        return pl.scan_parquet(files, glob=False) if files else schema.empty(schema.SAMPLES).lazy()
+        if not files:
+            return schema.empty(schema.SAMPLES).lazy()
+        return self._mine(pl.scan_parquet(files, glob=False))
 
     def tasks(self) -> pl.DataFrame:
         """Return one row per executed robot task (table TASKS)."""
-        return pl.read_parquet(self.path / "tasks.parquet", glob=False)
+        return self._mine(pl.scan_parquet(self.path / "tasks.parquet", glob=False)).collect()
+
+    def done_tasks(self) -> pl.DataFrame:
+        """Return which tasks were done in which executions: execution, task, each pair once."""
+        rows = self._mine(pl.scan_parquet(self.path / "tasks.parquet", glob=False))
+        return rows.select("execution", "task").unique(maintain_order=True).collect()
 
     def quarantine(self) -> pl.DataFrame:
         """Return every row that was set aside (table QUARANTINE), in order of recording."""
@@ -176,8 +210,16 @@ class Dataset:
             return str(names[int(name) - 1])
         return str(self._execution(name)["execution"])
 
+    def _mine(self, rows: pl.LazyFrame) -> pl.LazyFrame:
+        """Return the rows of the executions that the dataset holds, if it is only a part of what is on the disk."""
+        return rows.filter(pl.col("execution").is_in(self.executions["execution"].to_list())) if self.is_part else rows
+
+    @cached_property
+    def _by_name(self) -> dict[str, dict[str, Any]]:
+        return {entry["execution"]: entry for entry in self.card["executions"]}
+
     def _execution(self, name: str) -> dict[str, Any]:
-        by_name = {entry["execution"]: entry for entry in self.card["executions"]}
+        by_name = self._by_name
         if name not in by_name:
             names = list(by_name)
             shown = ", ".join(names[:3]) + (f" … {names[-1]} ({len(names)} in all)" if len(names) > 3 else "")

@@ -12,6 +12,8 @@
     ├── EstimateError       the question cannot be answered from these logs
     ├── ShapeError          arrays that do not fit together (a mistake of the caller)
     ├── BusyPlace           another process is writing where we were told to write
+    ├── StorageError        a URL cannot be read or written
+    ├── EngineError         the cluster cannot be reached, or a task's worker died again and again
     └── MissingExtra        an optional dependency is not installed
 
 A message has three parts: what was seen and where, the nearest right thing if one is near, and the cure. The parts
@@ -123,6 +125,19 @@ class BusyPlace(CyclekitError):
             f"{path}: another cyclekit{who} is writing there",
             cure="Wait until it has finished, or write somewhere else.",
         )
+
+
+class StorageError(CyclekitError):
+    """A place on shared storage cannot be read or written."""
+
+    def __init__(self, url: str, cause: str, *, cure: str | None = None) -> None:
+        """Name the URL first, without what may be secret in it."""
+        scheme, mark, rest = url.partition("?")[0].partition("://")
+        super().__init__(f"{scheme}{mark}{rest.rpartition('@')[2]}: {cause}", cure=cure)
+
+
+class EngineError(CyclekitError):
+    """The engine that was asked for cannot be reached, or lost what it was at again and again."""
 
 
 class MissingExtra(CyclekitError):

@@ -24,12 +24,14 @@ from cyclekit.config import Cell, NamedPlace, Source
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, find_all, matches
+from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import ConfigError, DatasetError, LogError
 from cyclekit.intake import How, read_all
 from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.privacy import dated_names, without_wall_clock, without_what_names
 from cyclekit.session import group_sessions
+from cyclekit.storage import mirrored, published
 from cyclekit.tables import StoredTable
 
 if TYPE_CHECKING:
@@ -43,6 +45,8 @@ class IngestReport:
     """What an ingest did.
 
     Attributes:
+        dataset: Its folder on this machine.
+        place: Where it was asked for: that folder, or a URL.
         recordings_new: Recordings read now.
         recordings_kept: Recordings taken over from the old dataset without reading their logs.
         not_read: Files that were found and not used, with the reason.
@@ -50,6 +54,7 @@ class IngestReport:
     """
 
     dataset: Path
+    place: str
     recordings_new: int
     recordings_kept: int
     executions: int
@@ -62,7 +67,7 @@ class IngestReport:
     def to_json(self) -> dict[str, Any]:
         """Return the report as plain JSON values."""
         not_read = [{"path": path, "reason": reason} for path, reason in self.not_read]
-        return {**vars(self), "dataset": str(self.dataset), "not_read": not_read, "warnings": list(self.warnings)}
+        return {**vars(self), "dataset": self.place, "not_read": not_read, "warnings": list(self.warnings)}
 
 
 def ingest(
@@ -70,7 +75,7 @@ def ingest(
     out: Path | str,
     *,
     cell: Path | Cell | None = None,
-    jobs: int = 1,
+    engine: Engine = LOCAL,
     rate_hz: float | None = None,
     pseudonymise: bool = False,
     keep_skeletons: bool = False,
@@ -81,10 +86,10 @@ def ingest(
     """Read logs into the dataset `out`, replacing what was there.
 
     Args:
-        logs: Files and folders, any mix.
-        out: Folder of the dataset.
+        logs: Files and folders, by path or URL, any mix.
+        out: Folder of the dataset, or the URL where it is published when it is complete.
         cell: Cell file; by default `cell.toml` beside the logs, if there is one.
-        jobs: Logs read at the same time, in processes of their own.
+        engine: Where logs are read, and how many at the same time.
         rate_hz: Rate of the samples, in place of the cell file's.
         pseudonymise: Keep neither the names that trackers give nor wall-clock time (docs/privacy.md).
         keep_skeletons: Keep every joint of every person, where a tracker has them; no estimate needs it.
@@ -99,26 +104,33 @@ def ingest(
         BusyPlace: Another process is writing the dataset.
         CyclekitError: The dataset cannot be written.
     """
-    tell = progress or (lambda fraction, text: None)
-    roots, out = [Path(path) for path in logs], Path(out)
-    _check(roots, out)
+    roots = [mirrored(place) for place in logs]
+    _check_logs(roots)
     settings = cell if isinstance(cell, Cell) else cell_for(roots, cell)
     if rate_hz is not None:
         settings = replace(settings, rate_hz=_rate(rate_hz))
     found, not_read = find_all(roots, settings)
     how = How(pseudonymise=pseudonymise, skeletons=keep_skeletons, checksums=checksums)
-    wanted = _Wanted(settings, tuple(found), tuple(not_read), jobs, how, align_clocks)
-    shelf = Shelf(out, "skeletons" if keep_skeletons else "plain")
+    wanted = _Wanted(settings, tuple(found), tuple(not_read), engine, how, align_clocks)
+    with published(out) as path:
+        report = _ingest(roots, path, wanted, progress or (lambda fraction, text: None))
+    return replace(report, place=str(out))
+
+
+def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -> IngestReport:
+    _check(roots, out)
+    how, count = wanted.how, len(wanted.logs)
+    shelf = Shelf(out, "skeletons" if how.skeletons else "plain")
     if not unsettled(out) and not shelf.is_left and (card := _up_to_date(out, wanted)):
-        return _report(out, card, new=0, kept=len(found), unchanged=True)
+        return _report(out, card, new=0, kept=count, unchanged=True)
     with locked(out):
         settle(out)
         if card := _up_to_date(out, wanted):
             shelf.clear()
-            return _report(out, card, new=0, kept=len(found), unchanged=True)
+            return _report(out, card, new=0, kept=count, unchanged=True)
         with built(out) as staging:
             explicit = {path for path in roots if path.is_file()}
-            card, kept = _build(wanted, staging, _old(out), explicit, None if pseudonymise else shelf, tell)
+            card, kept = _build(wanted, staging, _old(out), explicit, None if how.pseudonymise else shelf, tell)
         shelf.clear()
     return _report(out, card, new=len(card["recordings"]) - kept, kept=kept, unchanged=False)
 
@@ -130,7 +142,7 @@ class _Wanted:
     cell: Cell
     logs: tuple[Log, ...]
     not_read: tuple[tuple[str, str], ...]
-    jobs: int
+    engine: Engine
     how: How
     align_clocks: Literal["coarse"] | None = None
 
@@ -157,7 +169,7 @@ def _build(
         staging,
         old=None if wanted.how.pseudonymise or not alike else old,
         shelf=shelf,
-        jobs=wanted.jobs,
+        engine=wanted.engine,
         how=wanted.how,
         tell=lambda f, text: tell(0.6 * f, text),
     )
@@ -196,10 +208,14 @@ def _rate(rate_hz: float) -> float:
     return rate_hz
 
 
-def _check(roots: Sequence[Path], out: Path) -> None:
+def _check_logs(roots: Sequence[Path]) -> None:
     for path in roots:
         if not path.exists():
             raise LogError(path, "no such file or folder", cure="Check the path.")
+
+
+def _check(roots: Sequence[Path], out: Path) -> None:
+    for path in roots:
         if path.is_dir() and out.resolve() == path.resolve():
             raise LogError(path, "is both the logs and the dataset", cure="Give --out a folder of its own.")
     if out.is_file() or (out.is_dir() and any(out.iterdir()) and not (out / CARD).is_file()):
@@ -273,6 +289,7 @@ def _report(out: Path, card: dict[str, Any], *, new: int, kept: int, unchanged: 
     warnings = [*card["warnings"], *(f"{_shown(e)}: {text}" for e in card["recordings"] for text in e["warnings"])]
     return IngestReport(
         dataset=out,
+        place=str(out),
         recordings_new=new,
         recordings_kept=kept,
         executions=len(card["executions"]),

@@ -64,6 +64,7 @@ class Samples:
             where there is no history.
         ahead: Row of `table` at the end of each row's window, shape (N,): where the operator will be; with a history.
         dropped: Rows left out, by reason.
+        in_files: The arrays are mapped from files and may be larger than memory (`out_of_core`).
     """
 
     X: NDArray[np.float32]
@@ -78,6 +79,7 @@ class Samples:
     before: NDArray[np.int64] | None = None
     ahead: NDArray[np.int64] | None = None
     dropped: Mapping[str, int] = field(default_factory=dict)
+    in_files: bool = False
 
     def __len__(self) -> int:
         """Return N."""

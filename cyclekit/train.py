@@ -9,18 +9,23 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tempfile
+from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import cyclekit
 from cyclekit import schema
+from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, MissingExtra
 from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
 from cyclekit.models.metrics import measure
-from cyclekit.models.saved import MODEL_VERSION, TrainedModel
+from cyclekit.models.saved import MODEL_VERSION, TrainedModel, save_model
+from cyclekit.out_of_core import PART_ROWS, frames, in_files, memory_rows, rows_of, some_executions
 from cyclekit.samples import (
     GROUPS,
     Samples,
@@ -32,11 +37,12 @@ from cyclekit.samples import (
 from cyclekit.steps import Staircase, second_opinion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping, Sequence
 
     import polars as pl
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.models.fitting import Fitted
+    from cyclekit.models.metrics import Metrics
     from cyclekit.models.spec import ModelSpec
 
     Progress = Callable[[float, str], None]
@@ -59,6 +65,9 @@ class Split:
 def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None) -> TrainedModel:
     """Train the network of `spec` on `dataset` and judge it on held-out executions.
 
+    Of a dataset with more samples than `memory_rows`, the rows to learn from are kept in temporary files and read in
+    blocks, so that memory does not grow with them; levels are found in some of the executions.
+
     Args:
         dataset: With a speed scaling, logged or inferred, and positions of robot and operator.
         spec: What to train.
@@ -75,38 +84,135 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
     _need_torch()
     from cyclekit.models.fitting import fit  # here, so that this module can be imported without torch
 
+    with tempfile.TemporaryDirectory(prefix="cyclekit-") as folder:
+        if rows_of(dataset) <= memory_rows():
+            found = _in_memory(dataset, spec)
+        else:
+            found = _in_parts(dataset, spec, Path(folder), memory_rows())
+        _check_learnable(dataset, found.learn, found.check, found.held_out, spec)
+        fitted = fit(spec, found.learn, found.check, found.levels, progress, known=found.known)
+        made = (spec.problem, spec.network, spec.horizon_s, found.levels, fitted.weights)
+        model = TrainedModel(*made, history=spec.history)
+        card = _card(dataset, spec, found, fitted, measure(model, found.held_out))
+    return replace(model, card=json.loads(json.dumps(card)))  # as it will be read back: lists, no tuples
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """What a model learns from and is judged by.
+
+    Attributes:
+        seen: Samples of executions to learn from (some of them, where there are very many), for levels and the like.
+        notes: What was done to them, one sentence each.
+    """
+
+    learn: Samples
+    check: Samples
+    held_out: Samples
+    split: Split
+    staircase: Staircase
+    levels: tuple[float, ...]
+    known: tuple[str, ...]
+    seen: pl.DataFrame
+    notes: tuple[str, ...]
+    dropped: Mapping[str, int]
+
+
+def _in_memory(dataset: Dataset, spec: ModelSpec) -> _Rows:
     frame = dataset.samples(dataset.executions["execution"].to_list())
     frame, slider = without_slider(dataset, frame)
     build = partial(build_samples, problem=spec.problem, horizon_s=spec.horizon_s, history=spec.history)
     everything = build(frame, levels=(), allow=GROUPS)
     either = groups_seen_both_ways(everything, MIN_ROWS // 2)
-    split = _split(dataset, _enough(dataset, frame, build(frame, levels=(), allow=either)), spec)
+    usable = _enough(dataset, frame, build(frame, levels=(), allow=either))
+    split = _split(dataset, [usable.executions[i] for i in np.unique(usable.execution)], spec)
     seen = frame.filter(frame["execution"].is_in([*split.train, *split.validation]))
     staircase = _staircase(dataset, seen, spec)
-    levels = tuple(round(float(level), 6) for level in staircase.levels)
+    levels = _rounded(staircase)
     known = groups_seen_both_ways(everything.of(split.train), MIN_ROWS // 2)
     rows = _enough(dataset, frame, build(frame, levels=levels, allow=known))
     learn, check, held_out = (rows.of(part) for part in (split.train, split.validation, split.test))
-    _check_learnable(dataset, learn, check, held_out, spec)
-    fitted = fit(spec, learn, check, levels, progress, known=known)
-    model = TrainedModel(spec.problem, spec.network, spec.horizon_s, levels, fitted.weights, history=spec.history)
-    card = {
+    notes = (slider,) if slider else ()
+    return _Rows(learn, check, held_out, split, staircase, levels, known, seen, notes, rows.dropped)
+
+
+def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -> _Rows:
+    """Do as `_in_memory` for more samples than memory takes: rows to learn from stay in files of `folder`.
+
+    Levels and what may be unknown are found in as many executions as memory takes. Of those held out there are no more
+    than that either: a tenth of it already tells an error to a hundredth of itself.
+    """
+    most = most_rows / 10 / rows_of(dataset)
+    parts = (min(spec.test_fraction, most), min(spec.validation_fraction, most))
+    smaller = replace(spec, test_fraction=parts[0], validation_fraction=parts[1])
+    split = _split(dataset, dataset.executions["execution"].to_list(), smaller)
+    some = some_executions(dataset, [*split.train, *split.validation], most_rows // 2, seed=spec.seed)
+    seen, slider = without_slider(dataset, dataset.samples(some))
+    build = partial(build_samples, problem=spec.problem, horizon_s=spec.horizon_s, history=spec.history)
+    known = groups_seen_both_ways(build(seen, levels=(), allow=GROUPS), MIN_ROWS // 2)
+    staircase = _staircase(dataset, seen, spec)
+    levels = _rounded(staircase)
+    _enough(dataset, seen, build(seen, levels=levels, allow=known))
+
+    def rows(frame: pl.DataFrame) -> Samples:
+        found = build(without_slider(dataset, frame)[0] if slider else frame, levels=levels, allow=known)
+        on_level = found.where(found.step >= 0) if spec.network == "classifier" else found
+        return replace(on_level, dropped=found.dropped)
+
+    learn = in_files((rows(frame) for frame in frames(dataset, split.train, min(PART_ROWS, most_rows))), folder)
+    check, held_out = (
+        build(without_slider(dataset, frame)[0] if slider else frame, levels=levels, allow=known)
+        for frame in (dataset.samples(split.validation), dataset.samples(split.test))
+    )
+    dropped = sum((Counter(part.dropped) for part in (learn, check, held_out)), Counter[str]())
+    note = f"more samples than memory takes: levels were found in {len(some)} executions, rows learned from in files"
+    notes = (*((slider,) if slider else ()), note)
+    return _Rows(learn, check, held_out, split, staircase, levels, known, seen, notes, dict(dropped))
+
+
+def _rounded(staircase: Staircase) -> tuple[float, ...]:
+    return tuple(round(float(level), 6) for level in staircase.levels)
+
+
+def _card(dataset: Dataset, spec: ModelSpec, found: _Rows, fitted: Fitted, metrics: Metrics) -> dict[str, Any]:
+    shares = zip(found.levels, found.staircase.share, strict=True)
+    sizes = {"train": len(found.learn), "validation": len(found.check), "test": len(found.held_out)}
+    return {
         **_origin(dataset, spec),
-        "metrics": measure(model, held_out).to_json(),
-        "levels": [{"value": v, "share": round(float(s), 6)} for v, s in zip(levels, staircase.share, strict=True)],
-        "warnings": [*([slider] if slider else []), *staircase.warnings, *_other_opinion(seen, staircase)],
+        "metrics": metrics.to_json(),
+        "levels": [{"value": v, "share": round(float(s), 6)} for v, s in shares],
+        "warnings": [*found.notes, *found.staircase.warnings, *_other_opinion(found.seen, found.staircase)],
         "temperature": fitted.temperature,
-        "may_be_unknown": list(known),
-        "scaling_without_operator": scaling_without_operator(seen),
-        "mean_scaling": float(learn.scaling.mean()),
-        "rows": {"train": len(learn), "validation": len(check), "test": len(held_out)},
-        "dropped": dict(rows.dropped),
-        "inputs": list(rows.inputs),
+        "may_be_unknown": list(found.known),
+        "scaling_without_operator": scaling_without_operator(found.seen),
+        "mean_scaling": float(found.learn.scaling.mean()),
+        "rows": sizes,
+        "dropped": dict(found.dropped),
+        "inputs": list(found.learn.inputs),
         "standardisation": {"mean_m": fitted.mean.tolist(), "scale_1_m": fitted.scale.tolist()},
-        "split": asdict(split),
+        "split": asdict(found.split),
         "history": [asdict(epoch) for epoch in fitted.history],
     }
-    return replace(model, card=json.loads(json.dumps(card)))  # as it will be read back: lists, no tuples
+
+
+@dataclass(frozen=True)
+class Training:
+    """One model to train, as a task of an engine: the places of dataset and model, and what to train."""
+
+    dataset: str
+    spec: ModelSpec
+    out: str
+
+
+def train_at(what: Training, *, progress: Progress | None = None) -> dict[str, Any]:
+    """Train a model and put it in its place; return its card.
+
+    Raises:
+        CyclekitError: As `train`, or the model cannot be written.
+    """
+    model = train(Dataset.open(what.dataset), what.spec, progress=progress)
+    save_model(what.out, model)
+    return model.card
 
 
 def fingerprint(dataset: Dataset) -> str:
@@ -171,8 +277,7 @@ def _other_opinion(frame: pl.DataFrame, staircase: Staircase) -> list[str]:
     return [] if other is None else [other]
 
 
-def _split(dataset: Dataset, rows: Samples, spec: ModelSpec) -> Split:
-    names = [rows.executions[i] for i in np.unique(rows.execution)]
+def _split(dataset: Dataset, names: Sequence[str], spec: ModelSpec) -> Split:
     if len(names) < MIN_EXECUTIONS:
         msg = f"{dataset.path}: {len(names)} usable execution(s); at least {MIN_EXECUTIONS} are needed"
         cure = "One to learn from, one to stop at, one to judge by: log more, or mark in cell.toml how they begin."

@@ -13,6 +13,7 @@ import typer.main
 
 from cyclekit.cli import app
 from cyclekit.config import load_cell
+from cyclekit.fleet import load_fleet
 from cyclekit.plan import load_jobs
 from cyclekit.sequences import load_sequences
 from cyclekit.whatif import load_changes
@@ -84,7 +85,9 @@ def blocks(language: str) -> list[tuple[str, str]]:
 def test_a_toml_example_is_a_file_that_is_accepted(document: str, block: str, tmp_path: Path) -> None:
     file = tmp_path / "example.toml"
     file.write_text(block, encoding="utf-8")
-    if "[[sequence]]" in block:
+    if "[[cell]]" in block:
+        assert load_fleet(file), document
+    elif "[[sequence]]" in block:
         assert load_sequences(file), document
     elif "[[change]]" in block:
         assert load_changes(file), document

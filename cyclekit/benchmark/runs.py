@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from cyclekit.benchmark.floors import bayes, plug_in
 from cyclekit.benchmark.plan import FLOORS, SCENES, Entry, entries
 from cyclekit.benchmark.rivals import predict_by
 from cyclekit.dataset import Dataset
+from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import DatasetError
 from cyclekit.models.calibration import reliability
 from cyclekit.models.spec import ModelSpec
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
     from cyclekit.models.saved import TrainedModel
 
-    Prepare = Callable[[str, int, Path], Path]
+    Prepare = Callable[[str, int, Path], object]
     Progress = Callable[[float, str], None]
 
 RESULTS = "results"
@@ -61,7 +62,7 @@ class NoisyDataset(Dataset):
 
     def __init__(self, dataset: Dataset, delta_m: float, seed: int) -> None:
         """Add noise of `delta_m` per axis, m."""
-        super().__init__(dataset.path, dataset.card)
+        super().__init__(dataset.path, dataset.card, dataset.place)
         self._clean, self._delta_m, self._seed = dataset, delta_m, seed
 
     @cached_property
@@ -77,39 +78,78 @@ class NoisyDataset(Dataset):
         return frame if executions is None else frame.filter(pl.col("execution").is_in(list(executions)))
 
 
-def benchmark_paper(settings: Settings, out: Path, prepare: Prepare, progress: Progress) -> list[dict[str, Any]]:
+def benchmark_paper(
+    settings: Settings, out: Path, prepare: Prepare, progress: Progress, engine: Engine = LOCAL
+) -> list[dict[str, Any]]:
     """Run what is missing and return every result.
 
     Args:
         settings: What to run.
         out: Folder; `out/results` holds a JSON file per number.
-        prepare: Simulates and ingests `scene` with `seed` under a folder and returns the dataset's place, beside which
-            lies `truth.json`; called once for each, and not where the dataset is there.
+        prepare: Simulates and ingests `scene` with `seed` into `dataset` of a folder, and puts `truth.json` beside it,
+            unless both are there.
         progress: Told the fraction done and what is being done.
+        engine: Where the work is done: first each missing dataset, then each missing number, is a task.
     """
     wanted = [
-        (scene, seed, entry)
+        _Wanted(scene, seed, entry)
         for seed in settings.seeds
         for scene in settings.scenes
         for entry in entries()
         if settings.only in f"{scene}_{entry.key}"
     ]
-    found, cell, place = [], None, ("", -1, -1.0)
-    for number, (scene, seed, entry) in enumerate(wanted):
-        progress(number / len(wanted), f"{scene}, seed {seed}: {entry.key}")
-        file = out / RESULTS / f"{scene}_{settings.executions}_{seed}_{settings.steps or 'default'}_{entry.key}.json"
-        if file.is_file():
-            found.append(json.loads(file.read_text(encoding="utf-8")))
-            continue
-        if place != (scene, seed, entry.delta_m) or cell is None:
-            folder = out / f"{scene}-{settings.executions}-{seed}"
-            cell = _Cell(prepare(scene, seed, folder), entry.delta_m, seed, settings.steps)
-            place = (scene, seed, entry.delta_m)
-        result = {"scene": scene, "seed": seed, "executions": settings.executions, **vars(entry), **cell.judge(entry)}
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_text(file, json.dumps(result) + "\n")
-        found.append(json.loads(json.dumps(result)))
-    return found
+    _cell.cache_clear()
+    files = [_file(settings, out, each) for each in wanted]
+    missing = [each for each, file in zip(wanted, files, strict=True) if not file.is_file()]
+    cells = list(dict.fromkeys((each.scene, each.seed) for each in missing))
+    steps, done = len(cells) + len(wanted), len(wanted) - len(missing)
+    for made in engine.map(partial(_prepared, prepare, out, settings.executions), cells):
+        made.get()
+        done += 1
+        progress(done / steps, "{}, seed {}: dataset".format(*made.item))
+    for judged in engine.map(partial(_judge, settings, out), missing):
+        judged.get()
+        done += 1
+        progress(done / steps, f"{judged.item.scene}, seed {judged.item.seed}: {judged.item.entry.key}")
+    return [json.loads(file.read_text(encoding="utf-8")) for file in files]
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """One number of the plan."""
+
+    scene: str
+    seed: int
+    entry: Entry
+
+
+def _file(settings: Settings, out: Path, each: _Wanted) -> Path:
+    steps = settings.steps or "default"
+    return out / RESULTS / f"{each.scene}_{settings.executions}_{each.seed}_{steps}_{each.entry.key}.json"
+
+
+def _folder(out: Path, scene: str, executions: int, seed: int) -> Path:
+    return out / f"{scene}-{executions}-{seed}"
+
+
+def _prepared(prepare: Prepare, out: Path, executions: int, cell: tuple[str, int]) -> None:
+    prepare(*cell, _folder(out, cell[0], executions, cell[1]))
+
+
+def _judge(settings: Settings, out: Path, each: _Wanted) -> None:
+    """Find one number and write it down; the cell of the last one is kept for the next."""
+    entry = each.entry
+    place = _folder(out, each.scene, settings.executions, each.seed) / "dataset"
+    cell = _cell(place, entry.delta_m, each.seed, settings.steps)
+    about = {"scene": each.scene, "seed": each.seed, "executions": settings.executions}
+    file = _file(settings, out, each)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_text(file, json.dumps({**about, **vars(entry), **cell.judge(entry)}) + "\n")
+
+
+@lru_cache(maxsize=1)
+def _cell(place: Path, delta_m: float, seed: int, steps: int | None) -> _Cell:
+    return _Cell(place, delta_m, seed, steps)
 
 
 class _Cell:

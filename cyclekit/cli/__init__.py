@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ORDER = (
     *("demo", "simulate", "calibrate", "ingest", "inspect", "trace", "convert"),
     *("levels", "train", "evaluate", "estimate", "plan", "zones", "whatif", "replay", "report"),
-    *("export", "benchmark", "adapters"),
+    *("fleet", "export", "benchmark", "adapters"),
 )
 """The commands in the order of the work; each is a module of this package with a function of its name."""
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.options import EngineName, Jobs, Json, Quiet, RayAddress, engine_of, whole_numbers
 from cyclekit.cli.terminal import Terminal
 
 SCENES = ("box-picking", "pick-and-package", "laser-zones")
@@ -28,6 +28,9 @@ def benchmark(
     steps: Annotated[int | None, typer.Option(min=10, help="Steps of every training; default: what suits.")] = None,
     only: Annotated[str, typer.Option(help="Only numbers whose name contains this.")] = "",
     page: Annotated[Path | None, typer.Option(help="Also put the tables into this Markdown file.")] = None,
+    engine: EngineName = "local",
+    jobs: Jobs = None,
+    ray_address: RayAddress = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -40,10 +43,10 @@ def benchmark(
     from cyclekit.benchmark.tables import markdown, put_into, write_figures
 
     del what
-    terminal = Terminal(json=json, quiet=quiet)
-    settings = Settings(executions, _numbers(seeds), _names(scenes), steps, only)
+    terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
+    settings = Settings(executions, whole_numbers(seeds), _names(scenes), steps, only)
     with terminal.progress("benchmark") as progress:
-        results = benchmark_paper(settings, out, partial(_prepared, executions), progress)
+        results = benchmark_paper(settings, out, partial(_prepared, executions), progress, work)
         text = markdown(results)
         write_text(out / "tables.md", text)
         write_figures(results, out / "figures")
@@ -52,7 +55,7 @@ def benchmark(
     terminal.answer({"out": str(out), "results": results}, text)
 
 
-def _prepared(executions: int, scene: str, seed: int, folder: Path) -> Path:
+def _prepared(executions: int, scene: str, seed: int, folder: Path) -> None:
     """Simulate and ingest one scene unless that was done; keep the truth beside the dataset, and drop the logs."""
     import shutil
 
@@ -61,24 +64,12 @@ def _prepared(executions: int, scene: str, seed: int, folder: Path) -> Path:
 
     dataset = folder / "dataset"
     if (dataset / "dataset.json").is_file() and (folder / "truth.json").is_file():
-        return dataset
+        return
     folder.mkdir(parents=True, exist_ok=True)
     logs = simulated(scene, folder / "logs", executions, seed, {}, lambda _share, _what: None)
     shutil.copyfile(logs / "truth" / "truth.json", folder / "truth.json")
     ingest([logs], dataset)
     shutil.rmtree(logs)
-    return dataset
-
-
-def _numbers(text: str) -> tuple[int, ...]:
-    try:
-        seeds = tuple(dict.fromkeys(int(word) for word in text.split(",")))
-    except ValueError as error:
-        msg = f"--seeds {text!r} are no whole numbers with commas between"
-        raise typer.BadParameter(msg) from error
-    if min(seeds) < 0:
-        raise typer.BadParameter("seeds are not negative")
-    return seeds
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -94,12 +94,13 @@ class _Run:
 
 def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) -> Dataset:
     from cyclekit.dataset import Dataset
+    from cyclekit.engine import Engine
     from cyclekit.ingest import ingest
 
     with run.step(f"simulate {executions} executions of {SCENE}") as progress:
         logs = simulated(SCENE, run.out / "logs", executions, seed, settings, progress)
     with run.step("ingest the logs") as progress:
-        ingest([logs], run.out / "dataset", jobs=2, progress=progress)
+        ingest([logs], run.out / "dataset", engine=Engine(jobs=2), progress=progress)
     return Dataset.open(run.out / "dataset")
 
 
@@ -111,7 +112,7 @@ def _model(run: _Run, dataset: Dataset, seed: int) -> TrainedModel:
     with run.step("train the safety function") as progress:
         save_model(run.out / "model", train(dataset, ModelSpec.of(seed=seed), progress=progress))
     model = load_model(run.out / "model")  # as the other commands will find it
-    run.terminal.remark(f"  {summary(model)}")
+    run.terminal.remark(f"  {summary(model.card)}")
     return model
 
 

@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet, levels, seconds
+from cyclekit.cli.options import (
+    EngineName,
+    Jobs,
+    Json,
+    LoggedPlace,
+    ModelPlace,
+    Quiet,
+    RayAddress,
+    engine_of,
+    levels,
+    seconds,
+)
 from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
 
 if TYPE_CHECKING:
@@ -23,11 +34,11 @@ _SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
 def estimate(
-    model: Annotated[Path, typer.Argument(help="Folder of the model.", metavar="MODEL")],
+    model: ModelPlace,
     sequences: Annotated[
         Path, typer.Argument(help="Sequence file: names and ordered places or tasks.", metavar="SEQUENCES.toml")
     ],
-    dataset: Annotated[Path, typer.Option(help="Dataset that holds the robot's motions and the operator's tracks.")],
+    dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the result here: JSON, or CSV for x.csv.")] = None,
     estimator: Annotated[
         str | None, typer.Option(help="rollout, average, history or nominal; by default what suits the model.")
@@ -43,6 +54,9 @@ def estimate(
     extrapolate: Annotated[
         bool, typer.Option("--extrapolate", help="Answer even where nothing like it was logged.")
     ] = False,
+    engine: EngineName = "local",
+    jobs: Jobs = None,
+    ray_address: RayAddress = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -56,7 +70,7 @@ def estimate(
     from cyclekit.models.saved import load_model
     from cyclekit.sequences import load_sequences
 
-    terminal = Terminal(json=json, quiet=quiet)
+    terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     wanted = load_sequences(sequences)
     asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
     opened, logs = load_model(model), Dataset.open(dataset)
@@ -77,6 +91,7 @@ def estimate(
             seed=seed,
             extrapolate=extrapolate,
             check=checked if check else None,
+            engine=work,
             progress=progress,
         )
     document: dict[str, Any] = {"sequences": [entry.to_json() for entry in found]}

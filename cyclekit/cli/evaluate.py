@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.options import DatasetPlace, EngineName, Jobs, Json, Quiet, RayAddress, engine_of
 from cyclekit.cli.terminal import Terminal, percent, table
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from cyclekit.evaluate import Evaluation
     from cyclekit.evaluate.drift import Drift
 
@@ -18,11 +20,14 @@ EXAMPLE = "cyclekit evaluate model dataset"
 
 
 def evaluate(
-    model: Annotated[Path, typer.Argument(help="Folder of the model.", metavar="MODEL")],
-    dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", metavar="DATASET")],
+    model: Annotated[str, typer.Argument(help="Model, or a folder of several.", metavar="MODEL")],
+    dataset: DatasetPlace,
     trained_on: Annotated[
-        Path | None, typer.Option(help="Dataset of the training: says whether DATASET shows a changed cell.")
+        str | None, typer.Option(help="Dataset of the training: says whether DATASET shows a changed cell.")
     ] = None,
+    engine: EngineName = "local",
+    jobs: Jobs = None,
+    ray_address: RayAddress = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -30,19 +35,41 @@ def evaluate(
 
     On newer logs with --trained-on: whether safety function or habits changed.
     """
-    from cyclekit.dataset import Dataset
-    from cyclekit.evaluate import evaluate as evaluate_model
-    from cyclekit.evaluate.drift import drift
-    from cyclekit.models.saved import load_model
+    from functools import partial
 
-    terminal = Terminal(json=json, quiet=quiet)
-    with terminal.progress("evaluating"):
-        opened, judged = load_model(model), Dataset.open(dataset)
-        found = evaluate_model(opened, judged)
-        changed = None if trained_on is None else drift(opened, Dataset.open(trained_on), judged)
-    terminal.warnings(found.notes)
-    document = found.to_json() | ({} if changed is None else {"drift": changed.to_json()})
-    terminal.answer(document, _head(found), _errors(found), _levels(found), _drift(changed))
+    from cyclekit.evaluate import evaluate_at
+    from cyclekit.models.saved import models_in
+
+    terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
+    models = models_in(model)
+    judge = partial(evaluate_at, dataset=dataset, trained_on=trained_on)
+    found: dict[str, tuple[Evaluation, Drift | None]] = {}
+    with terminal.progress("evaluating") as progress:
+        for done in work.map(judge, models):
+            found[done.item] = done.get()
+            progress(len(found) / len(models), done.item)
+    terminal.warnings(list(dict.fromkeys(note for judged, _ in found.values() for note in judged.notes)))
+    if models == [model]:
+        judged, changed = found[model]
+        terminal.answer(_document(judged, changed), _head(judged), _errors(judged), _levels(judged), _drift(changed))
+        return
+    rows = {Path(each).name: found[each] for each in models}
+    documents = {name: _document(*both) for name, both in rows.items()}
+    changes = [f"{name}\n{_drift(changed)}" for name, (_, changed) in rows.items() if changed is not None]
+    terminal.answer({"models": documents}, _beside(rows), *changes)
+
+
+def _document(found: Evaluation, changed: Drift | None) -> dict[str, Any]:
+    return found.to_json() | ({} if changed is None else {"drift": changed.to_json()})
+
+
+def _beside(found: Mapping[str, tuple[Evaluation, Drift | None]]) -> str:
+    """Return one row per model."""
+    rows = [
+        [name, judged.network, str(judged.metrics.rows), f"{judged.metrics.mse_mean:.2e}", f"{judged.metrics.mae:.4f}"]
+        for name, (judged, _) in found.items()
+    ]
+    return table(["model ", "network ", "samples", "MSE", "mean abs. error"], rows)
 
 
 def _head(found: Evaluation) -> str:

@@ -7,14 +7,14 @@ from typing import Annotated
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.options import Json, ModelPlace, Quiet
 from cyclekit.cli.terminal import Terminal
 
 EXAMPLE = "cyclekit export model --out model.onnx"
 
 
 def export(
-    model: Annotated[Path, typer.Argument(help="Folder of the model.", metavar="MODEL")],
+    model: ModelPlace,
     out: Annotated[Path, typer.Option(help="The ONNX file to write.", metavar="FILE")],
     json: Json = False,
     quiet: Quiet = False,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.options import EngineName, Jobs, Json, Quiet, RayAddress, engine_of
 from cyclekit.cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -17,10 +17,12 @@ EXAMPLE = "cyclekit ingest logs --out dataset"
 
 
 def ingest(
-    logs: Annotated[list[Path], typer.Argument(help="Logs: files and folders, in any mix.", metavar="LOGS...")],
-    out: Annotated[Path, typer.Option(help="Folder of the dataset.", metavar="DATASET")],
+    logs: Annotated[list[str], typer.Argument(help="Logs: files and folders, in any mix.", metavar="LOGS...")],
+    out: Annotated[str, typer.Option(help="Dataset to make: a folder or a URL.", metavar="DATASET")],
     cell: Annotated[Path | None, typer.Option(help="Cell file; default: cell.toml in the folder of logs.")] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Logs read at the same time.")] = 1,
+    engine: EngineName = "local",
+    jobs: Jobs = None,
+    ray_address: RayAddress = None,
     rate: Annotated[
         float | None, typer.Option(help="Samples a second; default: that of the cell file, or 10.", metavar="HZ")
     ] = None,
@@ -46,13 +48,13 @@ def ingest(
     """
     from cyclekit.ingest import ingest as ingest_logs
 
-    terminal = Terminal(json=json, quiet=quiet)
+    terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     with terminal.progress("ingesting") as progress:
         report = ingest_logs(
             logs,
             out,
             cell=cell,
-            jobs=jobs,
+            engine=work,
             rate_hz=rate,
             keep_skeletons=keep_skeletons,
             checksums=not no_checksums,
@@ -69,10 +71,10 @@ def ingest(
 def summary(report: IngestReport) -> str:
     """Return what an ingest did, in two or three lines."""
     if report.unchanged:
-        return f"{report.dataset}: up to date ({report.recordings_kept} recordings, nothing read again)"
+        return f"{report.place}: up to date ({report.recordings_kept} recordings, nothing read again)"
     kept = f", {report.recordings_kept} kept" if report.recordings_kept else ""
     return (
-        f"{report.dataset}: {report.executions} executions, {report.tasks} robot tasks, {report.samples} samples\n"
+        f"{report.place}: {report.executions} executions, {report.tasks} robot tasks, {report.samples} samples\n"
         f"  recordings: {report.recordings_new} read{kept}; files not read: {len(report.not_read)}\n"
-        f"next: cyclekit inspect {report.dataset}, or cyclekit train {report.dataset} --out model"
+        f"next: cyclekit inspect {report.place}, or cyclekit train {report.place} --out model"
     )

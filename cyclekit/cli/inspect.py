@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -14,7 +13,7 @@ EXAMPLE = "cyclekit inspect logs --write-cell"
 
 
 def inspect(
-    path: Annotated[Path, typer.Argument(help="A log, a folder of logs, a dataset or a model.", metavar="PATH")],
+    path: Annotated[str, typer.Argument(help="A log, a folder of logs, a dataset or a model.", metavar="PATH")],
     write_cell: Annotated[
         bool, typer.Option("--write-cell", help="Print the cell file that fits these logs, and nothing else.")
     ] = False,
@@ -25,17 +24,19 @@ def inspect(
 
     Adapter, rate, duration, columns, executions, places and tasks found, scaling levels, gaps, warnings.
     """
+    from cyclekit.storage import local
+
     terminal = Terminal(json=json, quiet=quiet)
     if write_cell:
         from cyclekit.config import cell_to_toml
         from cyclekit.ingest import suggest_cell
 
-        text = cell_to_toml(suggest_cell([path]))
+        text = cell_to_toml(suggest_cell([local(path)]))
         terminal.answer({"cell": text}, text.rstrip("\n"))
         return
     from cyclekit.cli.facts import page
     from cyclekit.describe import describe
 
     with terminal.progress("looking") as progress:
-        found = describe(path, progress=progress)
+        found = describe(local(path), progress=progress)
     terminal.answer(found.to_json(), page(found))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.options import DatasetPlace, Json, Quiet
 from cyclekit.cli.terminal import Terminal, percent, table
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ Method = Literal["plateau", "dbscan", "kmeans-silhouette", "kmeans-elbow", "hdbs
 
 
 def levels(
-    dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", metavar="DATASET")],
+    dataset: DatasetPlace,
     method: Annotated[Method, typer.Option(help="How levels are found; plateau looks at the order in time.")] = (
         "plateau"
     ),

@@ -1,13 +1,36 @@
-"""The frame of the command line, and the two options that every command takes."""
+"""The frame of the command line, and the options that several commands share."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+if TYPE_CHECKING:
+    from cyclekit.engine import Engine
+
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, all else on standard error.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no remarks; errors are still shown.")]
+
+DatasetPlace = Annotated[str, typer.Argument(help="Dataset: a folder or its URL.", metavar="DATASET")]
+ModelPlace = Annotated[str, typer.Argument(help="Model: a folder or its URL.", metavar="MODEL")]
+LoggedPlace = Annotated[
+    str, typer.Option("--dataset", help="Dataset that holds the robot's motions and the operator's tracks.")
+]
+EngineName = Annotated[Literal["local", "ray"], typer.Option(help="Where the work is done (docs/fleet.md).")]
+Jobs = Annotated[int | None, typer.Option(min=1, help="At the same time; default: 1, with Ray as many as cores.")]
+RayAddress = Annotated[
+    str | None, typer.Option(help="Running cluster; default: one on this machine.", metavar="auto|HOST:PORT")
+]
+
+
+def engine_of(name: Literal["local", "ray"], jobs: int | None, address: str | None) -> Engine:
+    """Return the engine that the three options ask for."""
+    from cyclekit.engine import Engine
+
+    if address is not None and name != "ray":
+        raise typer.BadParameter("goes with --engine ray", param_hint="--ray-address")
+    return Engine(name, jobs, address)
 
 
 def new_app() -> typer.Typer:
@@ -62,6 +85,22 @@ def seconds(text: str) -> float:
         msg = f"{text!r} is no positive duration"
         raise typer.BadParameter(msg)
     return value
+
+
+def whole_numbers(text: str) -> tuple[int, ...]:
+    """Return whole numbers such as `1,2,3`, each once.
+
+    Raises:
+        typer.BadParameter: They are none, or one is negative.
+    """
+    try:
+        found = tuple(dict.fromkeys(int(word) for word in text.split(",")))
+    except ValueError as error:
+        msg = f"{text!r} are no whole numbers with commas between"
+        raise typer.BadParameter(msg) from error
+    if min(found) < 0:
+        raise typer.BadParameter("seeds are not negative")
+    return found
 
 
 def levels(text: str) -> tuple[float, ...]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.options import Json, LoggedPlace, ModelPlace, Quiet
 from cyclekit.cli.terminal import Terminal, write_out
 
 if TYPE_CHECKING:
@@ -17,9 +17,9 @@ EXAMPLE = "cyclekit plan model jobs.toml --dataset dataset"
 
 
 def plan(
-    model: Annotated[Path, typer.Argument(help="Folder of the model.", metavar="MODEL")],
+    model: ModelPlace,
     jobs: Annotated[Path, typer.Argument(help="What is to be visited, and what comes first.", metavar="JOBS.toml")],
-    dataset: Annotated[Path, typer.Option(help="Dataset that holds the robot's motions and the operator's tracks.")],
+    dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the order here, as a sequence file.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the search and the resampling.")] = 0,
     json: Json = False,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet, seconds
+from cyclekit.cli.options import DatasetPlace, Json, Quiet, seconds
 from cyclekit.cli.terminal import Terminal, duration, megabytes, table
 
 if TYPE_CHECKING:
@@ -18,14 +18,14 @@ EXAMPLE = "cyclekit replay dataset --execution 1 --out replay.rrd"
 
 
 def replay(
-    dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", metavar="DATASET")],
+    dataset: DatasetPlace,
     execution: Annotated[
         list[str],
         typer.Option(help="Name of the execution, or its number from 1; again for more, side by side.", metavar="ID"),
     ],
     out: Annotated[Path, typer.Option(help="Recording to write (.rrd).")],
     model: Annotated[
-        Path | None, typer.Option(help="Model whose prediction and learned zones are shown beside the log.")
+        str | None, typer.Option(help="Model whose prediction and learned zones are shown beside the log.")
     ] = None,
     at: Annotated[
         str, typer.Option(help="What it opens at: slowdown (the costliest), error (the model's worst), or a time.")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet, seconds
+from cyclekit.cli.options import DatasetPlace, Json, Quiet, seconds
 from cyclekit.cli.terminal import Terminal, megabytes
 
 if TYPE_CHECKING:
@@ -23,10 +23,10 @@ EXAMPLE = "cyclekit report dataset --model model --sequences sequences.toml --ou
 
 
 def report(
-    dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", metavar="DATASET")],
+    dataset: DatasetPlace,
     out: Annotated[Path, typer.Option(help="Page to write (.html); opens without a network.")],
     model: Annotated[
-        Path | None, typer.Option(help="Folder of the model; without it the page is about the logs.")
+        str | None, typer.Option(help="Folder of the model; without it the page is about the logs.")
     ] = None,
     sequences: Annotated[Path | None, typer.Option(help="Sequence file whose estimates go into the page.")] = None,
     takt: Annotated[str | None, typer.Option(help="Takt time that the cycles are held against, such as 105s.")] = None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet, seconds
+from cyclekit.cli.options import DatasetPlace, Json, Quiet, seconds
 from cyclekit.cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ EXAMPLE = "cyclekit trace dataset --execution 1 --at 12.5s --logs logs"
 
 
 def trace(
-    dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", metavar="DATASET")],
+    dataset: DatasetPlace,
     execution: Annotated[str, typer.Option(help="Name of the execution, or its number from 1.", metavar="ID")],
     at: Annotated[str, typer.Option(help="Time since the execution began: 12.5s, 2min.", metavar="TIME")] = "1ms",
     logs: Annotated[

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet, seconds
+from cyclekit.cli.options import (
+    DatasetPlace,
+    EngineName,
+    Jobs,
+    Json,
+    Quiet,
+    RayAddress,
+    engine_of,
+    seconds,
+    whole_numbers,
+)
 from cyclekit.cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from cyclekit.models.saved import TrainedModel
+    from collections.abc import Mapping
 
 EXAMPLE = "cyclekit train dataset --out model"
 Problem = Literal["now", "ahead", "average"]
@@ -19,8 +28,8 @@ Network = Literal["classifier", "regressor", "lstm-1", "lstm-2", "mixed"]
 
 
 def train(
-    dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", metavar="DATASET")],
-    out: Annotated[Path, typer.Option(help="Folder of the model.", metavar="MODEL")],
+    dataset: DatasetPlace,
+    out: Annotated[str, typer.Option(help="Model to make: a folder or a URL.", metavar="MODEL")],
     problem: Annotated[
         Problem, typer.Option(help="Predict the scaling now, ahead by the horizon, or its average over it.")
     ] = "now",
@@ -41,6 +50,12 @@ def train(
     ] = "none",
     noise: Annotated[float, typer.Option(min=0.0, help="Train for a tracker that is noisier by this, m.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the split and of the training.")] = 0,
+    seeds: Annotated[
+        str | None, typer.Option(help="Several seeds, with commas between: one model for each, OUT/seed-N.")
+    ] = None,
+    engine: EngineName = "local",
+    jobs: Jobs = None,
+    ray_address: RayAddress = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -53,31 +68,44 @@ def train(
     if problem == "now" and horizon_s is not None:
         msg = "--horizon goes with --problem ahead or average"
         raise typer.BadParameter(msg)
-    from cyclekit.dataset import Dataset
-    from cyclekit.models.saved import save_model
+    chosen = None if seeds is None else whole_numbers(seeds)
+    from functools import partial
+
     from cyclekit.models.spec import ModelSpec
-    from cyclekit.train import train as train_model
+    from cyclekit.storage import join
+    from cyclekit.train import Training, train_at
 
-    terminal = Terminal(json=json, quiet=quiet)
+    terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     settings: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}
-    spec = ModelSpec.of(problem, network, horizon_s, norm=norm, seed=seed, **settings)
+    spec = partial(ModelSpec.of, problem, network, horizon_s, norm=norm, **settings)
+    todo = [Training(dataset, spec(seed=seed), out)]
+    if chosen is not None:
+        todo = [Training(dataset, spec(seed=one), join(out, f"seed-{one}")) for one in chosen]
     with terminal.progress("training") as progress:
-        model = train_model(Dataset.open(dataset), spec, progress=progress)
-        save_model(out, model)
-    terminal.warnings(model.card["warnings"])
-    document = {"model": str(out), "metrics": model.card["metrics"], "card": model.card}
-    terminal.done(
-        document, f"{out}: {summary(model)}\nnext: cyclekit estimate {out} SEQUENCES.toml --dataset {dataset}"
-    )
+        here = work.stays_here(len(todo)) and len(todo) == 1
+        cards: dict[str, dict[str, Any]] = {}
+        for done in work.map(partial(train_at, progress=progress) if here else train_at, todo):
+            cards[done.item.out] = done.get()
+            progress(len(cards) / len(todo), done.item.out)
+    terminal.warnings(list(dict.fromkeys(text for card in cards.values() for text in card["warnings"])))
+    documents = [{"model": each.out, "metrics": cards[each.out]["metrics"], "card": cards[each.out]} for each in todo]
+    told = "\n".join(f"{each.out}: {summary(cards[each.out])}" for each in todo)
+    usual = f"cyclekit estimate {out} SEQUENCES.toml --dataset {dataset}"
+    following = usual if chosen is None else f"cyclekit evaluate {out} {dataset}"
+    terminal.done(documents[0] if chosen is None else {"models": documents}, f"{told}\nnext: {following}")
 
 
-def summary(model: TrainedModel) -> str:
-    """Return what was learned and how well it holds on executions that were held out, in three lines."""
-    metrics, split = model.card["metrics"], model.card["split"]
+def summary(card: Mapping[str, Any]) -> str:
+    """Return what was learned and how well it holds on executions that were held out, in three lines.
+
+    Args:
+        card: Of the model.
+    """
+    metrics, split = card["metrics"], card["split"]
     named = "" if metrics["accuracy"] is None else f", {100 * metrics['accuracy']:.1f}% of levels named rightly"
-    levels = ", ".join(f"{level:.2f}" for level in model.levels) or "none found"
+    levels = ", ".join(f"{level['value']:.2f}" for level in card["levels"]) or "none found"
     return (
-        f"{model.network} for problem {model.problem}, speed-scaling levels {levels}\n"
+        f"{card['network']} for problem {card['problem']}, speed-scaling levels {levels}\n"
         f"  learned from {len(split['train'])} executions, judged by {len(split['test'])} others\n"
         f"  there: MSE {metrics['mse_mean']:.2e}, mean absolute error {metrics['mae']:.4f}{named}"
     )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.options import Json, LoggedPlace, ModelPlace, Quiet
 from cyclekit.cli.terminal import Terminal, bullet, table, write_out
 
 if TYPE_CHECKING:
@@ -19,12 +19,12 @@ EXAMPLE = "cyclekit whatif model sequences.toml changes.toml --dataset dataset"
 
 
 def whatif(
-    model: Annotated[Path, typer.Argument(help="Folder of the model.", metavar="MODEL")],
+    model: ModelPlace,
     sequences: Annotated[
         Path, typer.Argument(help="Sequence file: names and ordered places or tasks.", metavar="SEQUENCES.toml")
     ],
     changes: Annotated[Path, typer.Argument(help="What is changed: [[change]] tables.", metavar="CHANGES.toml")],
-    dataset: Annotated[Path, typer.Option(help="Dataset that holds the robot's motions and the operator's tracks.")],
+    dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the result here, as JSON.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the resampling.")] = 0,
     extrapolate: Annotated[

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.options import DatasetPlace, Json, ModelPlace, Quiet
 from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
 
 if TYPE_CHECKING:
@@ -17,8 +17,8 @@ EXAMPLE = "cyclekit zones model dataset --out zones.svg"
 
 
 def zones(
-    model: Annotated[Path, typer.Argument(help="Folder of the model.", metavar="MODEL")],
-    dataset: Annotated[Path, typer.Argument(help="Folder of the dataset.", metavar="DATASET")],
+    model: ModelPlace,
+    dataset: DatasetPlace,
     out: Annotated[Path | None, typer.Option(help="Also draw it here, as SVG.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the resampling behind the intervals.")] = 0,
     json: Json = False,

@@ -25,6 +25,7 @@ from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import walk
+from cyclekit.out_of_core import in_memory
 from cyclekit.sequences import TaskSequence
 
 if TYPE_CHECKING:
@@ -151,6 +152,7 @@ def check_rollout(
     Raises:
         EstimateError: No complete execution has an operator track and tasks of known scaling.
     """
+    dataset, _ = in_memory(dataset)
     nominal = nominal_tasks(dataset)
     sequences = logged_sequences(dataset, nominal)
     if not sequences:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate.limits import limits_of_cycles, limits_of_logs
 from cyclekit.estimate.nominal import nominal_tasks
@@ -23,10 +24,11 @@ from cyclekit.estimate.resample import TOGETHER, interval_of_mean, means_below, 
 from cyclekit.estimate.result import CycleEstimate, TaskShare
 from cyclekit.estimate.rivals import by_average, by_history, by_nominal
 from cyclekit.estimate.safety import Dynamics
-from cyclekit.estimate.support import Support
+from cyclekit.estimate.spread import Asked, logged_support, roll_spread
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks, phase_is_free
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import Rolled, roll_all, roll_out
+from cyclekit.out_of_core import in_memory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -77,6 +79,7 @@ class _Asked:
     extrapolate: bool
     check: Check | None
     altered: Altered | None
+    engine: Engine
 
 
 def estimate(
@@ -91,6 +94,7 @@ def estimate(
     extrapolate: bool = False,
     check: Check | Callable[[], Check] | None = None,
     altered: Altered | None = None,
+    engine: Engine = LOCAL,
     progress: Callable[[float, str], None] | None = None,
 ) -> list[CycleEstimate]:
     """Return the expected cycle time of each sequence, shortest first.
@@ -107,6 +111,7 @@ def estimate(
         check: From `check_rollout` of the same model and dataset, or how to make it (called once, for a rollout that
             can be answered): quantiles and intervals are corrected by it.
         altered: What is different from the cell that was logged.
+        engine: Where sequences are walked; same numbers from each. An altered cell is walked in this process.
         progress: Told fraction and text.
 
     Raises:
@@ -116,14 +121,15 @@ def estimate(
     """
     tell = progress or (lambda fraction, text: None)
     chosen = _chosen(model, estimator)
+    dataset, left_out = in_memory(dataset)
     nominal: Mapping[str, NominalTask] = nominal_tasks(dataset)
     nominal = altered.tasks(nominal) if altered else nominal
     programs = {sequence: lay_out(sequence, nominal, dataset) for sequence in sequences}
     if chosen != "rollout":
         check = None
     checked = check() if callable(check) else check
-    ask = _Asked(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, checked, altered)
-    limits = limits_of_logs(dataset, model)
+    ask = _Asked(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, checked, altered, engine)
+    limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, model)]
     found: list[CycleEstimate] = []
     means: list[Vector] = []
     for operator in dict.fromkeys(sequence.operator for sequence in sequences):
@@ -166,7 +172,7 @@ def _cycles(
             tracks = ask.altered.tracks(tracks, {task.task: task for program in programs for task in program.tasks})
         rolled = []
         with threadpool_limits(limits=1, user_api="blas"):  # thousands of tiny products: more threads only wait
-            for number, cycles in enumerate(_rolled(ask, programs, tracks)):
+            for number, cycles in enumerate(_rolled(ask, _Round(sequences, programs, tracks, horizon))):
                 rolled.append(cycles)
                 tell(number / len(programs), f"rolling out {sequences[number].name}")
                 if not np.isfinite(cycles.duration_s).all():
@@ -180,35 +186,49 @@ def _cycles(
     raise EstimateError(seen, cure="The operator's tracks leave the robot halted; check the tracker's frame and clock.")
 
 
-def _rolled(ask: _Asked, programs: Sequence[Program], tracks: OperatorTracks) -> Iterator[Rolled]:
+@dataclass(frozen=True)
+class _Round:
+    """What is walked at once: sequences with their programs, beside tracks of one length."""
+
+    sequences: Sequence[TaskSequence]
+    programs: Sequence[Program]
+    tracks: OperatorTracks
+    horizon_s: float
+
+
+def _rolled(ask: _Asked, turn: _Round) -> Iterator[Rolled]:
+    programs, tracks = turn.programs, turn.tracks
     if ask.estimator == "average":
         return (by_average(ask.model, program, tracks, seed=ask.seed) for program in programs)  # type: ignore[arg-type]
-    support = None if getattr(ask.model, "known_everywhere", False) else _support(ask.dataset)
     dynamics = Dynamics.of(ask.dataset.card)
     if len(programs) <= MANY or not dynamics.none:
-        return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=dynamics)
-    return _looked_up(ask, programs, tracks, support)
+        return _walked(ask, turn)
+    return _looked_up(ask, turn)
 
 
-def _looked_up(
-    ask: _Asked, programs: Sequence[Program], tracks: OperatorTracks, support: Support | None
-) -> Iterator[Rolled]:
+def _walked(ask: _Asked, turn: _Round) -> Iterator[Rolled]:
+    programs, tracks = turn.programs, turn.tracks
+    if ask.altered is None and not ask.engine.stays_here(len(programs)):
+        operator = turn.sequences[0].operator
+        some = tuple(ask.dataset.executions["execution"]) if ask.dataset.is_part else None
+        asked = Asked(ask.model, ask.dataset.place, some, operator, turn.horizon_s, ask.seed)
+        return roll_spread(ask.engine, asked, turn.sequences, len(tracks.executions))
+    support = None if getattr(ask.model, "known_everywhere", False) else logged_support(ask.dataset)
+    return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=Dynamics.of(ask.dataset.card))
+
+
+def _looked_up(ask: _Asked, turn: _Round) -> Iterator[Rolled]:
     """Look very many sequences up in the table of arrivals, and walk the best of them."""
+    programs, tracks = turn.programs, turn.tracks
     tasks = {task.task: task for program in programs for task in program.tasks}
     table = transit_table(ask.model, tasks, tracks)
     found = [table.rolled([task.task for task in program.tasks], seed=ask.seed) for program in programs]
     best = np.argsort([float(cycles.duration_s.mean()) for cycles in found])[:MANY].tolist()
-    walked = roll_all(ask.model, [programs[i] for i in best], tracks, support, seed=ask.seed)
+    some = replace(turn, sequences=[turn.sequences[i] for i in best], programs=[programs[i] for i in best])
+    walked = _walked(ask, some)
     for i, cycles in zip(best, walked, strict=True):
         found[i] = cycles
     return iter(found)
-
-
-def _support(dataset: Dataset) -> Support:
-    robot, human = (
-        dataset.samples().select(f"{who}_{axis}_m" for axis in "xyz").to_numpy() for who in ("robot", "human")
-    )
-    return Support(robot, human)
 
 
 def _supported(ask: _Asked, sequence: TaskSequence, cycles: Rolled) -> Rolled:

@@ -12,20 +12,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError
 from cyclekit.evaluate.baselines import Row, rivals
+from cyclekit.evaluate.drift import Drift, drift
 from cyclekit.labelling import without_slider
 from cyclekit.models.metrics import Metrics, measure
+from cyclekit.models.saved import load_model
+from cyclekit.out_of_core import memory_rows, some_executions
 from cyclekit.samples import Samples, build_samples
 from cyclekit.train import fingerprint
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cyclekit.dataset import Dataset
     from cyclekit.models.saved import TrainedModel
 
-__all__ = ["Evaluation", "LevelRow", "Row", "evaluate"]
+__all__ = ["Evaluation", "LevelRow", "Row", "evaluate", "evaluate_at"]
 
 
 @dataclass(frozen=True)
@@ -114,15 +117,19 @@ def evaluate(model: TrainedModel, dataset: Dataset, *, boosting: bool = True) ->
     """
     same = model.card.get("dataset_sha256") == fingerprint(dataset)
     executions = _held_out(model) if same else tuple(dataset.executions["execution"].to_list())
+    every = len(executions)
+    executions = some_executions(dataset, executions, memory_rows())
     rows = _rows(model, dataset, executions)
     if not len(rows):
         why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "it is empty"
         msg = f"{dataset.path}: no sample can be judged ({why})"
         raise DatasetError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
     metrics = measure(model, rows)
-    table, notes = list(_read_outs(metrics)), []
+    table, notes = list(_read_outs(metrics)), list[str]()
+    if len(executions) < every:
+        notes.append(f"{len(executions)} of {every} executions are judged, drawn at random: memory takes no more")
     if same:
-        learned = _rows(model, dataset, tuple(model.card["split"]["train"]))
+        learned = _rows(model, dataset, some_executions(dataset, model.card["split"]["train"], memory_rows()))
         table += rivals(learned, rows, model.levels, boosting=boosting)
     else:
         notes.append("not the dataset the model was trained on: all executions are judged, without rivals")
@@ -139,6 +146,17 @@ def evaluate(model: TrainedModel, dataset: Dataset, *, boosting: bool = True) ->
         dict(rows.dropped),
         tuple(notes),
     )
+
+
+def evaluate_at(model: str, *, dataset: str, trained_on: str | None = None) -> tuple[Evaluation, Drift | None]:
+    """Judge the model of one place, as a task of an engine; where `trained_on` is given, also what has changed since.
+
+    Raises:
+        CyclekitError: As `evaluate` and `drift`.
+    """
+    opened, judged = load_model(model), Dataset.open(dataset)
+    changed = None if trained_on is None else drift(opened, Dataset.open(trained_on), judged)
+    return evaluate(opened, judged), changed
 
 
 def _held_out(model: TrainedModel) -> tuple[str, ...]:

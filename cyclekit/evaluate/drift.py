@@ -17,7 +17,7 @@ from cyclekit.errors import ModelError
 from cyclekit.samples import build_samples
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -105,15 +105,33 @@ def drift(model: TrainedModel, trained_on: Dataset, newer: Dataset) -> Drift:
     if not split.get("test") or not names.issuperset(split["test"]):
         msg = f"{trained_on.path}: not the dataset that the model was trained on"
         raise ModelError(msg, cure="Give the dataset named in the model's card with --trained-on.")
-    before, after = trained_on.samples(), newer.samples()
-    held_out = before.filter(pl.col("execution").is_in(list(split["test"])))
-    safety = _safety(model, held_out, after)
+    return drift_between(model, trained_on, newer, split["test"], newer.executions["execution"].to_list())
+
+
+def drift_between(
+    model: TrainedModel, older: Dataset, newer: Dataset, judged_before: Sequence[str], judged_after: Sequence[str]
+) -> Drift:
+    """Compare two sets of executions.
+
+    Args:
+        model: A model of problem `now`.
+        older: The earlier executions.
+        newer: The later ones.
+        judged_before: Those of `older` by which the model's errors are judged: none that it learned from.
+        judged_after: Those of `newer`, likewise.
+    """
+    before, after = older.samples(), newer.samples()
+    judged = [
+        frame.filter(pl.col("execution").is_in(list(names)))
+        for frame, names in ((before, judged_before), (after, judged_after))
+    ]
+    safety = _safety(model, *judged)
     habits = _habits(before, after)
-    cycles = [frame.executions.filter("complete")["duration_s"].to_numpy() for frame in (trained_on, newer)]
+    cycles = [frame.executions.filter("complete")["duration_s"].to_numpy() for frame in (older, newer)]
     if min(len(part) for part in cycles) > 1:
         usual = float(cycles[0].mean())
         habits.append(_shift("cycle time, part of its mean before", cycles[0] / usual, cycles[1] / usual, LEAST_SHARE))
-    counts = (held_out["execution"].n_unique(), after["execution"].n_unique())
+    counts = (judged[0]["execution"].n_unique(), judged[1]["execution"].n_unique())
     return Drift(tuple(safety), tuple(habits), counts)
 
 

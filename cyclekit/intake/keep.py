@@ -6,6 +6,7 @@ a log may be larger than memory.
 
 from __future__ import annotations
 
+import secrets
 import shutil
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -38,6 +39,8 @@ TABLES = {
 MAIN = ("robot", "people", "events")
 """Tables one of which a log must hold; the first there is tells its rate."""
 QUARANTINE = "quarantine"
+MAKING = ".making-"
+"""Begins the name of the folder that a recording is written in before it has its own."""
 UNPROTECTED = "none: a flipped bit passes unnoticed unless it makes a value impossible"
 """What a recording's fact `checksum` says where its adapter knows of none."""
 
@@ -65,10 +68,15 @@ class Kept:
 
 
 def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How) -> Kept | LogError:
-    """Read a log into `staging/recordings/<id>`, or return why that cannot be; then nothing of it is left there."""
-    folder = staging / "recordings" / log.id
+    """Read a log into `staging/recordings/<id>`, or return why that cannot be; then nothing of it is left there.
+
+    The folder has its name when it is whole, so that reading a log twice does no harm.
+    """
+    place = staging / "recordings" / log.id
+    folder = place.with_name(f"{MAKING}{secrets.token_hex(6)}")
     try:
-        return _keep(log, digests, folder, how)
+        kept = _keep(log, digests, folder, how)
+        _put(folder, place)
     except LogError as error:
         problem = LogError(error.path, error.cause, nearest=error.nearest, cure=error.cure)
     except (OSError, MemoryError) as error:
@@ -76,8 +84,19 @@ def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How) -> Kep
             raise
         told = getattr(error, "strerror", None) or str(error) or "too large for the memory"
         problem = LogError(log.path, f"cannot be read ({told})", cure="Check the file.")
+    else:
+        return kept
     shutil.rmtree(folder, ignore_errors=True)
     return problem
+
+
+def _put(folder: Path, place: Path) -> None:
+    try:
+        folder.rename(place)
+    except OSError as error:
+        if not place.is_dir():
+            raise OSError(error.errno, error.strerror, str(place)) from error
+        shutil.rmtree(folder)  # it was read before, by a worker that was lost after that: the same bytes
 
 
 def _is_ours(error: BaseException, folder: Path) -> bool:

@@ -91,9 +91,11 @@ def fit(
         known: Groups of inputs that may be unknown.
     """
     standard = standardisation(rows.X)
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    device = torch.device("cuda" if torch.cuda.is_available() and not rows.in_files else "cpu")
     names_steps = spec.network == "classifier"
-    learn = rows_on(device, rows.where(rows.step >= 0) if names_steps else rows, spec, standard, known)
+    if names_steps and not rows.in_files:  # what is in files has been left out before
+        rows = rows.where(rows.step >= 0)
+    learn = rows_on(device, rows, spec, standard, known)
     check = rows_on(device, validation, spec, standard, known)
     with torch.random.fork_rng(devices=[]), _one_thread():
         torch.manual_seed(spec.seed)
@@ -144,8 +146,7 @@ def _run(
         if number > spec.freeze_norm_after * epochs:
             _freeze_norm(network)
         total = torch.zeros((), device=learn.scaling.device)
-        order = torch.randperm(len(learn)).to(learn.scaling.device)
-        for part in order.tensor_split(batches):
+        for part in learn.batches(batches):
             loss = _loss(network, spec, learn, part, balance)
             steps.take(loss)
             total += loss.detach()

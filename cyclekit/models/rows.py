@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 
+from cyclekit.out_of_core import filled
 from cyclekit.samples import GROUPS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -23,6 +26,9 @@ if TYPE_CHECKING:
 _HUMAN = GROUPS["human"]
 DISTANCE_M = 2.0
 """What is taken off a distance before the network sees it, m; the distance to somebody who is not there."""
+_BLOCK_ROWS, _BLOCKS = 4096, 256
+"""Rows that are read one after the other, 7 minutes of log, and how many such blocks are mixed at a time."""
+_AT_ONCE = 1 << 22
 _STILL_M = 1e-6
 """An input that varies by less than a micrometre carries nothing, and dividing by that would magnify noise."""
 
@@ -42,6 +48,7 @@ class Rows:
         ahead_known: Where that is known, shape (N,).
         presence: Column of `table` that says whether the operator is there; None where he always is.
         apart: What turns the inputs into a distance, which then is one more; None where it is none.
+        in_blocks: The rows may be larger than memory, and are read in blocks.
     """
 
     table: torch.Tensor
@@ -54,10 +61,25 @@ class Rows:
     ahead_known: torch.Tensor
     presence: int | None
     apart: tuple[torch.Tensor, ...] | None = None
+    in_blocks: bool = False
 
     def __len__(self) -> int:
         """Return N."""
         return len(self.scaling)
+
+    def batches(self, count: int) -> Iterator[torch.Tensor]:
+        """Yield every row once, by number, in `count` batches in random order.
+
+        Where the rows are read in blocks, _BLOCKS of them from all over the rows are mixed at a time.
+        """
+        if not self.in_blocks:
+            yield from torch.randperm(len(self)).to(self.scaling.device).tensor_split(count)
+            return
+        starts = torch.randperm(math.ceil(len(self) / _BLOCK_ROWS)) * _BLOCK_ROWS
+        size = math.ceil(len(self) / count)
+        for some in torch.split(starts, _BLOCKS):
+            rows = torch.cat([torch.arange(at, min(at + _BLOCK_ROWS, len(self))) for at in some.tolist()])
+            yield from rows[torch.randperm(len(rows))].tensor_split(max(round(len(rows) / size), 1))
 
     def inputs(self, part: torch.Tensor, noise_m: float) -> torch.Tensor:
         """Return the inputs of some rows, (B, F + groups) or (B, K, F + groups), with fresh noise on the operator."""
@@ -80,10 +102,11 @@ class Rows:
 
 def standardisation(X: NDArray[np.float32]) -> Standard:
     """Return mean and 1/deviation of every input over the rows that know it, shape (F,); 0 where it does not vary."""
-    known = np.isfinite(X)
-    count = np.maximum(known.sum(axis=0), 1)
-    mean = np.where(known, X, 0.0).sum(axis=0, dtype=np.float64) / count
-    deviation = np.sqrt((np.where(known, X - mean, 0.0) ** 2).sum(axis=0, dtype=np.float64) / count)
+    blocks = [X[first : first + _AT_ONCE] for first in range(0, len(X), _AT_ONCE)]
+    count = np.maximum(sum(np.isfinite(block).sum(axis=0) for block in blocks), 1)
+    mean = sum(np.where(np.isfinite(b), b, 0.0).sum(axis=0, dtype=np.float64) for b in blocks) / count
+    squares = [(np.where(np.isfinite(b), b - mean, 0.0) ** 2).sum(axis=0, dtype=np.float64) for b in blocks]
+    deviation = np.sqrt(sum(squares) / count)
     varies = deviation > _STILL_M
     return mean, np.where(varies, 1 / np.where(varies, deviation, 1.0), 0.0)
 
@@ -91,7 +114,11 @@ def standardisation(X: NDArray[np.float32]) -> Standard:
 def rows_on(device: torch.device, rows: Samples, spec: ModelSpec, standard: Standard, known: Sequence[str]) -> Rows:
     """Put rows on the device."""
     raw = rows.X if rows.table is None else rows.table
-    table = _standardised(raw, standard, known)
+    if rows.in_files:
+        folder, shape = Path(rows.X.filename).parent, (len(raw), raw.shape[1] + len(known))  # type: ignore[attr-defined]
+        table = filled(folder / "standardised", shape, lambda part: _standardised(raw[part], standard, known))
+    else:
+        table = _standardised(raw, standard, known)
     ahead: torch.Tensor | None = None
     seen: NDArray[np.bool_] = np.zeros(len(rows), np.bool_)
     if spec.network == "lstm-2" and rows.table is not None and rows.ahead is not None:
@@ -100,14 +127,15 @@ def rows_on(device: torch.device, rows: Samples, spec: ModelSpec, standard: Stan
     return Rows(
         torch.from_numpy(table).to(device),
         None if rows.before is None else torch.from_numpy(rows.before).to(device),
-        torch.from_numpy(rows.scaling.astype(np.float32))[:, None].to(device),
-        torch.from_numpy(rows.step.astype(np.int64)).to(device),
+        torch.from_numpy(rows.scaling.astype(np.float32, copy=False))[:, None].to(device),
+        torch.from_numpy(rows.step.astype(np.int64, copy=False)).to(device),
         torch.from_numpy(rows.weight).to(device),
         torch.from_numpy(standard[1][_HUMAN].astype(np.float32)).to(device),
         ahead,
         torch.from_numpy(seen).to(device),
         rows.X.shape[1] + list(known).index("human") if "human" in known else None,
         _apart(device, standard) if spec.features == "distance" else None,
+        rows.in_files,
     )
 
 

@@ -13,6 +13,7 @@ import hashlib
 import json
 import os
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,10 +24,9 @@ from cyclekit.errors import ModelError, ShapeError
 from cyclekit.models.layout import Layout, NotAModel, parse_model
 from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
 from cyclekit.samples import GROUPS, INPUTS
+from cyclekit.storage import is_url, local, published
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from cyclekit.models.weights import Weights
@@ -128,13 +128,18 @@ class TrainedModel:
         return self.weights.run(X)
 
 
-def save_model(path: Path, model: TrainedModel) -> None:
-    """Write `model` as the folder `path`: the old model or the new one is there at any time, never half.
+def save_model(place: Path | str, model: TrainedModel) -> None:
+    """Write `model` as a folder, at a path or a URL: the old model or the new one is there at any time, never half.
 
     Raises:
-        ModelError: `path` is there already and is no model; it is left as it is.
+        ModelError: The path is there already and is no model; it is left as it is.
         CyclekitError: The place cannot be written.
     """
+    with published(place) as path:
+        _save(path, model)
+
+
+def _save(path: Path, model: TrainedModel) -> None:
     recover(path)
     if path.exists() and not (path.is_dir() and ((path / CARD).is_file() or not any(path.iterdir()))):
         msg = f"{path}: is there already and is no model, so it is not replaced"
@@ -162,12 +167,14 @@ def save_model(path: Path, model: TrainedModel) -> None:
                 os.fsync(handle.fileno())
 
 
-def load_model(path: Path) -> TrainedModel:
-    """Open the model folder `path`.
+def load_model(place: Path | str) -> TrainedModel:
+    """Open the model at a path or a URL.
 
     Raises:
         ModelError: It is no model, is of another version, or any of its content is not what it should be.
+        StorageError: The URL cannot be read.
     """
+    path = local(place)
     recover(path)
     if not path.is_dir() or not (path / CARD).is_file():
         seen = "no such folder" if not path.exists() else f"no {CARD} in it, so it is no cyclekit model"
@@ -185,6 +192,14 @@ def load_model(path: Path) -> TrainedModel:
         raise ModelError(msg, cure=_RETRAIN) from cause
     made = (layout.problem, layout.network, layout.horizon_s, layout.levels)
     return TrainedModel(*made, weights, dict(about["card"]), layout.history)
+
+
+def models_in(place: str) -> list[str]:
+    """Return the models of a folder that is none itself, by name; else, and for a URL, the place."""
+    path = Path(place)
+    if is_url(place) or not path.is_dir() or (path / CARD).is_file():
+        return [place]
+    return sorted(str(file.parent) for file in path.glob(f"*/{CARD}")) or [place]
 
 
 def _check_versions(about: dict[str, Any]) -> None:

@@ -44,8 +44,8 @@ class Template:
             raise CyclekitError(msg, cure=f"Put one or more of these files there: {', '.join(KNOWN)}.")
         self.texts = self._texts()
 
-    def render(self, **values: object) -> str:
-        """Return the page.
+    def render(self, *, page: str = PAGE, **values: object) -> str:
+        """Return a page.
 
         Raises:
             CyclekitError: The folder's template is wrong.
@@ -58,7 +58,7 @@ class Template:
         script = self._asset(SCRIPT)
         digest = base64.b64encode(hashlib.sha256(f"\n{script}\n".encode()).digest()).decode()
         try:
-            return environment.get_template(PAGE).render(
+            return environment.get_template(page).render(
                 say=self.texts,
                 language=self.texts.language,
                 css=self._asset(STYLE) + self._extra("extra.css"),

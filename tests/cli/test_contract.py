@@ -35,6 +35,7 @@ CONTRACT = {
     "replay": (["dataset"], ["--execution", "--out", "--model", "--open"]),
     "report": (["dataset"], ["--model", "--sequences", "--out"]),
     "benchmark": (["what"], ["--executions", "--out", "--seeds", "--scenes", "--only"]),
+    "fleet": (["what", "file"], ["--engine", "--jobs", "--ray-address"]),
     "calibrate": (["points"], ["--up"]),
     "adapters": ([], []),
     "demo": ([], ["--out", "--operator-log"]),

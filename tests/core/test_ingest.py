@@ -15,6 +15,7 @@ from ingested import ROUND_TRIP, bytes_and_times, only_bytes
 
 from cyclekit.config import Cell, Executions, Source
 from cyclekit.dataset import Dataset
+from cyclekit.engine import Engine
 from cyclekit.errors import ConfigError, CyclekitError, DatasetError, LogError, UnknownFormat, UnknownName
 from cyclekit.ingest import ingest, suggest_cell
 
@@ -80,7 +81,7 @@ def test_recordings_that_somebody_deleted_are_read_again(three_runs: Path, tmp_p
 def test_two_jobs_write_the_same_bytes_as_one(three_runs: Path, tmp_path: Path):
     (three_runs / "broken.csv").write_text("timestamp actual_TCP_pose_0\n", encoding="utf-8")
     one = ingest([three_runs], tmp_path / "one")
-    two = ingest([three_runs], tmp_path / "two", jobs=2)
+    two = ingest([three_runs], tmp_path / "two", engine=Engine(jobs=2))
     assert only_bytes(one.dataset) == only_bytes(two.dataset)
     assert one.not_read == two.not_read
 
@@ -363,4 +364,4 @@ def test_checksums_can_be_left_out_and_are_made_good_later(three_runs: Path, tmp
     assert sums(ingest([three_runs], tmp_path / "dataset").dataset) == true
     assert reads == []
     assert sums(ingest([three_runs], tmp_path / "dataset", checksums=False).dataset) == true
-    assert sums(ingest([three_runs], tmp_path / "two", jobs=2).dataset) == true
+    assert sums(ingest([three_runs], tmp_path / "two", engine=Engine(jobs=2)).dataset) == true

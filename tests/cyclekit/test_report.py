@@ -330,8 +330,8 @@ def test_every_text_is_asked_for_and_every_text_asked_for_exists():
     texts.pop("language")
     source = "".join(f.read_text("utf-8") for f in folder.iterdir() if f.name.endswith((".py", ".jinja")))
     known = {f"{section}.{name}" for section, names in texts.items() for name in names}
-    asked = set(re.findall(r"[\"']((?:page|answer|where|why|helps|trust)\.\w+)", source))
-    assert asked - known == {"page.css", "page.html", "page.js", "page.pdf"}  # files, no texts
+    asked = set(re.findall(r"[\"']((?:page|answer|where|why|helps|trust|fleet)\.\w+)", source))
+    assert asked - known == {"page.css", "page.html", "page.js", "page.pdf", "fleet.html"}  # files, no texts
     names = set(re.findall(r'"(\w+)"', source))
     assert {key for key in known - asked if key.partition(".")[2] not in names} == set()
 

@@ -1,0 +1,104 @@
+"""What an engine costs beside the work: fixed, per task, and with one or two workers; and what one log of a cell costs.
+
+    python benchmarks/engine.py --tasks 2000 --logs 16 --executions 20
+
+Every measurement is a process of its own, as a command is; the engines take turns, so that other work on the machine
+hits them alike. `here` does the work without a worker. Ray starts a cluster of its own and, with --address, uses one
+that runs. The last lines carry the cost of a log to 200 cells and a year.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from cyclekit.cli import run
+from cyclekit.engine import Engine
+
+
+def nothing(number: int) -> int:
+    """Do nothing: what is left is the engine's."""
+    return number
+
+
+def measured(what: str, engine: str, jobs: int, address: str | None, folder: str) -> dict[str, float]:
+    """Run one measurement in this process; return seconds, and of tasks the milliseconds for each."""
+    begin = time.perf_counter()
+    chosen = Engine("ray", jobs, address) if engine == "ray" else Engine(jobs=jobs)
+    if what == "ingest":
+        from cyclekit.ingest import ingest
+
+        ingest([Path(folder) / "logs"], Path(folder) / f"{engine}-{jobs}-{os.getpid()}", engine=chosen)
+        return {"s": time.perf_counter() - begin}
+    count = int(what)
+    assert [done.get() for done in chosen.map(nothing, [0, 1])]
+    first_s = time.perf_counter() - begin
+    again = time.perf_counter()
+    assert len(list(chosen.map(nothing, range(count)))) == count
+    return {"s": first_s, "ms": 1e3 * (time.perf_counter() - again) / count}
+
+
+def in_a_process(*words: object) -> dict[str, float]:
+    """Run one measurement in a process of its own."""
+    typed = [sys.executable, __file__, "--measure", json.dumps([str(word) for word in words])]
+    done = subprocess.run(typed, capture_output=True, text=True, check=True)
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def logs_in(folder: Path, logs: int, executions: int) -> None:
+    """Simulate one log and put it there so many times, each a session of its own."""
+    assert run(["simulate", "box-picking", "--out", str(folder / "one"), "--executions", str(executions), "-q"]) == 0
+    (folder / "logs").mkdir()
+    for number in range(logs):
+        target = folder / "logs" / f"run_{number:03d}"
+        target.mkdir()
+        for file in (folder / "one" / "session_000").iterdir():
+            (target / file.name).write_bytes(file.read_bytes())
+
+
+def main() -> None:
+    """Measure, and say what it means for a plant."""
+    parse = argparse.ArgumentParser()
+    parse.add_argument("--tasks", type=int, default=2000)
+    parse.add_argument("--logs", type=int, default=16)
+    parse.add_argument("--executions", type=int, default=20)
+    parse.add_argument("--times", type=int, default=3)
+    parse.add_argument("--address")
+    parse.add_argument("--measure")
+    asked = parse.parse_args()
+    if asked.measure:
+        what, engine, jobs, address, folder = json.loads(asked.measure)
+        print(json.dumps(measured(what, engine, int(jobs), None if address == "None" else address, folder)))
+        return
+    console = Console()
+    kinds = [("here", 1, None), ("local", 2, None), ("ray", 1, None), ("ray", 2, None)]
+    if asked.address:
+        kinds.append(("ray", 2, asked.address))
+    table = Table("engine", "workers", "fixed, s", "per task, ms", f"ingest of {asked.logs} sessions, s")
+    with tempfile.TemporaryDirectory() as name:
+        logs_in(Path(name), asked.logs, asked.executions)
+        found: dict[object, list[tuple[float, float, float]]] = {kind: [] for kind in kinds}
+        for _ in range(asked.times):
+            for kind in kinds:
+                engine, jobs, address = kind
+                tasks = in_a_process(asked.tasks, engine, jobs, address, name)
+                ingest = in_a_process("ingest", engine, jobs, address, name)
+                found[kind].append((tasks["s"], tasks["ms"], ingest["s"]))
+        for (engine, jobs, address), rows in found.items():  # type: ignore[misc]
+            middle = [statistics.median(column) for column in zip(*rows, strict=True)]
+            table.add_row(engine + (" (running)" if address else ""), str(jobs), *(f"{value:.2f}" for value in middle))
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()

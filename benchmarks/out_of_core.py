@@ -1,0 +1,118 @@
+"""How memory grows with the dataset, in memory and in files: peak memory of training, under a limit if asked.
+
+    python benchmarks/out_of_core.py --copies 20 80 320
+
+One simulated dataset is copied so many times into a larger one (each copy a session of its own). On it a model is
+trained, and a sequence estimated, in a process of its own: once with everything in memory, once with only so many
+samples (CYCLEKIT_MEMORY_ROWS). Told is the largest anonymous memory; what mapped files hold is the system's to take
+back. With --limit-mb a process may not have more data than that: one that needs more ends.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import polars as pl
+from rich.console import Console
+from rich.table import Table
+
+from cyclekit.cli import run
+
+UNDER_A_LIMIT = """
+import resource, sys
+from cyclekit.cli import main
+
+limit = int(sys.argv[1]) << 20
+if limit:
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+main(sys.argv[2:])
+"""
+
+
+def enlarged(dataset: Path, copies: int, out: Path) -> Path:
+    """Write a dataset that holds another one several times; the recordings themselves are left out."""
+    card = json.loads((dataset / "dataset.json").read_text(encoding="utf-8"))
+    (sample,) = (dataset / "samples").glob("*.parquet")
+    frame, tasks = pl.read_parquet(sample), pl.read_parquet(dataset / "tasks.parquet")
+    (out / "samples").mkdir(parents=True)
+    entries = []
+    for number in range(copies):
+        name = pl.format("c{}.{}", pl.lit(f"{number:04d}"), pl.col("execution"))
+        frame.with_columns(execution=name).write_parquet(out / "samples" / f"c{number:04d}.parquet", compression="zstd")
+        entries += [
+            {**entry, "execution": f"c{number:04d}.{entry['execution']}", "session": f"c{number:04d}"}
+            for entry in card["executions"]
+        ]
+    many = [tasks.with_columns(execution=pl.format("c{}.{}", pl.lit(f"{n:04d}"), "execution")) for n in range(copies)]
+    pl.concat(many).write_parquet(out / "tasks.parquet")
+    shutil.copy(dataset / "quarantine.parquet", out)
+    rows = {"samples": frame.height * copies, "tasks": tasks.height * copies}
+    (out / "dataset.json").write_text(json.dumps({**card, "executions": entries, "rows": rows}), encoding="utf-8")
+    return out
+
+
+def peak_mb(words: list[str], rows: int, limit_mb: int) -> tuple[float, float, int]:
+    """Run a command line; return its largest anonymous memory (MB), seconds, and exit code."""
+    environment = {**os.environ, "CYCLEKIT_MEMORY_ROWS": str(rows)}
+    begin, most = time.perf_counter(), 0
+    command = subprocess.Popen(
+        [sys.executable, "-c", UNDER_A_LIMIT, str(limit_mb), *words],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    while command.poll() is None:
+        try:
+            status = Path(f"/proc/{command.pid}/status").read_text(encoding="ascii")
+        except OSError:
+            break
+        most = max([most, *(int(line.split()[1]) for line in status.splitlines() if line.startswith("RssAnon"))])
+        time.sleep(0.02)
+    return most / 1024, time.perf_counter() - begin, command.wait()
+
+
+def main() -> None:
+    """Measure, and print one line per size and way."""
+    parse = argparse.ArgumentParser()
+    parse.add_argument("--copies", type=int, nargs="+", default=[20, 80])
+    parse.add_argument("--executions", type=int, default=40)
+    parse.add_argument("--memory-rows", type=int, default=200_000)
+    parse.add_argument("--limit-mb", type=int, default=0)
+    asked = parse.parse_args()
+    table = Table("samples", "Parquet, MB", "way", "exit code", "anonymous memory, MB", "s")
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        logs = ["simulate", "box-picking", "--out", str(work / "logs"), "--executions", str(asked.executions), "-q"]
+        assert run(logs) == 0
+        assert run(["ingest", str(work / "logs"), "--out", str(work / "one"), "-q"]) == 0
+        assert run(["train", str(work / "one"), "--out", str(work / "model"), "-q"]) == 0
+        places = '["home", "conveyor", "left_1", "conveyor"]'
+        (work / "sequence.toml").write_text(f'[[sequence]]\nname = "a"\nplaces = {places}\n', encoding="utf-8")
+        for copies in asked.copies:
+            dataset = enlarged(work / "one", copies, work / f"times-{copies}")
+            samples = json.loads((dataset / "dataset.json").read_text(encoding="utf-8"))["rows"]["samples"]
+            parquet_mb = sum(file.stat().st_size for file in dataset.rglob("*.parquet")) / 1e6
+            asking = ["estimate", str(work / "model"), str(work / "sequence.toml"), "--dataset", str(dataset), "-q"]
+            commands = {
+                "train": ["train", str(dataset), "--out", str(work / "trained"), "-q"],
+                "estimate": [*asking, "--no-check", "--out", str(work / "estimate.json")],
+            }
+            for command, words in commands.items():
+                for way, rows in (("in memory", 10**9), ("in files", asked.memory_rows)):
+                    most, took_s, code = peak_mb(words, rows, asked.limit_mb)
+                    told = [f"{samples:,}", f"{parquet_mb:.0f}", f"{command} {way}", str(code)]
+                    table.add_row(*told, f"{most:.0f}", f"{took_s:.0f}")
+            shutil.rmtree(dataset)
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""The walk of many sequences as tasks of an engine: each walks the programs that one process would walk at once.
+
+So the numbers are the same to the last bit, whoever walks. A task gets the dataset by its place and the sequences by
+their names; what it needs of the logs is read once per worker.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING
+
+from threadpoolctl import threadpool_limits
+
+from cyclekit.dataset import Dataset
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.program import lay_out
+from cyclekit.estimate.safety import Dynamics, SafetyModel
+from cyclekit.estimate.support import Support
+from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
+from cyclekit.estimate.walk import ROWS, Rolled, roll_all
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from cyclekit.engine import Engine
+    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.sequences import TaskSequence
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What every task needs beside its sequences.
+
+    Attributes:
+        dataset: Its place.
+        executions: Which of it are looked at; None = all.
+        operator: Order of the operator's tasks; None = any.
+        horizon_s: Length of the tracks.
+    """
+
+    model: SafetyModel
+    dataset: str
+    executions: tuple[str, ...] | None
+    operator: tuple[str, ...] | None
+    horizon_s: float
+    seed: int
+
+
+def roll_spread(engine: Engine, asked: Asked, sequences: Sequence[TaskSequence], tracks: int) -> Iterator[Rolled]:
+    """Yield the cycles of the sequences in order, walked by the workers of an engine; `tracks` = how many there are."""
+    at_once = max(1, ROWS // tracks)
+    plain = [replace(sequence, file=None) for sequence in sequences]
+    parts = [tuple(plain[first : first + at_once]) for first in range(0, len(plain), at_once)]
+    found: dict[int, list[Rolled]] = {}
+    turn = 0
+    for done in engine.map(partial(_walk, asked), parts):
+        found[done.number] = done.get()
+        while turn in found:
+            yield from found.pop(turn)
+            turn += 1
+
+
+def _walk(asked: Asked, sequences: Sequence[TaskSequence]) -> list[Rolled]:
+    with threadpool_limits(limits=1, user_api="blas"):
+        logs, nominal, tracks, support = _of_logs(asked.dataset, asked.executions, asked.operator, asked.horizon_s)
+        programs = [lay_out(sequence, nominal, logs) for sequence in sequences]
+        known = getattr(asked.model, "known_everywhere", False)
+        dynamics = Dynamics.of(logs.card)
+        near = None if known else support
+        return list(roll_all(asked.model, programs, tracks, near, seed=asked.seed, dynamics=dynamics))
+
+
+@lru_cache(maxsize=1)
+def _of_logs(
+    dataset: str, executions: tuple[str, ...] | None, operator: tuple[str, ...] | None, horizon_s: float
+) -> tuple[Dataset, Mapping[str, NominalTask], OperatorTracks, Support]:
+    logs = Dataset.open(dataset)
+    logs = logs if executions is None else logs.only(executions)
+    tracks = operator_tracks(logs, horizon_s=horizon_s, operator=operator)
+    return logs, nominal_tasks(logs), tracks, logged_support(logs)
+
+
+def logged_support(dataset: Dataset) -> Support:
+    """Return where robot and operator were ever logged."""
+    robot, human = (
+        dataset.samples().select(f"{who}_{axis}_m" for axis in "xyz").to_numpy() for who in ("robot", "human")
+    )
+    return Support(robot, human)

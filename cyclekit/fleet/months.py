@@ -1,0 +1,103 @@
+"""The days of the logs, and what has changed in the last month.
+
+Robots and trackers seldom log the date. It is taken from the path of the log where one stands there (2026-11-03 or
+20261103), else from when its file was last written.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+from typing import TYPE_CHECKING
+
+from cyclekit.evaluate.drift import Drift, drift_between
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from cyclekit.dataset import Dataset
+    from cyclekit.models.saved import TrainedModel
+
+MONTH = dt.timedelta(days=30)
+_DATE = re.compile(r"(?<!\d)(20\d\d)([-_.]?)(\d\d)\2(\d\d)(?!\d)")
+
+
+def day_in(path: str) -> dt.date | None:
+    """Return the last date that stands in a path, None if there is none."""
+    for year, _, month, day in reversed(_DATE.findall(path)):
+        try:
+            return dt.date(int(year), int(month), int(day))
+        except ValueError:
+            continue
+    return None
+
+
+def days_of(dataset: Dataset, roots: Sequence[Path]) -> dict[str, str]:
+    """Return the day of every session (ISO), as far as its logs can be found.
+
+    Args:
+        dataset: Made of these logs.
+        roots: The files and folders that were given to `ingest`.
+    """
+    bases = [root if root.is_dir() else root.parent for root in roots]
+    found: dict[str, str] = {}
+    for entry in dataset.recordings:
+        shown = str(entry["sources"][0]["path"])
+        day = day_in(shown) or _written(shown, bases)
+        if day is not None:
+            found[entry["session"]] = max(found.get(entry["session"], ""), day.isoformat())
+    return found
+
+
+def _written(shown: str, bases: Sequence[Path]) -> dt.date | None:
+    """Return the day on which a log was last written; with several folders of logs its name may begin with theirs."""
+    parts = shown.split("/")
+    for base in bases:
+        for first in range(len(parts)):
+            file = base.joinpath(*parts[first:])
+            if file.is_file():
+                whole = day_in(file.as_posix())
+                return whole or dt.datetime.fromtimestamp(file.stat().st_mtime, tz=dt.UTC).date()
+    return None
+
+
+def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, str]) -> Drift | str:
+    """Compare the last month of logs with those before it; return why that cannot be done in a sentence.
+
+    What the model learned from is left out when its errors are compared, on both sides.
+
+    Args:
+        model: A model of problem `now`, trained on these logs or on the earlier ones.
+        dataset: All logs.
+        days: The day of every session, ISO.
+    """
+    newest = max((dt.date.fromisoformat(day) for day in days.values()), default=None)
+    if newest is None:
+        return "the days of the logs are not known"
+    begin = (newest - MONTH).isoformat()
+    sessions = {entry["execution"]: entry["session"] for entry in dataset.card["executions"]}
+    dated = {name: days[session] for name, session in sessions.items() if session in days}
+    before = [name for name, day in dated.items() if day <= begin]
+    after = [name for name, day in dated.items() if day > begin]
+    if not before:
+        return "the logs reach back less than a month"
+    split = model.card.get("split") or {}
+    learned = {*split.get("train", ()), *split.get("validation", ())}
+    judged = [[name for name in part if name not in learned] for part in (before, after)]
+    if min(map(len, judged)) < 2:
+        return "too few executions of either time that the model has not learned from"
+    return drift_between(model, dataset.only(before), dataset.only(after), judged[0], judged[1])
+
+
+def since_training(model: TrainedModel, dataset: Dataset) -> Drift | None:
+    """Compare executions that came after the training with those held out from it; None with fewer than two."""
+    split = model.card.get("split") or {}
+    known = {name for part in ("train", "validation", "test") for name in split.get(part, ())}
+    names = dataset.executions["execution"].to_list()
+    newer = [name for name in names if name not in known]
+    older = [name for name in names if name in known]
+    held_out = [name for name in split.get("test", ()) if name in names]
+    if len(newer) < 2 or len(held_out) < 2:
+        return None
+    return drift_between(model, dataset.only(older), dataset.only(newer), held_out, newer)

@@ -1,0 +1,275 @@
+"""A fleet: what is new of every cell, one broken cell among good ones, lost workers, and the page of all."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import threading
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from cyclekit import fleet as fleets
+from cyclekit.cli import run
+from cyclekit.dataset import Dataset
+from cyclekit.engine import Engine
+from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.fleet.months import day_in, days_of, since_last_month, since_training
+from cyclekit.fleet.stages import work_on
+from cyclekit.models.saved import load_model
+from cyclekit.report.fleet_page import CellLine, fleet_page
+
+if TYPE_CHECKING:
+    from cyclekit.fleet import Fleet, Row
+
+TODAY = dt.date(2026, 11, 21)
+
+
+def fleet_of(folder: Path, logs: Path, *cells: str, more: str = "") -> Path:
+    """Write a fleet file of cells with the same logs each, copied; a cell called `broken` has notes in their place."""
+    text = f'[fleet]\nname = "Line 4"\nout = "out"\nepochs = 2\n{more}\n'
+    for name in cells:
+        text += f'[[cell]]\nname = "{name}"\nsources = ["logs/{name}"]\n'
+        if name == "broken":
+            (folder / "logs" / name).mkdir(parents=True)
+            (folder / "logs" / name / "notes.txt").write_text("it squeaks")
+        else:
+            shutil.copytree(logs, folder / "logs" / name)
+    (folder / "fleet.toml").write_text(text, encoding="utf-8")
+    return folder / "fleet.toml"
+
+
+def states(rows: list[Row]) -> dict[str, str]:
+    return {f"{row.cell} {row.stage}": row.state for row in rows}
+
+
+@pytest.fixture
+def one_day(small_cell: Path, tmp_path: Path) -> Path:
+    """The logs of three executions."""
+    shutil.copytree(small_cell / "logs" / "day_0", tmp_path / "one" / "2026-11-03")
+    shutil.copy(small_cell / "logs" / "cell.toml", tmp_path / "one")
+    return tmp_path / "one"
+
+
+def test_one_command_makes_everything_and_a_broken_cell_does_not_hold_up_the_others(
+    one_day: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = fleet_of(tmp_path, one_day, "press-1", "broken")
+    assert run(["fleet", "all", str(file), "--json"]) == 1
+    told = capsys.readouterr()
+    document = json.loads(told.out)
+    found = {f"{row['cell']} {row['stage']}": row["state"] for row in document["rows"]}
+    assert found == {
+        "press-1 ingest": "done", "press-1 train": "done", "press-1 report": "done",
+        "broken ingest": "failed", "broken train": "skipped", "broken report": "skipped",
+    }  # fmt: skip
+    assert "failed: broken: ingest: " in told.err
+    assert "no adapter recognises" in told.err
+    out = tmp_path / "out"
+    page = (out / "index.html").read_text(encoding="utf-8")
+    assert '<a href="press-1/report.html">press-1</a>' in page
+    assert "Failed in ingest: " in page
+    assert Dataset.open(out / "press-1" / "dataset").executions.height == 3
+    assert load_model(out / "press-1" / "model").problem == "now"
+    known = json.loads((out / "press-1" / "cell.json").read_text(encoding="utf-8"))
+    assert known["days"] == {"2026-11-03": "2026-11-03"}
+    assert 0.1 < known["figures"]["lost_share"] < 0.9
+    again = fleets.run_fleet(fleets.load_fleet(file), list(fleets.STAGES))
+    assert [state for name, state in states(again).items() if name.startswith("press")] == ["unchanged"] * 3
+
+
+def test_a_worker_that_is_killed_in_mid_work_costs_a_retry_and_nothing_else(one_day: Path, tmp_path: Path) -> None:
+    file = fleet_of(tmp_path, one_day, "a", "b")
+    wanted, rows = fleets.load_fleet(file), list[fleets.Row]()
+    work = threading.Thread(target=lambda: rows.extend(fleets.run_fleet(wanted, ["ingest"], engine=Engine(jobs=2))))
+    work.start()
+    killed = None
+    while killed is None and work.is_alive():
+        building = [*tmp_path.glob("out/*/.dataset.new-*")]
+        pids = {int(folder.name.split("-")[1]) for folder in building}
+        for worker in multiprocessing.active_children():
+            if worker.pid in pids:
+                os.kill(worker.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+                killed = worker.pid
+        time.sleep(0.005)
+    work.join()
+    assert killed is not None
+    assert states(rows) == {"a ingest": "done", "b ingest": "done"}
+    tables = [
+        {f.relative_to(place): f.read_bytes() for f in place.rglob("*.parquet")}
+        for place in tmp_path.glob("out/*/dataset")
+    ]
+    assert tables[0] == tables[1]
+    assert not [*tmp_path.glob("out/*/.dataset.new-*")]
+
+
+def test_new_logs_are_added_and_the_model_is_kept_while_the_cell_is_the_same(
+    one_day: Path, small_cell: Path, tmp_path: Path
+) -> None:
+    file = fleet_of(tmp_path, one_day, "press-1")
+    wanted = fleets.load_fleet(file)
+    fleets.run_fleet(wanted, ["ingest", "train"])
+    before = (tmp_path / "out" / "press-1" / "model" / "model.json").read_bytes()
+    shutil.copytree(small_cell / "logs" / "day_1", tmp_path / "logs" / "press-1" / "2026-11-04")
+    rows = fleets.run_fleet(wanted, ["ingest", "train"])
+    assert states(rows) == {"press-1 ingest": "done", "press-1 train": "unchanged"}
+    assert rows[0].text.startswith("6 executions, 3 recordings read")
+    assert (tmp_path / "out" / "press-1" / "model" / "model.json").read_bytes() == before
+
+
+def test_a_fleet_at_a_url_needs_no_folder_that_machines_share(
+    bucket: str, one_day: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CYCLEKIT_CACHE", str(tmp_path / "cache"))
+    file = fleet_of(tmp_path, one_day, "press-1")
+    file.write_text(file.read_text().replace('out = "out"', f'out = "{bucket}/fleet"'))
+    rows = fleets.run_fleet(fleets.load_fleet(file), ["ingest", "report"])
+    assert states(rows) == {"press-1 ingest": "done", "press-1 report": "done"}
+    monkeypatch.setenv("CYCLEKIT_CACHE", str(tmp_path / "another"))
+    assert Dataset.open(f"{bucket}/fleet/press-1/dataset").executions.height == 3
+    from cyclekit.storage import read_text
+
+    assert "press-1/report.html" in (read_text(f"{bucket}/fleet/index.html") or "")
+    assert "<html" in (read_text(f"{bucket}/fleet/press-1/report.html") or "")
+
+
+def test_a_fault_of_ours_in_one_cell_is_told_as_one(one_day: Path, tmp_path: Path, monkeypatch) -> None:
+    def faulty(*_: object) -> None:
+        raise KeyError("no such thing")
+
+    (cell,) = fleets.load_fleet(fleet_of(tmp_path, one_day, "a")).cells
+    monkeypatch.setitem(fleets.STAGES, "ingest", faulty)
+    (row,) = work_on(cell, stages=["ingest"])
+    assert (row.state, row.text) == ("failed", "a fault of cyclekit: KeyError: 'no such thing'")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no [[cell]] in it"),
+        ('[[cell]]\nname = "a"\n', "sources = []"),
+        ('[[cell]]\nname = "../a"\nsources = ["x"]', "name = '../a'"),
+        ('[[cell]]\nname = "a"\nsources = ["x"]\n[[cell]]\nname = "a"\nsources = ["y"]', "'a' is used twice"),
+        ('[[cell]]\nname = "a"\nsources = "x"', "not of the right kind"),
+        ('fleet = 1\n[[cell]]\nname = "a"\nsources = ["x"]', "[fleet] must be a table"),
+        ('[[cell]]\nname = "a"\nsources = ["x"]\nepochs = 0', "fewer than one epoch"),
+    ],
+)
+def test_a_fleet_file_that_cannot_be_followed_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "fleet.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        fleets.load_fleet(tmp_path / "fleet.toml")
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["[flet]\n", "[fleet]\nseads = 1\n", '[[cell]]\nname = "a"\nsourcs = ["x"]'])
+def test_a_slip_in_a_key_of_the_fleet_file_is_named(text: str, tmp_path: Path) -> None:
+    more = '\n[[cell]]\nname = "b"\nsources = ["y"]'
+    (tmp_path / "fleet.toml").write_text(text + more, encoding="utf-8")
+    with pytest.raises(UnknownName):
+        fleets.load_fleet(tmp_path / "fleet.toml")
+
+
+def test_sources_are_taken_from_the_folder_of_the_file_and_wildcards_mean_what_is_there(tmp_path: Path) -> None:
+    for day in ("01", "02"):
+        (tmp_path / "logs" / f"2026-11-{day}").mkdir(parents=True)
+    (tmp_path / "fleet.toml").write_text(
+        '[[cell]]\nname = "a"\nsources = ["logs/2026-*", "s3://b/x*"]\n[[cell]]\nname = "b"\nsources = ["no*"]'
+    )
+    wanted: Fleet = fleets.load_fleet(tmp_path / "fleet.toml")
+    assert [Path(path).name for path in wanted.cells[0].logs()] == ["2026-11-01", "2026-11-02", "x*"]
+    assert Path(wanted.cells[0].dataset) == tmp_path / "fleet" / "a" / "dataset"
+    with pytest.raises(ConfigError, match="nothing is called"):
+        wanted.cells[1].logs()
+
+
+@pytest.mark.parametrize(
+    ("path", "day"),
+    [
+        ("logs/2026-11-03/robot.csv", dt.date(2026, 11, 3)),
+        ("logs/run_20261103_0815.csv", dt.date(2026, 11, 3)),
+        ("2025-01-01/2026_02_03.csv", dt.date(2026, 2, 3)),
+        ("logs/2026-13-03/robot.csv", None),
+        ("logs/120261103.csv", None),
+        ("robot.csv", None),
+    ],
+)
+def test_the_day_of_a_log_stands_in_its_path(path: str, day: dt.date | None) -> None:
+    assert day_in(path) == day
+
+
+def test_else_it_is_when_the_file_was_written(small_cell: Path) -> None:
+    for file in (small_cell / "logs").rglob("*.csv"):
+        os.utime(file, (1_790_000_000 + 86_400 * (file.parent.name == "day_1"),) * 2)
+    days = days_of(Dataset.open(small_cell / "dataset"), [small_cell / "logs"])
+    assert days == {"day_0": "2026-09-21", "day_1": "2026-09-22"}
+
+
+class Blind:
+    """A model that sees nothing and has learned from nothing."""
+
+    problem, horizon_s, levels = "now", 0.0, ()
+    inputs = ("robot_x_m", "robot_y_m", "robot_z_m", "human_x_m", "human_y_m", "human_z_m")
+
+    def __init__(self, **split: list[str]) -> None:
+        self.card = {"split": split}
+
+    def predict(self, positions):
+        return 0 * positions[:, 0]
+
+
+def test_the_last_month_is_held_against_the_time_before(small_cell: Path) -> None:
+    logs = Dataset.open(small_cell / "dataset")
+    found = since_last_month(Blind(), logs, {"day_0": "2026-09-21", "day_1": "2026-11-01"})
+    assert not isinstance(found, str)
+    assert found.executions == (3, 3)
+    learned = Blind(train=["day_0.001", "day_0.002"])
+    for days, said in (
+        ({}, "the days of the logs are not known"),
+        ({"day_0": "2026-10-21", "day_1": "2026-11-01"}, "less than a month"),
+    ):
+        assert said in str(since_last_month(Blind(), logs, days))
+    assert "too few" in str(since_last_month(learned, logs, {"day_0": "2026-09-21", "day_1": "2026-11-01"}))
+    after = since_training(Blind(test=["day_0.001", "day_0.002"], train=["day_0.003"]), logs)
+    assert after is not None
+    assert after.executions == (2, 3)
+
+
+FIGURES = {
+    "executions": 20, "cycle_s": 90.0, "lost_s": 9.0, "lost_share": 0.1, "newest": "2026-11-20", "set_aside_share": 0.0,
+    "safety_changed": False, "habits_changed": False, "shifts": [], "drift": "",
+}  # fmt: skip
+
+
+def test_the_page_ranks_cells_and_names_those_that_need_a_look() -> None:
+    changed = {"safety_changed": True, "shifts": ["everywhere: 0.010 -> 0.090"]}
+    cells = [
+        CellLine("good", FIGURES, link="good/report.html"),
+        CellLine("worst", {**FIGURES, "lost_share": 0.5}, link="worst/report.html"),
+        CellLine("old", {**FIGURES, "newest": "2026-11-01"}),
+        CellLine("dirty", {**FIGURES, "set_aside_share": 0.02}, unread="a.csv: cut"),
+        CellLine("moved", {**FIGURES, **changed}),
+        CellLine("<b>", {}, failed=["ingest: no such folder"]),
+    ]
+    page = fleet_page("Line 4", cells, TODAY)
+    order = [page.index(f">{name}<", page.index("<tbody>")) for name in ("worst", "dirty", "good", "&lt;b&gt;")]
+    assert order == sorted(order)
+    look = page[page.index('id="look"') : page.index('id="cells"')]
+    assert "worst loses most to safety: 50" in look
+    assert "4 of the cells need a look" in look
+    for said in (
+        "20 days old",
+        "of its rows had to be set aside",
+        "Logs not read: a.csv: cut",
+        "0.010 -&gt; 0.090",
+        "ingest: no such folder",
+    ):
+        assert said in look
+    assert "good/report.html" not in look
+    assert "://" not in page

@@ -1,0 +1,82 @@
+"""Whoever does the work, the same comes out: datasets to the last byte, models, judgements and estimates."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from cyclekit.cli import run
+from cyclekit.engine import LOCAL, Engine
+from cyclekit.models.spec import ModelSpec
+from cyclekit.train import Training, train_at
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def digest(folder: Path) -> dict[str, str]:
+    """Return the SHA-256 of every file of a folder, by its name in it."""
+    files = sorted(file for file in folder.rglob("*") if file.is_file())
+    return {file.relative_to(folder).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+
+
+@pytest.fixture(params=["processes", "ray"])
+def elsewhere(request: pytest.FixtureRequest) -> list[str]:
+    """The options that have two workers do the work."""
+    if request.param == "processes":
+        return ["--jobs", "2"]
+    engine: Engine = request.getfixturevalue("cluster")
+    return ["--engine", "ray", "--ray-address", str(engine.address)]
+
+
+def answer(capsys: pytest.CaptureFixture[str], *words: object) -> Any:
+    capsys.readouterr()
+    assert run([*map(str, words), "--quiet", "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_a_dataset_is_the_same_to_the_last_byte(small_cell: Path, elsewhere: list[str], tmp_path: Path) -> None:
+    assert run(["ingest", str(small_cell / "logs"), "--out", str(tmp_path / "dataset"), "-q", *elsewhere]) == 0
+    found = digest(tmp_path / "dataset")
+    assert sum(name.endswith(".parquet") for name in found) >= 8
+    assert found == digest(small_cell / "dataset")
+
+
+def test_models_are_equal_and_so_are_their_judgements(
+    small_cell: Path, elsewhere: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, engine in (("one", LOCAL), ("two", engine_of_words(elsewhere))):
+        todo = [Training(str(small_cell / "dataset"), spec(seed), str(tmp_path / name / f"{seed}")) for seed in (1, 2)]
+        for done in engine.map(train_at, todo):
+            done.get()
+    assert len(digest(tmp_path / "one")) == 4
+    assert digest(tmp_path / "two") == digest(tmp_path / "one")
+    if "ray" not in elsewhere:  # gradient boosting takes seconds: once is enough
+        return
+    words = ["evaluate", tmp_path / "one", small_cell / "dataset"]
+    here = answer(capsys, *words)
+    assert set(here["models"]) == {"1", "2"}
+    assert here == answer(capsys, *words, *elsewhere)
+
+
+def spec(seed: int) -> ModelSpec:
+    return ModelSpec.of("ahead", "regressor", 2.0, seed=seed, epochs=2)
+
+
+def engine_of_words(words: list[str]) -> Engine:
+    return Engine("ray", address=words[-1]) if "ray" in words else Engine(jobs=2)
+
+
+def test_estimates_are_the_same_to_the_last_bit(
+    small_cell: Path, elsewhere: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in ("spread", "walk"):
+        monkeypatch.setattr(f"cyclekit.estimate.{module}.ROWS", 12)  # two sequences a task, as with hundreds of tracks
+    words = ["estimate", small_cell / "model", small_cell / "sequences.toml", "--dataset", small_cell / "dataset"]
+    words.append("--no-check")
+    here, there = answer(capsys, *words), answer(capsys, *words, *elsewhere)
+    assert len(here["sequences"]) == 4
+    assert here == there

@@ -26,7 +26,7 @@ from cyclekit.scaling import with_scaling
 from cyclekit.segment import Execution, find_executions, find_places, find_stops, find_visits
 from cyclekit.session import Grid
 from cyclekit.steps import Staircase, find_staircase
-from cyclekit.tables import forget
+from cyclekit.tables import forget, keeping
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     Vector = NDArray[np.float64]
     Rows = NDArray[np.int64]
 
+_KEPT_BYTES = 160 << 20
+"""Of decoded rows while the scaling is inferred, which compares every motion with its repetitions through the whole log."""
 _MOST_SAMPLES = 10_000_000
 """Of one execution: eleven days at 10 Hz. A time that cannot be would ask for more memory than there is."""
 
@@ -96,7 +98,8 @@ def derive(
     places = find_places(runs, stops, cell.places)
     executions = find_executions(find_visits(stops, places, runs), places, cell.executions, marks)
     executions += _whole_runs(runs, executions)
-    runs, warnings = with_scaling(runs, executions, sessions, lambda done, told: progress(0.2 + 0.4 * done, told))
+    with keeping(_KEPT_BYTES):
+        runs, warnings = with_scaling(runs, executions, sessions, lambda done, told: progress(0.2 + 0.4 * done, told))
     dwells = usual_dwells(runs, executions)
     by_run: dict[int, list[Execution]] = {}
     for found in executions:

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     Rows = NDArray[np.int64]
 
 _KEPT_BYTES = 160 << 20
-"""Of decoded rows while the scaling is inferred: every motion is compared with its repetitions through the whole log."""
+"""Of decoded rows while the scaling is inferred: every motion is held against its repetitions through the whole log."""
 _MOST_SAMPLES = 10_000_000
 """Of one execution: eleven days at 10 Hz. A time that cannot be would ask for more memory than there is."""
 

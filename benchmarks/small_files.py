@@ -1,6 +1,6 @@
 """Ingest of a folder of very many small logs: what one costs, in one process and in two.
 
-    python benchmarks/small_files.py [--files 10000]
+    python benchmarks/small_files.py [--files 2000]
 
 Each file is a second of a UR log (125 Hz, `record.py`), with its own day of robot time. The ways run in turn, each in a
 process of its own: nothing but reading the bytes, an ingest with one job and with two, and one that finds all of them
@@ -50,7 +50,7 @@ def run(words: list[str]) -> tuple[float, float, float]:
 def main() -> None:
     """Print the table."""
     ask = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    ask.add_argument("--files", type=int, default=10_000)
+    ask.add_argument("--files", type=int, default=2000)
     files = ask.parse_args().files
     with tempfile.TemporaryDirectory() as scratch:
         logs, out = Path(scratch) / "logs", Path(scratch) / "dataset"

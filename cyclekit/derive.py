@@ -27,7 +27,7 @@ from cyclekit.segment import Execution, find_executions, find_places, find_stops
 from cyclekit.session import Grid
 from cyclekit.stand import stands_of
 from cyclekit.steps import Staircase, find_staircase
-from cyclekit.tables import forget
+from cyclekit.tables import forget, keeping
 from cyclekit.turns import with_turns
 
 if TYPE_CHECKING:
@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     Vector = NDArray[np.float64]
     Rows = NDArray[np.int64]
 
+_KEPT_BYTES = 160 << 20
+"""Of decoded rows while the scaling is inferred: the fastest repetitions of each motion lie all over the log."""
 _MOST_SAMPLES = 10_000_000
 """Of one execution: eleven days at 10 Hz. A time that cannot be would ask for more memory than there is."""
 
@@ -105,9 +107,10 @@ def derive(
         visits = find_visits(stops, places, runs)
     executions = find_executions(visits, places, cell.executions, marks)
     executions += _whole_runs(runs, executions)
-    runs, warnings = with_scaling(
-        runs, executions, places, sessions, lambda done, told: progress(0.2 + 0.4 * done, told)
-    )
+    with keeping(_KEPT_BYTES):
+        runs, warnings = with_scaling(
+            runs, executions, places, sessions, lambda done, told: progress(0.2 + 0.4 * done, told)
+        )
     stands = stands_of(runs, executions, places)
     dwells = usual_dwells(executions, stands)
     by_run: dict[int, list[Execution]] = {}

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     Columns = Mapping[str, NDArray[np.float64]]
 
 GROUP_ROWS = 1 << 17
-_KEPT_BYTES = 160 << 20
+_KEPT_BYTES = 64 << 20
 _LEVEL = 1  # of zstd: higher ones take longer and save a hundredth
 
 
@@ -121,7 +121,7 @@ def _as_os_error(file: Path) -> Iterator[None]:
 
 
 class StoredTable:
-    """Numbers of a Parquet table, read by ranges of rows; what was read last stays decoded, up to _KEPT_BYTES of it.
+    """Numbers of a Parquet table, read by ranges of rows; what was read last stays decoded, up to a limit (`keeping`).
 
     The file is open only while it is read: a dataset has thousands of them.
     """
@@ -197,9 +197,10 @@ class StoredTable:
 
 
 class _Decoded:
-    """What was decoded last, up to _KEPT_BYTES of it; the latest part stays however large it is."""
+    """What was decoded last, up to a limit; the latest part stays however large it is."""
 
     def __init__(self) -> None:
+        self.most_bytes = _KEPT_BYTES
         self._parts: OrderedDict[tuple[Path, tuple[str, ...], int], Columns] = OrderedDict()
         self._bytes = 0
 
@@ -211,7 +212,7 @@ class _Decoded:
     def keep(self, key: tuple[Path, tuple[str, ...], int], columns: Columns) -> None:
         self._parts[key] = columns
         self._bytes += _size(columns)
-        while len(self._parts) > 1 and self._bytes > _KEPT_BYTES:
+        while len(self._parts) > 1 and self._bytes > self.most_bytes:
             self._bytes -= _size(self._parts.popitem(last=False)[1])
 
     def clear(self) -> None:
@@ -224,6 +225,17 @@ _decoded = _Decoded()
 
 def _size(columns: Columns) -> int:
     return sum(values.nbytes for values in columns.values())
+
+
+@contextmanager
+def keeping(most_bytes: int) -> Iterator[None]:
+    """Keep so much of what is decoded, for one who reads the same rows again and again; nothing of it afterwards."""
+    _decoded.most_bytes = most_bytes
+    try:
+        yield
+    finally:
+        _decoded.most_bytes = _KEPT_BYTES
+        forget()
 
 
 def forget() -> None:

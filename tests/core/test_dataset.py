@@ -288,6 +288,7 @@ def test_a_table_that_is_given_up_makes_no_noise_when_it_goes(tmp_path: Path, mo
 def test_what_was_decoded_is_kept_up_to_its_limit_and_the_oldest_goes_first(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(tables, "_KEPT_BYTES", 100)
     kept = tables._Decoded()
+    monkeypatch.setattr(tables, "_decoded", kept)
     keys = [(Path("a"), ("x",), number) for number in range(5)]
     for key in keys[:3]:
         kept.keep(key, {"x": np.zeros(5)})  # 40 bytes each
@@ -297,3 +298,8 @@ def test_what_was_decoded_is_kept_up_to_its_limit_and_the_oldest_goes_first(monk
     assert [kept.get(key) is not None for key in keys[:4]] == [False, True, False, True]
     kept.keep(keys[4], {"x": np.zeros(500)})
     assert [kept.get(key) is not None for key in keys] == [False] * 4 + [True]
+    with tables.keeping(1000):
+        for key in keys[:2]:
+            kept.keep(key, {"x": np.zeros(5)})
+        assert all(kept.get(key) is not None for key in keys[:2])
+    assert kept.get(keys[1]) is None

@@ -9,6 +9,7 @@ are marked as inferred. Frames and clocks have been settled before.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,6 +56,18 @@ class Track:
     t_s: Vector
     xyz_m: Points
 
+    @cached_property
+    def period_s(self) -> float:
+        """Usual time between frames in which the person was seen; infinite where there are none."""
+        t = self.t_s[np.isfinite(self.xyz_m[:, :2]).all(axis=1)]
+        return float(np.median(np.diff(t))) if len(t) > 1 else np.inf
+
+    def around(self, first_s: float, last_s: float) -> Track:
+        """Return its rows from the last one before `first_s` to the first one behind `last_s`; views."""
+        begin, end = np.searchsorted(self.t_s, first_s) - 1, np.searchsorted(self.t_s, last_s, side="right") + 1
+        part = slice(max(int(begin), 0), int(end))
+        return Track(self.person, self.t_s[part], self.xyz_m[part])
+
 
 def at_times(track: Track, t_s: Vector, *, bridge_s: float, width_s: float = 0.0) -> Points:
     """Return the track at the times `t_s` (N,), shape (N, 3); NaN where no seen position lies near enough.
@@ -64,11 +77,14 @@ def at_times(track: Track, t_s: Vector, *, bridge_s: float, width_s: float = 0.0
     noise and shaking faster than the samples do not pass for motion. The average never looks across a gap: near one it
     is taken over less, evenly on both sides.
     """
-    seen = np.isfinite(track.xyz_m[:, :2]).all(axis=1)
-    t, xyz = track.t_s[seen], track.xyz_m[seen]
+    limit = max(bridge_s, 2.0 * track.period_s)
+    if not np.isfinite(limit) or len(t_s) == 0:
+        return np.full((len(t_s), 3), np.nan)
+    part = track.around(float(t_s.min()) - limit - width_s, float(t_s.max()) + limit + width_s)
+    seen = np.isfinite(part.xyz_m[:, :2]).all(axis=1)
+    t, xyz = part.t_s[seen], part.xyz_m[seen]
     if len(t) < 2:
         return np.full((len(t_s), 3), np.nan)
-    limit = max(bridge_s, 2.0 * float(np.median(np.diff(t))))
     right = np.clip(np.searchsorted(t, t_s), 1, len(t) - 1)
     inside = (t_s >= t[0]) & (t_s <= t[-1]) & (t[right] - t[right - 1] <= limit)
     breaks = np.flatnonzero(np.diff(t) > limit)

@@ -235,7 +235,7 @@ def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups:
     centres = [np.median(xyz[group], axis=0) for group in groups]
     free = [any(stops[i].free for i in group.tolist()) for group in groups]
     asked = [centre for centre, is_free in zip(centres, free, strict=True) if not is_free]
-    passes = iter(_passes(runs, np.array(asked).reshape(-1, 3)).tolist())
+    passes = iter(count_passes(runs, np.array(asked).reshape(-1, 3)).tolist())
     answers = []
     for group, centre, is_free in zip(groups, centres, free, strict=True):
         if is_free:
@@ -246,17 +246,49 @@ def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups:
     return answers
 
 
-def _passes(runs: Sequence[Run], centres: Points) -> Rows:
+def count_passes(runs: Sequence[Run], centres: Points) -> Rows:
     """Count how often the robot comes within MERGE_M of each spot, standing or not; centres (C, 3), counts (C,)."""
     counts = np.zeros(len(centres), np.int64)
+    around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = _cell(centres[:, None] + MERGE_M * around[None]).ravel()  # of each spot all that it reaches into
+    order = np.argsort(cells, kind="stable")
+    cells, owners = cells[order], order // len(around)
     for run in runs if len(centres) else ():
-        before = np.zeros(len(centres), bool)
-        for _, part in pieces(run):
-            for number, centre in enumerate(centres):
-                near = np.linalg.norm(part.xyz_m - centre, axis=1) <= MERGE_M
-                entered = np.count_nonzero(near[1:] & ~near[:-1]) + int(near[0] and not before[number])
-                counts[number], before[number] = counts[number] + entered, near[-1]
+        last = np.full(len(centres), -2, np.int64)
+        for begin, part in pieces(run):
+            spot, row = _near(part.xyz_m, centres, cells, owners)
+            row = row + begin
+            before = np.where(np.diff(spot, prepend=-1) == 0, np.roll(row, 1), last[spot])
+            counts += np.bincount(spot[row != before + 1], minlength=len(centres))
+            np.maximum.at(last, spot, row)
     return counts
+
+
+def _near(xyz_m: Points, centres: Points, cells: Rows, owners: Rows) -> tuple[Rows, Rows]:
+    """Return which rows are within MERGE_M of which spots, by spot and row.
+
+    Args:
+        xyz_m: Positions, shape (T, 3), metres.
+        centres: The spots, shape (C, 3).
+        cells: Cells that they reach into, ascending.
+        owners: Whose each cell is, an index into the centres.
+    """
+    known = np.flatnonzero(np.isfinite(xyz_m).all(axis=1))
+    cell = _cell(xyz_m[known])
+    first, end = np.searchsorted(cells, cell, side="left"), np.searchsorted(cells, cell, side="right")
+    many = end - first
+    row = np.repeat(known, many)
+    within = np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)
+    spot = owners[np.repeat(first, many) + within]
+    near = np.linalg.norm(xyz_m[row] - centres[spot], axis=1) <= MERGE_M
+    order = np.lexsort((row[near], spot[near]))
+    return spot[near][order], row[near][order]
+
+
+def _cell(xyz_m: Points) -> Rows:
+    """Return the number of the cube of MERGE_M that each position (..., 3) lies in, shape (...)."""
+    index = np.floor(xyz_m / MERGE_M).astype(np.int64) + (1 << 20)
+    return np.asarray((index[..., 0] << 42) + (index[..., 1] << 21) + index[..., 2])
 
 
 def find_visits(stops: Sequence[Stop], places: Mapping[str, Place], runs: Sequence[Run]) -> list[list[Visit]]:

@@ -377,3 +377,16 @@ def test_nobody_in_the_cell_is_nobody_in_the_samples(cells: Cells):
     assert found["human_x_m"].null_count() == found.height
     assert found["scaling"].unique().to_list() == [1.0]
     assert cell.dataset.tasks()["safety_loss_s"].abs().max() < 0.02
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), width_s=st.sampled_from([0.0, 0.1]))
+def test_a_few_times_of_a_long_track_are_told_as_all_of_them_are(seed: int, width_s: float):
+    random = np.random.default_rng(seed)
+    t = np.cumsum(random.choice([0.02, 0.02, 0.02, 0.25, 2.0], 300))
+    xyz = random.normal(size=(300, 3))
+    xyz[random.random(300) < 0.1] = np.nan
+    track, at = Track("1", t, xyz), np.arange(0.0, t[-1] + 1.0, 0.1)
+    whole = at_times(track, at, bridge_s=0.3, width_s=width_s)
+    parts = [at_times(track, some, bridge_s=0.3, width_s=width_s) for some in np.array_split(at, 40)]
+    assert np.concatenate(parts) == pytest.approx(whole, abs=1e-9, nan_ok=True)

@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Executions, NamedPlace, load_cell
 from cyclekit.dataset import Dataset
 from cyclekit.errors import UnknownName
 from cyclekit.ingest import ingest
-from cyclekit.motion import tcp_speed
-from cyclekit.segment import cluster
+from cyclekit.motion import RobotRun, tcp_speed
+from cyclekit.segment import MERGE_M, cluster, count_passes
 from cyclekit_sim import SCENES, scene_places
 
 if TYPE_CHECKING:
@@ -302,3 +304,16 @@ def test_tasks_are_found_in_spite_of_a_noisy_robot_log(cells: Cells, tmp_path: P
     assert found.tasks()["safety_loss_s"].sum() == pytest.approx(cell.tasks["safety_loss_s"].sum(), rel=0.05)
     late = found.executions["duration_s"] - cell.executions["duration_s"]
     assert late.abs().max() < 0.15
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), spots=st.integers(1, 12), rows=st.integers(2, 400))
+def test_passes_of_spots_are_counted_as_by_looking_at_every_row(seed: int, spots: int, rows: int):
+    random = np.random.default_rng(seed)
+    xyz = np.cumsum(random.normal(0.0, 0.004, (rows, 3)), axis=0)
+    xyz[random.random(rows) < 0.05] = np.nan
+    centres = random.uniform(-0.04, 0.04, (spots, 3))
+    run = RobotRun(np.arange(rows) / 125, xyz, np.zeros(rows), np.full(rows, np.nan))
+    near = np.linalg.norm(xyz[None] - centres[:, None], axis=2) <= MERGE_M
+    entered = near & ~np.concatenate([np.zeros((spots, 1), bool), near[:, :-1]], axis=1)
+    assert count_passes([run], centres).tolist() == entered.sum(axis=1).tolist()

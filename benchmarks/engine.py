@@ -1,10 +1,10 @@
-"""What an engine costs beside the work: fixed, per task, and with one or two workers; and what one log of a cell costs.
+"""What an engine costs beside the work: fixed, per task, and with one or two workers.
 
-    python benchmarks/engine.py --tasks 2000 --logs 16 --executions 20
+    python benchmarks/engine.py --tasks 2000 --cells 8 --executions 20
 
 Every measurement is a process of its own, as a command is; the engines take turns, so that other work on the machine
-hits them alike. `here` does the work without a worker. Ray starts a cluster of its own and, with --address, uses one
-that runs. The last lines carry the cost of a log to 200 cells and a year.
+hits them alike. The work is the ingest of so many cells, one a task. `here` does it without a worker. Ray starts a
+cluster of its own and, with --address, uses one that runs.
 """
 
 from __future__ import annotations
@@ -36,9 +36,12 @@ def measured(what: str, engine: str, jobs: int, address: str | None, folder: str
     begin = time.perf_counter()
     chosen = Engine("ray", jobs, address) if engine == "ray" else Engine(jobs=jobs)
     if what == "ingest":
-        from cyclekit.ingest import ingest
+        from cyclekit.fleet import load_fleet, run_fleet
 
-        ingest([Path(folder) / "logs"], Path(folder) / f"{engine}-{jobs}-{os.getpid()}", engine=chosen)
+        file = Path(folder) / f"{engine}-{jobs}-{os.getpid()}.toml"  # its name is where the results go
+        file.write_text((Path(folder) / "cells.toml").read_text(encoding="utf-8"), encoding="utf-8")
+        rows = run_fleet(load_fleet(file), ["ingest"], engine=chosen)
+        assert all(row.state == "done" for row in rows)
         return {"s": time.perf_counter() - begin}
     count = int(what)
     assert [done.get() for done in chosen.map(nothing, [0, 1])]
@@ -55,22 +58,19 @@ def in_a_process(*words: object) -> dict[str, float]:
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def logs_in(folder: Path, logs: int, executions: int) -> None:
-    """Simulate one log and put it there so many times, each a session of its own."""
-    assert run(["simulate", "box-picking", "--out", str(folder / "one"), "--executions", str(executions), "-q"]) == 0
-    (folder / "logs").mkdir()
-    for number in range(logs):
-        target = folder / "logs" / f"run_{number:03d}"
-        target.mkdir()
-        for file in (folder / "one" / "session_000").iterdir():
-            (target / file.name).write_bytes(file.read_bytes())
+def cells_in(folder: Path, cells: int, executions: int) -> None:
+    """Simulate one cell, and write a fleet file in which it stands so many times."""
+    words = ["simulate", "box-picking", "--out", str(folder / "logs"), "--executions", str(executions), "-q"]
+    assert run(words) == 0
+    entries = [f'[[cell]]\nname = "cell-{number}"\nsources = ["logs"]\n' for number in range(cells)]
+    (folder / "cells.toml").write_text("".join(entries), encoding="utf-8")
 
 
 def main() -> None:
-    """Measure, and say what it means for a plant."""
+    """Measure, and print one line per engine."""
     parse = argparse.ArgumentParser()
     parse.add_argument("--tasks", type=int, default=2000)
-    parse.add_argument("--logs", type=int, default=16)
+    parse.add_argument("--cells", type=int, default=8)
     parse.add_argument("--executions", type=int, default=20)
     parse.add_argument("--times", type=int, default=3)
     parse.add_argument("--address")
@@ -84,9 +84,9 @@ def main() -> None:
     kinds = [("here", 1, None), ("local", 2, None), ("ray", 1, None), ("ray", 2, None)]
     if asked.address:
         kinds.append(("ray", 2, asked.address))
-    table = Table("engine", "workers", "fixed, s", "per task, ms", f"ingest of {asked.logs} sessions, s")
+    table = Table("engine", "workers", "fixed, s", "per task, ms", f"ingest of {asked.cells} cells, s")
     with tempfile.TemporaryDirectory() as name:
-        logs_in(Path(name), asked.logs, asked.executions)
+        cells_in(Path(name), asked.cells, asked.executions)
         found: dict[object, list[tuple[float, float, float]]] = {kind: [] for kind in kinds}
         for _ in range(asked.times):
             for kind in kinds:

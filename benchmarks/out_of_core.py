@@ -3,9 +3,9 @@
     python benchmarks/out_of_core.py --copies 20 80 320
 
 One simulated dataset is copied so many times into a larger one (each copy a session of its own). On it a model is
-trained, and a sequence estimated, in a process of its own: once with everything in memory, once with only so many
-samples (CYCLEKIT_MEMORY_ROWS). Told is the largest anonymous memory; what mapped files hold is the system's to take
-back. With --limit-mb a process may not have more data than that: one that needs more ends.
+trained for one epoch, and a sequence estimated, in processes of their own: once with everything in memory, once with
+only so many samples (CYCLEKIT_MEMORY_ROWS). Told is the largest anonymous memory; what mapped files hold is the
+system's to take back. With --limit-mb a process may not have more data than that: one that needs more ends.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from rich.console import Console
 from rich.table import Table
 
 from cyclekit.cli import run
+from cyclekit.models.spec import ModelSpec
+from cyclekit.train import Training, train_at
 
 UNDER_A_LIMIT = """
 import resource, sys
@@ -33,15 +35,20 @@ from cyclekit.cli import main
 limit = int(sys.argv[1]) << 20
 if limit:
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
-main(sys.argv[2:])
+if sys.argv[2] != "train":
+    main(sys.argv[2:])
+from cyclekit.dataset import Dataset
+from cyclekit.models.spec import ModelSpec
+from cyclekit.train import train
+
+train(Dataset.open(sys.argv[3]), ModelSpec.of(epochs=1))
 """
 
 
 def enlarged(dataset: Path, copies: int, out: Path) -> Path:
     """Write a dataset that holds another one several times; the recordings themselves are left out."""
     card = json.loads((dataset / "dataset.json").read_text(encoding="utf-8"))
-    (sample,) = (dataset / "samples").glob("*.parquet")
-    frame, tasks = pl.read_parquet(sample), pl.read_parquet(dataset / "tasks.parquet")
+    frame, tasks = pl.read_parquet(dataset / "samples"), pl.read_parquet(dataset / "tasks.parquet")
     (out / "samples").mkdir(parents=True)
     entries = []
     for number in range(copies):
@@ -93,7 +100,7 @@ def main() -> None:
         logs = ["simulate", "box-picking", "--out", str(work / "logs"), "--executions", str(asked.executions), "-q"]
         assert run(logs) == 0
         assert run(["ingest", str(work / "logs"), "--out", str(work / "one"), "-q"]) == 0
-        assert run(["train", str(work / "one"), "--out", str(work / "model"), "-q"]) == 0
+        train_at(Training(str(work / "one"), ModelSpec.of(epochs=2), str(work / "model")))
         places = '["home", "conveyor", "left_1", "conveyor"]'
         (work / "sequence.toml").write_text(f'[[sequence]]\nname = "a"\nplaces = {places}\n', encoding="utf-8")
         for copies in asked.copies:
@@ -102,7 +109,7 @@ def main() -> None:
             parquet_mb = sum(file.stat().st_size for file in dataset.rglob("*.parquet")) / 1e6
             asking = ["estimate", str(work / "model"), str(work / "sequence.toml"), "--dataset", str(dataset), "-q"]
             commands = {
-                "train": ["train", str(dataset), "--out", str(work / "trained"), "-q"],
+                "train": ["train", str(dataset)],
                 "estimate": [*asking, "--no-check", "--out", str(work / "estimate.json")],
             }
             for command, words in commands.items():

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from cyclekit.adapter import Adapter, ReadOptions, Recording
     from cyclekit.dataset import Dataset
     from cyclekit.describe import describe as describe_path
+    from cyclekit.engine import Engine
     from cyclekit.errors import CyclekitError
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.rollout import estimate as estimate_cycles
@@ -39,6 +40,7 @@ _HOMES = {
     "CycleEstimate": "cyclekit.estimate.result:CycleEstimate",
     "CyclekitError": "cyclekit.errors:CyclekitError",
     "Dataset": "cyclekit.dataset:Dataset",
+    "Engine": "cyclekit.engine:Engine",
     "ModelSpec": "cyclekit.models.spec:ModelSpec",
     "ReadOptions": "cyclekit.adapter:ReadOptions",
     "Recording": "cyclekit.adapter:Recording",
@@ -61,6 +63,7 @@ __all__ = [
     "CycleEstimate",
     "CyclekitError",
     "Dataset",
+    "Engine",
     "ModelSpec",
     "ReadOptions",
     "Recording",

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset import Dataset
 
-_IN_MEMORY_ROWS = 20_000_000
+_IN_MEMORY_ROWS = 10_000_000
 PART_ROWS = 250_000
 """Samples that are turned into rows at once."""
 
 
 def memory_rows() -> int:
-    """Return how many samples are worked on in memory: 20 million (23 days without a pause), or CYCLEKIT_MEMORY_ROWS.
+    """Return how many samples are worked on in memory: 10 million, some 7 GB, or what CYCLEKIT_MEMORY_ROWS says.
 
     Raises:
         ConfigError: That is set to something else than a number of 1000 or more.

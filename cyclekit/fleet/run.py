@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.engine import LOCAL, Engine
+from cyclekit.errors import CyclekitError
 from cyclekit.fleet.stages import REPORT, STAGES, Row, note, read_ledger, work_on
 from cyclekit.report.fleet_page import CellLine, fleet_page
 from cyclekit.storage import join, write_text
@@ -50,7 +52,8 @@ def run_fleet(
             rows[cell.name] = done.get()
         else:  # its worker died again and again, so it could not note that itself
             rows[cell.name] = [Row(cell.name, stages[0], "failed", str(done.error))]
-            note(cell, read_ledger(cell), rows[cell.name][0])
+            with suppress(CyclekitError):  # where it was the place that failed
+                note(cell, read_ledger(cell), rows[cell.name][0])
         if progress:
             progress(len(rows) / len(fleet.cells), _said(rows[cell.name][-1]))
     if "report" in stages:

@@ -94,7 +94,7 @@ def _ingest(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
     report = ingest(
         logs,
         cell.dataset,
-        cell=None if cell.cell_file is None else Path(cell.cell_file),
+        cell=None if cell.cell_file is None else mirrored(cell.cell_file),
         pseudonymise=cell.pseudonymise,
         checksums=cell.checksums,
     )
@@ -139,15 +139,16 @@ def _report(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
     dataset, model = _dataset(cell), _model(cell)
     if dataset is None:
         return "skipped", "there is no dataset"
-    asked = "" if cell.sequences is None else Path(cell.sequences).read_text(encoding="utf-8")
+    wanted = [] if cell.sequences is None else load_sequences(mirrored(cell.sequences))
+    asked = [[each.name, each.places, each.operator] for each in wanted]
     known = [cyclekit.__version__, fingerprint(dataset), None if model is None else model.card, asked, ledger["days"]]
     mark = hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
     if ledger.get("reported") == mark:
         return "unchanged", "nothing is new"
     missing: list[str] = []
     found: list[CycleEstimate] = []
-    if model is not None and cell.sequences is not None:
-        found = _or_missing(lambda: estimate(model, dataset, load_sequences(Path(str(cell.sequences)))), missing) or []
+    if model is not None and wanted:
+        found = _or_missing(lambda: estimate(model, dataset, wanted), missing) or []
     judged = None if model is None else _or_missing(lambda: evaluate(model, dataset, boosting=False), missing)
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / REPORT

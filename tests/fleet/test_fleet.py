@@ -60,7 +60,8 @@ def one_day(small_cell: Path, tmp_path: Path) -> Path:
 def test_one_command_makes_everything_and_a_broken_cell_does_not_hold_up_the_others(
     one_day: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = fleet_of(tmp_path, one_day, "press-1", "broken")
+    file = fleet_of(tmp_path, one_day, "press-1", "broken", more='sequences = "asked.toml"')
+    (tmp_path / "asked.toml").write_text('[[sequence]]\nname = "only there"\nplaces = ["home", "conveyor"]')
     assert run(["fleet", "all", str(file), "--json"]) == 1
     told = capsys.readouterr()
     document = json.loads(told.out)
@@ -75,6 +76,7 @@ def test_one_command_makes_everything_and_a_broken_cell_does_not_hold_up_the_oth
     page = (out / "index.html").read_text(encoding="utf-8")
     assert '<a href="press-1/report.html">press-1</a>' in page
     assert "Failed in ingest: " in page
+    assert "only there" in (out / "press-1" / "report.html").read_text(encoding="utf-8")
     assert Dataset.open(out / "press-1" / "dataset").executions.height == 3
     assert load_model(out / "press-1" / "model").problem == "now"
     known = json.loads((out / "press-1" / "cell.json").read_text(encoding="utf-8"))
@@ -137,6 +139,13 @@ def test_a_fleet_at_a_url_needs_no_folder_that_machines_share(
 
     assert "press-1/report.html" in (read_text(f"{bucket}/fleet/index.html") or "")
     assert "<html" in (read_text(f"{bucket}/fleet/press-1/report.html") or "")
+
+
+def test_a_sequence_file_that_is_not_there_fails_the_report_and_nothing_else(one_day: Path, tmp_path: Path) -> None:
+    file = fleet_of(tmp_path, one_day, "press-1", more='sequences = "asked.toml"')
+    rows = fleets.run_fleet(fleets.load_fleet(file), ["ingest", "report"])
+    assert states(rows) == {"press-1 ingest": "done", "press-1 report": "failed"}
+    assert "asked.toml: cannot be read" in rows[1].text
 
 
 def test_a_fault_of_ours_in_one_cell_is_told_as_one(one_day: Path, tmp_path: Path, monkeypatch) -> None:

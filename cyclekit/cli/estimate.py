@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet, levels, seconds
+from cyclekit.cli.options import Extrapolate, Json, Quiet, levels, seconds
 from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
 
 if TYPE_CHECKING:
@@ -40,9 +40,7 @@ def estimate(
         bool, typer.Option("--check/--no-check", help="Roll out logged executions too, and correct by them.")
     ] = True,
     seed: Annotated[int, typer.Option(min=0, help="Of the resampling of operator tracks.")] = 0,
-    extrapolate: Annotated[
-        bool, typer.Option("--extrapolate", help="Answer even where nothing like it was logged.")
-    ] = False,
+    extrapolate: Extrapolate = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:

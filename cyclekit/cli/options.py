@@ -1,4 +1,4 @@
-"""The frame of the command line, and the two options that every command takes."""
+"""The frame of the command line, and the options that commands share."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import typer
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, all else on standard error.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no remarks; errors are still shown.")]
+Extrapolate = Annotated[bool, typer.Option("--extrapolate", help="Answer even where nothing like it was logged.")]
 
 
 def new_app() -> typer.Typer:

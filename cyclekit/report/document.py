@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import csv
 import io
-import json
-import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.plain_json import json_text
 from cyclekit.report.findings import losses, safety_function, task_shares
 from cyclekit.report.provenance import provenance
 from cyclekit.report.tables import Table
@@ -57,7 +56,7 @@ def as_json(
         "provenance": asdict(provenance(dataset, {})),
         "sentences": {key: list(sections[key].get("sentences", ())) for key in ORDER},
     }
-    return json.dumps(_finite(document), indent=2, ensure_ascii=False, default=str) + "\n"
+    return json_text(document) + "\n"
 
 
 def as_csv(ranked: Sequence[CycleEstimate], tasks: pl.DataFrame) -> str:
@@ -123,13 +122,3 @@ def _table(table: Table) -> list[str]:
 
 def _cell(text: str) -> str:
     return text.replace("|", "\\|").replace("\n", " ")
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {str(key): _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return value

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import Extrapolate, Json, Quiet, levels, seconds
+from cyclekit.cli.options import Checked, Extrapolate, Json, Quiet, levels, seconds
 from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
 
 if TYPE_CHECKING:
@@ -36,9 +36,7 @@ def estimate(
         str | None, typer.Option(metavar="TIME", help="Also tell how many cycles meet it, such as 105s.")
     ] = None,
     quantiles: Annotated[str, typer.Option(metavar="LEVELS", help="Of single cycles, percent.")] = "5,50,95",
-    check: Annotated[
-        bool, typer.Option("--check/--no-check", help="Roll out logged executions too, and correct by them.")
-    ] = True,
+    check: Checked = True,
     seed: Annotated[int, typer.Option(min=0, help="Of the resampling of operator tracks.")] = 0,
     extrapolate: Extrapolate = False,
     json: Json = False,

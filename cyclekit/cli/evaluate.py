@@ -36,10 +36,13 @@ def evaluate(
     from cyclekit.models.saved import load_model
 
     terminal = Terminal(json=json, quiet=quiet)
-    with terminal.progress("evaluating"):
-        opened, judged = load_model(model), Dataset.open(dataset)
-        found = evaluate_model(opened, judged)
-        changed = None if trained_on is None else drift(opened, Dataset.open(trained_on), judged)
+    opened, judged = load_model(model), Dataset.open(dataset)
+    with terminal.progress("evaluating") as progress:
+        found = evaluate_model(opened, judged, progress=progress)
+    changed = None
+    if trained_on is not None:
+        with terminal.progress("comparing with the training"):
+            changed = drift(opened, Dataset.open(trained_on), judged)
     terminal.warnings(found.notes)
     document = found.to_json() | ({} if changed is None else {"drift": changed.to_json()})
     terminal.answer(document, _head(found), _errors(found), _levels(found), _drift(changed))

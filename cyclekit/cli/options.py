@@ -9,6 +9,9 @@ import typer
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, all else on standard error.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no remarks; errors are still shown.")]
 Extrapolate = Annotated[bool, typer.Option("--extrapolate", help="Answer even where nothing like it was logged.")]
+Checked = Annotated[
+    bool, typer.Option("--check/--no-check", help="Roll out logged executions too, and correct by them.")
+]
 
 
 def new_app() -> typer.Typer:

@@ -34,6 +34,23 @@ def test_what_the_logs_lack_is_said_on_the_page(dataset, tmp_path, absent, sente
     assert "No model was given" in page.text
 
 
+def test_a_tracker_alone_shows_where_people_were_and_no_robot(dataset, tmp_path):
+    path = tmp_path / "tracker"
+    shutil.copytree(dataset.path, path)
+    for file in (path / "samples").glob("*.parquet"):
+        rows = pl.read_parquet(file)
+        gone = [name for name in rows.columns if name.startswith(("robot_", "scaling"))] + ["step"]
+        write_parquet(rows.with_columns(pl.lit(None).cast(rows.schema[c]).alias(c) for c in gone), file)
+    facts = write_report(Dataset.open(path), None, tmp_path / "r.html")
+    page = Page(facts.path.read_text("utf-8"))
+    assert any("No robot is in these logs" in text for text in facts.missing)
+    assert "Where the operator was when" not in page.text
+    assert "Where the operator was" in page.text
+    (floor,) = [words for words in facts.path.read_text("utf-8").split("<figure>")[1:] if "Floor plan" in words]
+    assert ">robot<" not in floor
+    assert "robot speed" not in floor
+
+
 def test_a_dataset_without_tasks_executions_or_provenance_still_gives_a_page(dataset, tmp_path):
     path = tmp_path / "bare"
     shutil.copytree(dataset.path, path)

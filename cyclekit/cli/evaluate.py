@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cyclekit.cli.options import Json, Quiet
-from cyclekit.cli.terminal import Terminal, percent, table
+from cyclekit.cli.terminal import Terminal, bullet, percent, table
 
 if TYPE_CHECKING:
     from cyclekit.evaluate import Evaluation
@@ -55,7 +55,7 @@ def _head(found: Evaluation) -> str:
     named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy)} of levels named rightly"
     lines.append(f"{metrics.rows} samples: mean absolute error {metrics.mae:.4f}, bias {metrics.bias:+.4f}{named}")
     lines += [f"left out: {count} samples, {reason}" for reason, count in found.dropped.items()]
-    return "\n".join(lines)
+    return bullet(lines, mark="")
 
 
 def _errors(found: Evaluation) -> str:

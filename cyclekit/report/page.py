@@ -101,8 +101,14 @@ def write_report(
         return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing))
     texts = look.texts
     sections: dict[str, Any] = {}
+    about: dict[str, Any] = {"has_model": model is not None, "takt_s": takt_s, "checked": check is not None}
     steps: list[tuple[str, Callable[[], dict[str, Any]]]] = [
-        ("answer", lambda: answer.section(texts, ranked, seen, has_model=model is not None, takt_s=takt_s)),
+        (
+            "answer",
+            lambda: answer.section(
+                texts, ranked, seen, has_model=model is not None, takt_s=takt_s, checked=check is not None
+            ),
+        ),
         ("where", lambda: where.section(texts, ranked, tasks)),
         ("why", lambda: why.section(texts, dataset, samples, model, seen)),
         ("helps", lambda: helps.section(texts, ranked, samples, seen, what_if, planned)),

@@ -32,10 +32,13 @@ def test_how_often_the_intervals_held_is_told_as_measured(dataset, tmp_path):
     assert "Logged executions rolled out 40" in text
     assert "Of these, unseen by the model 10" in text
     assert "was not measured for this report" not in text
+    assert "the error that the model showed on logged executions" in text
 
 
 def test_without_a_check_no_coverage_is_claimed(dataset, tmp_path):
-    assert "was not measured for this report" in text_of(dataset, tmp_path / "r.html")
+    text = text_of(dataset, tmp_path / "r.html")
+    assert "was not measured for this report" in text
+    assert "the error of the model itself is not in them" in text
 
 
 def test_too_few_executions_for_a_coverage_are_said_to_be_so(dataset, tmp_path):

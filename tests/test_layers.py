@@ -31,7 +31,7 @@ FLOORS = [
     {"engine"},
     {"config", "schema", "sequences"},
     {"toml_file"},
-    {"ahead", "colours", "errors", "labels"},
+    {"ahead", "colours", "errors", "labels", "plain_json"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
 

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cyclekit.cli.options import (
+    Checked,
     EngineName,
+    Extrapolate,
     Jobs,
     Json,
     LoggedPlace,
@@ -47,13 +49,9 @@ def estimate(
         str | None, typer.Option(metavar="TIME", help="Also tell how many cycles meet it, such as 105s.")
     ] = None,
     quantiles: Annotated[str, typer.Option(metavar="LEVELS", help="Of single cycles, percent.")] = "5,50,95",
-    check: Annotated[
-        bool, typer.Option("--check/--no-check", help="Roll out logged executions too, and correct by them.")
-    ] = True,
+    check: Checked = True,
     seed: Annotated[int, typer.Option(min=0, help="Of the resampling of operator tracks.")] = 0,
-    extrapolate: Annotated[
-        bool, typer.Option("--extrapolate", help="Answer even where nothing like it was logged.")
-    ] = False,
+    extrapolate: Extrapolate = False,
     engine: EngineName = "local",
     jobs: Jobs = None,
     ray_address: RayAddress = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cyclekit.cli.options import DatasetPlace, EngineName, Jobs, Json, Quiet, RayAddress, engine_of
-from cyclekit.cli.terminal import Terminal, percent, table
+from cyclekit.cli.terminal import Terminal, bullet, percent, table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -42,9 +42,10 @@ def evaluate(
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     models = models_in(model)
-    judge = partial(evaluate_at, dataset=dataset, trained_on=trained_on)
     found: dict[str, tuple[Evaluation, Drift | None]] = {}
     with terminal.progress("evaluating") as progress:
+        tell = progress if len(models) == 1 and work.stays_here(1) else None
+        judge = partial(evaluate_at, dataset=dataset, trained_on=trained_on, progress=tell)
         for done in work.map(judge, models):
             found[done.item] = done.get()
             progress(len(found) / len(models), done.item)
@@ -79,7 +80,7 @@ def _head(found: Evaluation) -> str:
     named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy)} of levels named rightly"
     lines.append(f"{metrics.rows} samples: mean absolute error {metrics.mae:.4f}, bias {metrics.bias:+.4f}{named}")
     lines += [f"left out: {count} samples, {reason}" for reason, count in found.dropped.items()]
-    return "\n".join(lines)
+    return bullet(lines, mark="")
 
 
 def _errors(found: Evaluation) -> str:

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.options import DatasetPlace, Json, Quiet, seconds
+from cyclekit.cli.options import Checked, DatasetPlace, Extrapolate, Json, Quiet, seconds
 from cyclekit.cli.terminal import Terminal, megabytes
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from cyclekit.dataset import Dataset
+    from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.evaluate import Evaluation
     from cyclekit.models.saved import TrainedModel
-    from cyclekit.report import WhatIf
+    from cyclekit.plan import Jobs, Plan
+    from cyclekit.report import Tried
     from cyclekit.sequences import TaskSequence
+    from cyclekit.whatif import Change
 
 EXAMPLE = "cyclekit report dataset --model model --sequences sequences.toml --out report.html"
+
+CHECKED = 200
+"""Logged executions that are rolled out: how many lie in their intervals is then known to two percent points."""
 
 
 def report(
@@ -32,7 +41,13 @@ def report(
     takt: Annotated[str | None, typer.Option(help="Takt time that the cycles are held against, such as 105s.")] = None,
     what_if: Annotated[
         list[str] | None,
-        typer.Option(help="Estimates of a changed cell, again for more.", metavar="LABEL=FILE.json"),
+        typer.Option(
+            metavar="CHANGES.toml",
+            help="Try these changes; or FILE.json of whatif, or LABEL=FILE.json of estimate. Again for more.",
+        ),
+    ] = None,
+    plan: Annotated[
+        Path | None, typer.Option(metavar="JOBS.toml", help="Search the order of this work that takes least time.")
     ] = None,
     kind: Annotated[
         str | None, typer.Option("--format", help="html, json, csv or md; default: by the ending of --out.")
@@ -43,6 +58,8 @@ def report(
     template: Annotated[
         Path | None, typer.Option(help="Folder with your logo, cover, words or look (docs/report.md).")
     ] = None,
+    check: Checked = True,
+    extrapolate: Extrapolate = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -53,16 +70,13 @@ def report(
     from cyclekit.dataset import Dataset
     from cyclekit.models.saved import load_model
     from cyclekit.report import write_pdf, write_report
-    from cyclekit.sequences import load_sequences
 
     terminal = Terminal(json=json, quiet=quiet)
     takt_s = seconds(takt) if takt else None
-    chosen, changes = _format(kind, out, pdf), _changes(what_if or [])
-    wanted = load_sequences(sequences) if sequences else []
-    if wanted and model is None:
-        raise typer.BadParameter("estimates need a model; add --model", param_hint="--sequences")
+    chosen, asked = _format(kind, out, pdf), _asked(sequences, what_if or [], plan, check, extrapolate)
+    _refuse_without_model(asked, model)
     data, trained = Dataset.open(dataset), load_model(model) if model else None
-    found = _found(terminal, data, trained, wanted)
+    found = _found(terminal, data, trained, asked) if trained else _Found(tried=asked.tried)
     with terminal.progress("writing the page") as progress:
         facts = write_report(
             data,
@@ -70,7 +84,9 @@ def report(
             out,
             estimates=found.estimates,
             evaluation=found.evaluation,
-            what_if=changes,
+            check=found.check,
+            what_if=found.tried,
+            planned=found.planned,
             takt_s=takt_s,
             missing=found.missing,
             kind=chosen,
@@ -87,34 +103,98 @@ def report(
     terminal.done({**document, **printed}, said + (f"\n{pdf}: {megabytes(pdf.stat().st_size)}" if pdf else ""))
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What is to be computed for the page, all files read; `tried` was computed before."""
+
+    sequences: list[TaskSequence]
+    changes: list[Change]
+    tried: list[Tried]
+    jobs: Jobs | None
+    check: bool
+    extrapolate: bool
+
+
+def _asked(sequences: Path | None, what_if: list[str], plan: Path | None, check: bool, extrapolate: bool) -> _Asked:
+    from cyclekit.plan import load_jobs
+    from cyclekit.report import load_tried
+    from cyclekit.sequences import load_sequences
+    from cyclekit.whatif import load_changes
+
+    changes: list[Change] = []
+    tried: list[Tried] = []
+    for entry in what_if:
+        label, _, file = entry.rpartition("=")
+        if file.lower().endswith(".toml") and not label:
+            changes += load_changes(Path(file))
+        elif file.lower().endswith(".json"):
+            tried += load_tried(Path(file), label.strip() or None)
+        else:
+            msg = f'{entry!r} is neither CHANGES.toml nor FILE.json nor "conveyor 0.3 m back=FILE.json"'
+            raise typer.BadParameter(msg, param_hint="--what-if")
+    wanted = load_sequences(sequences) if sequences else []
+    return _Asked(wanted, changes, tried, load_jobs(plan) if plan else None, check, extrapolate)
+
+
+def _refuse_without_model(asked: _Asked, model: str | None) -> None:
+    if asked.changes and not asked.sequences:
+        raise typer.BadParameter("changes are tried on sequences; add --sequences", param_hint="--what-if")
+    for wanted, option in ((asked.sequences, "--sequences"), (asked.jobs, "--plan")):
+        if wanted and model is None:
+            raise typer.BadParameter("estimates need a model; add --model", param_hint=option)
+
+
 @dataclass
 class _Found:
     """What the page shows beside the logs; what could not be computed is said on the page and ends no command."""
 
     estimates: list[CycleEstimate] = field(default_factory=list)
+    check: Check | None = None
+    tried: list[Tried] = field(default_factory=list)
+    planned: Plan | None = None
     evaluation: Evaluation | None = None
     missing: list[str] = field(default_factory=list)
 
+    @contextmanager
+    def or_say(self, what: str) -> Iterator[None]:
+        """Note an error of the block as a sentence of the page."""
+        from cyclekit.errors import CyclekitError
 
-def _found(terminal: Terminal, data: Dataset, model: TrainedModel | None, wanted: list[TaskSequence]) -> _Found:
-    from cyclekit.errors import CyclekitError
+        try:
+            yield
+        except CyclekitError as error:
+            self.missing.append(f"{what}: {error}".replace("\n", " "))
+
+
+def _found(terminal: Terminal, data: Dataset, model: TrainedModel, asked: _Asked) -> _Found:
+    from cyclekit.estimate.check import check_rollout
     from cyclekit.estimate.rollout import estimate
     from cyclekit.evaluate import evaluate
+    from cyclekit.plan import plan as search
+    from cyclekit.report import Tried
+    from cyclekit.whatif import what_if
 
-    found = _Found()
-    if model is None:
-        return found
-    try:
-        if wanted:
-            with terminal.progress("estimating") as progress:
-                found.estimates = estimate(model, data, wanted, progress=progress)
-    except CyclekitError as error:
-        found.missing.append(f"No estimate: {error}".replace("\n", " "))
-    try:
-        with terminal.progress("evaluating"):
-            found.evaluation = evaluate(model, data)
-    except CyclekitError as error:
-        found.missing.append(f"The model could not be judged: {error}".replace("\n", " "))
+    found = _Found(tried=list(asked.tried))
+    if asked.sequences and asked.check and model.problem == "now":
+        with found.or_say("The cycle times could not be checked"), terminal.progress("checking") as progress:
+            found.check = check_rollout(model, data, most=CHECKED, progress=progress)
+    check, extrapolate = found.check, asked.extrapolate
+    if asked.sequences:
+        with found.or_say("No estimate"), terminal.progress("estimating") as progress:
+            found.estimates = estimate(
+                model, data, asked.sequences, check=check, extrapolate=extrapolate, progress=progress
+            )
+    if asked.changes:
+        with found.or_say("No change could be tried"), terminal.progress("trying changes") as progress:
+            tried = what_if(
+                model, data, asked.sequences, asked.changes, check=check, extrapolate=extrapolate, progress=progress
+            )
+            found.tried += [Tried.of(entry) for entry in tried]
+    if asked.jobs:
+        with found.or_say("No order could be searched"), terminal.progress("planning") as progress:
+            found.planned = search(model, data, asked.jobs, progress=progress)
+    with found.or_say("The model could not be judged"), terminal.progress("evaluating") as progress:
+        found.evaluation = evaluate(model, data, progress=progress)
     return found
 
 
@@ -130,16 +210,3 @@ def _format(kind: str | None, out: Path, pdf: Path | None) -> str:
     if pdf is not None and chosen != "html":
         raise typer.BadParameter("only the page can be printed; leave --format html", param_hint="--pdf")
     return chosen
-
-
-def _changes(given: list[str]) -> list[WhatIf]:
-    from cyclekit.report import load_what_if
-
-    changes: list[WhatIf] = []
-    for entry in given:
-        label, equals, file = entry.rpartition("=")
-        if not equals or not label.strip():
-            msg = f'{entry!r} names no change; write "conveyor 0.3 m back=estimates.json"'
-            raise typer.BadParameter(msg, param_hint="--what-if")
-        changes += load_what_if(label.strip(), Path(file))
-    return changes

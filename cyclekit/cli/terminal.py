@@ -6,7 +6,6 @@ people, or as one JSON document for programs. What the numbers mean is the busin
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import threading
@@ -16,6 +15,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import typer
+
+from cyclekit.plain_json import json_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -76,21 +77,7 @@ class Terminal:
 
 def write_json(document: Mapping[str, Any]) -> None:
     """Write one JSON document to standard output; what is not a number becomes null, as JSON has no NaN."""
-    typer.echo(_as_json(document))
-
-
-def _as_json(document: Mapping[str, Any]) -> str:
-    return json.dumps(_finite(document), indent=2, default=str)
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {str(key): _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return value
+    typer.echo(json_text(document, ascii_only=True))
 
 
 def say_failure(message: str, *, kind: str, as_json: bool, code: int = 1) -> int:
@@ -175,7 +162,8 @@ class _Lines:
                 return
             self.next_s = spent_s * 2
             far = f"{fraction:.0%} after {duration(spent_s)}" if fraction > 0 else duration(spent_s)
-            left = f", about {duration(spent_s * (1 - fraction) / fraction)} left" if fraction > 0 else ""
+            told = fraction >= 0.01  # from less than a percent nobody can tell how long the rest takes
+            left = f", about {duration(spent_s * (1 - fraction) / fraction)} left" if told else ""
             typer.echo(f"{self.title}: {far}{left}  {self.text}".rstrip(), err=True)
 
 
@@ -259,4 +247,4 @@ def write_out(file: Path, content: str | Mapping[str, Any]) -> None:
     """
     from cyclekit.atomic import write_text
 
-    write_text(file, content if isinstance(content, str) else _as_json(content) + "\n")
+    write_text(file, content if isinstance(content, str) else json_text(content, ascii_only=True) + "\n")

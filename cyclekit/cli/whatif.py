@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.options import Json, LoggedPlace, ModelPlace, Quiet
+from cyclekit.cli.options import Extrapolate, Json, LoggedPlace, ModelPlace, Quiet
 from cyclekit.cli.terminal import Terminal, bullet, table, write_out
 
 if TYPE_CHECKING:
@@ -27,9 +27,7 @@ def whatif(
     dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the result here, as JSON.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the resampling.")] = 0,
-    extrapolate: Annotated[
-        bool, typer.Option("--extrapolate", help="Answer even where nothing like it was logged.")
-    ] = False,
+    extrapolate: Extrapolate = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:

@@ -12,7 +12,7 @@ rolled-out cycles of all other operators.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -137,6 +137,7 @@ def check_rollout(
     dataset: Dataset,
     *,
     levels: Sequence[float] = (0.05, 0.5, 0.95),
+    most: int | None = None,
     seed: int = 0,
     progress: Callable[[float, str], None] | None = None,
 ) -> Check:
@@ -146,6 +147,7 @@ def check_rollout(
         model: A model of problem `now`.
         dataset: The logs.
         levels: Quantile levels that will be asked for.
+        most: Roll out no more executions than this, evenly chosen, beside the operators of each other; None: all.
         seed: Of the order in which logged stands are used.
         progress: Told fraction and text.
 
@@ -162,6 +164,9 @@ def check_rollout(
     with threadpool_limits(limits=1, user_api="blas"):
         tracks = operator_tracks(dataset, horizon_s=3.0 * longest, phases=1)
         sequences = [sequence for sequence in sequences if sequence.name in tracks.executions]
+        if most is not None and len(sequences) > most:
+            sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, most).astype(int)]
+            tracks = _only(tracks, {sequence.name for sequence in sequences})
         own = beside_own(model, dataset, sequences, nominal, tracks)
         asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
         crossed = transit_table(model, asked, tracks, progress=progress).durations(
@@ -173,6 +178,19 @@ def check_rollout(
     unseen = set((model.card.get("split") or {}).get("test", ()))
     held_out = np.array([sequence.name in unseen for sequence in sequences])
     return compare(logged, own, np.where(np.isfinite(crossed), crossed, np.nan), held_out, levels)
+
+
+def _only(tracks: OperatorTracks, names: set[str]) -> OperatorTracks:
+    """Return the tracks of these executions, in their order."""
+    kept = [k for k, name in enumerate(tracks.executions) if name in names]
+    return replace(
+        tracks,
+        xyz_m=tracks.xyz_m[kept],
+        activity=tracks.activity[kept],
+        logged=tracks.logged[kept],
+        executions=tuple(tracks.executions[k] for k in kept),
+        goal_m=None if tracks.goal_m is None else tracks.goal_m[kept],
+    )
 
 
 def compare(

@@ -24,7 +24,7 @@ from cyclekit.samples import Samples, build_samples
 from cyclekit.train import fingerprint
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from cyclekit.models.saved import TrainedModel
 
@@ -99,7 +99,13 @@ class Evaluation:
         }
 
 
-def evaluate(model: TrainedModel, dataset: Dataset, *, boosting: bool = True) -> Evaluation:
+def evaluate(
+    model: TrainedModel,
+    dataset: Dataset,
+    *,
+    boosting: bool = True,
+    progress: Callable[[float, str], None] | None = None,
+) -> Evaluation:
     """Judge `model` on the executions of `dataset` that it never saw.
 
     When it was trained on this dataset, those are the ones held out at training, and the rivals learn from the ones
@@ -110,29 +116,36 @@ def evaluate(model: TrainedModel, dataset: Dataset, *, boosting: bool = True) ->
         model: Any model.
         dataset: With the scaling known.
         boosting: Also fit scikit-learn's gradient boosting, which takes a few seconds.
+        progress: Told fraction and text.
 
     Raises:
         DatasetError: No row of these executions can be used.
         ModelError: The model's card does not say what was held out, though it was trained on this dataset.
     """
+    tell = progress or (lambda fraction, text: None)
     same = model.card.get("dataset_sha256") == fingerprint(dataset)
     executions = _held_out(model) if same else tuple(dataset.executions["execution"].to_list())
     every = len(executions)
     executions = some_executions(dataset, executions, memory_rows())
+    tell(0.02, "reading the executions to judge by")
     rows = _rows(model, dataset, executions)
     if not len(rows):
         why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "it is empty"
         msg = f"{dataset.path}: no sample can be judged ({why})"
         raise DatasetError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
+    tell(0.2, f"judging {len(rows)} samples")
     metrics = measure(model, rows)
     table, notes = list(_read_outs(metrics)), list[str]()
     if len(executions) < every:
         notes.append(f"{len(executions)} of {every} executions are judged, drawn at random: memory takes no more")
     if same:
+        tell(0.4, "reading what the rivals learn from")
         learned = _rows(model, dataset, some_executions(dataset, model.card["split"]["train"], memory_rows()))
+        tell(0.6, f"fitting the rivals to {len(learned)} samples")
         table += rivals(learned, rows, model.levels, boosting=boosting)
     else:
         notes.append("not the dataset the model was trained on: all executions are judged, without rivals")
+    tell(0.95, "naming levels")
     confusion = _confusion(model, rows) if model.levels and model.problem != "average" else None
     return Evaluation(
         model.problem,
@@ -148,15 +161,23 @@ def evaluate(model: TrainedModel, dataset: Dataset, *, boosting: bool = True) ->
     )
 
 
-def evaluate_at(model: str, *, dataset: str, trained_on: str | None = None) -> tuple[Evaluation, Drift | None]:
+def evaluate_at(
+    model: str,
+    *,
+    dataset: str,
+    trained_on: str | None = None,
+    progress: Callable[[float, str], None] | None = None,
+) -> tuple[Evaluation, Drift | None]:
     """Judge the model of one place, as a task of an engine; where `trained_on` is given, also what has changed since.
+
+    `progress` is told fraction and text; for work in this process only.
 
     Raises:
         CyclekitError: As `evaluate` and `drift`.
     """
     opened, judged = load_model(model), Dataset.open(dataset)
     changed = None if trained_on is None else drift(opened, Dataset.open(trained_on), judged)
-    return evaluate(opened, judged), changed
+    return evaluate(opened, judged, progress=progress), changed
 
 
 def _held_out(model: TrainedModel) -> tuple[str, ...]:

@@ -8,8 +8,8 @@ What is missing is said on the page, and is no error. The only room that knows j
 
 from __future__ import annotations
 
-from cyclekit.report.helps import WhatIf, load_what_if
 from cyclekit.report.page import FORMATS, ReportFacts, write_report
 from cyclekit.report.pdf import write_pdf
+from cyclekit.report.tried import Tried, load_tried
 
-__all__ = ["FORMATS", "ReportFacts", "WhatIf", "load_what_if", "write_pdf", "write_report"]
+__all__ = ["FORMATS", "ReportFacts", "Tried", "load_tried", "write_pdf", "write_report"]

@@ -22,9 +22,15 @@ if TYPE_CHECKING:
 
 
 def section(
-    texts: Texts, ranked: Sequence[CycleEstimate], seen: Overview, *, has_model: bool, takt_s: float | None = None
+    texts: Texts,
+    ranked: Sequence[CycleEstimate],
+    seen: Overview,
+    *,
+    has_model: bool,
+    takt_s: float | None = None,
+    checked: bool = False,
 ) -> dict[str, Any]:
-    """Return what the template needs for section 1; `ranked` has the fastest sequence first."""
+    """Return what the template needs for section 1; `ranked` has the fastest first, `checked` by logged executions."""
     missing = [] if has_model else [texts("answer.no_model")]
     if not ranked:
         missing.insert(0, texts("answer.no_estimates"))
@@ -44,6 +50,7 @@ def section(
         "picture": _picture(texts, ranked, mean, takt_s),
         "caption": texts("answer.caption"),
         "table": _table(texts, ranked, takt_s),
+        "interval_note": texts("answer.interval_checked" if checked else "answer.interval_tracks"),
         "warnings": [
             texts("answer.warning", name=each.name, text=warning) for each in ranked for warning in each.warnings
         ],

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import csv
 import io
-import json
-import math
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.plain_json import json_text
 from cyclekit.report.findings import losses, safety_function, task_shares
 from cyclekit.report.provenance import provenance
 from cyclekit.report.tables import Table
@@ -22,21 +21,32 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.dataset import Dataset
+    from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.report.helps import WhatIf
+    from cyclekit.plan import Plan
     from cyclekit.report.texts import Texts
+    from cyclekit.report.tried import Tried
     from cyclekit.report.trust import Judged
 
 PARTS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 ORDER = ("answer", "where", "why", "helps", "trust")
 
 
+@dataclass(frozen=True)
+class Found:
+    """What the page was given beside the logs."""
+
+    ranked: Sequence[CycleEstimate]
+    what_if: Sequence[Tried]
+    planned: Plan | None
+    evaluation: Judged | None
+    check: Check | None
+
+
 def as_json(
     cell: str,
     made: str,
-    ranked: Sequence[CycleEstimate],
-    what_if: Sequence[WhatIf],
-    evaluation: Judged | None,
+    given: Found,
     dataset: Dataset,
     samples: pl.DataFrame,
     sections: Mapping[str, Any],
@@ -47,35 +57,56 @@ def as_json(
         "cell": cell,
         "made": made,
         "answer": sections["answer"]["headline"],
-        "sequences": [each.to_json() for each in ranked],
+        "sequences": [each.to_json() for each in given.ranked],
         "logged_tasks": [asdict(share) | {"total_s": share.total_s} for share in task_shares(dataset.tasks())],
         "levels": [asdict(band) for band in found.bands] if found else [],
         "distance_explains": found.explained if found else None,
         "losses": [asdict(loss) for loss in losses(samples, dataset.executions.height)],
-        "what_if": [asdict(change) for change in what_if],
-        "evaluation": None if evaluation is None else evaluation.to_json(),
+        "what_if": [asdict(change) for change in given.what_if],
+        "plan": None if given.planned is None else given.planned.to_json(),
+        "evaluation": None if given.evaluation is None else given.evaluation.to_json(),
+        "check": None if given.check is None else given.check.to_json(),
         "provenance": asdict(provenance(dataset, {})),
         "sentences": {key: list(sections[key].get("sentences", ())) for key in ORDER},
     }
-    return json.dumps(_finite(document), indent=2, ensure_ascii=False, default=str) + "\n"
+    return json_text(document) + "\n"
 
 
-def as_csv(ranked: Sequence[CycleEstimate], tasks: pl.DataFrame) -> str:
-    """Return one row per sequence (order 0) and per task of it; without estimates, one row per logged task."""
+def as_csv(
+    ranked: Sequence[CycleEstimate], tasks: pl.DataFrame, what_if: Sequence[Tried] = (), planned: Plan | None = None
+) -> str:
+    """Return one row per sequence (order 0) and per task of it; without estimates, one row per logged task.
+
+    What was tried follows, one row each, its name as `change`; and the order found, as change `order`, a row per visit.
+    """
     page = io.StringIO()
     writer = csv.writer(page, lineterminator="\n")
-    writer.writerow(["sequence", "order", "task", "expected_s", "low_s", "high_s", *PARTS, "seen"])
+    saves = ["saves_s", "saves_low_s", "saves_high_s"]
+    writer.writerow(["sequence", "order", "task", "expected_s", "low_s", "high_s", *PARTS, "seen", "change", *saves])
     for each in ranked:
         whole = [each.expected_s, each.expected_low_s, each.expected_high_s]
-        writer.writerow([each.name, 0, "", *whole, *(getattr(each, part) for part in PARTS), ""])
+        writer.writerow([each.name, 0, "", *whole, *(getattr(each, part) for part in PARTS), "", *[""] * 4])
         for order, task in enumerate(each.tasks, start=1):
             parts = [getattr(task, part) for part in PARTS]
-            writer.writerow([each.name, order, task.task, task.expected_s, "", "", *parts, ""])
+            writer.writerow([each.name, order, task.task, task.expected_s, "", "", *parts, "", *[""] * 4])
     if not ranked:
         for share in task_shares(tasks):
             parts = [share.nominal_s, share.safety_s, share.dwell_s, share.wait_s]
-            writer.writerow(["", "", share.name, share.total_s, "", "", *parts, share.seen])
+            writer.writerow(["", "", share.name, share.total_s, "", "", *parts, share.seen, *[""] * 4])
+    writer.writerows(_tried_rows(ranked, what_if))
+    if planned is not None:
+        writer.writerow(["", 0, "", planned.expected_s, *[""] * 7, "order", *planned.saves_s])
+        writer.writerows(
+            ["", order, visit, *[""] * 8, "order", *[""] * 3] for order, visit in enumerate(planned.order, 1)
+        )
     return page.getvalue()
+
+
+def _tried_rows(ranked: Sequence[CycleEstimate], what_if: Sequence[Tried]) -> Iterator[list[object]]:
+    before = {each.name: each.expected_s for each in ranked}
+    for each in what_if:
+        saves = each.saves(before) or ("", "", "")
+        yield [each.sequence, 0, "", each.expected_s, each.low_s, each.high_s, *[""] * 5, each.label, *saves]
 
 
 def as_markdown(texts: Texts, cell: str, made: str, sections: Mapping[str, Any]) -> str:
@@ -123,13 +154,3 @@ def _table(table: Table) -> list[str]:
 
 def _cell(text: str) -> str:
     return text.replace("|", "\\|").replace("\n", " ")
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {str(key): _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return value

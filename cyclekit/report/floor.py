@@ -39,6 +39,7 @@ class FloorPlan:
         zones: Squares with the mean scaling for an operator there, over the robot's ways: x, y, scaling; shape (Z, 3).
         zones_of_model: True if the zones are the model's, False if they are means of the log.
         robot_m: The tool's way in one execution, shape (R, 2), NaN where it is unknown.
+        robot_known: False where no log is a robot's, so that nobody knows where it stands.
         places: Named places of the robot.
         human_places: Named places of the operator.
         cell_m: Side of a square.
@@ -49,6 +50,7 @@ class FloorPlan:
     zones: NDArray[np.float64]
     zones_of_model: bool
     robot_m: NDArray[np.float64]
+    robot_known: bool
     places: Mapping[str, Place]
     human_places: Mapping[str, Place]
     cell_m: float = CELL_M
@@ -77,9 +79,15 @@ def floor_plan(dataset: Dataset, samples: pl.DataFrame, model: Predicts | None =
         zones=_of_model(usable, seen) if usable else _of_log(seen),
         zones_of_model=usable is not None,
         robot_m=first.sort("t_s").select("robot_x_m", "robot_y_m").to_numpy().astype(np.float64),
+        robot_known=has_robot(samples),
         places=dataset.places,
         human_places=dataset.human_places,
     )
+
+
+def has_robot(samples: pl.DataFrame) -> bool:
+    """Whether any log says anything of a robot."""
+    return any(samples[name].count() > 0 for name in ("robot_x_m", "robot_moving", "scaling"))
 
 
 def _squares(rows: pl.DataFrame, *values: pl.Expr) -> NDArray[np.float64]:

@@ -1,85 +1,52 @@
-"""Section 4: what would help: the bound of any change, the costliest moments, other orders, and what-if results.
+"""Section 4: what would help: the bound of any change, other orders, changes that were tried, the costliest moments.
 
-Nothing is guessed: every row is an estimate that was made, or a sum over the log. What-if results are estimates of the
-same sequences under other conditions, as the command for estimates writes them.
+Nothing is guessed: every row is an estimate that was made, or a sum over the log. What was tried is read and held in
+`tried`; the order is that of `plan`.
 """
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.errors import CyclekitError
 from cyclekit.report.findings import losses
-from cyclekit.report.numbers import decimals_for, fixed, percent, seconds
+from cyclekit.report.numbers import count, decimals_for, fixed, percent, seconds, with_uncertainty
 from cyclekit.report.tables import Table, spell
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
+    from collections.abc import Mapping, Sequence
 
     import polars as pl
 
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.plan import Plan
     from cyclekit.report.findings import Overview
     from cyclekit.report.texts import Texts
-
-
-@dataclass(frozen=True)
-class WhatIf:
-    """One sequence under other conditions.
-
-    Attributes:
-        label: What was changed, in the user's words.
-        sequence: Name of the sequence.
-        expected_s: Mean cycle time.
-        low_s, high_s: Its 95 % interval.
-    """
-
-    label: str
-    sequence: str
-    expected_s: float
-    low_s: float
-    high_s: float
-
-
-def load_what_if(label: str, file: Path) -> list[WhatIf]:
-    """Read the results of one change: a JSON document with `sequences`, as `cyclekit estimate --out x.json` writes it.
-
-    Raises:
-        CyclekitError: The file cannot be read, or is no such document.
-    """
-    cure = "Give the JSON file that `cyclekit estimate … --out FILE.json` wrote for the changed cell."
-    try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-        return [
-            WhatIf(
-                label,
-                str(each["name"]),
-                float(each["expected_s"]),
-                float(each["expected_low_s"]),
-                float(each["expected_high_s"]),
-            )
-            for each in document["sequences"]
-        ]
-    except OSError as error:
-        msg = f"{file}: cannot be read ({error.strerror})"
-        raise CyclekitError(msg, cure=cure) from error
-    except (ValueError, KeyError, TypeError) as error:
-        msg = f"{file}: no estimates ({type(error).__name__}: {error})"
-        raise CyclekitError(msg, cure=cure) from error
+    from cyclekit.report.tried import Tried
 
 
 def section(
-    texts: Texts, ranked: Sequence[CycleEstimate], samples: pl.DataFrame, seen: Overview, changes: Sequence[WhatIf]
+    texts: Texts,
+    ranked: Sequence[CycleEstimate],
+    samples: pl.DataFrame,
+    seen: Overview,
+    tried: Sequence[Tried],
+    planned: Plan | None = None,
 ) -> dict[str, Any]:
     """Return what the template needs for section 4; `ranked` has the fastest sequence first."""
-    sentences = [text for text in (_bound(texts, ranked, seen), _order(texts, ranked)) if text]
-    tables = [table for table in (_what_if(texts, ranked, changes), _moments(texts, samples, seen)) if table]
-    if not changes:
+    before = {each.name: each.expected_s for each in ranked}
+    said = (
+        _bound(texts, ranked, seen),
+        _best(texts, tried, ranked, before),
+        _plan_saves(texts, planned),
+        _order(texts, ranked),
+    )
+    sentences = [text for text in said if text]
+    if not tried:
         sentences.append(texts("helps.not_asked"))
-    return {"sentences": sentences, "tables": tables, "missing": []}
+    if planned is None:
+        sentences.append(texts("helps.not_planned"))
+    made = (_what_if(texts, tried, before), _plan(texts, planned), _moments(texts, samples, seen))
+    return {"sentences": sentences, "tables": [table for table in made if table], "missing": []}
 
 
 def _bound(texts: Texts, ranked: Sequence[CycleEstimate], seen: Overview) -> str:
@@ -106,20 +73,92 @@ def _order(texts: Texts, ranked: Sequence[CycleEstimate]) -> str:
     return texts("helps.order", best=best.name, last=last.name, saved=saved)
 
 
-def _what_if(texts: Texts, ranked: Sequence[CycleEstimate], changes: Sequence[WhatIf]) -> Table | None:
-    if not changes:
+def _best(texts: Texts, tried: Sequence[Tried], ranked: Sequence[CycleEstimate], before: Mapping[str, float]) -> str:
+    """The change that saves most, if it is sure to save anything: of the fastest sequence, where that was tried."""
+    of_best = [each for each in tried if ranked and each.sequence == ranked[0].name]
+    sure = [each for each in of_best or tried if _sure(each.saves(before))]
+    if not sure:
+        return texts("helps.none_saves") if tried else ""
+    best = max(sure, key=lambda each: (each.saves(before) or (0.0,))[0])
+    saved, interval = _saved(best.saves(before))
+    return texts(
+        "helps.best", change=best.label, name=best.sequence, saved=f"{saved} s{interval and f' ({interval} s)'}"
+    )
+
+
+def _sure(saves: tuple[float, float | None, float | None] | None) -> bool:
+    """Whether the whole interval is a saving; without one, the mean."""
+    return saves is not None and (saves[0] if saves[1] is None else saves[1]) > 0
+
+
+def _saved(saves: tuple[float, float | None, float | None] | None) -> tuple[str, str]:
+    """A saving and its interval as text; without an interval an empty one."""
+    if saves is None:
+        return "–", ""
+    mean, low, high = saves
+    return (fixed(mean, 1), "") if low is None or high is None else with_uncertainty(mean, low, high)
+
+
+def _what_if(texts: Texts, tried: Sequence[Tried], before: Mapping[str, float]) -> Table | None:
+    if not tried:
         return None
-    now = {each.name: each for each in ranked}
     rows = []
-    for change in changes:
-        places = decimals_for((change.high_s - change.low_s) / 2)
-        before = now.get(change.sequence)
-        saved = fixed(before.expected_s - change.expected_s, places) if before else "–"
-        interval = f"{fixed(change.low_s, places)} to {fixed(change.high_s, places)}"
-        rows.append([change.label, change.sequence, fixed(change.expected_s, places), interval, saved])
-    heads = [texts(f"helps.{key}") for key in ("change", "sequence", "expected", "interval", "saved")]
+    for each in tried:
+        mean, interval = with_uncertainty(each.expected_s, each.low_s, each.high_s)
+        saved, range_s = _saved(each.saves(before))
+        support = percent(each.support) if each.support is not None else "–"
+        rows.append([each.label, each.sequence, mean, interval, saved, range_s or "–", support])
+    names = ("change", "sequence", "expected", "interval", "saved", "saved_interval", "support")
+    used = [n for n in range(len(names)) if n < 5 or any(row[n] != "–" for row in rows)]
+    heads, rows = [texts(f"helps.{names[n]}") for n in used], [[row[n] for n in used] for row in rows]
     title = texts("helps.what_if")
-    return Table(title, heads, rows, frozenset({2, 3, 4}), silent=True, title=title, after=texts("helps.no_proof"))
+    items = _limits(tried)
+    numeric = frozenset(range(2, len(used)))
+    return Table(title, heads, rows, numeric, silent=True, title=title, items=items, after=texts("helps.no_proof"))
+
+
+def _limits(tried: Sequence[Tried]) -> list[str]:
+    """What limits each number; the sequence is named where it does not hold for all of them."""
+    found = []
+    for each in tried:
+        alike = [other for other in tried if other.label == each.label]
+        for limit in each.limits:
+            of_all = all(limit in other.limits for other in alike)
+            found.append(f"{each.label}: {limit}" if of_all else f"{each.label}, {each.sequence}: {limit}")
+    return list(dict.fromkeys(found))
+
+
+def _plan_saves(texts: Texts, planned: Plan | None) -> str:
+    """What the best order found saves, in a sentence."""
+    if planned is None:
+        return ""
+    saved, low, high = planned.saves_s
+    if low <= 0:
+        return texts("helps.plan_even")
+    mean, interval = with_uncertainty(saved, low, high)
+    against = texts("helps.against_logged" if planned.against == "logged orders" else "helps.against_random")
+    return texts("helps.plan_saves", saved=mean, interval=interval, against=against)
+
+
+def _plan(texts: Texts, planned: Plan | None) -> Table | None:
+    """The order found, and what its saving rests on."""
+    if planned is None:
+        return None
+    saved, low, high = planned.saves_s
+    places = decimals_for((high - low) / 2)
+    against = texts("helps.against_logged" if planned.against == "logged orders" else "helps.against_random")
+    every = texts("helps.every_order" if planned.searched == "all orders" else "helps.some_orders")
+    rows = [
+        [texts("helps.plan_expected"), fixed(planned.expected_s, places)],
+        [texts("helps.plan_against", against=against), fixed(planned.against_s, places)],
+        [texts("helps.plan_saved"), f"{fixed(saved, places)} ({fixed(low, places)} to {fixed(high, places)})"],
+        [texts("helps.plan_unseen"), fixed(planned.saves_unseen_s, places)],
+    ]
+    title, order = texts("helps.plan"), " → ".join(planned.order)
+    rests = texts("helps.plan_rests", searched=every, tried=count(planned.tried), executions=count(planned.executions))
+    heads = [texts("helps.figure"), texts("helps.seconds")]
+    said = texts("helps.plan_order", order=order)
+    return Table(title, heads, rows, frozenset({1}), silent=True, title=title, text=said, after=rests)
 
 
 def _moments(texts: Texts, samples: pl.DataFrame, seen: Overview) -> Table | None:

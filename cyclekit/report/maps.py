@@ -159,7 +159,7 @@ def calibration(width_in: float, found: Calibration, labels: Mapping[str, str]) 
 
 def _floor(width_in: float, plan: FloorPlan) -> tuple[Figure, Axes]:
     robot = plan.robot_m[np.isfinite(plan.robot_m).all(axis=1)]
-    span = np.ptp(np.concatenate([plan.seen[:, :2], robot, np.zeros((1, 2))]), axis=0) + 0.6
+    span = np.ptp(np.concatenate([plan.seen[:, :2], robot, np.zeros((int(plan.robot_known), 2))]), axis=0) + 0.6
     height_in = min(0.78, max(0.45, float(span[1] / span[0]))) * (width_in - 0.7) + 0.9
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     axes = figure.add_subplot()
@@ -177,8 +177,10 @@ def _square(axes: Axes, x: float, y: float, side: float, colour: str, alpha: flo
 def _furniture(axes: Axes, plan: FloorPlan, labels: Mapping[str, str]) -> None:
     """What stands in the cell: the robot's base and way, places with their tables, axes and colour scale."""
     axes.plot(*plan.robot_m.T, color=colours.ROBOT, linewidth=0.7, alpha=0.7, zorder=3)
-    axes.plot([0], [0], marker="s", markersize=9, color=colours.ROBOT, zorder=5)
-    named = [(labels["base"], (0.0, 0.0), colours.ROBOT)]
+    named: list[tuple[str, tuple[float, float], str]] = []
+    if plan.robot_known:
+        axes.plot([0], [0], marker="s", markersize=9, color=colours.ROBOT, zorder=5)
+        named.append((labels["base"], (0.0, 0.0), colours.ROBOT))
     for places, marker, colour in ((plan.places, "D", colours.ROBOT), (plan.human_places, "o", colours.OPERATOR)):
         for place in places.values():
             axes.plot(*place.xyz_m[:2], marker, markersize=5.5, color=colour, markeredgecolor="white", zorder=6)
@@ -195,7 +197,8 @@ def _furniture(axes: Axes, plan: FloorPlan, labels: Mapping[str, str]) -> None:
     axes.set_ylabel(labels["y"])
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    _scale_bar(axes, labels["speed"])
+    if labels.get("speed"):
+        _scale_bar(axes, labels["speed"])
 
 
 def _note(axes: Axes, text: str, at: tuple[float, float], colour: str, *, below: bool) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.atomic import write_text
 from cyclekit.report import answer, helps, trust, where, why
-from cyclekit.report.document import as_csv, as_json, as_markdown
+from cyclekit.report.document import Found, as_csv, as_json, as_markdown
 from cyclekit.report.findings import overview
 from cyclekit.report.template import Template
 
@@ -22,9 +22,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.dataset import Dataset
+    from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.plan import Plan
     from cyclekit.report.findings import Predicts
-    from cyclekit.report.helps import WhatIf
+    from cyclekit.report.tried import Tried
     from cyclekit.report.trust import Judged
 
 FORMATS = ("html", "json", "csv", "md")
@@ -56,7 +58,9 @@ def write_report(
     *,
     estimates: Sequence[CycleEstimate] = (),
     evaluation: Judged | None = None,
-    what_if: Sequence[WhatIf] = (),
+    check: Check | None = None,
+    what_if: Sequence[Tried] = (),
+    planned: Plan | None = None,
     takt_s: float | None = None,
     missing: Sequence[str] = (),
     cell_name: str | None = None,
@@ -72,7 +76,9 @@ def write_report(
         out: The file; an existing one is replaced when the new one is complete.
         estimates: Sequences to rank; without any the page describes the logged executions.
         evaluation: Held-out metrics with baselines; without it the model's own card is shown.
+        check: How the rollout did on what was logged; without it no coverage is told.
         what_if: The same sequences under other conditions.
+        planned: The order found for the same work.
         takt_s: Takt time that the cycles are held against, s.
         missing: What could not be computed and why, one sentence each; said in the first section.
         cell_name: Title of the page; the dataset's name where not given.
@@ -91,16 +97,21 @@ def write_report(
     ranked = sorted(estimates, key=lambda each: each.expected_s)
     name = cell_name or str(dataset.card.get("name") or dataset.path.name)
     if kind == "csv":
-        write_text(out, as_csv(ranked, tasks))
+        write_text(out, as_csv(ranked, tasks, what_if, planned))
         return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing))
     texts = look.texts
     sections: dict[str, Any] = {}
     steps: list[tuple[str, Callable[[], dict[str, Any]]]] = [
-        ("answer", lambda: answer.section(texts, ranked, seen, has_model=model is not None, takt_s=takt_s)),
+        (
+            "answer",
+            lambda: answer.section(
+                texts, ranked, seen, has_model=model is not None, takt_s=takt_s, checked=check is not None
+            ),
+        ),
         ("where", lambda: where.section(texts, ranked, tasks)),
         ("why", lambda: why.section(texts, dataset, samples, model, seen)),
-        ("helps", lambda: helps.section(texts, ranked, samples, seen, what_if)),
-        ("trust", lambda: trust.section(texts, dataset, samples, model, evaluation, seen)),
+        ("helps", lambda: helps.section(texts, ranked, samples, seen, what_if, planned)),
+        ("trust", lambda: trust.section(texts, dataset, samples, model, evaluation, seen, ranked, check)),
     ]
     for number, (key, make) in enumerate(steps):
         say(0.1 + 0.17 * number, f"section {number + 1} of {len(steps)}: {texts(f'{key}.title').lower()}")
@@ -109,7 +120,8 @@ def write_report(
     say(0.95, "writing the page")
     made = texts("page.made", date=_today(), version=installed("cyclekit"), executions=seen.executions)
     if kind == "json":
-        content = as_json(name, made, ranked, what_if, evaluation, dataset, samples, sections)
+        found = Found(ranked, what_if, planned, evaluation, check)
+        content = as_json(name, made, found, dataset, samples, sections)
     elif kind == "md":
         content = as_markdown(texts, name, made, sections)
     else:

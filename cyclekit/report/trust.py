@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from cyclekit.report import rests
 from cyclekit.report.judged import calibration
 from cyclekit.report.numbers import count, fixed, percent, significant
 from cyclekit.report.pictures import picture
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.dataset import Dataset
+    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.findings import Overview, Predicts
     from cyclekit.report.provenance import Provenance
     from cyclekit.report.texts import Texts
@@ -42,21 +45,23 @@ def section(
     model: Predicts | None,
     evaluation: Judged | None,
     seen: Overview,
+    ranked: Sequence[CycleEstimate] = (),
+    check: Check | None = None,
 ) -> dict[str, Any]:
-    """Return what the template needs for section 5."""
+    """Return what the template needs for section 5; `check` is how the rollout did on what was logged."""
     versions = {texts("trust.made_dataset"): f"cyclekit {dataset.card.get('cyclekit_version', 'unknown')}"}
     versions[texts("trust.layout")] = str(dataset.card.get("schema_version", "unknown"))
     if model is not None:
         versions[texts("trust.made_model")] = f"cyclekit {model.card.get('cyclekit', 'unknown')}"
     origin = provenance(dataset, versions)
     judged = evaluation.to_json() if evaluation is not None else {}
-    missing = [] if judged.get("coverage") is not None else [texts("trust.no_coverage")]
+    unmeasured = bool(ranked) and (check is None or check.coverage is None)
     return {
         "facts": _facts(texts, dataset, seen, origin),
         "model": _model(texts, model, judged),
         "pictures": [*_confusion(texts, judged), *_calibration(texts, samples, judged, model)],
-        "sentences": missing if model is not None else [],
-        "tables": [*_unseen(texts, samples), *_data_tables(texts, origin)],
+        "sentences": [texts("trust.no_coverage")] if unmeasured else [],
+        "tables": [*rests.tables(texts, ranked, check), *_unseen(texts, samples), *_data_tables(texts, origin)],
         "missing": [],
     }
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.report.findings import safety_function
-from cyclekit.report.floor import floor_plan
+from cyclekit.report.floor import floor_plan, has_robot
 from cyclekit.report.numbers import UNKNOWN, count, fixed, percent
 from cyclekit.report.pictures import Picture, picture
 from cyclekit.report.tables import Table
@@ -52,6 +52,8 @@ def section(
         "bands": _bands(texts, found) if found and found.bands else None,
         "zones": _zones(texts, plan) if plan and len(plan.zones) else None,
         "map": _map(texts, plan) if plan else None,
+        "map_title": texts("why.map_title" if plan and len(plan.lost) else "why.map_title_seen"),
+        "map_caption": texts("why.map_caption" if plan and len(plan.lost) else "why.map_caption_seen"),
         "missing": missing,
     }
 
@@ -60,7 +62,9 @@ def _missing(texts: Texts, samples: pl.DataFrame, found: SafetyFunction | None) 
     missing = []
     if not samples["human_x_m"].count():
         missing.append(texts("why.no_operator"))
-    if not samples["scaling"].count():
+    if not has_robot(samples):
+        missing.append(texts("why.no_robot"))
+    elif not samples["scaling"].count():
         missing.append(texts("why.no_scaling"))
     if found is None and not missing:
         missing.append(texts("why.too_few"))
@@ -127,7 +131,7 @@ def _zones(texts: Texts, plan: FloorPlan) -> dict[str, Any]:
 def _map(texts: Texts, plan: FloorPlan) -> Picture:
     from cyclekit.report import maps
 
-    labels = _labels(texts) | {"speed": texts("why.map_speed")}
+    labels = _labels(texts) | ({"speed": texts("why.map_speed")} if len(plan.lost) else {})
     alt = texts("why.map_picture_none")
     if len(plan.lost):
         x, y = plan.lost[int(plan.lost[:, 2].argmax()), :2].tolist()

@@ -35,6 +35,21 @@ from browser import Tab, open_browser  # noqa: E402
 PORT = 9977
 MENU_PX = 37
 LARGEST = 300_000
+CHANGES = """
+[[change]]
+name = "zones 0.2 m tighter"
+levels = [0.0, 0.25, 0.5, 0.75, 1.0]
+thresholds_m = [1.0, 1.3, 1.7, 2.2]
+
+[[change]]
+name = "half as many visits"
+frequency = 0.5
+"""
+JOBS = """
+start = "home"
+via = "conveyor"
+visit = ["left_1", "left_2", "left_3", "left_4", "left_5", "right_1", "right_2", "right_3", "right_4", "right_5"]
+"""
 
 
 def demo(out: Path, *options: str) -> None:
@@ -95,7 +110,7 @@ def page_pictures(tab: Tab, page: Path, printed: Path) -> None:
     for section in ("why", "helps"):
         top = tab.ask(f"document.getElementById('{section}').getBoundingClientRect().top + scrollY")
         tab.ask(f"scrollTo(0, {top})")
-        tab.call("Emulation.setDeviceMetricsOverride", width=1180, height=1500, deviceScaleFactor=1, mobile=False)
+        tab.call("Emulation.setDeviceMetricsOverride", width=1180, height=1600, deviceScaleFactor=1, mobile=False)
         time.sleep(0.5)
         save(tab.picture(), HERE / f"report-{section}.png")
     tab.show(page, width=390, height=844, phone=True, scale=1.5)
@@ -113,6 +128,15 @@ def page_pictures(tab: Tab, page: Path, printed: Path) -> None:
         save(whole.getvalue(), HERE / "report-print.png")
 
 
+def replays(made: Path, out: Path, at: float, phase: float) -> None:
+    """Save one execution at the second `at`, and two side by side at `phase`."""
+    dataset, model = Dataset.open(made / "dataset"), load_model(made / "model")
+    one = write_replay(dataset, "1", out / "one.rrd", model=model)
+    two = write_replay(dataset, ["1", "3"], out / "two.rrd", model=model)
+    replay_picture(one.path, HERE / "replay.png", timeline="execution", at=at)
+    replay_picture(two.path, HERE / "replay-two.png", timeline="path_phase", at=phase)
+
+
 def main() -> None:
     """Take all pictures."""
     parser = argparse.ArgumentParser(description="Take the pictures of the documentation anew.")
@@ -120,18 +144,19 @@ def main() -> None:
     parser.add_argument("--recorded", type=Path, help="a tracker recording that walks in the operator's place")
     parser.add_argument("--at", type=float, default=61.5, help="second of the execution that the replays show")
     parser.add_argument("--phase", type=float, default=1550, help="path phase of the replay side by side")
+    parser.add_argument("--page-only", action="store_true", help="leave the replays as they are")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         made = asked.demo or out / "demo"
         if asked.demo is None:
             demo(made)
-        dataset, model = Dataset.open(made / "dataset"), load_model(made / "model")
-        one = write_replay(dataset, "1", out / "one.rrd", model=model)
-        two = write_replay(dataset, ["1", "3"], out / "two.rrd", model=model)
-        replay_picture(one.path, HERE / "replay.png", timeline="execution", at=asked.at)
-        replay_picture(two.path, HERE / "replay-two.png", timeline="path_phase", at=asked.phase)
+        if not asked.page_only:
+            replays(made, out, asked.at, asked.phase)
         options = ["--model", str(made / "model"), "--sequences", str(made / "sequences.toml"), "--takt", "100s", "-q"]
+        for option, text in (("--what-if", CHANGES), ("--plan", JOBS)):
+            (out / f"{option[2:]}.toml").write_text(text, encoding="utf-8")
+            options += [option, str(out / f"{option[2:]}.toml")]
         report = [sys.executable, "-m", "cyclekit", "report", str(made / "dataset"), *options]
         subprocess.run([*report, "--out", str(out / "r.html"), "--pdf", str(out / "r.pdf")], check=True)
         with open_browser() as tab:

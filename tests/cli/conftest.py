@@ -85,3 +85,17 @@ def sequences(dataset: Path) -> Path:
         encoding="utf-8",
     )
     return file
+
+
+@pytest.fixture
+def jobs(dataset: Path, tmp_path: Path) -> Path:
+    """Three slots to be put in order; six orders."""
+    from cyclekit.dataset import Dataset
+
+    logged = Dataset.open(dataset)
+    tasks = set(logged.tasks()["task"])
+    slots = [n for n in logged.places if f"conveyor->{n}" in tasks and f"{n}->conveyor" in tasks][:3]
+    names = ", ".join(f'"{slot}"' for slot in slots)
+    file = tmp_path / "jobs.toml"
+    file.write_text(f'start = "home"\nvia = "conveyor"\nvisit = [{names}]\n', encoding="utf-8")
+    return file

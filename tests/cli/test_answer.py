@@ -60,19 +60,6 @@ def test_a_wrong_option_is_told_as_such(words: list[str], model: Path, dataset: 
     assert cyclekit("estimate", model, sequences, "--dataset", dataset, *words).code == 2
 
 
-@pytest.fixture
-def jobs(dataset: Path, tmp_path: Path) -> Path:
-    from cyclekit.dataset import Dataset
-
-    logged = Dataset.open(dataset)
-    tasks = set(logged.tasks()["task"])
-    slots = [n for n in logged.places if f"conveyor->{n}" in tasks and f"{n}->conveyor" in tasks][:3]
-    names = ", ".join(f'"{slot}"' for slot in slots)
-    file = tmp_path / "jobs.toml"
-    file.write_text(f'start = "home"\nvia = "conveyor"\nvisit = [{names}]\n', encoding="utf-8")
-    return file
-
-
 def test_a_plan_is_an_order_and_a_sequence_file(
     model: Path, dataset: Path, jobs: Path, tmp_path: Path, cyclekit: Shell
 ):

@@ -136,6 +136,13 @@ def test_logged_executions_come_out_right_beside_their_own_operators(logged: Dat
     assert found.to_json()["levels"] == [0.05, 0.95]
 
 
+def test_fewer_executions_than_were_logged_judge_the_rollout_alike(logged: Dataset, staircase: Any):
+    every, some = check_rollout(staircase, logged), check_rollout(staircase, logged, most=10)
+    assert (every.executions, some.executions) == (16, 10)
+    assert some.own_bias == pytest.approx(every.own_bias, abs=0.01)
+    assert some.coverage is not None
+
+
 def test_a_wrong_safety_function_is_told(logged: Dataset, constant: Any):
     found = check_rollout(constant(0.9), logged)
     assert found.own_bias < -0.1

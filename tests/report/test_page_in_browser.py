@@ -15,7 +15,7 @@ from fabricated import THRESHOLDS_M, fabricate_dataset
 
 from cyclekit.errors import CyclekitError
 from cyclekit.estimate.result import CycleEstimate, TaskShare
-from cyclekit.report import WhatIf, pdf, write_pdf, write_report
+from cyclekit.report import Tried, pdf, write_pdf, write_report
 
 pytestmark = pytest.mark.skipif(browser.why_not() is not None, reason=str(browser.why_not()))
 
@@ -62,7 +62,7 @@ def page(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
     dataset = fabricate_dataset(folder / "dataset", executions=4, rounds=1)
     names = dataset.executions["execution"].to_list()
-    changed = [WhatIf("conveyor 0.3 m back", "A first", 90.0, 89.0, 91.0)]
+    changed = [Tried("conveyor 0.3 m back", "A first", 90.0, 89.0, 91.0)]
     facts = write_report(
         dataset, Model(), folder / "report.html", estimates=estimates(), evaluation=Judgement(names), takt_s=100.0,
         what_if=changed, cell_name="Cell 7",

@@ -1,0 +1,29 @@
+"""One JSON document as text: what is not a number becomes null, as JSON has no NaN.
+
+What stands in the document is the business of whoever writes it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+
+
+def json_text(document: object, *, ascii_only: bool = False) -> str:
+    """Return `document` as indented JSON; tuples become lists, what JSON does not know becomes its string.
+
+    Args:
+        document: Dictionaries, sequences and values; NaN and infinities become null, keys become strings.
+        ascii_only: Escape everything else, for terminals whose encoding is not known.
+    """
+    return json.dumps(_finite(document), indent=2, ensure_ascii=ascii_only, default=str)
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return value

@@ -1,0 +1,54 @@
+"""What the cycle times rest on: support, and how the rollout did on what was logged. Tables of section 5."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cyclekit.report.numbers import count, fixed, percent
+from cyclekit.report.tables import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.report.texts import Texts
+
+
+def tables(texts: Texts, ranked: Sequence[CycleEstimate], check: Check | None) -> list[Table]:
+    """Return the tables that there is something for."""
+    found = (_rollout(texts, check) if check else None, _support(texts, ranked) if ranked else None)
+    return [table for table in found if table is not None]
+
+
+def _rollout(texts: Texts, check: Check) -> Table:
+    wanted = percent(check.levels[1] - check.levels[0])
+    unseen = {"rollout_coverage_unseen": check.coverage_held_out} if check.coverage_held_out is not None else {}
+    covered = {} if check.coverage is None else {"rollout_coverage": check.coverage, **unseen}
+    rows = [
+        [texts("trust.rollout_count"), count(check.executions)],
+        [texts("trust.rollout_unseen"), count(check.held_out)],
+        [texts("trust.rollout_bias"), f"{_signed(check.own_bias)} (± {fixed(196 * check.own_error, 2)} %)"],
+        [texts("trust.rollout_corrected"), _signed(check.factor - 1)],
+        [texts("trust.rollout_crossed"), _signed(check.crossed_bias)],
+        *([texts(f"trust.{key}", wanted=wanted), percent(part)] for key, part in covered.items()),
+    ]
+    heads, title = [texts("trust.metric"), texts("trust.value")], texts("trust.rollout")
+    said = texts("trust.rollout_text")
+    return Table(title, heads, rows, frozenset({1}), silent=True, title=title, text=said, items=check.doubts)
+
+
+def _support(texts: Texts, ranked: Sequence[CycleEstimate]) -> Table:
+    rows = [
+        [each.name, percent(each.support), count(each.executions), count(each.tracks), each.estimator]
+        for each in ranked
+    ]
+    names = ("answer.sequence", "trust.support_part", "trust.support_executions", "trust.support_tracks")
+    title = texts("trust.support")
+    heads = [*(texts(name) for name in names), texts("trust.support_how")]
+    return Table(title, heads, rows, frozenset({1, 2, 3}), silent=True, title=title, text=texts("answer.support_note"))
+
+
+def _signed(part: float) -> str:
+    sign = "+" if round(100 * part, 2) > 0 else ""
+    return f"{sign}{fixed(100 * part, 2)}\N{NO-BREAK SPACE}%"

@@ -1,0 +1,102 @@
+"""What was tried: cycle times of the same sequences under a change, computed here or read from a file.
+
+Whether a change saves anything is said by `helps`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.errors import CyclekitError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from cyclekit.whatif import WhatIf
+
+
+@dataclass(frozen=True)
+class Tried:
+    """One sequence under one change.
+
+    Attributes:
+        label: What was changed, in the user's words.
+        sequence: Name of the sequence.
+        expected_s: Mean cycle time.
+        low_s, high_s: Its 95 % interval.
+        saves_s: What it saves, with its 95 % interval over common operators; None where only the estimate is known.
+        support: Part of the cycle that runs through logged positions; None where not known.
+        limits: What limits the number, one sentence each.
+    """
+
+    label: str
+    sequence: str
+    expected_s: float
+    low_s: float
+    high_s: float
+    saves_s: tuple[float, float, float] | None = None
+    support: float | None = None
+    limits: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(found: WhatIf) -> Tried:
+        """Return what `whatif` found as a row of the page."""
+        return _answer(found.to_json())
+
+    def saves(self, before: Mapping[str, float]) -> tuple[float, float | None, float | None] | None:
+        """Return the saving in seconds and its interval; without one, against today's mean by sequence, if known."""
+        if self.saves_s is not None:
+            return self.saves_s
+        return (before[self.sequence] - self.expected_s, None, None) if self.sequence in before else None
+
+
+def _answer(entry: Mapping[str, Any]) -> Tried:
+    after, saves, support = entry["after"], entry["saves_s"], entry["after"]["support"]
+    unknown = support is None or math.isnan(support)  # a safety function that is given holds everywhere
+    return Tried(
+        str(entry["change"]),
+        *_interval(after),
+        saves_s=(float(saves[0]), float(saves[1]), float(saves[2])),
+        support=None if unknown else float(support),
+        limits=tuple(str(text) for text in after["warnings"] if text != entry["safety"]),
+    )
+
+
+def _interval(estimate: Mapping[str, Any]) -> tuple[str, float, float, float]:
+    low, high = float(estimate["expected_low_s"]), float(estimate["expected_high_s"])
+    return str(estimate["name"]), float(estimate["expected_s"]), low, high
+
+
+def load_tried(file: Path, label: str | None = None) -> list[Tried]:
+    """Read what was tried: what `cyclekit whatif --out x.json` wrote, or `cyclekit estimate --out x.json`.
+
+    Args:
+        file: The JSON document.
+        label: Name of the change; estimates need one, the answers of `whatif` have their own.
+
+    Raises:
+        CyclekitError: The file cannot be read, or is no such document.
+    """
+    cure = "Give what `cyclekit whatif … --out FILE.json` wrote, or LABEL=FILE.json with that of `cyclekit estimate`."
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        return _tried(document, label)
+    except OSError as error:
+        msg = f"{file}: cannot be read ({error.strerror})"
+        raise CyclekitError(msg, cure=cure) from error
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        msg = f"{file}: nothing that was tried ({type(error).__name__}: {error})"
+        raise CyclekitError(msg, cure=cure) from error
+
+
+def _tried(document: Mapping[str, Any], label: str | None) -> list[Tried]:
+    if "answers" in document:
+        return [_answer(entry) for entry in document["answers"]]
+    if label is None:
+        msg = "estimates without the name of a change"
+        raise ValueError(msg)
+    return [Tried(label, *_interval(entry)) for entry in document["sequences"]]

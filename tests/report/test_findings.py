@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import polars as pl
+import pytest
+from fabricated import LEVELS, THRESHOLDS_M
+from report_pages import DistanceModel
+
+from cyclekit.report import findings
+from cyclekit.report.floor import floor_plan
+from cyclekit.report.judged import calibration
+
+
+def test_the_levels_and_distances_of_the_true_staircase_are_read_back(dataset):
+    found = findings.safety_function(dataset.samples(), dataset.levels, DistanceModel())
+    assert found.explained > 0.95
+    by_level = {band.scaling: band for band in found.bands}
+    limits = (0.0, *THRESHOLDS_M, math.inf)
+    for level, low, high in zip(LEVELS, limits, limits[1:], strict=False):
+        if level in by_level:
+            assert low <= by_level[level].low_m <= by_level[level].high_m <= high
+    assert np.abs(found.predicted - found.logged).mean() < 0.02
+
+
+def test_where_speed_does_not_follow_distance_the_page_says_so(dataset, tmp_path):
+    rng = np.random.default_rng(0)
+    random = pl.Series(rng.choice(LEVELS, dataset.samples().height))
+    rows = dataset.samples().with_columns(scaling=random)
+    assert findings.safety_function(rows, dataset.levels, None).explained < 0.3
+
+
+def test_time_lost_on_the_floor_plan_is_the_time_lost_in_the_tasks(dataset):
+    plan = floor_plan(dataset, dataset.samples())
+    lost_s = plan.lost[:, 2].sum() * dataset.executions.height
+    assert lost_s == pytest.approx(dataset.tasks()["safety_loss_s"].sum(), rel=0.1)
+    seen = dataset.samples()["human_x_m"].count()
+    assert plan.seen[:, 2].sum() * dataset.executions.height == pytest.approx(0.1 * seen)
+
+
+def test_logged_tasks_keep_their_seconds(dataset):
+    rows = findings.task_shares(dataset.tasks())
+    tasks = dataset.tasks()
+    whole = (tasks["end_s"] - tasks["start_s"]).sum()
+    assert sum(row.total_s * row.seen for row in rows) == pytest.approx(whole)
+    assert rows[0].safety_s * rows[0].seen == max(row.safety_s * row.seen for row in rows)
+
+
+def test_time_lost_is_laid_to_what_the_operator_did(dataset):
+    found = findings.losses(dataset.samples(), dataset.executions.height)
+    assert sum(loss.seconds for loss in found) * dataset.executions.height == pytest.approx(
+        dataset.tasks()["safety_loss_s"].sum(), rel=0.1
+    )
+    assert all(loss.worst_s <= loss.seconds for loss in found)
+    assert [loss.seconds for loss in found] == sorted((loss.seconds for loss in found), reverse=True)
+
+
+def test_the_zone_map_is_the_models_mean_over_the_robots_ways(dataset):
+    samples = dataset.samples()
+    plan = floor_plan(dataset, samples, DistanceModel())
+    assert plan.zones_of_model
+    near = plan.zones[np.argmin(np.linalg.norm(plan.zones[:, :2] - [0.6, 0.0], axis=1))]
+    far = plan.zones[np.argmax(np.linalg.norm(plan.zones[:, :2], axis=1))]
+    assert near[2] < far[2]
+    assert not floor_plan(dataset, samples).zones_of_model
+
+
+def test_a_calibrated_model_lies_on_the_line_and_a_biased_one_does_not(dataset):
+    class Biased(DistanceModel):
+        def predict(self, x):
+            return super().predict(x) * 0.5
+
+    names = dataset.executions["execution"].to_list()
+    right = calibration(dataset.samples(), names, DistanceModel())
+    assert right.worst < 0.02
+    assert calibration(dataset.samples(), names, Biased()).worst > 0.3
+    assert calibration(dataset.samples(), [], DistanceModel()) is None

@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import base64
+import hashlib
+import itertools
+import re
+import tomllib
+from collections import Counter
+from importlib.resources import files
+
+import pytest
+from report_pages import Page, estimate
+
+from cyclekit.errors import CyclekitError
+from cyclekit.report import write_report
+
+
+def test_nothing_on_the_page_asks_for_anything_outside_of_it(written):
+    text = written.path.read_text("utf-8")
+    without_names = re.sub(r'xmlns(:xlink)?="http://www\.w3\.org/[^"]*"', "", text)
+    assert "http:" not in without_names
+    assert "https:" not in without_names
+    (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in text  # the one script that may run is ours
+    for name in ("src", "href", "xlink:href"):
+        targets = re.findall(rf'\b{name}="([^"]*)"', text)
+        assert all(target.startswith(("#", "data:")) for target in targets)
+    assert "default-src 'none'" in text
+
+
+def test_every_element_is_closed_and_every_id_is_unique_and_found(page, written):
+    assert page.faults == []
+    assert page.open == []
+    ids = Counter(attrs["id"] for _, attrs in page.elements if "id" in attrs)
+    assert [name for name, n in ids.items() if n > 1] == []
+    text = written.path.read_text("utf-8")
+    used = set(re.findall(r'href="#([^"]+)"', text)) | set(re.findall(r"url\(#([^)]+)\)", text))
+    assert used - set(ids) == set()
+
+
+def test_headings_come_in_order_and_the_page_is_named(page):
+    levels = [int(tag[1]) for tag, _ in page.elements if re.fullmatch(r"h[1-6]", tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after - before <= 1 for before, after in itertools.pairwise(levels))
+    assert page.all("html")[0]["lang"] == "en"
+    assert "Cell 7" in page.text
+
+
+def test_every_picture_says_what_it_shows_in_words(page):
+    pictures = page.all("svg")
+    assert len(pictures) == 2 * len(page.all("figure"))
+    assert all(attrs["role"] == "img" and len(attrs["aria-label"]) > 20 for attrs in pictures)
+    assert all("viewbox" in attrs and "width" not in attrs for attrs in pictures)
+
+
+def test_sequences_are_ranked_and_the_ones_that_cannot_be_told_apart_are_named(page, written):
+    assert written.headline.replace("\N{NO-BREAK SPACE}", " ") == "“A first” takes 30.0 s on average."
+    table = page.text[page.text.index("Sequence Rank") :]
+    assert table.index("A first") < table.index("C first") < table.index("B first")
+    assert "C first cannot be told apart from the fastest" in page.text
+    assert "C first: Thin logs." in page.text
+
+
+def test_the_mean_is_rounded_to_what_its_interval_supports(dataset, tmp_path):
+    wide = estimate("A first", 123.456, 17.0)
+    facts = write_report(dataset, None, tmp_path / "r.html", estimates=[wide])
+    assert facts.headline.replace("\N{NO-BREAK SPACE}", " ") == "“A first” takes 123 s on average."
+
+
+def test_metrics_baselines_and_confusion_are_shown(page):
+    assert "always 1" in page.text
+    assert "90.0 10.0" in page.text
+    assert "Two executions were left out." in page.text
+
+
+def test_it_says_that_it_is_no_safety_validation(page):
+    assert "It is no safety validation" in page.text
+    assert "does not verify that the system is safe" in page.text
+
+
+def test_names_from_the_logs_cannot_become_part_of_the_page(dataset, tmp_path):
+    nasty = '<img src=x onerror="alert(1)"> & $\\frac{1}$'
+    facts = write_report(dataset, None, tmp_path / "r.html", estimates=[estimate(nasty)], cell_name=nasty)
+    page = Page(facts.path.read_text("utf-8"))
+    assert page.all("img") == []
+    assert page.faults == []
+    assert nasty in page.text
+
+
+def test_a_page_that_cannot_be_written_is_one_error_and_leaves_nothing(dataset, tmp_path):
+    (tmp_path / "r.html").mkdir()
+    with pytest.raises(CyclekitError, match="cannot be written"):
+        write_report(dataset, None, tmp_path / "r.html")
+    assert [file.name for file in tmp_path.iterdir()] == ["r.html"]
+
+
+def test_the_callers_own_matplotlib_style_is_left_alone(dataset, tmp_path):
+    import matplotlib as mpl
+
+    with mpl.rc_context({"font.size": 31.0, "svg.fonttype": "path"}):
+        write_report(dataset, None, tmp_path / "r.html")
+        assert mpl.rcParams["font.size"] == 31.0
+        assert mpl.rcParams["svg.fonttype"] == "path"
+
+
+def test_every_text_is_asked_for_and_every_text_asked_for_exists():
+    folder = files("cyclekit.report")
+    texts = tomllib.loads(folder.joinpath("texts.toml").read_text("utf-8"))
+    texts.pop("language")
+    source = "".join(f.read_text("utf-8") for f in folder.iterdir() if f.name.endswith((".py", ".jinja")))
+    known = {f"{section}.{name}" for section, names in texts.items() for name in names}
+    asked = set(re.findall(r"[\"']((?:page|answer|where|why|helps|trust|fleet)\.\w+)", source))
+    assert asked - known == {"page.css", "page.html", "page.js", "page.pdf", "fleet.html"}  # files, no texts
+    names = set(re.findall(r'"(\w+)"', source))
+    assert {key for key in known - asked if key.partition(".")[2] not in names} == set()
+
+
+def test_the_takt_is_held_against_single_cycles(dataset, tmp_path):
+    cycles = tuple(float(v) for v in range(25, 35))
+    facts = write_report(
+        dataset, None, tmp_path / "r.html", estimates=[estimate(durations_s=cycles)], takt_s=27.5
+    )  # fmt: skip
+    page = Page(facts.path.read_text("utf-8"))
+    assert (
+        "Within a takt of 27.5 s stay 30 % of its cycles, as counted on 10 logged operator tracks."
+        in page.text.replace("\N{NO-BREAK SPACE}", " ")
+    )

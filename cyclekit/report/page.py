@@ -102,12 +102,7 @@ def write_report(
     texts = look.texts
     sections: dict[str, Any] = {}
     steps: list[tuple[str, Callable[[], dict[str, Any]]]] = [
-        (
-            "answer",
-            lambda: answer.section(
-                texts, ranked, seen, has_model=model is not None, takt_s=takt_s, checked=check is not None
-            ),
-        ),
+        ("answer", lambda: answer.section(texts, ranked, seen, **about)),
         ("where", lambda: where.section(texts, ranked, tasks)),
         ("why", lambda: why.section(texts, dataset, samples, model, seen)),
         ("helps", lambda: helps.section(texts, ranked, samples, seen, what_if, planned)),

@@ -101,6 +101,7 @@ def write_report(
         return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing))
     texts = look.texts
     sections: dict[str, Any] = {}
+    about: dict[str, Any] = {"has_model": model is not None, "takt_s": takt_s, "checked": check is not None}
     steps: list[tuple[str, Callable[[], dict[str, Any]]]] = [
         ("answer", lambda: answer.section(texts, ranked, seen, **about)),
         ("where", lambda: where.section(texts, ranked, tasks)),

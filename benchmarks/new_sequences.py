@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from cyclekit.dataset import Dataset
+from cyclekit.engine import Engine
 from cyclekit.estimate.rollout import estimate
 from cyclekit.ingest import ingest
 from cyclekit.models.spec import ModelSpec
@@ -52,7 +53,7 @@ def main() -> None:
         begin = time.perf_counter()
         options = SimulationOptions(delta_m=asked.delta, log_override=not asked.no_override)
         simulate(asked.scene, work / "logs", executions=asked.executions, seed=asked.seed, options=options)
-        ingest([work / "logs"], work / "dataset", jobs=2)
+        ingest([work / "logs"], work / "dataset", engine=Engine(jobs=2))
         dataset = Dataset.open(work / "dataset")
         out.print(f"simulated and ingested in {time.perf_counter() - begin:.0f} s")
         begin = time.perf_counter()

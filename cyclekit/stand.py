@@ -127,12 +127,13 @@ def _left(part: RobotRun, at: int, place_m: Vector, vague_s: float) -> tuple[flo
     nominal = np.concatenate([[0.0], np.cumsum(s[:-1] * np.diff(t_s))])
     seen = _seen(off, s, np.isnan(scaling) & (s == 0.0), reach, rest, half)
     still = np.flatnonzero(off[rest:] > reach)
-    jumped = rest + (int(still[0]) if len(still) else 0) + round(SMOOTH_S / period_s) // 2  # averages see it earlier
-    began = float(nominal[min(jumped, len(nominal) - 1)])
+    jumped = rest + (int(still[0]) - 1 if len(still) else 0) + (round(SMOOTH_S / period_s) | 1) // 2
+    jumped = min(max(jumped, 0), len(nominal) - 1)  # averages see a jump half their length earlier
+    began = float(nominal[jumped])
     if len(seen) >= 3 and np.ptp(nominal[seen]) > 0.0:
         slope, level = np.polyfit(nominal[seen], np.cbrt(off[seen]), 1)
         if slope > 0.0:
-            began = min(float(-level / slope), float(nominal[min(rest + 1, len(nominal) - 1)]))
+            began = min(float(-level / slope), began)
     return _instant(
         t_s,
         nominal,

@@ -78,3 +78,13 @@ def test_in_a_halt_it_arrived_so_long_before_it_left_as_the_process_takes():
     assert stand.process(1.5) == (5.5, 7.0)
     assert stand.process(0.1) == (6.0, 7.0)
     assert stand.process(9.0) == (2.0, 7.0)
+
+
+@pytest.mark.parametrize("rate", [50, 125, 500])
+def test_a_motion_that_begins_at_its_full_speed_begins_at_the_last_row_at_rest(rate: int):
+    t = np.arange(0.0, 6.0, 1.0 / rate)
+    x = 0.5 * (np.maximum(1.0 - t, 0.0) + np.maximum(t - 4.0, 0.0))
+    log = RobotRun(t, np.column_stack([x, 0.0 * t, 0.0 * t]), np.zeros(len(t)), np.ones(len(t)))
+    still = np.flatnonzero(x < 1e-9)
+    stand = stand_of(log, Visit("table", int(still[0]), int(still[-1])), np.zeros(3))
+    assert (stand.arrived_s, stand.left_s) == pytest.approx((1.0, 4.0), abs=0.02 if rate == 500 else 1e-6)

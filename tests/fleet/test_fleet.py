@@ -213,10 +213,11 @@ def test_the_day_of_a_log_stands_in_its_path(path: str, day: dt.date | None) -> 
     assert day_in(path) == day
 
 
-def test_else_it_is_when_the_file_was_written(small_cell: Path) -> None:
-    for file in (small_cell / "logs").rglob("*.csv"):
+def test_else_it_is_when_the_file_was_written(small_cell: Path, tmp_path: Path) -> None:
+    logs = shutil.copytree(small_cell / "logs", tmp_path / "logs")
+    for file in logs.rglob("*.csv"):
         os.utime(file, (1_790_000_000 + 86_400 * (file.parent.name == "day_1"),) * 2)
-    days = days_of(Dataset.open(small_cell / "dataset"), [small_cell / "logs"])
+    days = days_of(Dataset.open(small_cell / "dataset"), [logs])
     assert days == {"day_0": "2026-09-21", "day_1": "2026-09-22"}
 
 

@@ -59,7 +59,7 @@ def write(file: Path, rows: int) -> None:
 
 
 def run(words: list[str]) -> tuple[float, float, float]:
-    """Return wall seconds, processor seconds and peak MiB of a process."""
+    """Return wall seconds, processor seconds (children included) and peak MiB of a process."""
     began = time.perf_counter()
     process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(process.pid, 0)

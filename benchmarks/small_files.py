@@ -10,16 +10,14 @@ read already.
 from __future__ import annotations
 
 import argparse
-import os
 import shutil
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 import polars as pl
+from csv_ingest import run
 
 HZ = 125
 READ = "import sys; from pathlib import Path; print(sum(len(f.read_bytes()) for f in Path(sys.argv[1]).iterdir()))"
@@ -35,16 +33,6 @@ def write(folder: Path, files: int) -> None:
         columns |= {f"actual_TCP_pose_{i}": way * 0.3 + 0.1 * i for i in range(6)}
         table = pl.DataFrame(columns).with_columns(speed_scaling=1.0, target_speed_fraction=1.0, runtime_state=2)
         table.write_csv(folder / f"run_{number:05d}.csv", separator=" ", float_precision=6)
-
-
-def run(words: list[str]) -> tuple[float, float, float]:
-    """Return wall seconds, processor seconds (children included) and peak MiB of a process."""
-    began = time.perf_counter()
-    process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
-    _, status, used = os.wait4(process.pid, 0)
-    if status:
-        raise SystemExit(f"failed: {words}")
-    return time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
 
 
 def main() -> None:

@@ -86,17 +86,19 @@ def _not_playing(stored: Stored, recording: str) -> list[tuple[int, int, str]]:
 def _marked(session: Session, read: Read, stored: Stored, cell: Cell) -> Vector:
     """Return when something logged says that an execution begins, session time."""
     how, entry = cell.executions, session.entries[0]
-    column = {"register": "register", "digital-output": "digital_out_bits"}.get(how.begin)
-    if column is not None:
-        table = stored(entry["id"], (column,))
-        if table.unknown(column) == table.rows:
-            seen = f"{entry['sources'][0]['path']}: executions are to begin by {how.begin}, and that was not logged"
-            raise ConfigError(seen, cure='Log it, or set begin = "auto" in [executions] of the cell file.')
     signal = {"register": REGISTER, "digital-output": f"{OUTPUT}{how.bit}"}.get(how.begin, how.signal)
     if signal is None:
         return np.empty(0)
-    if not signal.startswith((OUTPUT, REGISTER)):
-        entry = _holding(signal.partition("=")[0], session, read)
+    name = signal.partition("=")[0]
+    if name == REGISTER or name.startswith(OUTPUT):
+        column = REGISTER if name == REGISTER else "digital_out_bits"
+        table = stored(entry["id"], (column,))
+        if table.unknown(column) == table.rows:
+            said = signal if how.begin == "signal" else how.begin
+            seen = f"{entry['sources'][0]['path']}: executions are to begin by {said}, and that was not logged"
+            raise ConfigError(seen, cure='Log it, or set begin = "auto" in [executions] of the cell file.')
+    else:
+        entry = _holding(name, session, read)
     clock = entry["clock"]
     times = event_times(entry, signal, read, stored, WHERE)
     return np.asarray(times * clock["rate"] + clock["offset_s"])

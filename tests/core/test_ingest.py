@@ -323,6 +323,10 @@ def test_executions_that_begin_by_a_register_nobody_logged_are_refused(three_run
         cell = Cell(executions=Executions(begin=begin))  # type: ignore[arg-type]
         with pytest.raises(ConfigError, match=f"begin by {begin}, and that was not logged"):
             ingest([three_runs], tmp_path / "dataset", cell=cell)
+    for signal in ("register=100", "digital-output 3"):
+        cell = Cell(executions=Executions("signal", signal=signal))
+        with pytest.raises(ConfigError, match=f"begin by {signal}, and that was not logged"):
+            ingest([three_runs], tmp_path / "dataset", cell=cell)
 
 
 def test_the_cell_file_suggested_for_logs_names_each_with_its_adapter(three_runs: Path):

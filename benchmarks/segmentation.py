@@ -1,13 +1,14 @@
 """Tasks and executions found in logs against the simulator's, and what a row costs as logs grow.
 
-    python benchmarks/segmentation.py [--executions 1000] [--scenes box-picking,...] [--rates 125] [--quick]
+    python benchmarks/segmentation.py [--executions 1000] [--scenes box-picking,...] [--rates 125,500]
 
 Each scene is simulated with ramps (2.5/s), a reaction time (0.1 s) and the encoder noise of a real UR5, logged in one
 long run; with the override in the log and without it; and once with dwells longer than any halt (`pick` 20 s). Every
 task of the truth is looked for among the found ones: the same start and goal, begun within two seconds. A true one
 that is not there is lost, a found one that is no true one is invented. Boundaries are departure and arrival.
 
-The second table ingests 10, 100 and `--executions` executions without the override in one log each: cpu time per row.
+The second table ingests as many executions of box-picking as `--growth` names in one log each, without the override:
+processor time per row.
 """
 
 from __future__ import annotations

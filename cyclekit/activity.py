@@ -1,12 +1,13 @@
 """What the operator did: x_h, task and goal of every sample of every execution.
 
 The tracks of a session are brought into its time and the base frame; goals come from its events if there are any,
-else from where the operator stays. How a single track is sampled is the business of `people`.
+else from where the operator stays, which all sessions together tell. How a single track is sampled is the business of
+`people`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,6 +45,7 @@ GOAL_SIGNAL = "goal"
 """An event whose signal name holds this word tells the operator's goal."""
 
 
+_HUMAN = tuple(f"human_{axis}_m" for axis in "xyz")
 OPERATOR = "operator: "
 """How a warning of a recording begins that was found here, and not when its log was read."""
 
@@ -56,36 +58,91 @@ class _Log:
     tracks: list[Track]
 
 
-def with_operator(
-    grids: list[Grid], sources: Mapping[str, Source | None], read: Read, cell: Cell
-) -> tuple[list[Grid], dict[str, Place]]:
-    """Fill in x_h, the operator's task and g_h; say in the entries what was seen, and why nobody was."""
-    tracks: dict[str, list[Track]] = {}
-    events: dict[str, tuple[Vector, list[str]]] = {}
-    gaps: dict[str, NDArray[np.int8] | None] = {}
-    for session in {grid.session.name: grid.session for grid in grids}.values():
-        logs, events[session.name] = _operator_logs(session, sources, read)
-        tracks[session.name] = [track for log in logs for track in log.tracks]
-        mine = [grid for grid in grids if grid.session is session]
-        times = np.concatenate([grid.t_s for grid in mine])
-        found = [_seen_by(log, times, cell) for log in logs]
-        cuts = np.cumsum([len(grid.t_s) for grid in mine])[:-1]
-        why = np.split(np.min(found, axis=0), cuts) if found else [None] * len(mine)
-        gaps |= {grid.execution: reasons for grid, reasons in zip(mine, why, strict=True)}
-    grids = [replace(g, human_m=_human(g, tracks[g.session.name], cell), human_gap=gaps[g.execution]) for g in grids]
-    stays = [find_stays(g.t_s, g.human_m) for g in grids]
+@dataclass(frozen=True)
+class Stays:
+    """Where the operator stayed in one execution.
+
+    Attributes:
+        spans: First and last sample of each stay.
+        at_m: Where it was, shape (M, 3), metres.
+        goals: The goal that events tell in the middle of each; empty where no event tells goals in this session.
+        told: Events tell the goals of this session.
+    """
+
+    spans: list[tuple[int, int]]
+    at_m: Points
+    goals: list[str | None]
+    told: bool
+
+
+def watch(
+    session: Session, grids: Sequence[Grid], sources: Mapping[str, Source | None], read: Read, cell: Cell
+) -> tuple[list[pl.DataFrame], list[Stays]]:
+    """Return the samples of each execution with x_h, and where the operator stayed; events tell the goals at once.
+
+    What was seen of the operator is noted in the entries of the session.
+
+    Args:
+        session: The session.
+        grids: Its executions, at least one.
+        sources: What the cell file says about each recording, by id.
+        read: Returns a native table of a recording (id, table), None if it has none.
+        cell: How long gaps are bridged, and the rate.
+    """
+    logs, events = _operator_logs(session, sources, read)
+    tracks = [track for log in logs for track in log.tracks]
+    found = [_seen_by(log, np.concatenate([grid.t_s for grid in grids]), cell) for log in logs]
+    cuts = np.cumsum([len(grid.t_s) for grid in grids])[:-1]
+    why = np.split(np.min(found, axis=0), cuts) if found else [None] * len(grids)
+    frames, stays = [], []
+    for grid, reasons in zip(grids, why, strict=True):
+        human_m = _human(grid, tracks, cell)
+        goals = goals_from_events(*events, grid.t_s) if len(events[0]) else []
+        spans = find_stays(grid.t_s, human_m)
+        at_m = np.array([np.median(human_m[a : b + 1], axis=0) for a, b in spans]).reshape(-1, 3)
+        # The middle decides: at the end of a stay the next button is pressed before the operator is seen to walk.
+        middles = [goals[(a + b) // 2] for a, b in spans] if goals else []
+        frames.append(_with_human(grid.frame, human_m, reasons, goals))
+        stays.append(Stays(spans, at_m, middles, told=bool(goals)))
+    return frames, stays
+
+
+def operator_places(stays: Sequence[Stays], cell: Cell) -> dict[str, Place]:
+    """Return the operator's places: those of the cell file, and those of goals that only a button names.
+
+    Where nothing tells goals and the cell file names no place, they are where the operator stays.
+
+    Args:
+        stays: Of every execution of every session.
+        cell: Places that it names.
+    """
     spots = {name: Place(name, p.xyz_m, p.radius_m, inferred=False) for name, p in cell.human_places.items()}
-    if not any(len(t) for t, _ in events.values()):
-        at = [np.median(g.human_m[a : b + 1], axis=0) for g, spans in zip(grids, stays, strict=True) for a, b in spans]
-        spots = spots or find_spots(np.array(at).reshape(-1, 3))
-    goals = [
-        goals_from_events(*events[g.session.name], g.t_s)
-        if len(events[g.session.name][0])
-        else goals_from_stays(spans, g.human_m, spots)
-        for g, spans in zip(grids, stays, strict=True)
-    ]
-    spots |= _places_of_goals(grids, goals, stays, spots)
-    return [_with_human_columns(g, goal, spots) for g, goal in zip(grids, goals, strict=True)], spots
+    if not any(mine.told for mine in stays):
+        spots = spots or find_spots(np.concatenate([np.empty((0, 3)), *(mine.at_m for mine in stays)]))
+    at: dict[str, list[Vector]] = {}
+    for mine in stays:
+        for name, xyz_m in zip(mine.goals, mine.at_m, strict=False):  # without goals there is nothing to name
+            if name is not None and name not in spots:
+                at.setdefault(name, []).append(xyz_m)
+    return spots | {name: _spot(name, np.array(points)) for name, points in sorted(at.items())}
+
+
+def with_goals(samples: pl.DataFrame, stays: Sequence[Stays], spots: Mapping[str, Place]) -> pl.DataFrame:
+    """Return the samples of a session with the operator's task and g_h.
+
+    Args:
+        samples: Table SAMPLES, from `watch`.
+        stays: Of each execution, in the order of the samples.
+        spots: All places of the operator.
+    """
+    goals: list[str | None] = []
+    for (_, frame), mine in zip(samples.group_by("execution", maintain_order=True), stays, strict=True):
+        human_m = frame.select(_HUMAN).to_numpy()
+        goals += frame["human_task"].to_list() if mine.told else goals_from_stays(mine.spans, human_m, spots)
+    nowhere = (np.nan, np.nan, np.nan)
+    at = np.array([spots[name].xyz_m if name and name in spots else nowhere for name in goals]).reshape(-1, 3)
+    columns = (pl.Series(f"human_goal_{axis}_m", at[:, k], nan_to_null=True) for k, axis in enumerate("xyz"))
+    return samples.with_columns(*columns, pl.Series("human_task", goals, dtype=pl.String))
 
 
 def _operator_logs(
@@ -158,46 +215,25 @@ def _human(grid: Grid, tracks: Sequence[Track], cell: Cell) -> Points:
     return nearest_person(tracks, grid.t_s, tcp, bridge_s=cell.bridge_s, width_s=1.0 / cell.rate_hz)
 
 
-def _places_of_goals(
-    grids: Sequence[Grid],
-    goals: Sequence[Sequence[str | None]],
-    stays: Sequence[Sequence[tuple[int, int]]],
-    known: Mapping[str, Place],
-) -> dict[str, Place]:
-    """Where a goal that only a button names lies: the median of the stays during which it was in force.
-
-    The middle of a stay decides: at its end the next button is pressed before the operator is fast enough to walk.
-    """
-    at: dict[str, list[Vector]] = {}
-    for grid, goal, spans in zip(grids, goals, stays, strict=True):
-        for first, last in spans:
-            name = goal[(first + last) // 2]
-            if name is not None and name not in known:
-                at.setdefault(name, []).append(np.median(grid.human_m[first : last + 1], axis=0))
-    return {name: _spot(name, np.array(points)) for name, points in sorted(at.items())}
-
-
 def _spot(name: str, points: Points) -> Place:
     x, y, z = (round(float(v), 4) for v in np.nanmedian(points, axis=0))
     return Place(name, (x, y, z), 0.4, inferred=True)
 
 
-def _why_unseen(grid: Grid) -> list[str | None]:
+def _with_human(
+    frame: pl.DataFrame, human_m: Points, reasons: NDArray[np.int8] | None, goals: Sequence[str | None]
+) -> pl.DataFrame:
+    columns = [pl.Series(name, human_m[:, k], nan_to_null=True) for k, name in enumerate(_HUMAN)]
+    columns.append(pl.Series("human_gap", _why_unseen(human_m, reasons), dtype=pl.String))
+    if goals:
+        columns.append(pl.Series("human_task", goals, dtype=pl.String))
+    return frame.with_columns(columns)
+
+
+def _why_unseen(human_m: Points, reasons: NDArray[np.int8] | None) -> list[str | None]:
     """Return why x_h is unknown at each sample; None where it is known, or where nobody was to be tracked."""
-    unseen = np.isnan(grid.human_m[:, 0])
-    if grid.human_gap is None:
+    unseen = np.isnan(human_m[:, 0])
+    if reasons is None:
         return [None] * len(unseen)
-    reasons = np.maximum(grid.human_gap, REASONS.index("occluded"))  # a position that is not believed was hidden
-    return [REASONS[reason] if hidden else None for reason, hidden in zip(reasons, unseen, strict=True)]
-
-
-def _with_human_columns(grid: Grid, goals: Sequence[str | None], spots: Mapping[str, Place]) -> Grid:
-    nowhere = (np.nan, np.nan, np.nan)
-    at = np.array([spots[name].xyz_m if name and name in spots else nowhere for name in goals]).reshape(-1, 3)
-    columns = [
-        *(pl.Series(f"human_{axis}_m", grid.human_m[:, k], nan_to_null=True) for k, axis in enumerate("xyz")),
-        *(pl.Series(f"human_goal_{axis}_m", at[:, k], nan_to_null=True) for k, axis in enumerate("xyz")),
-        pl.Series("human_task", goals, dtype=pl.String),
-        pl.Series("human_gap", _why_unseen(grid), dtype=pl.String),
-    ]
-    return replace(grid, frame=grid.frame.with_columns(columns))
+    least = np.maximum(reasons, REASONS.index("occluded"))  # a position that is not believed was hidden
+    return [REASONS[reason] if hidden else None for reason, hidden in zip(least, unseen, strict=True)]

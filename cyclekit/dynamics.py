@@ -29,8 +29,11 @@ RAMP_ROWS = 3
 """A change over fewer rows is a jump."""
 LATEST_S, STEP_S = 1.0, 0.01
 """Latencies up to this are tried, in such steps."""
+LATENCIES_S = np.arange(0.0, LATEST_S + STEP_S / 2, STEP_S)
 LEAST = 20
 """Fewer changes say nothing."""
+MOST = 20_000
+"""More changes say no more."""
 AGREE_M = 0.04
 """Distances at which the level changes agree if half of them are within this of their median."""
 
@@ -102,25 +105,51 @@ def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[Ch
     return found
 
 
-def read_dynamics(changes: Sequence[Change], t_s: Vector, distance_m: Vector) -> Dynamics:
-    """Return what the changes of level tell.
+@dataclass(frozen=True)
+class Changes:
+    """The changes of level of one session, and how far apart operator and TCP were shortly before.
 
-    Args:
-        changes: Of all executions.
-        t_s: Times of samples, shape (N,), ascending.
-        distance_m: Distance of operator and TCP there, shape (N,); NaN = unknown.
+    Attributes:
+        changes: All of them.
+        kind: Of those whose distances are told: which threshold and direction, shape (N,).
+        near_m: Their distances at each latency that is tried, shape (N, L), metres.
+        samples: How many distances are known in all.
     """
+
+    changes: list[Change]
+    kind: NDArray[np.int64]
+    near_m: NDArray[np.float64]
+    samples: int
+
+    @classmethod
+    def seen(cls, changes: Sequence[Change], t_s: Vector, distance_m: Vector, most: int = MOST) -> Changes:
+        """Look up the distances before changes of one session; of more than `most`, evenly spread, so many.
+
+        Args:
+            changes: In the order of time.
+            t_s: Times of samples, shape (N,), ascending.
+            distance_m: Distance of operator and TCP there, shape (N,), metres; NaN = unknown.
+            most: Of so many changes at most.
+        """
+        known = np.isfinite(distance_m)
+        told = changes[:: max(1, -(-len(changes) // most))] if known.any() else []
+        at = np.array([change.t_s for change in told])[:, None] - LATENCIES_S[None]
+        near_m = np.interp(at, t_s[known], distance_m[known]) if told else np.empty(at.shape)
+        kind = np.array([2 * change.step + change.rises for change in told], np.int64)
+        return cls(list(changes), kind, near_m, int(known.sum()))
+
+
+def read_dynamics(seen: Sequence[Changes]) -> Dynamics:
+    """Return what the changes of level of all sessions tell."""
+    changes = [change for mine in seen for change in mine.changes]
     ramps = {
         rises: [change.rate_per_s for change in changes if change.rises is rises] for rises in (False, True)
     }  # fmt: skip
     down, up = (_usual(ramps[rises]) for rises in (False, True))
-    known = np.isfinite(distance_m)
-    if len(changes) < LEAST or known.sum() < LEAST:
+    kinds = np.concatenate([np.empty(0, np.int64), *(mine.kind for mine in seen)])
+    if len(kinds) < LEAST or sum(mine.samples for mine in seen) < LEAST:
         return Dynamics(None, down, up, None, len(changes), None)
-    latencies = np.arange(0.0, LATEST_S + STEP_S / 2, STEP_S)
-    at = np.array([change.t_s for change in changes])[None] - latencies[:, None]
-    near = np.interp(at, t_s[known], distance_m[known])
-    kinds = np.array([2 * change.step + change.rises for change in changes])
+    near = np.concatenate([mine.near_m for mine in seen]).T
     off = np.full(near.shape, np.nan)
     for kind in np.unique(kinds):
         mine = kinds == kind
@@ -130,7 +159,7 @@ def read_dynamics(changes: Sequence[Change], t_s: Vector, distance_m: Vector) ->
         return Dynamics(None, down, up, None, len(changes), None)
     spread = np.nanmedian(off, axis=1)
     best = int(spread.argmin())
-    if spread[best] > AGREE_M or best == len(latencies) - 1:
+    if spread[best] > AGREE_M or best == len(LATENCIES_S) - 1:
         return Dynamics(None, down, up, None, len(changes), float(spread[best]))
     lag = [
         float(np.median(near[best][kinds == 2 * step + 1]) - np.median(near[best][kinds == 2 * step]))
@@ -138,7 +167,7 @@ def read_dynamics(changes: Sequence[Change], t_s: Vector, distance_m: Vector) ->
         if (kinds == 2 * step).sum() >= 5 and (kinds == 2 * step + 1).sum() >= 5
     ]
     hysteresis = max(0.0, float(np.median(lag))) if lag else None
-    return Dynamics(float(latencies[best]), down, up, hysteresis, len(changes), float(spread[best]))
+    return Dynamics(float(LATENCIES_S[best]), down, up, hysteresis, len(changes), float(spread[best]))
 
 
 def _usual(rates: Sequence[float | None]) -> float | None:

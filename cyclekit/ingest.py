@@ -186,7 +186,9 @@ def _build(
     sessions = group_sessions(entries, partial(_is_reference, cell))
     later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), wanted.align_clocks == "coarse"
     native, stored = partial(_native, staging), partial(_stored, staging)
-    derived = derive(sessions, sources, native, stored, cell, later, coarse=coarse)
+    derived = derive(
+        sessions, sources, native, stored, cell, staging / "samples", later, engine=wanted.engine, coarse=coarse
+    )
     derived.warnings.extend(_unmatched(cell, wanted.logs))
     intake.digests.settle(entries)
     if wanted.how.pseudonymise:
@@ -194,8 +196,6 @@ def _build(
         derived.warnings.extend(dated_names(entries))
         cell = without_what_names(cell)
     card = _card(cell, entries, derived, not_read, wanted)
-    for name, frame in derived.samples.items():
-        write_parquet(frame, staging / "samples" / f"{name}.parquet")
     write_parquet(derived.tasks, staging / "tasks.parquet")
     write_text(staging / CARD, json.dumps(card, indent=1, ensure_ascii=False) + "\n")
     return card, kept
@@ -271,7 +271,7 @@ def _card(
         "levels": list(derived.levels),
         "scaling_origin": derived.origin,
         "dynamics": asdict(derived.dynamics),
-        "rows": {"samples": sum(f.height for f in derived.samples.values()), "tasks": derived.tasks.height},
+        "rows": {"samples": derived.samples, "tasks": derived.tasks.height},
         "warnings": derived.warnings,
     }
 

@@ -13,14 +13,14 @@ from cyclekit.signals import OUTPUT, REGISTER, event_times
 from cyclekit.stored_run import runs_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from cyclekit.config import Cell
-    from cyclekit.motion import Run
     from cyclekit.session import Session
     from cyclekit.signals import Read, Stored
+    from cyclekit.stored_run import StoredRun
     from cyclekit.tables import StoredTable
 
     Vector = NDArray[np.float64]
@@ -31,38 +31,29 @@ LATE_S = 0.25
 """A signal may come so much later than the departure that it stands for."""
 
 
-def load_runs(
-    sessions: Sequence[Session], read: Read, stored: Stored, cell: Cell, progress: Callable[[float, str], None]
-) -> tuple[list[Run], list[Rows]]:
-    """Return every run of every session, and of each the rows at which something logged says that a cycle begins.
+def load_runs(session: Session, read: Read, stored: Stored, cell: Cell) -> tuple[list[StoredRun], list[Rows]]:
+    """Return every run of a session, and of each the rows at which something logged says that a cycle begins.
 
     Args:
-        sessions: In one clock; told which runs are theirs.
+        session: In one clock.
         read: Returns a native table of a recording (id, table), None if it has none.
         stored: Opens the robot table of a recording (id, columns).
         cell: What begins an execution.
-        progress: Told fraction and text.
 
     Raises:
         ConfigError: Executions are to begin by a register or output that was not logged.
     """
-    runs: list[Run] = []
-    marks: list[Rows] = []
+    entry = session.entries[0]
+    if not entry["rows"].get("robot"):
+        return [], []
+    table = stored(entry["id"], COLUMNS)
+    marked = _marked(session, read, stored, cell)
+    more, states = _more(stored, entry["id"], table.names), _not_playing(stored, entry["id"])
     gap_s = cell.executions.gap_s if cell.executions.begin != "file" else np.inf
-    for number, session in enumerate(sessions):
-        progress(number / len(sessions), f"motion of {session.name}")
-        entry = session.entries[0]
-        if not entry["rows"].get("robot"):
-            continue
-        table = stored(entry["id"], COLUMNS)
-        marked = _marked(session, read, stored, cell)
-        more, states = _more(stored, entry["id"], table.names), _not_playing(stored, entry["id"])
-        for run in runs_of(table, entry["clock"]["offset_s"], gap_s=gap_s, more=more, states=states):
-            session.runs.append(len(runs))
-            runs.append(run)
-            first, last = run.time_at(0), run.time_at(run.rows - 1)
-            marks.append(run.row_at(marked[(marked > first) & (marked <= last)] - LATE_S))
-    return runs, marks
+    runs = runs_of(table, entry["clock"]["offset_s"], gap_s=gap_s, more=more, states=states)
+    ends = [(run.time_at(0), run.time_at(run.rows - 1)) for run in runs]
+    marks = [marked[(marked > first) & (marked <= last)] - LATE_S for first, last in ends]
+    return runs, [run.row_at(mine) for run, mine in zip(runs, marks, strict=True)]
 
 
 def _more(stored: Stored, recording: str, names: Sequence[str]) -> StoredTable | None:

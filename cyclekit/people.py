@@ -87,6 +87,7 @@ def at_times(track: Track, t_s: Vector, *, bridge_s: float, width_s: float = 0.0
         return np.full((len(t_s), 3), np.nan)
     right = np.clip(np.searchsorted(t, t_s), 1, len(t) - 1)
     inside = (t_s >= t[0]) & (t_s <= t[-1]) & (t[right] - t[right - 1] <= limit)
+    inside |= (t[right] == t_s) | (t[right - 1] == t_s)  # just then it was seen, whatever was before
     breaks = np.flatnonzero(np.diff(t) > limit)
     begins, ends = t[np.concatenate([[0], breaks + 1])], t[np.concatenate([breaks, [len(t) - 1]])]
     stretch = np.clip(np.searchsorted(begins, t_s, side="right") - 1, 0, None)

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from cyclekit.dataset import Place
+    from cyclekit.engine import Engine
     from cyclekit.motion import Run
     from cyclekit.override import Reference
     from cyclekit.segment import Execution
@@ -24,6 +25,7 @@ def with_scaling(
     places: Mapping[str, Place],
     sessions: Sequence[Session],
     progress: Callable[[float, str], None],
+    engine: Engine,
 ) -> tuple[list[Run], list[str]]:
     """Return the runs, with the scaling inferred where none was logged, and what is to be said about that.
 
@@ -33,12 +35,13 @@ def with_scaling(
         places: All places.
         sessions: Which runs were recorded with nobody in the cell.
         progress: Told fraction and text.
+        engine: Who infers.
     """
     silent = [number for number, run in enumerate(runs) if not run.knows_scaling]
     if not silent:
         return list(runs), []
     alone = [number for session in sessions if session.reference for number in session.runs]
-    parts, references = infer_overrides(runs, executions, alone, lambda done: progress(done, "speed override"))
+    parts, references = infer_overrides(runs, executions, alone, lambda done: progress(done, "speed override"), engine)
     said = "no log holds a" if len(silent) == len(runs) else f"{len(silent)} of {len(runs)} runs hold no"
     said += " valid speed scaling"
     if not references:

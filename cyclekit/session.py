@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     import polars as pl
     from numpy.typing import NDArray
 
+    Vector = NDArray[np.float64]
+
 
 @dataclass
 class Session:
@@ -39,19 +41,11 @@ class Session:
 
 @dataclass(frozen=True)
 class Grid:
-    """The sample times of one execution, what the robot did then, and where the operator was.
+    """The sample times of one execution, what the robot did then, and where the operator was."""
 
-    Attributes:
-        human_m: x_h, shape (N, 3), NaN = unknown.
-        human_gap: Whether somebody was seen and why not, shape (N,), see `people.REASONS`; None without a tracker.
-    """
-
-    session: Session
     execution: str
-    t_s: NDArray[np.float64]
+    t_s: Vector
     frame: pl.DataFrame
-    human_m: NDArray[np.float64]
-    human_gap: NDArray[np.int8] | None = None
 
 
 def group_sessions(entries: list[dict[str, Any]], is_reference: Callable[[str], bool]) -> list[Session]:

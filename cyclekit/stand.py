@@ -83,7 +83,9 @@ Stands = dict[tuple[int, int, int], Stand]
 """Stands by run, first and last row."""
 
 
-def stands_of(runs: Sequence[Run], executions: Sequence[Execution], places: Mapping[str, Place]) -> Stands:
+def stands_of(
+    runs: Mapping[int, Run] | Sequence[Run], executions: Sequence[Execution], places: Mapping[str, Place]
+) -> Stands:
     """Return when the robot arrived and left at every visit of the executions."""
     found: Stands = {}
     for execution in executions:

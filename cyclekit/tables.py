@@ -135,15 +135,10 @@ class StoredTable:
         """
         self._file, self._columns = file, list(columns)
         self.columns = tuple(columns)
-        with pq.ParquetFile(file) as parquet:
-            about, layout = parquet.metadata, parquet.schema_arrow
-        self.names = tuple(layout.names)
-        starts = [0]
-        for group in range(about.num_row_groups):
-            starts.append(starts[-1] + about.row_group(group).num_rows)
+        self.names, starts, unknown = _layout(file, file.stat().st_mtime_ns)
         self.rows = starts[-1]
         self.groups = [(begin, end) for begin, end in pairwise(starts) if end > begin]
-        self._unknown = {name: _unknown(about, layout.get_field_index(name)) for name in columns}
+        self._unknown = {name: unknown[name] for name in columns}
 
     def unknown(self, column: str) -> int:
         """Return how many rows have no value in a column, as far as the file says; all where it does not."""
@@ -191,7 +186,7 @@ class StoredTable:
         with pq.ParquetFile(self._file) as parquet:
             table = parquet.read_row_group(number, columns=self._columns, use_threads=False)
         frame = pl.DataFrame(table)  # not by Arrow's own way to numpy, which imports pandas where there is one
-        columns = {name: frame[name].cast(pl.Float64).to_numpy() for name in self._columns}
+        columns = {name: _floats(frame[name]) for name in self._columns}
         _decoded.keep(key, columns)
         return columns
 
@@ -241,6 +236,26 @@ def keeping(most_bytes: int) -> Iterator[None]:
 def forget() -> None:
     """Give back the memory of what was read last: for one who has other use for it now."""
     _decoded.clear()
+
+
+@lru_cache(maxsize=16)  # whoever opens a table opens it several times, for other columns
+def _layout(file: Path, _written_ns: int) -> tuple[tuple[str, ...], list[int], dict[str, int]]:
+    """Return the names of a table's columns, where its row groups begin and end, and the unknown rows of each column.
+
+    Args:
+        file: The Parquet file.
+        _written_ns: When it was last written: a file that was written again is another one.
+    """
+    with pq.ParquetFile(file) as parquet:
+        about, names = parquet.metadata, tuple(parquet.schema_arrow.names)
+    starts = [0]
+    for group in range(about.num_row_groups):
+        starts.append(starts[-1] + about.row_group(group).num_rows)
+    return names, starts, {name: _unknown(about, column) for column, name in enumerate(names)}
+
+
+def _floats(values: pl.Series) -> NDArray[np.float64]:
+    return (values if values.dtype == pl.Float64 else values.cast(pl.Float64)).to_numpy()
 
 
 def _unknown(about: pq.FileMetaData, column: int) -> int:

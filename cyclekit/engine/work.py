@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import traceback
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -21,9 +22,14 @@ def outcomes(function: bytes, items: Sequence[Any]) -> Iterator[Outcome]:
     """Yield the result (or None) and the error (or None) of every item."""
     for item in items:
         try:
-            yield pickle.loads(function)(item), None
+            yield _unpacked(function)(item), None
         except Exception as error:
             yield None, _portable(error)
+
+
+@lru_cache(maxsize=1)  # what it is bound to may be large, and items are many
+def _unpacked(function: bytes) -> Callable[[Any], Any]:
+    return pickle.loads(function)  # type: ignore[no-any-return]
 
 
 def _portable(error: Exception) -> Exception:

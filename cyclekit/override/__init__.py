@@ -10,11 +10,13 @@ constant with ramps (`advance`). Where it cannot be known it is unknown, with th
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
+from functools import partial
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from cyclekit.engine import LOCAL, Engine
 from cyclekit.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, TOO_SLOW, Part
 from cyclekit.override.advance import advance
 from cyclekit.override.path import along
@@ -55,6 +57,7 @@ PATHS = 4
 LEAST_NOISE = 1e-6
 """Noise of a coordinate (rad or m) that shows none: logs are written with so many digits."""
 _NOISE_LEGS, _NOISE_ROWS = 40, 4000
+_AT_ONCE = 64
 _NONE, _NO_GAPS = np.empty(0), np.empty(0, np.int8)
 
 
@@ -73,6 +76,7 @@ def infer_overrides(
     executions: Sequence[Execution],
     alone: Sequence[int] = (),
     progress: Callable[[float], None] = lambda _: None,
+    engine: Engine = LOCAL,
 ) -> tuple[list[list[Part]], dict[str, list[Reference]]]:
     """Return the scaling of each run that does not know it, where the robot was on its way.
 
@@ -81,6 +85,7 @@ def infer_overrides(
         executions: Their executions, from `segment`.
         alone: Numbers of runs recorded with nobody in the cell: where a motion occurs there, they are the reference.
         progress: Told the fraction done.
+        engine: Who matches the motions to their references.
 
     Returns:
         Of each run its parts (none for a run that knows its scaling); and the references of each task, one per path.
@@ -92,14 +97,13 @@ def infer_overrides(
     asked = set(found)
     for attempt in range(PATHS):
         tried = _references(runs, [leg for leg in left if leg.task in asked], set(alone), noise)
-        others = []
-        for number, leg in enumerate(left):  # in the order of time: each stretch of a log is read once
-            progress((attempt + number / len(left)) / PATHS)
-            part = _inferred(runs, leg, tried[leg.task], noise) if leg.task in tried else None
-            if part is None:
-                others.append(leg)
-            else:
-                parts.append((leg, part, attempt))
+        todo = _chunks(runs, [leg for leg in left if leg.task in tried])
+        results: dict[_Leg, Part | None] = {}
+        for done in engine.map(partial(_matched, references=tried, noise=noise), todo):
+            results |= zip(done.item.legs, done.get(), strict=True)
+            progress((attempt + len(results) / len(left)) / PATHS)
+        parts += [(leg, part, attempt) for leg in left if (part := results.get(leg)) is not None]
+        others = [leg for leg in left if results.get(leg) is None]
         asked = {leg.task for leg, _, which in parts if which == attempt}
         for task in asked:
             found[task].append(tried[task])
@@ -122,6 +126,26 @@ def _legs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[_Leg]:
     return legs
 
 
+class _Chunk(NamedTuple):
+    """Motions of one run that are looked at together."""
+
+    run: Run
+    legs: list[_Leg]
+
+
+def _chunks(runs: Sequence[Run], legs: Sequence[_Leg]) -> list[_Chunk]:
+    """Return motions, in the order of time, in parts: each stretch of a log is read once."""
+    found: list[_Chunk] = []
+    for _, mine in groupby(legs, key=lambda leg: leg.run):
+        every = list(mine)
+        found += [_Chunk(runs[every[0].run], every[i : i + _AT_ONCE]) for i in range(0, len(every), _AT_ONCE)]
+    return found
+
+
+def _matched(chunk: _Chunk, *, references: Mapping[str, Reference], noise: Mapping[int, Vector]) -> list[Part | None]:
+    return [_inferred(chunk.run, leg, references[leg.task], noise) for leg in chunk.legs]
+
+
 def _noise(runs: Sequence[Run], legs: Sequence[_Leg]) -> dict[int, Vector]:
     """Return the noise of each coordinate, by their number: third differences are free of any smooth motion."""
     thirds: dict[int, list[Points]] = {}
@@ -137,13 +161,13 @@ def _noise(runs: Sequence[Run], legs: Sequence[_Leg]) -> dict[int, Vector]:
     return {count: np.maximum(values, LEAST_NOISE) for count, values in spread.items()}
 
 
-def _repetition(runs: Sequence[Run], leg: _Leg, noise: Mapping[int, Vector]) -> Repetition | None:
+def _repetition(run: Run, leg: _Leg, noise: Mapping[int, Vector]) -> Repetition | None:
     """Return a motion, None where its coordinates are not known all along."""
-    part = runs[leg.run].window(leg.first, leg.last)
-    points, slider = runs[leg.run].posture(leg.first, leg.last)
+    part = run.window(leg.first, leg.last)
+    points, slider = run.posture(leg.first, leg.last)
     if points.shape[1] not in noise or not np.isfinite(points).all():
         return None
-    known = part.scaling if runs[leg.run].knows_scaling else np.ones(len(slider))
+    known = part.scaling if run.knows_scaling else np.ones(len(slider))
     return Repetition(part.t_s, points / noise[points.shape[1]], slider * np.where(known >= SLOW, known, np.nan))
 
 
@@ -158,7 +182,8 @@ def _references(
     for task, mine in by_task.items():
         sure = [leg for leg in mine if leg.run in alone or runs[leg.run].knows_scaling]
         fastest = sorted(sure or mine, key=lambda leg: leg.lasts_s)[: 2 * AMONG]
-        repetitions = [_repetition(runs, leg, noise) for leg in sorted(fastest, key=lambda leg: (leg.run, leg.first))]
+        in_order = sorted(fastest, key=lambda leg: (leg.run, leg.first))
+        repetitions = [_repetition(runs[leg.run], leg, noise) for leg in in_order]
         reference = reference_of([r for r in repetitions if r is not None], alone=bool(sure))
         if reference is not None:
             found[task] = reference
@@ -192,15 +217,15 @@ def _unknown(leg: _Leg, why: int) -> Part:
     return Part(leg.first, nothing, nothing, np.full(len(nothing), why, np.int8))
 
 
-def _inferred(runs: Sequence[Run], leg: _Leg, reference: Reference, noise: Mapping[int, Vector]) -> Part | None:
+def _inferred(run: Run, leg: _Leg, reference: Reference, noise: Mapping[int, Vector]) -> Part | None:
     """Return the scaling of one repetition, unknown with its reason where it cannot be known.
 
     None where it takes another path, or cannot be seen. Of a run that knows its scaling nothing is inferred.
     """
-    repetition = _repetition(runs, leg, noise)
+    repetition = _repetition(run, leg, noise)
     if repetition is None or repetition.points.shape[1] != reference.path.points.shape[1]:
         return None
-    if runs[leg.run].knows_scaling:
+    if run.knows_scaling:
         return None if takes_another(reference.path, repetition) else Part(leg.first, _NONE, _NONE, _NO_GAPS)
     place = along(reference.path, repetition.t_s, repetition.points)
     if is_elsewhere(reference.path, place.off):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Source
@@ -381,6 +381,7 @@ def test_nobody_in_the_cell_is_nobody_in_the_samples(cells: Cells):
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10_000), width_s=st.sampled_from([0.0, 0.1]))
+@example(seed=244, width_s=0.0)  # a time that is that of the first row after a gap
 def test_a_few_times_of_a_long_track_are_told_as_all_of_them_are(seed: int, width_s: float):
     random = np.random.default_rng(seed)
     t = np.cumsum(random.choice([0.02, 0.02, 0.02, 0.25, 2.0], 300))

@@ -1,0 +1,246 @@
+"""From recordings to samples and tasks: one clock, one base frame, executions, goals, scaling.
+
+Everything here can be computed again from the recordings, without the vendor files. Reading those is the business of
+`ingest`, finding places and executions that of `segment`. What concerns one session is done session by session, on as
+many cores as the engine has (`look`, `sample`, `finish`), and what is large stays in files; between these passes what
+only all sessions tell is found here: places, executions, references of the speed, usual dwells, levels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.account import usual_dwells
+from cyclekit.activity import operator_places
+from cyclekit.derive.finish import Left, finish
+from cyclekit.derive.look import look_at
+from cyclekit.derive.sample import Work, samples_of
+from cyclekit.dynamics import MOST, Dynamics, read_dynamics
+from cyclekit.engine import LOCAL, Engine
+from cyclekit.samples import stretches
+from cyclekit.scaling import with_scaling
+from cyclekit.segment import Execution, find_executions, find_places, find_visits
+from cyclekit.stand import stands_of
+from cyclekit.steps import Staircase, find_staircase
+from cyclekit.tables import forget, keeping
+from cyclekit.turns import with_turns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from cyclekit.config import Cell, Source
+    from cyclekit.dataset import Place
+    from cyclekit.derive.look import Look
+    from cyclekit.motion import Run
+    from cyclekit.segment import Stop
+    from cyclekit.session import Session
+    from cyclekit.signals import Read, Stored
+    from cyclekit.stand import Stands
+
+    Progress = Callable[[float, str], None]
+
+__all__ = ["Derived", "derive"]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+KEPT_BYTES = 160 << 20
+"""Of decoded rows while the scaling is inferred: the fastest repetitions of each motion lie all over the log."""
+SHARED_ROWS = 2_000_000
+"""Of the robot, below which a pass takes less time than workers need to start."""
+SESSION_ROWS = 1000
+"""What a session costs besides its rows, in rows."""
+
+
+@dataclass(frozen=True)
+class Derived:
+    """All that a dataset says beyond its recordings and the samples, which lie in files; `samples`: how many."""
+
+    samples: int
+    tasks: pl.DataFrame
+    executions: list[dict[str, Any]]
+    places: Mapping[str, Place]
+    human_places: Mapping[str, Place]
+    levels: tuple[float, ...]
+    origin: str | None
+    dynamics: Dynamics
+    warnings: list[str]
+
+
+def derive(
+    sessions: Sequence[Session],
+    sources: Mapping[str, Source | None],
+    read: Read,
+    stored: Stored,
+    cell: Cell,
+    folder: Path,
+    progress: Progress,
+    *,
+    engine: Engine = LOCAL,
+    coarse: bool = False,
+) -> Derived:
+    """Compute samples and tasks.
+
+    Args:
+        sessions: From `ingest`; their entries get `clock`, `frame` and `operator` filled in.
+        sources: What the cell file says about each recording, by id.
+        read: Returns a native table of a recording (id, table), None if it has none.
+        stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
+        cell: Places, execution rule, rates.
+        folder: Where the samples are written, a file a session.
+        progress: Told fraction and text.
+        engine: Who does the passes over the sessions; `read` and `stored` must work there.
+        coarse: Where nothing says how a clock relates to the robot's, align on the operator being near while the
+            robot slows; hides the reaction delay.
+
+    Raises:
+        UnknownName: The cell file's home is no place that was found.
+        ConfigError: Executions are to begin by a register or output that was not logged, or a clock or frame is to be
+            found in a way that these logs do not allow.
+        EstimateError: An execution cannot be so long.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    passes = _Passes(engine if _is_much(sessions) else LOCAL, progress)
+    look = partial(look_at, sources=sources, read=read, stored=stored, cell=cell, coarse=coarse)
+    looks = passes.over(look, sessions, 0.0, 0.2, "motion")
+    for session, seen in zip(sessions, looks, strict=True):
+        _note(session, seen.entries)
+    robot = _robot(looks, sessions, cell, passes.engine, lambda done, told: progress(0.2 + 0.3 * done, told))
+    works = [
+        Work(
+            session,
+            {number: robot.runs[number] for number in session.runs},
+            [found for number in session.runs for found in robot.executions[number]],
+            {},
+        )
+        for session in sessions
+    ]
+    stands = passes.over(partial(_stands, places=robot.places), works, 0.5, 0.6, "stands")
+    works = [replace(work, stands=mine) for work, mine in zip(works, stands, strict=True)]
+    every = {key: stand for mine in stands for key, stand in mine.items()}
+    dwells = usual_dwells([found for mine in robot.executions for found in mine], every)
+    sample = partial(
+        samples_of, places=robot.places, dwells=dwells, sources=sources, read=read, cell=cell, folder=folder
+    )
+    made = passes.over(sample, works, 0.6, 0.85, "samples")
+    for session, one in zip(sessions, made, strict=True):
+        _note(session, one.entries)
+    forget()  # the scaling of many hours takes that memory
+    made = [one for one in made if one.samples]
+    spots = operator_places([stays for one in made for stays in one.stays], cell)
+    staircase = _staircase([folder / f"{one.session}.parquet" for one in made], cell)
+    labels = np.split(staircase.label, np.cumsum([one.samples for one in made])[:-1]) if made else []
+    levels = tuple(round(float(level), 6) for level in staircase.levels)
+    runs = {work.session.name: list(work.runs.values()) for work in works}
+    left = [Left(one.session, runs[one.session], label, one.stays) for one, label in zip(made, labels, strict=True)]
+    rest = partial(finish, spots=spots, levels=levels, most_changes=max(20, MOST // max(len(made), 1)), folder=folder)
+    changes = passes.over(rest, left, 0.85, 1.0, "levels")
+    rows = [row for one in made for row in one.tasks]
+    return Derived(
+        samples=sum(one.samples for one in made),
+        tasks=pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.TASKS.items()}, orient="row"),
+        executions=[card for one in made for card in one.cards],
+        places=robot.places,
+        human_places=spots,
+        levels=levels,
+        origin=" and ".join(sorted({name for one in made for name in one.origins}, reverse=True)) or None,
+        dynamics=read_dynamics(changes),
+        warnings=[*robot.warnings, *staircase.warnings],
+    )
+
+
+class _Robot(NamedTuple):
+    """What the robot of all sessions was doing.
+
+    Attributes:
+        runs: All its runs; a session knows the numbers of its own.
+        places: All its places.
+        executions: Of each run, in the order of time.
+        warnings: What is to be said about the scaling.
+    """
+
+    runs: Sequence[Run]
+    places: Mapping[str, Place]
+    executions: Sequence[Sequence[Execution]]
+    warnings: list[str]
+
+
+def _robot(
+    looks: Sequence[Look], sessions: Sequence[Session], cell: Cell, engine: Engine, progress: Progress
+) -> _Robot:
+    """Find places and executions in all sessions, and the scaling where it was not logged."""
+    runs: list[Run] = []
+    stops: list[Stop] = []
+    for session, look in zip(sessions, looks, strict=True):
+        session.span_s, session.runs = look.span_s, list(range(len(runs), len(runs) + len(look.runs)))
+        stops += [replace(stop, run=stop.run + len(runs)) for stop in look.stops]
+        runs += look.runs
+    places = find_places(runs, stops, cell.places)
+    visits = find_visits(stops, places, runs)
+    if all(len({visit.place for visit in seen}) < 2 for seen in visits):  # it rests at one place at most
+        stops = with_turns(runs, stops)
+        places = find_places(runs, stops, cell.places)
+        visits = find_visits(stops, places, runs)
+    executions = find_executions(visits, places, cell.executions, [marks for look in looks for marks in look.marks])
+    executions += _whole_runs(runs, executions)
+    with keeping(KEPT_BYTES):
+        runs, warnings = with_scaling(runs, executions, places, sessions, progress, engine)
+    by_run: list[list[Execution]] = [[] for _ in runs]
+    for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
+        by_run[found.run].append(found)
+    return _Robot(runs, places, by_run, warnings)
+
+
+def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Execution]:
+    """A run in which no task was found is still an execution: it can be inspected and replayed."""
+    covered = {execution.run for execution in executions}
+    return [Execution(number, (), False) for number in range(len(runs)) if number not in covered]
+
+
+def _stands(work: Work, *, places: Mapping[str, Place]) -> Stands:
+    return stands_of(work.runs, work.executions, places)
+
+
+def _staircase(files: Sequence[Path], cell: Cell) -> Staircase:
+    """Find the levels of the scaling of all executions, or label them by those that the cell file fixes."""
+    if not files:
+        return find_staircase(np.empty(0))
+    frame = pl.concat([pl.read_parquet(file, columns=["execution", "t_s", "scaling"], glob=False) for file in files])
+    run = stretches(frame, cell.rate_hz)
+    return find_staircase(frame["scaling"].fill_null(np.nan).to_numpy(), run=run, levels=cell.levels or None)
+
+
+def _is_much(sessions: Sequence[Session]) -> bool:
+    """Tell whether a pass over the sessions takes longer than workers need to start."""
+    rows: int = sum(entry["rows"].get("robot", 0) for session in sessions for entry in session.entries)
+    return rows + SESSION_ROWS * len(sessions) >= SHARED_ROWS
+
+
+def _note(session: Session, entries: Sequence[Mapping[str, Any]]) -> None:
+    """Take over what a pass noted in the entries of a session; it may have worked on copies."""
+    for entry, noted in zip(session.entries, entries, strict=True):
+        entry.update(noted)
+
+
+class _Passes:
+    """Functions over all sessions: shared out by the engine, results in order, the fraction done told."""
+
+    def __init__(self, engine: Engine, progress: Progress) -> None:
+        self.engine, self.progress = engine, progress
+
+    def over(
+        self, function: Callable[[Item], Result], items: Sequence[Item], begin: float, end: float, what: str
+    ) -> list[Result]:
+        results: dict[int, Result] = {}
+        for done in self.engine.map(function, items):
+            results[done.number] = done.get()
+            told = f"{what}, {len(results)} of {len(items)} sessions"
+            self.progress(begin + (end - begin) * len(results) / len(items), told)
+        return [results[number] for number in range(len(items))]

@@ -35,9 +35,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
+    from cyclekit.account import Dwell
     from cyclekit.config import Cell, Source
     from cyclekit.dataset import Place
     from cyclekit.derive.look import Look
+    from cyclekit.derive.sample import Made
     from cyclekit.motion import Run
     from cyclekit.segment import Stop
     from cyclekit.session import Session
@@ -113,19 +115,7 @@ def derive(
     for session, seen in zip(sessions, looks, strict=True):
         _note(session, seen.entries)
     robot = _robot(looks, sessions, cell, passes.engine, lambda done, told: progress(0.2 + 0.3 * done, told))
-    works = [
-        Work(
-            session,
-            {number: robot.runs[number] for number in session.runs},
-            [found for number in session.runs for found in robot.executions[number]],
-            {},
-        )
-        for session in sessions
-    ]
-    stands = passes.over(partial(_stands, places=robot.places), works, 0.5, 0.6, "stands")
-    works = [replace(work, stands=mine) for work, mine in zip(works, stands, strict=True)]
-    every = {key: stand for mine in stands for key, stand in mine.items()}
-    dwells = usual_dwells([found for mine in robot.executions for found in mine], every)
+    works, dwells = _with_stands(passes, sessions, robot)
     sample = partial(
         samples_of, places=robot.places, dwells=dwells, sources=sources, read=read, cell=cell, folder=folder
     )
@@ -133,14 +123,21 @@ def derive(
     for session, one in zip(sessions, made, strict=True):
         _note(session, one.entries)
     forget()  # the scaling of many hours takes that memory
-    made = [one for one in made if one.samples]
+    runs = {work.session.name: list(work.runs.values()) for work in works}
+    return _finished(passes, [one for one in made if one.samples], runs, robot, cell, folder)
+
+
+def _finished(
+    passes: _Passes, made: Sequence[Made], runs: Mapping[str, list[Run]], robot: _Robot, cell: Cell, folder: Path
+) -> Derived:
+    """Find the levels and the operator's places, and have the samples completed."""
     spots = operator_places([stays for one in made for stays in one.stays], cell)
     staircase = _staircase([folder / f"{one.session}.parquet" for one in made], cell)
     labels = np.split(staircase.label, np.cumsum([one.samples for one in made])[:-1]) if made else []
     levels = tuple(round(float(level), 6) for level in staircase.levels)
-    runs = {work.session.name: list(work.runs.values()) for work in works}
     left = [Left(one.session, runs[one.session], label, one.stays) for one, label in zip(made, labels, strict=True)]
-    rest = partial(finish, spots=spots, levels=levels, most_changes=max(20, MOST // max(len(made), 1)), folder=folder)
+    most = max(20, MOST // max(len(made), 1))
+    rest = partial(finish, spots=spots, levels=levels, most_changes=most, folder=folder)
     changes = passes.over(rest, left, 0.85, 1.0, "levels")
     rows = [row for one in made for row in one.tasks]
     return Derived(
@@ -202,6 +199,23 @@ def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Ex
     """A run in which no task was found is still an execution: it can be inspected and replayed."""
     covered = {execution.run for execution in executions}
     return [Execution(number, (), False) for number in range(len(runs)) if number not in covered]
+
+
+def _with_stands(passes: _Passes, sessions: Sequence[Session], robot: _Robot) -> tuple[list[Work], dict[str, Dwell]]:
+    """Return the work that each session is, and the usual dwell at each place."""
+    works = [
+        Work(
+            session,
+            {number: robot.runs[number] for number in session.runs},
+            [found for number in session.runs for found in robot.executions[number]],
+            {},
+        )
+        for session in sessions
+    ]
+    stands = passes.over(partial(_stands, places=robot.places), works, 0.5, 0.6, "stands")
+    every = {key: stand for mine in stands for key, stand in mine.items()}
+    dwells = usual_dwells([found for mine in robot.executions for found in mine], every)
+    return [replace(work, stands=mine) for work, mine in zip(works, stands, strict=True)], dwells
 
 
 def _stands(work: Work, *, places: Mapping[str, Place]) -> Stands:

@@ -4,7 +4,7 @@ A task is the motion from one place to the next and the stand at its goal. While
 advances at the scaling s, so nominal = integral of s, safety loss = integral of (1 - s); an operator's speed slider
 takes its own share, and a paused program waits. A robot that has done its work at a place and is not allowed to leave
 stands there at s = 0: that tail of the stand is safety loss of the next motion, as far as the stand exceeds the place's
-usual dwell. When it arrived and left is the business of `stand`; which places and executions there are, of `segment`.
+usual dwell. When it arrived and left is the business of `stand`; which executions there are, of `segment`.
 """
 
 from __future__ import annotations

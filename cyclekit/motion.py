@@ -2,7 +2,7 @@
 
 A run is one continuous stretch. Whoever reads motion asks for the rows that matter (a stand, a task, an execution) and
 never for all of them, so a log of any length takes the memory of its longest task. Runs that stay on the disk are in
-`stored_run`; what the motion means is the business of `segment`.
+`stored_run`; what the motion means is the business of `stops` and `segment`.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset import Place
-from cyclekit.segment import cluster
+from cyclekit.places import cluster
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

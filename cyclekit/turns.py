@@ -2,7 +2,7 @@
 
 A program that goes from one position to the next without blending stops at each of them, for no longer than a row or
 two of its log. Where a robot rests at places these are waypoints on its way; where it rests at one place at most they
-are all that divides its motion. Places at which it rests are the business of `segment`.
+are all that divides its motion. Places at which it rests are the business of `places`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.motion import pieces
-from cyclekit.segment import MERGE_M, Stop, cluster
+from cyclekit.places import MERGE_M, cluster
+from cyclekit.stops import Stop
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -23,6 +23,7 @@ FLOORS = [
     {"account", "activity", "align", "calibrate", "dynamics", "labelling", "out_of_core"},
     {"load_runs", "people", "registry", "samples", "stand", "turns"},
     {"override", "plausible", "privacy", "segment", "session", "signals", "steps"},
+    {"places", "stops"},
     {"stored_run"},
     {"motion"},
     {"adapter", "clock", "dataset", "frames"},

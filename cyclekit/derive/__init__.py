@@ -1,9 +1,10 @@
 """From recordings to samples and tasks: one clock, one base frame, executions, goals, scaling.
 
 Everything here can be computed again from the recordings, without the vendor files. Reading those is the business of
-`ingest`, finding places and executions that of `segment`. What concerns one session is done session by session, on as
-many cores as the engine has (`look`, `sample`, `finish`), and what is large stays in files; between these passes what
-only all sessions tell is found here: places, executions, references of the speed, usual dwells, levels.
+`ingest`, finding places and executions that of `places` and `segment`. What concerns one session is done session by
+session, on as many cores as the engine has (`look`, `sample`, `finish`), and what is large stays in files; between
+these passes what only all sessions tell is found here: places, executions, references of the speed, usual dwells,
+levels.
 """
 
 from __future__ import annotations
@@ -23,9 +24,10 @@ from cyclekit.derive.look import look_at
 from cyclekit.derive.sample import Work, samples_of
 from cyclekit.dynamics import MOST, Dynamics, read_dynamics
 from cyclekit.engine import LOCAL, Engine
+from cyclekit.places import find_places
 from cyclekit.samples import stretches
 from cyclekit.scaling import with_scaling
-from cyclekit.segment import Execution, find_executions, find_places, find_visits
+from cyclekit.segment import Execution, find_executions, find_visits
 from cyclekit.stand import stands_of
 from cyclekit.steps import Staircase, find_staircase
 from cyclekit.tables import forget, keeping
@@ -41,10 +43,10 @@ if TYPE_CHECKING:
     from cyclekit.derive.look import Look
     from cyclekit.derive.sample import Made
     from cyclekit.motion import Run
-    from cyclekit.segment import Stop
     from cyclekit.session import Session
     from cyclekit.signals import Read, Stored
     from cyclekit.stand import Stands
+    from cyclekit.stops import Stop
 
     Progress = Callable[[float, str], None]
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.align import place_in_time
 from cyclekit.load_runs import load_runs
-from cyclekit.segment import find_stops
+from cyclekit.stops import find_stops
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Cell, Source
-    from cyclekit.segment import Stop
     from cyclekit.session import Session
     from cyclekit.signals import Read, Stored
+    from cyclekit.stops import Stop
     from cyclekit.stored_run import StoredRun
 
 

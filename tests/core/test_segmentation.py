@@ -17,7 +17,7 @@ from cyclekit.dataset import Dataset
 from cyclekit.errors import UnknownName
 from cyclekit.ingest import ingest
 from cyclekit.motion import RobotRun, tcp_speed
-from cyclekit.segment import MERGE_M, cluster, count_passes
+from cyclekit.places import MERGE_M, cluster, count_passes
 from cyclekit_sim import SCENES, scene_places
 
 if TYPE_CHECKING:

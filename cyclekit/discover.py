@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 
 from cyclekit import schema
 from cyclekit.adapter import ReadOptions
-from cyclekit.config import Cell, Source, load_cell
+from cyclekit.config import Cell, NamedPlace, Source, load_cell
+from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, LogError
 from cyclekit.registry import Registered, adapter_named, find_logs, why_unknown
 
@@ -55,6 +56,27 @@ def cell_for(roots: Sequence[Path], given: Path | None) -> Cell:
         msg = f"two cell files beside the logs: {files[0]} and {files[1]}"
         raise ConfigError(msg, cure="Choose one with --cell.")
     return load_cell(files[0]) if files else Cell(name=roots[0].resolve().stem)
+
+
+def suggest_cell(paths: Sequence[Path]) -> Cell:
+    """Return the cell file that an ingest of these paths would work with, for a person to complete.
+
+    A dataset gives its places as well; logs give one source each.
+
+    Raises:
+        CyclekitError: As `ingest`, for paths that cannot be used.
+    """
+    if len(paths) == 1 and (paths[0] / CARD).is_file():
+        dataset = Dataset.open(paths[0])
+        return Cell(
+            name=str(dataset.card["name"]),
+            places={name: NamedPlace(p.xyz_m, max(p.radius_m, 0.01)) for name, p in dataset.places.items()},
+            human_places={name: NamedPlace(p.xyz_m, p.radius_m) for name, p in dataset.human_places.items()},
+        )
+    cell = cell_for(paths, None)
+    logs, _ = find_all(paths, cell)
+    sources = {source.path: source for log in logs for source in [log.source or Source(log.shown, log.adapter)]}
+    return replace(cell, sources=tuple(sources.values()))
 
 
 def find_all(roots: Sequence[Path], cell: Cell) -> tuple[list[Log], list[tuple[str, str]]]:

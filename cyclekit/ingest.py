@@ -20,7 +20,7 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.atomic import built, locked, settle, unsettled, write_parquet, write_text
-from cyclekit.config import Cell, NamedPlace, Source
+from cyclekit.config import Cell
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, find_all, matches
@@ -299,24 +299,3 @@ def _report(out: Path, card: dict[str, Any], *, new: int, kept: int, unchanged: 
         warnings=tuple(warnings),
         unchanged=unchanged,
     )
-
-
-def suggest_cell(paths: Sequence[Path]) -> Cell:
-    """Return the cell file that an ingest of these paths would work with, for a person to complete.
-
-    A dataset gives its places as well; logs give one source each.
-
-    Raises:
-        CyclekitError: As `ingest`, for paths that cannot be used.
-    """
-    if len(paths) == 1 and (paths[0] / CARD).is_file():
-        dataset = Dataset.open(paths[0])
-        return Cell(
-            name=str(dataset.card["name"]),
-            places={name: NamedPlace(p.xyz_m, max(p.radius_m, 0.01)) for name, p in dataset.places.items()},
-            human_places={name: NamedPlace(p.xyz_m, p.radius_m) for name, p in dataset.human_places.items()},
-        )
-    cell = cell_for(paths, None)
-    logs, _ = find_all(paths, cell)
-    sources = {source.path: source for log in logs for source in [log.source or Source(log.shown, log.adapter)]}
-    return replace(cell, sources=tuple(sources.values()))

@@ -29,7 +29,7 @@ def inspect(
     terminal = Terminal(json=json, quiet=quiet)
     if write_cell:
         from cyclekit.config import cell_to_toml
-        from cyclekit.ingest import suggest_cell
+        from cyclekit.discover import suggest_cell
 
         text = cell_to_toml(suggest_cell([local(path)]))
         terminal.answer({"cell": text}, text.rstrip("\n"))

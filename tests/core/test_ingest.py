@@ -15,9 +15,10 @@ from ingested import ROUND_TRIP, bytes_and_times, only_bytes
 
 from cyclekit.config import Cell, Executions, Source
 from cyclekit.dataset import Dataset
+from cyclekit.discover import suggest_cell
 from cyclekit.engine import Engine
 from cyclekit.errors import ConfigError, CyclekitError, DatasetError, LogError, UnknownFormat, UnknownName
-from cyclekit.ingest import ingest, suggest_cell
+from cyclekit.ingest import ingest
 
 if TYPE_CHECKING:
     from conftest import Cells, SimulatedCell

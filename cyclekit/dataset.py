@@ -131,12 +131,17 @@ class Dataset:
         """Provenance of each recording, as in the card: id, session, sources, adapter, clock, frame, rows, warnings."""
         return list(self.card["recordings"])
 
-    def samples(self, executions: Sequence[str] | None = None) -> pl.DataFrame:
+    def samples(self, executions: Sequence[str] | None = None, columns: Sequence[str] | None = None) -> pl.DataFrame:
         """Return the 10 Hz samples, all or those of some executions, in order of execution and time.
+
+        Args:
+            executions: Which; None = all.
+            columns: Which of table SAMPLES; None = all. Months of logs fit into memory when a few are asked for.
 
         Raises:
             UnknownName: An execution is not in the dataset.
         """
+        wanted = list(schema.SAMPLES if columns is None else columns)
         files = sorted((self.path / "samples").glob("*.parquet"))
         if executions is None and self.is_part:
             executions = self.executions["execution"].to_list()
@@ -144,11 +149,11 @@ class Dataset:
             sessions = {self._execution(name)["session"] for name in executions}
             files = [file for file in files if file.stem in sessions]
         if not files:
-            return schema.empty(schema.SAMPLES)
+            return schema.empty(schema.SAMPLES).select(wanted)
         if executions is None:
-            return pl.concat([pl.read_parquet(file, glob=False) for file in files])
-        wanted = pl.col("execution").is_in(list(executions))  # of a file, only what is wanted comes into memory
-        return pl.concat([pl.scan_parquet(file, glob=False).filter(wanted).collect() for file in files])
+            return pl.concat([pl.read_parquet(file, columns=wanted, glob=False) for file in files])
+        mine = pl.col("execution").is_in(list(executions))  # of a file, only what is wanted comes into memory
+        return pl.concat([pl.scan_parquet(file, glob=False).filter(mine).select(wanted).collect() for file in files])
 
     def scan_samples(self) -> pl.LazyFrame:
         """Return all samples unread, for those who need a few columns of many executions."""

@@ -72,10 +72,10 @@ class NoisyDataset(Dataset):
         columns = [pl.col(f"human_{axis}_m") + pl.Series(noise[:, i]) for i, axis in enumerate("xyz")]
         return frame.with_columns(columns)
 
-    def samples(self, executions: Sequence[str] | None = None) -> pl.DataFrame:
+    def samples(self, executions: Sequence[str] | None = None, columns: Sequence[str] | None = None) -> pl.DataFrame:
         """Return the samples with noise, as `Dataset.samples`."""
-        frame = self._noisy
-        return frame if executions is None else frame.filter(pl.col("execution").is_in(list(executions)))
+        frame = self._noisy if executions is None else self._noisy.filter(pl.col("execution").is_in(list(executions)))
+        return frame if columns is None else frame.select(columns)
 
 
 def benchmark_paper(

@@ -37,7 +37,7 @@ def levels(
     terminal = Terminal(json=json, quiet=quiet)
     with terminal.progress("looking for levels"):
         opened = Dataset.open(dataset)
-        frame = opened.samples()
+        frame = opened.samples(columns=["execution", "t_s", "scaling"])
         found = staircase_of(opened, frame, method)
         values, _ = scaling_in_time(frame)
         other = second_opinion(values, found) if method == "plateau" else None

@@ -51,6 +51,7 @@ __all__ = [
 ]
 
 MAIN = ("robot", "people", "events")
+_OF_SAMPLES = ("scaling", "scaling_sd", "scaling_gap", "scaling_origin", "step", "robot_moving", "human_x_m")
 
 
 def describe(path: Path, *, progress: Progress | None = None) -> Description:
@@ -126,7 +127,7 @@ def _describe_log(path: Path, entry: Registered, options: ReadOptions) -> LogFac
 
 
 def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDescription:
-    executions, samples = dataset.executions, dataset.samples()
+    executions, samples = dataset.executions, dataset.samples(columns=_OF_SAMPLES)
     scaling = samples["scaling"].drop_nulls()
     levelled = samples["step"].drop_nulls()
     share = [float((levelled == index).sum()) / max(1, len(levelled)) for index in range(len(dataset.levels))]

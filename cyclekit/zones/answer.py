@@ -134,8 +134,10 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> Zones
 
 
 def _rows(dataset: Dataset) -> Rows:
-    known = dataset.samples().drop_nulls(["robot_x_m", "human_x_m", "human_y_m", "human_z_m", "scaling"])
-    robot, human = (known.select(f"{who}_{axis}_m" for axis in "xyz").to_numpy() for who in ("robot", "human"))
+    robots, humans = ([f"{who}_{axis}_m" for axis in "xyz"] for who in ("robot", "human"))
+    rows = dataset.samples(columns=["execution", "t_s", "scaling", *robots, *humans])
+    known = rows.drop_nulls(["robot_x_m", *humans, "scaling"])
+    robot, human = (known.select(names).to_numpy() for names in (robots, humans))
     code = known["execution"].rle_id().cast(pl.Int64).to_numpy()
     return Rows(robot, human, known["scaling"].to_numpy(), code, known["t_s"].to_numpy())
 

@@ -93,6 +93,16 @@ def test_the_samples_of_some_executions_are_theirs_alone(boxes: SimulatedCell):
         boxes.dataset.samples(["no such execution"])
 
 
+def test_of_the_samples_only_the_columns_asked_for_are_read(boxes: SimulatedCell, tmp_path: Path):
+    asked, whole = ["scaling", "t_s"], boxes.dataset.samples()
+    names = boxes.dataset.executions["execution"].to_list()[1:3]
+    assert boxes.dataset.samples(columns=asked).equals(whole.select(asked))
+    assert boxes.dataset.samples(names, asked).equals(boxes.dataset.samples(names).select(asked))
+    empty = Path(shutil.copytree(boxes.dataset.path, tmp_path / "empty"))
+    shutil.rmtree(empty / "samples")
+    assert Dataset.open(empty).samples(columns=asked).schema == whole.select(asked).schema
+
+
 def test_the_native_rows_of_an_execution_lie_within_it_at_the_rate_of_the_controller(boxes: SimulatedCell):
     row = boxes.dataset.executions.row(1, named=True)
     native = boxes.dataset.native_robot(row["execution"])

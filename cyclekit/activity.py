@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
+from cyclekit import schema
 from cyclekit.dataset import Place
 from cyclekit.frames import to_base
 from cyclekit.people import (
@@ -152,9 +153,8 @@ def _operator_logs(
     times, values = [np.empty(0)], []
     for entry in session.entries:
         clock = entry["clock"]
-        people = read(entry["id"], "people") if "people" in entry["tables"] else None
-        if people is not None:
-            logs.append(_Log(entry, _tracks(entry, people, sources[entry["id"]])))
+        if "people" in entry["tables"]:
+            logs.append(_Log(entry, _tracks(entry, read, sources[entry["id"]])))
         said = read(entry["id"], "events") if "events" in entry["tables"] else None
         if said is not None:
             said = said.filter(pl.col("signal").str.contains(GOAL_SIGNAL, literal=True)).sort("t_s")
@@ -165,32 +165,22 @@ def _operator_logs(
     return logs, (t_event[order], [values[i] for i in order.tolist()])
 
 
-def _tracks(entry: dict[str, Any], people: pl.DataFrame, source: Source | None) -> list[Track]:
+def _tracks(entry: dict[str, Any], read: Read, source: Source | None) -> list[Track]:
     """Return the tracks of the people in a recording, without what cannot have been.
 
     A body on the robot's flange is nobody. Ids that do not last are replaced by tracks linked by motion.
     """
     entry["warnings"] = [text for text in entry["warnings"] if not text.startswith(OPERATOR)]
-    if source is not None and source.sees is not None:
-        rides = pl.col("person") == source.sees_as if source.sees_as is not None else pl.lit(value=True)
-        people = people.filter(~rides)
-    people = people.sort("t_s", maintain_order=True)
-    clock = entry["clock"]
-    xyz = to_base(people.select("x_m", "y_m", "z_m").to_numpy(), source.frame if source else None, up=entry["up"])
-    t = people["t_s"].to_numpy() * clock["rate"] + clock["offset_s"]
-    names = people["person"].fill_null("").cast(pl.String).to_list()
-    numbers = people["person"].fill_null("").rank("dense").cast(pl.Int64).to_numpy() - 1
+    t, xyz, numbers, names = _positions(entry, read, source)
     if not ids_are_real(numbers):
-        count = len(set(names))
+        told = f"{len(names)} track ids in {len(np.unique(t))} frames last for no longer than a frame or two"
         numbers = link_by_motion(t, xyz)
-        names = [f"linked_{number + 1}" for number in numbers.tolist()]
-        told = f"{count} track ids in {people['t_s'].n_unique()} frames last for no longer than a frame or two"
-        entry["warnings"].append(f"{OPERATOR}{told}: linked by motion into {int(numbers.max(initial=-1)) + 1} tracks")
+        names = [f"linked_{number + 1}" for number in range(int(numbers.max(initial=-1)) + 1)]
+        entry["warnings"].append(f"{OPERATOR}{told}: linked by motion into {len(names)} tracks")
     tracks: list[Track] = []
     disbelieved = 0
-    for number in [n for n in dict.fromkeys(numbers.tolist()) if n >= 0]:
-        rows = np.flatnonzero(numbers == number)
-        parts, dropped = without_jumps(Track(names[rows[0]], t[rows], xyz[rows]))
+    for rows in _rows_of_each(numbers):
+        parts, dropped = without_jumps(Track(names[numbers[rows[0]]], t[rows], xyz[rows]))
         tracks += parts
         disbelieved += dropped
     if disbelieved:
@@ -198,6 +188,32 @@ def _tracks(entry: dict[str, Any], people: pl.DataFrame, source: Source | None) 
         entry["warnings"].append(f"{OPERATOR}{told}: unknown there")
     entry["operator"] = {"not_believed": disbelieved}
     return tracks
+
+
+def _positions(
+    entry: dict[str, Any], read: Read, source: Source | None
+) -> tuple[Vector, Points, NDArray[np.int64], list[str]]:
+    """Return what a recording saw, in the order of time: times (N,), positions (N, 3), whose (N,), and the names."""
+    people = read(entry["id"], "people")
+    people = schema.empty(schema.PEOPLE) if people is None else people
+    people = people.select("t_s", "x_m", "y_m", "z_m", pl.col("person").fill_null(""))
+    if source is not None and source.sees is not None:
+        rides = pl.col("person") == source.sees_as if source.sees_as is not None else pl.lit(value=True)
+        people = people.filter(~rides)
+    if not people["t_s"].is_sorted():
+        people = people.sort("t_s", maintain_order=True)
+    names = people["person"].unique().sort().to_list()
+    numbers = people["person"].rank("dense").cast(pl.Int64).to_numpy() - 1
+    clock = entry["clock"]
+    xyz = to_base(people.select("x_m", "y_m", "z_m").to_numpy(), source.frame if source else None, up=entry["up"])
+    return people["t_s"].to_numpy() * clock["rate"] + clock["offset_s"], xyz, numbers, names
+
+
+def _rows_of_each(numbers: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Return the rows of each number (N,) that is not negative, those of the first to come first."""
+    order = np.argsort(numbers, kind="stable")
+    parts = np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1) if len(order) else []
+    return sorted((rows for rows in parts if numbers[rows[0]] >= 0), key=lambda rows: int(rows[0]))
 
 
 def _seen_by(log: _Log, times: Vector, cell: Cell) -> NDArray[np.int8]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,7 +56,8 @@ def finish(
         folder: Where the files of samples lie.
     """
     file = folder / f"{left.session}.parquet"
-    samples, step = pl.read_parquet(file, glob=False), pl.Series("step", left.label, dtype=pl.Int32)
+    samples = pl.read_parquet(BytesIO(file.read_bytes()))  # a file that is mapped cannot be replaced on Windows
+    step = pl.Series("step", left.label, dtype=pl.Int32)
     samples = with_goals(samples, left.stays, spots).with_columns(step=pl.when(step >= 0).then(step))
     made = file.with_suffix(".part")
     write_parquet(schema.conform(samples, schema.SAMPLES), made)

@@ -50,7 +50,7 @@ class Muon(torch.optim.Optimizer):
 
 def orthogonal(stack: torch.Tensor) -> torch.Tensor:
     """Return matrices (K, n, n) with the same singular vectors and singular values near 1, by Newton-Schulz steps."""
-    x = stack / (torch.linalg.matrix_norm(stack, keepdim=True) + 1e-7)
+    x: torch.Tensor = stack / (torch.linalg.matrix_norm(stack, keepdim=True) + 1e-7)
     for _ in range(_TIMES):
         square = x @ x.mT
         x = torch.baddbmm(x, torch.baddbmm(square, square, square, beta=_B, alpha=_C), x, beta=_A)

@@ -89,6 +89,16 @@ def test_it_goes_on_where_it_stopped(out, table):
     assert {file: file.stat().st_mtime_ns for file in (out / "results").iterdir()} == before
 
 
+def test_tables_of_what_is_done_run_nothing(out, table):
+    before = sorted(out.rglob("*.json"))
+    assert run([*COMMAND, "--seeds", "1,2", "--out", str(out), "--done", "--quiet"]) == 0
+    text = (out / "tables.md").read_text()
+    assert "| persistence |" in text
+    assert "| Bayes estimate, flat prior |" in text
+    assert "seed 1;" in text
+    assert sorted(out.rglob("*.json")) == before
+
+
 def test_a_result_that_is_missing_is_made_again_and_equal(out, table):
     file = next(f for f in (out / "results").iterdir() if "classifier" in f.name)
     old = json.loads(file.read_text())

@@ -48,6 +48,7 @@ class Settings:
         scenes: Which cells.
         steps: Steps of every training, None for the default of training.
         only: Only entries whose key contains this text; empty = all.
+        done: Only what was done before: nothing is run.
     """
 
     executions: int = 1000
@@ -55,6 +56,7 @@ class Settings:
     scenes: tuple[str, ...] = SCENES
     steps: int | None = None
     only: str = ""
+    done: bool = False
 
 
 class NoisyDataset(Dataset):
@@ -98,6 +100,8 @@ def benchmark_paper(
         for entry in entries()
         if settings.only in f"{scene}_{entry.key}"
     ]
+    if settings.done:
+        wanted = [each for each in wanted if _file(settings, out, each).is_file()]
     _cell.cache_clear()
     files = [_file(settings, out, each) for each in wanted]
     missing = [each for each, file in zip(wanted, files, strict=True) if not file.is_file()]

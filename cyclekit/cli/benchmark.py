@@ -27,6 +27,7 @@ def benchmark(
     ] = "box-picking,pick-and-package,laser-zones",
     steps: Annotated[int | None, typer.Option(min=10, help="Steps of every training; default: what suits.")] = None,
     only: Annotated[str, typer.Option(help="Only numbers whose name contains this.")] = "",
+    done: Annotated[bool, typer.Option("--done", help="Run nothing; tables and figures of what is there.")] = False,
     page: Annotated[Path | None, typer.Option(help="Also put the tables into this Markdown file.")] = None,
     engine: EngineName = "local",
     jobs: Jobs = None,
@@ -44,7 +45,7 @@ def benchmark(
 
     del what
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
-    settings = Settings(executions, whole_numbers(seeds), _names(scenes), steps, only)
+    settings = Settings(executions, whole_numbers(seeds), _names(scenes), steps, only, done)
     with terminal.progress("benchmark") as progress:
         results = benchmark_paper(settings, out, partial(_prepared, executions), progress, work)
         text = markdown(results)

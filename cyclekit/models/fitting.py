@@ -22,7 +22,7 @@ from cyclekit.models.calibration import best_temperature
 from cyclekit.models.folding import fold
 from cyclekit.models.network import Forecasting, build
 from cyclekit.models.optimiser import Steps
-from cyclekit.models.rows import DISTANCE_M, Rows, rows_on, standardisation
+from cyclekit.models.rows import DISTANCE_1_M, DISTANCE_M, Rows, rows_on, standardisation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -97,7 +97,7 @@ def fit(
         rows = rows.where(rows.step >= 0)
     learn = rows_on(device, rows, spec, standard, known)
     check = rows_on(device, validation, spec, standard, known)
-    with torch.random.fork_rng(devices=[]), _one_thread():
+    with torch.random.fork_rng(devices=[]), one_fast_thread():
         torch.manual_seed(spec.seed)
         network = build(spec, rows.X.shape[1], levels, known).to(device)
         history = _run(network, spec, learn, check, torch.tensor(levels, device=device), progress)
@@ -105,23 +105,26 @@ def fit(
         temperature = 1.0
         if names_steps and on_level.any():
             temperature = best_temperature(_outputs(network, check).cpu().numpy()[on_level], validation.step[on_level])
-    distance = DISTANCE_M if spec.features == "distance" else None
+    distance = (DISTANCE_M, DISTANCE_1_M) if spec.features == "distance" else None
     folded = fold(network, *standard, known, temperature=temperature, distance=distance)
     return Fitted(folded, history, *standard, temperature)
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_fast_thread() -> Iterator[None]:
     """Keep torch to one core: layers this small gain little from a second, and lose everything if that one is busy.
 
     Threads wait for each other after every layer; with another program on one of the cores, training took 40 times as
-    long. On one core the result does not depend on the machine's number of cores either.
+    long. On one core the result does not depend on the machine's number of cores either. Numbers below 1e-38, which the
+    gradients of rows that are quite sure are full of, count as zero: a processor takes many times longer over them.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
     try:
         yield
     finally:
+        torch.set_flush_denormal(False)
         torch.set_num_threads(threads)
 
 

@@ -30,7 +30,7 @@ def fold(
     known: Sequence[str] = (),
     *,
     temperature: float = 1.0,
-    distance: float | None = None,
+    distance: tuple[float, float] | None = None,
 ) -> Weights:
     """Return the network as matrices on raw inputs.
 
@@ -40,13 +40,14 @@ def fold(
         scale: Multiplied after that, shape (F,); 0 switches an input off.
         known: Groups with an input that says whether they are known.
         temperature: Logits of a classifier are divided by it.
-        distance: Subtracted from the distance, m, where that is an input behind all others; None where it is none.
+        distance: Subtracted from the distance, m, and multiplied after that, 1/m, where the distance is an input behind
+            all others; None where it is none.
     """
     apart = [] if distance is None else [distance]
-    middle = np.concatenate([mean, np.zeros(len(known)), apart])
-    factor = np.concatenate([scale, np.ones(len(known) + len(apart))])
+    middle = np.concatenate([mean, np.zeros(len(known)), [offset for offset, _ in apart]])
+    factor = np.concatenate([scale, np.ones(len(known)), [per_m for _, per_m in apart]])
     unknown = mean.astype(np.float32) if known else np.empty(0, np.float32)
-    base = Weights((), known=tuple(known), distance=distance, middle=unknown)
+    base = Weights((), known=tuple(known), distance=apart[0][0] if apart else None, middle=unknown)
     if isinstance(network, Recurrent):
         cells = _cells(network.lstm)
         cells[0] = _on_raw(cells[0], middle, factor)

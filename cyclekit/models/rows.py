@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 _HUMAN = GROUPS["human"]
 DISTANCE_M = 2.0
 """What is taken off a distance before the network sees it, m; the distance to somebody who is not there."""
+DISTANCE_1_M = 4.0
+"""What a distance is then multiplied by, 1/m. A threshold is a place, and the finer the unit, the sooner a network can
+make it sharp: on 1000 executions 1.1e-4 after 3000 steps, and 1.6e-4 in metres."""
 _BLOCK_ROWS, _BLOCKS = 4096, 256
 """Rows that are read one after the other, 7 minutes of log, and how many such blocks are mixed at a time."""
 _AT_ONCE = 1 << 22
@@ -97,7 +100,7 @@ class Rows:
         if self.presence is not None:
             there = x[..., self.presence : self.presence + 1]
             metres = metres * there + DISTANCE_M * (1 - there)
-        return torch.cat([x, metres - DISTANCE_M], dim=-1)
+        return torch.cat([x, (metres - DISTANCE_M) * DISTANCE_1_M], dim=-1)
 
 
 def standardisation(X: NDArray[np.float32]) -> Standard:

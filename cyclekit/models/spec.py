@@ -68,7 +68,7 @@ class ModelSpec:
         noise_m: Noise of the operator's position, standard deviation per axis, m, that is added afresh to every row
             in every epoch: for logs that are cleaner than what the model will be asked about.
         optimiser: `adamw`, or `muon` for the square matrices and AdamW for the rest (Jordan et al. 2024): a step takes
-            twice as long and brings the error down further than twice the steps of AdamW.
+            a fifth longer and brings the error down further than twice the steps of AdamW.
         features: `distance` gives the network ||x_r - x_h|| beside the positions; where the safety function is one of
             the distance it halves the error, elsewhere it does no harm. The paper's networks see `positions` only.
         balance: `classes` weighs every level alike in a classifier's loss, however rare; its probabilities then say

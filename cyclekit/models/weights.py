@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     Layer = tuple[Matrix, Matrix]
     Cell = tuple[Matrix, Matrix, Matrix]
 
-_BLOCK, _BLOCK_OF_HISTORIES = 4096, 2048
+_BLOCK, _BLOCK_OF_HISTORIES = 1024, 2048
 _MANY = 50_000
 """From this many rows on, BLAS is kept to one thread: in products this small a second one mostly waits, and where
 another program is on its core a prediction was seen to take three to five times the processor time."""

@@ -80,13 +80,23 @@ def test_the_command_writes_tables_and_figures(out, table):
     assert "| Bayes estimate, flat prior |" in whole
     assert "| persistence |" in whole
     assert all(0 < r["mse"] < 0.3 and r["rows"] > 500 for r in results)
-    assert (out / "figures" / "box-picking-ahead-2s-lstm-1-none-heatmap.svg").is_file()
+    assert (out / "figures" / "box-picking-ahead-2s-lstm-1-none-muon-heatmap.svg").is_file()
 
 
 def test_it_goes_on_where_it_stopped(out, table):
     before = {file: file.stat().st_mtime_ns for file in (out / "results").iterdir()}
     assert run([*COMMAND, "--out", str(out), "--only", "now_0s_0.02m_Bayes", "--quiet"]) == 0
     assert {file: file.stat().st_mtime_ns for file in (out / "results").iterdir()} == before
+
+
+def test_tables_of_what_is_done_run_nothing(out, table):
+    before = sorted(out.rglob("*.json"))
+    assert run([*COMMAND, "--seeds", "1,2", "--out", str(out), "--done", "--quiet"]) == 0
+    text = (out / "tables.md").read_text()
+    assert "| persistence |" in text
+    assert "| Bayes estimate, flat prior |" in text
+    assert "seed 1;" in text
+    assert sorted(out.rglob("*.json")) == before
 
 
 def test_a_result_that_is_missing_is_made_again_and_equal(out, table):

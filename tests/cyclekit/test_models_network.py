@@ -12,11 +12,12 @@ from cyclekit.errors import ConfigError, CyclekitError, UnknownName
 from cyclekit.models.folding import fold
 from cyclekit.models.network import build
 from cyclekit.models.saved import TrainedModel
-from cyclekit.models.spec import NETWORKS, ModelSpec
+from cyclekit.models.spec import NETWORKS, RECURRENT, ModelSpec
 from cyclekit.samples import GROUPS
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 EVERY = [(problem, network) for problem, networks in NETWORKS.items() for network in networks]
+WITH_DISTANCE = [(problem, name, (1.5, 4.0)) for problem, name in EVERY if name not in RECURRENT]
 
 
 def widths(network: nn.Sequential) -> list[int]:
@@ -47,14 +48,14 @@ def test_without_normalisation_there_is_none():
 
 
 @pytest.mark.parametrize("norm", ["batch", "none"])
-@pytest.mark.parametrize(("problem", "name"), EVERY)
+@pytest.mark.parametrize(("problem", "name", "distance"), [*((*each, None) for each in EVERY), *WITH_DISTANCE])
 @pytest.mark.parametrize("known", [(), ("human",), ("human", "human_goal")])
-def test_a_folded_network_predicts_what_the_network_predicts(problem, name, norm, known):
+def test_a_folded_network_predicts_what_the_network_predicts(problem, name, norm, known, distance):
     rng = np.random.default_rng(0)
     torch.manual_seed(0)
     inputs = 6 if problem == "now" else 12
     known = known if inputs == 12 else known[:1]
-    spec = ModelSpec.of(problem, name, norm=norm)
+    spec = ModelSpec.of(problem, name, norm=norm, features="distance" if distance else "positions")
     network = build(spec, inputs, LEVELS, known)
     disturb(network)
     network.eval()
@@ -63,11 +64,16 @@ def test_a_folded_network_predicts_what_the_network_predicts(problem, name, norm
     for group in known:
         X[rng.random(X.shape[:-1]) < 0.2, GROUPS[group]] = np.nan
     flags = [np.isfinite(X[..., GROUPS[group]]).all(axis=-1, keepdims=True) for group in known]
-    fed = np.concatenate([np.nan_to_num((X - mean) * scale), *flags], axis=-1).astype(np.float32)
+    apart = []
+    if distance:
+        metres = np.linalg.norm(X[:, :3] - X[:, 3:6], axis=1, keepdims=True)
+        apart = [np.nan_to_num((metres - distance[0]) * distance[1])]  # nobody there: as far as the offset
+    fed = np.concatenate([np.nan_to_num((X - mean) * scale), *flags, *apart], axis=-1).astype(np.float32)
     with torch.no_grad():
         out = network(torch.from_numpy(fed))
         expected = torch.softmax(out, 1) @ torch.tensor(LEVELS) if name == "classifier" else out[:, 0].clamp(0, 1)
-    model = TrainedModel(problem, name, spec.horizon_s, LEVELS, fold(network, mean, scale, known), history=spec.history)
+    folded = fold(network, mean, scale, known, distance=distance)
+    model = TrainedModel(problem, name, spec.horizon_s, LEVELS, folded, history=spec.history)
     assert_allclose(model.predict(X), expected.numpy(), atol=5e-6)
     assert np.ptp(model.predict(X)) > 1e-3
 

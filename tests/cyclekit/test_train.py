@@ -94,8 +94,10 @@ def test_a_trained_model_survives_the_disk(model, tmp_path):
     assert load_model(tmp_path / "model").card == json.loads(json.dumps(model.card))
 
 
-def test_the_same_seed_gives_the_same_weights_and_another_seed_others(cell):
-    weights = [train(cell, ModelSpec.of(epochs=2, seed=seed)).weights.layers[0][0] for seed in (3, 3, 4)]
+@pytest.mark.parametrize("optimiser", ["adamw", "muon"])
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(cell, optimiser):
+    specs = [ModelSpec.of(epochs=2, seed=seed, optimiser=optimiser) for seed in (3, 3, 4)]
+    weights = [train(cell, spec).weights.layers[1][0] for spec in specs]
     assert np.array_equal(weights[0], weights[1])
     assert not np.array_equal(weights[0], weights[2])
 

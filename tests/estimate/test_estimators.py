@@ -222,7 +222,7 @@ class Sides:
 
 
 def followed(dynamics: Dynamics, places: list[float]) -> list[float]:
-    follower = Follower(Sides(), dynamics, 1, 0.1)
+    follower = Follower(Sides(), dynamics, 0.1)
     return [float(follower.advance(np.zeros((1, 3)), np.array([[x, 0.0, 0.0]]))[0]) for x in places]
 
 

@@ -163,16 +163,17 @@ def orders(asked: argparse.Namespace) -> None:
     few = len(slots) <= 7
     rng = np.random.default_rng(1)
     some = list(every_order(jobs)) if few else [random_order(jobs, rng) for _ in range(2000)]
-    average = average_model(asked.work, cell)
     chosen = {"plan": found.order}
-    for name, rule in (
-        ("greedy by average net", greedy_by_average),
-        ("Monte Carlo by average net", monte_carlo_by_average),
-    ):
-        began = time.process_time()
-        chosen[name] = rule(average, cell.dataset, jobs)
-        OUT.print(f"{name}: {time.process_time() - began:.1f} s cpu")
-    chosen["pairwise synergies"] = synergy_order(cell.dataset, jobs, some)
+    if not asked.alone:
+        average = average_model(asked.work, cell)
+        for name, rule in (
+            ("greedy by average net", greedy_by_average),
+            ("Monte Carlo by average net", monte_carlo_by_average),
+        ):
+            began = time.process_time()
+            chosen[name] = rule(average, cell.dataset, jobs)
+            OUT.print(f"{name}: {time.process_time() - began:.1f} s cpu")
+        chosen["pairwise synergies"] = synergy_order(cell.dataset, jobs, some)
     if few:
         screened = sorted((_mean_s(asked, jobs, order, asked.screen), order) for order in some)
         best = [(_mean_s(asked, jobs, order, asked.fresh), order) for _, order in screened[:6]]
@@ -337,6 +338,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[101], help="of the logs; `sequences` takes several")
     parser.add_argument("--screen", type=int, default=25, help="fresh executions of each of all orders")
     parser.add_argument("--half", action="store_true", help="plan every other slot only: all orders can be tried")
+    parser.add_argument("--alone", action="store_true", help="plan without the rivals")
     parser.add_argument("--average", action="store_true", help="also train and ask the average-scaling network")
     parser.add_argument("--work", type=Path, help="folder for cells and fresh executions; else a temporary one")
     asked = parser.parse_args()

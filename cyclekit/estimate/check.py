@@ -123,7 +123,7 @@ class Check:
         return tuple(found)
 
     def quantile(self, cycles_s: Vector, level: float) -> float:
-        """Return the conformal quantile of corrected cycles (K,), s, drawn to their mean by `slope`, off by residuals."""
+        """Return the conformal quantile of corrected cycles (K,), s, with `slope` and off by residuals."""
         off = np.resize(np.array(self.residuals) - np.mean(self.residuals), len(cycles_s))
         nearer = cycles_s.mean() + self.slope * (cycles_s - cycles_s.mean())
         return conformal(nearer * (1.0 + np.random.default_rng(0).permutation(off)), level)

@@ -1,6 +1,6 @@
 """The answer against fresh simulated executions: sequences, orders, zones, what-if, harder logs, speed.
 
-    python benchmarks/answer.py sequences --scene box-picking --executions 45
+    python benchmarks/answer.py sequences --scene box-picking --executions 45 --seeds 111 112 113
     python benchmarks/answer.py plan      --scene laser-zones --executions 200
     python benchmarks/answer.py zones
     python benchmarks/answer.py whatif
@@ -24,7 +24,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from cells import HARD, average_model, fresh, fresh_tasks, logged, newer_logs, unseen_sequences
+from cells import (
+    HARD,
+    JUDGED_SEED,
+    average_model,
+    durations_of,
+    fresh,
+    logged,
+    means_by_task,
+    newer_logs,
+    unseen_sequences,
+)
 from order_rivals import greedy_by_average, markov_s, monte_carlo_by_average, synergy_order
 from rich.console import Console
 from rich.table import Table
@@ -45,6 +55,8 @@ from cyclekit_sim import SimulationOptions
 from cyclekit_sim.scenes import BUILT_IN
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from cyclekit.estimate.result import CycleEstimate
 
 OUT = Console(width=150)
@@ -52,14 +64,29 @@ TRUE_THRESHOLDS = {"box-picking": (1.2, 1.5, 1.9, 2.4), "pick-and-package": (0.6
 
 
 def sequences(asked: argparse.Namespace) -> None:
-    """Expected cycle times of sequences not in the logs, by every estimator."""
-    cell = logged(asked.work, asked.scene, asked.executions)
-    wanted = unseen_sequences(cell.dataset, asked.scene, asked.sequences)
-    truth = [fresh(asked.work, asked.scene, s.places, asked.fresh)["duration_s"].to_numpy() for s in wanted]
+    """Expected cycle times of sequences not in the logs, by every estimator; logs of several seeds, one truth."""
+    found = [_of_logs(asked, seed) for seed in asked.seeds]
+    for name in found[0]:
+        every = np.array([errors[name] for errors in found])  # by logs and sequence, %
+        biases = every.mean(axis=1)
+        spread = biases.std(ddof=1) / len(biases) ** 0.5 if len(biases) > 1 else float("nan")
+        OUT.print(f"{name}, {len(found)} sets of logs: mean |error| {np.abs(every).mean():.2f} %, bias "
+                  f"{biases.mean():+.2f} % (standard error over the sets {spread:.2f}), "
+                  f"worst {every.ravel()[np.abs(every).argmax()]:+.2f} %")  # fmt: skip
+
+
+def _of_logs(asked: argparse.Namespace, seed: int) -> dict[str, np.ndarray]:
+    """Print what one set of logs gives; return the errors of each estimator by sequence, %."""
+    cell = logged(asked.work, asked.scene, asked.executions, seed=seed)
+    wanted = unseen_sequences(cell.dataset, asked.scene, asked.sequences, first=JUDGED_SEED)
+    rows = [fresh(asked.work, asked.scene, s.places, asked.fresh) for s in wanted]
+    truth = [durations_of(part) for part in rows]
     means = np.array([part.mean() for part in truth])
-    known = np.array([1.96 * part.std() / len(part) ** 0.5 for part in truth])
-    OUT.print(f"{asked.scene}, {asked.executions} logged, {len(wanted)} sequences, {asked.fresh} fresh each; "
-              f"fresh means known to +-{100 * float((known / means).mean()):.2f} %")  # fmt: skip
+    known = np.array([part.std() / len(part) ** 0.5 for part in truth]) / means
+    cycle = float(np.mean([part.std() / part.mean() for part in truth]))
+    OUT.print(f"{asked.scene}, {asked.executions} logged (seed {seed}), {len(wanted)} sequences, {asked.fresh} fresh "
+              f"each; standard errors: of a fresh mean {100 * known.mean():.2f} %, of the mean of so many independent "
+              f"cycles as were logged {100 * cycle / asked.executions**0.5:.2f} %")  # fmt: skip
     began = time.process_time()
     check = check_rollout(cell.model, cell.dataset)
     OUT.print(f"check: {time.process_time() - began:.1f} s cpu; own {100 * check.own_bias:+.3f} % +- "
@@ -74,52 +101,58 @@ def sequences(asked: argparse.Namespace) -> None:
     began = time.process_time()
     rolled = by("rollout", check=check)
     OUT.print(f"{len(wanted)} sequences against {rolled[0].tracks} tracks: {time.process_time() - began:.1f} s cpu")
-    rows = {"rollout": np.array([entry.expected_s for entry in rolled])}
+    found = {"rollout": np.array([entry.expected_s for entry in rolled])}
     for name in ("history", "nominal", *(["average"] if asked.average else [])):
-        rows[name] = np.array([entry.expected_s for entry in by(name)])
-    rows["Markov chain"] = np.array(markov_s(cell.dataset, wanted))
+        found[name] = np.array([entry.expected_s for entry in by(name)])
+    found["Markov chain"] = np.array(markov_s(cell.dataset, wanted))
+    errors = {name: 100 * (values / means - 1) for name, values in found.items()}
     table = Table("estimator", "mean |error| %", "bias %", "worst %")
-    for name, values in rows.items():
-        error = 100 * (values / means - 1)
+    for name, error in errors.items():
         table.add_row(name, *(f"{x:+.2f}" for x in (np.abs(error).mean(), error.mean(), error[np.abs(error).argmax()])))
     OUT.print(table)
     _intervals(rolled, by("rollout"), truth, means)
-    _tasks(asked, rolled, wanted)
+    _tasks(rolled, rows)
+    return errors
 
 
 def _intervals(
     rolled: list[CycleEstimate], raw: list[CycleEstimate], truth: list[np.ndarray], means: np.ndarray
 ) -> None:
+    rng = np.random.default_rng(0)
     for name, entries in (("corrected", rolled), ("uncorrected", raw)):
         inside = [
             np.mean((part >= entry.quantiles_s[0.05]) & (part <= entry.quantiles_s[0.95]))
             for entry, part in zip(entries, truth, strict=True)
         ]
-        wrong = [
-            100 * abs(entry.quantiles_s[p] / np.quantile(part, p) - 1)
-            for entry, part in zip(entries, truth, strict=True)
-            for p in (0.05, 0.5, 0.95)
-        ]
-        held = [entry.expected_low_s <= m <= entry.expected_high_s for entry, m in zip(entries, means, strict=True)]
         OUT.print(f"{name}: 90 % intervals of cycles cover {100 * np.mean(inside):.1f} % "
-                  f"({100 * min(inside):.0f} to {100 * max(inside):.0f} by sequence); quantile errors mean "
-                  f"{np.mean(wrong):.2f} %, worst {max(wrong):.2f} %; 95 % intervals of the mean hold in "
-                  f"{sum(held)} of {len(held)}")  # fmt: skip
+                  f"({100 * min(inside):.0f} to {100 * max(inside):.0f} by sequence)")  # fmt: skip
+        for p in (0.05, 0.5, 0.95):
+            wrong = [
+                100 * (e.quantiles_s[p] / np.quantile(part, p) - 1) for e, part in zip(entries, truth, strict=True)
+            ]
+            drawn = [np.quantile(rng.choice(part, (200, len(part))), p, axis=1).std() / part.mean() for part in truth]
+            OUT.print(f"    quantile {p}: mean |error| {np.abs(wrong).mean():.2f} %, mean {np.mean(wrong):+.2f}, "
+                      f"worst {max(wrong, key=abs):+.2f} %; standard error of the truth "
+                      f"{100 * np.mean(drawn):.2f} %")  # fmt: skip
+    held = [entry.expected_low_s <= m <= entry.expected_high_s for entry, m in zip(rolled, means, strict=True)]
+    OUT.print(f"95 % intervals of the mean hold in {sum(held)} of {len(held)}")
 
 
-def _tasks(asked: argparse.Namespace, rolled: list[CycleEstimate], wanted: list) -> None:
-    errors = []
-    for entry, sequence in list(zip(rolled, wanted, strict=True))[: asked.by_task]:
-        true = fresh_tasks(asked.work, asked.scene, sequence.places, asked.fresh)
-        errors += [100 * (task.expected_s / mean - 1) for task, mean in zip(entry.tasks, true, strict=True)]
-    if errors:
-        OUT.print(f"per task ({len(errors)} tasks of {asked.by_task} sequences): mean |error| "
-                  f"{np.abs(errors).mean():.2f} %, worst {max(errors, key=abs):+.2f} %")  # fmt: skip
+def _tasks(rolled: list[CycleEstimate], rows: list[pl.DataFrame]) -> None:
+    """Durations of tasks against fresh ones, beside what a task's mean over the truth is itself uncertain by."""
+    errors, known = [], []
+    for entry, part in zip(rolled, rows, strict=True):
+        true, off = means_by_task(part)
+        errors += (100 * (np.array([task.expected_s for task in entry.tasks]) / true - 1)).tolist()
+        known += (100 * off / true).tolist()
+    OUT.print(f"per task ({len(errors)} tasks): mean |error| {np.abs(errors).mean():.2f} %, "
+              f"mean {np.mean(errors):+.2f}, worst {max(errors, key=abs):+.2f} %; "
+              f"standard error of the truth {np.mean(known):.2f} %")  # fmt: skip
 
 
 def orders(asked: argparse.Namespace) -> None:
     """The planned order against all orders (where few) and the rivals' orders, judged by fresh executions."""
-    cell = logged(asked.work, asked.scene, asked.executions)
+    cell = logged(asked.work, asked.scene, asked.executions, seed=asked.seeds[0])
     slots = list(BUILT_IN[asked.scene].slots)[:: 2 if asked.half else 1]
     jobs = Jobs(tuple(slots), "home", "home", "conveyor")
     began = time.process_time()
@@ -130,16 +163,17 @@ def orders(asked: argparse.Namespace) -> None:
     few = len(slots) <= 7
     rng = np.random.default_rng(1)
     some = list(every_order(jobs)) if few else [random_order(jobs, rng) for _ in range(2000)]
-    average = average_model(asked.work, cell)
     chosen = {"plan": found.order}
-    for name, rule in (
-        ("greedy by average net", greedy_by_average),
-        ("Monte Carlo by average net", monte_carlo_by_average),
-    ):
-        began = time.process_time()
-        chosen[name] = rule(average, cell.dataset, jobs)
-        OUT.print(f"{name}: {time.process_time() - began:.1f} s cpu")
-    chosen["pairwise synergies"] = synergy_order(cell.dataset, jobs, some)
+    if not asked.alone:
+        average = average_model(asked.work, cell)
+        for name, rule in (
+            ("greedy by average net", greedy_by_average),
+            ("Monte Carlo by average net", monte_carlo_by_average),
+        ):
+            began = time.process_time()
+            chosen[name] = rule(average, cell.dataset, jobs)
+            OUT.print(f"{name}: {time.process_time() - began:.1f} s cpu")
+        chosen["pairwise synergies"] = synergy_order(cell.dataset, jobs, some)
     if few:
         screened = sorted((_mean_s(asked, jobs, order, asked.screen), order) for order in some)
         best = [(_mean_s(asked, jobs, order, asked.fresh), order) for _, order in screened[:6]]
@@ -151,14 +185,14 @@ def orders(asked: argparse.Namespace) -> None:
     table = Table("order by", "fresh mean s", "+- 95 %", "order")
     for name, order in chosen.items():
         places = jobs.places(order)
-        part = fresh(asked.work, asked.scene, places, asked.fresh, paired=True)["duration_s"].to_numpy()
+        part = durations_of(fresh(asked.work, asked.scene, places, asked.fresh, paired=True))
         table.add_row(name, f"{part.mean():.2f}", f"{1.96 * part.std() / len(part) ** 0.5:.2f}", " ".join(order))
     OUT.print(table)
 
 
 def _mean_s(asked: argparse.Namespace, jobs: Jobs, order: tuple[str, ...], executions: int) -> float:
     part = fresh(asked.work, asked.scene, jobs.places(order), executions, paired=True)
-    return float(part["duration_s"].to_numpy().mean())
+    return float(durations_of(part).mean())
 
 
 def zones(asked: argparse.Namespace) -> None:
@@ -166,7 +200,8 @@ def zones(asked: argparse.Namespace) -> None:
     table = Table("scene", "executions", "delta m", "rule", "explained", "thresholds m (95 %)", "worst error m")
     for scene, executions, delta in asked.cells:
         options = SimulationOptions(delta_m=delta)
-        cell = logged(asked.work, scene, executions, options=options, kind="plain" if delta == 0 else "noise")
+        kind, seed = "plain" if delta == 0 else "noise", asked.seeds[0]
+        cell = logged(asked.work, scene, executions, seed=seed, options=options, kind=kind)
         found = read_zones(cell.model, cell.dataset)
         shown = ", ".join(f"{t.metres:.3f} ({t.low:.3f}-{t.high:.3f})" for t in found.thresholds)
         true = TRUE_THRESHOLDS.get(scene)
@@ -180,8 +215,8 @@ def zones(asked: argparse.Namespace) -> None:
 
 def whatif(asked: argparse.Namespace) -> None:
     """The staircase of pick-and-package on the logs of box-picking, against simulating that cell."""
-    cell = logged(asked.work, "box-picking", asked.executions)
-    wanted = unseen_sequences(cell.dataset, "box-picking", asked.sequences)
+    cell = logged(asked.work, "box-picking", asked.executions, seed=asked.seeds[0])
+    wanted = unseen_sequences(cell.dataset, "box-picking", asked.sequences, first=JUDGED_SEED)
     change = Change("small", levels=(0.0, 0.25, 0.5, 0.75, 1.0), thresholds_m=TRUE_THRESHOLDS["pick-and-package"])
     found = {entry.after.name: entry.after for entry in what_if(cell.model, cell.dataset, wanted, [change])}
     scene = BUILT_IN["box-picking"]
@@ -189,7 +224,7 @@ def whatif(asked: argparse.Namespace) -> None:
     table = Table("sequence", "fresh mean s", "what-if s", "error %")
     errors = []
     for sequence in wanted:
-        part = fresh(asked.work, "box-picking", sequence.places, asked.fresh, kind="small")["duration_s"].to_numpy()
+        part = durations_of(fresh(asked.work, "box-picking", sequence.places, asked.fresh, kind="small"))
         entry = found[sequence.name]
         errors.append(100 * (entry.expected_s / part.mean() - 1))
         table.add_row(sequence.name, f"{part.mean():.2f}", f"{entry.expected_s:.2f}", f"{errors[-1]:+.2f}")
@@ -202,10 +237,10 @@ def hard(asked: argparse.Namespace) -> None:
     """Noise, dropouts, no logged scaling and a wrong clock together, against clean logs of the same executions."""
     truth, wanted = None, None
     for kind, options in (("plain", SimulationOptions()), ("hard", HARD)):
-        cell = logged(asked.work, "box-picking", asked.executions, options=options, kind=kind)
-        wanted = wanted or unseen_sequences(cell.dataset, "box-picking", asked.sequences)
+        cell = logged(asked.work, "box-picking", asked.executions, seed=asked.seeds[0], options=options, kind=kind)
+        wanted = wanted or unseen_sequences(cell.dataset, "box-picking", asked.sequences, first=JUDGED_SEED)
         truth = truth or [
-            float(fresh(asked.work, "box-picking", s.places, asked.fresh)["duration_s"].mean()) for s in wanted
+            float(durations_of(fresh(asked.work, "box-picking", s.places, asked.fresh)).mean()) for s in wanted
         ]
         check = check_rollout(cell.model, cell.dataset)
         for name, used in (("uncorrected", None), ("corrected", check)):
@@ -262,9 +297,9 @@ def drifts(asked: argparse.Namespace) -> None:
 
 def speed(asked: argparse.Namespace) -> None:
     """One sequence against 1000 tracks, and very many sequences; cpu seconds beside the clock's."""
-    cell = logged(asked.work, "box-picking", asked.executions)
+    cell = logged(asked.work, "box-picking", asked.executions, seed=asked.seeds[0])
     nominal = nominal_tasks(cell.dataset)
-    wanted = unseen_sequences(cell.dataset, "box-picking", 1)[0]
+    wanted = unseen_sequences(cell.dataset, "box-picking", 1, first=JUDGED_SEED)[0]
     program = lay_out(wanted, nominal, cell.dataset)
     tracks = operator_tracks(cell.dataset, horizon_s=2.5 * program.length_s)
     for count in (250, 500, 1000):
@@ -300,9 +335,10 @@ def main() -> None:
     parser.add_argument("--executions", type=int, help="logged; 200, or 60 where all is measured")
     parser.add_argument("--sequences", type=int, help="20, or 4 where all is measured")
     parser.add_argument("--fresh", type=int, help="executions of each; 500, or 60 where all is measured")
-    parser.add_argument("--by-task", type=int, default=2, help="sequences whose tasks are compared one by one")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[101], help="of the logs; `sequences` takes several")
     parser.add_argument("--screen", type=int, default=25, help="fresh executions of each of all orders")
     parser.add_argument("--half", action="store_true", help="plan every other slot only: all orders can be tried")
+    parser.add_argument("--alone", action="store_true", help="plan without the rivals")
     parser.add_argument("--average", action="store_true", help="also train and ask the average-scaling network")
     parser.add_argument("--work", type=Path, help="folder for cells and fresh executions; else a temporary one")
     asked = parser.parse_args()

@@ -6,6 +6,7 @@ from random streams apart from those of the logs.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from cyclekit.models.saved import TrainedModel, load_model, save_model
 from cyclekit.models.spec import ModelSpec
 from cyclekit.sequences import TaskSequence
 from cyclekit.train import train
-from cyclekit_sim import SimulationOptions, random_sequence, simulate, simulate_sequence
+from cyclekit_sim import SimulationOptions, random_sequence, simulate
 from cyclekit_sim.plan import prepare, run_alone
 from cyclekit_sim.scenes import BUILT_IN
 from cyclekit_sim.truth import task_rows
@@ -26,8 +27,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    import numpy as np
+    from numpy.typing import NDArray
+
 FRESH_SEED = 1_000_000
-"""Seeds of the fresh executions start here, far from those of the logs."""
+"""Seeds of sequences start here, far from those of the logs."""
+JUDGED_SEED = 3_000_000
+"""Those of the sequences and fresh executions of `answer.py`: the method of its intervals was chosen on others."""
 PLAIN = SimulationOptions()
 HARD = SimulationOptions(delta_m=0.05, dropout=0.1, log_override=False, clock_offset_s=0.05)
 """Tracker noise, lost frames, no scaling in the log, and 50 ms of clock error that nobody tells."""
@@ -71,12 +77,12 @@ def average_model(work: Path, cell: Logged) -> TrainedModel:
     return load_model(folder)
 
 
-def unseen_sequences(dataset: Dataset, scene: str, count: int) -> list[TaskSequence]:
+def unseen_sequences(dataset: Dataset, scene: str, count: int, *, first: int = FRESH_SEED) -> list[TaskSequence]:
     """Return `count` random sequences of the scene whose tasks were all logged and which no execution followed."""
     followed = {tuple(entry["places"]) for entry in dataset.card["executions"]}
     tasks = set(dataset.tasks()["task"])
     found: list[TaskSequence] = []
-    seed = FRESH_SEED
+    seed = first
     while len(found) < count:
         sequence = TaskSequence(f"sequence {len(found) + 1}", tuple(random_sequence(scene, seed)))
         seed += 1
@@ -86,43 +92,32 @@ def unseen_sequences(dataset: Dataset, scene: str, count: int) -> list[TaskSeque
 
 
 def fresh(
-    work: Path,
-    scene: str,
-    places: Sequence[str],
-    executions: int,
-    *,
-    options: SimulationOptions = PLAIN,
-    kind: str = "",
-    paired: bool = False,
+    work: Path, scene: str, places: Sequence[str], executions: int, *, kind: str = "", paired: bool = False
 ) -> pl.DataFrame:
-    """Return fresh executions of a sequence, one row each; simulated once per folder `work`.
+    """Return fresh executions of a sequence, one row per task; simulated once per folder `work`.
 
     `paired`: the same operators for every sequence, so that sequences can be compared by few executions.
-    """
-    import hashlib
 
+    Returns:
+        Columns execution, index (of the task), s (how long it took).
+    """
     name = hashlib.sha256(" ".join([scene, kind, str(executions), *places]).encode()).hexdigest()[:16]
-    name += "-paired" if paired else ""
-    file = work / "fresh" / f"{name}.parquet"
+    file = work / "fresh" / f"{name}{'-paired' if paired else ''}.parquet"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
-        seed = FRESH_SEED + (0 if paired else int(name[:6], 16))
-        simulate_sequence(scene, places, executions=executions, seed=seed, options=options).write_parquet(file)
+        seed = JUDGED_SEED + (0 if paired else int(name[:6], 16))
+        run = prepare(BUILT_IN[scene], seed, PLAIN, executions=executions, places=places)
+        rows = pl.DataFrame([row for trace in run_alone(run, run.executions) for row in task_rows(trace, 0.0)])
+        rows.select("execution", "index", s=pl.col("end_s") - pl.col("start_s")).write_parquet(file)
     return pl.read_parquet(file)
 
 
-def fresh_tasks(work: Path, scene: str, places: Sequence[str], executions: int) -> list[float]:
-    """Return the mean duration of each task of a sequence over fresh executions, s; simulated once per folder."""
-    import hashlib
+def durations_of(rows: pl.DataFrame) -> NDArray[np.float64]:
+    """Return how long each of the `fresh` executions took, shape (executions,), s."""
+    return rows.group_by("execution", maintain_order=True).agg(pl.col("s").sum())["s"].to_numpy()
 
-    name = hashlib.sha256(" ".join([scene, "tasks", str(executions), *places]).encode()).hexdigest()[:16]
-    file = work / "fresh" / f"{name}-tasks.parquet"
-    if not file.is_file():
-        file.parent.mkdir(parents=True, exist_ok=True)
-        seed = FRESH_SEED + int(name[:6], 16)
-        run = prepare(BUILT_IN[scene], seed, PLAIN, executions=executions, places=places)
-        pl.DataFrame([row for trace in run_alone(run, run.executions) for row in task_rows(trace, 0.0)]).write_parquet(
-            file
-        )
-    rows = pl.read_parquet(file).with_columns(s=pl.col("end_s") - pl.col("start_s"))
-    return rows.group_by("index").agg(pl.col("s").mean()).sort("index")["s"].to_list()
+
+def means_by_task(rows: pl.DataFrame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean of each task over `fresh` executions and its standard error, shape (tasks,) each, s."""
+    found = rows.group_by("index").agg(mean=pl.col("s").mean(), off=pl.col("s").std() / pl.len().sqrt()).sort("index")
+    return found["mean"].to_numpy(), found["off"].to_numpy()

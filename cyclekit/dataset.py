@@ -193,15 +193,19 @@ class Dataset:
         for begin, end in stored.groups:
             yield pl.DataFrame({"t_s": stored.read(begin, end)["t_s"]})
 
-    def native_robot(self, execution: str) -> pl.DataFrame | None:
-        """Return the native-rate robot rows of one execution, `t_s` in session time; None without a robot log."""
+    def native_robot(self, execution: str, columns: Sequence[str] | None = None) -> pl.DataFrame | None:
+        """Return the native-rate robot rows of one execution, `t_s` in session time; None without a robot log.
+
+        `columns`: no others are read.
+        """
         entry = self._execution(execution)
         for record in self.recordings:
             if record["session"] == entry["session"] and "robot" in record["tables"]:
                 file = self.path / "recordings" / record["id"] / "robot.parquet"
                 session_time = pl.col("t_s") * record["clock"]["rate"] + record["clock"]["offset_s"]
                 inside = pl.col("t_s").is_between(entry["start_s"], entry["end_s"])
-                return pl.scan_parquet(file, glob=False).with_columns(t_s=session_time).filter(inside).collect()
+                rows = pl.scan_parquet(file, glob=False).with_columns(t_s=session_time).filter(inside)
+                return (rows if columns is None else rows.select(columns)).collect()
         return None
 
     def find_execution(self, name: str) -> str:

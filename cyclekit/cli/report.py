@@ -194,7 +194,7 @@ def _found(terminal: Terminal, data: Dataset, model: TrainedModel, asked: _Asked
         with found.or_say("No order could be searched"), terminal.progress("planning") as progress:
             found.planned = search(model, data, asked.jobs, progress=progress)
     with found.or_say("The model could not be judged"), terminal.progress("evaluating") as progress:
-        found.evaluation = evaluate(model, data, progress=progress)
+        found.evaluation = evaluate(model, data, boosting=False, progress=progress)
     return found
 
 

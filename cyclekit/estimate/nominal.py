@@ -81,9 +81,10 @@ def nominal_tasks(dataset: Dataset) -> dict[str, NominalTask]:
 
 def _execution_track(dataset: Dataset, execution: str) -> tuple[Vector, NDArray[np.float64], Vector]:
     """Times, TCP and rate of the program of one execution: native where the scaling was logged, else the samples."""
-    native = dataset.native_robot(execution)
+    tcp = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
+    native = dataset.native_robot(execution, ("t_s", *tcp, "scaling"))
     if native is not None and native["scaling"].is_not_null().any():
-        xyz = native.select("tcp_x_m", "tcp_y_m", "tcp_z_m").to_numpy()
+        xyz = native.select(tcp).to_numpy()
         return native["t_s"].to_numpy(), xyz, native["scaling"].to_numpy()  # what the slider took is in it
     samples = dataset.samples([execution])
     xyz = samples.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()

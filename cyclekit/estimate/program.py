@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.nominal import STEP_S, NominalTask
+from cyclekit.estimate.nominal import STEP_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -21,25 +21,41 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset import Dataset
+    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.sequences import TaskSequence
 
 
 @dataclass(frozen=True)
 class Program:
-    """A sequence laid out along nominal time, in K cells of about STEP_S.
+    """A sequence laid out along nominal time.
 
     Attributes:
-        length_s: Duration at scaling 1, stands included: the sum over the tasks, exactly.
-        xyz_m: TCP, shape (K, 3).
-        moving: On the way (advances at s) or standing (advances at 1), shape (K,).
-        leg: Index of the task, shape (K,).
+        tasks: Its motions and stands.
+        edges_s: Nominal time at the end of each motion and each stand in turn, shape (2 * tasks,).
     """
 
     tasks: tuple[NominalTask, ...]
-    length_s: float
-    xyz_m: NDArray[np.float64]
-    moving: NDArray[np.bool_]
-    leg: NDArray[np.int64]
+    edges_s: NDArray[np.float64]
+
+    @property
+    def length_s(self) -> float:
+        """Duration at scaling 1, stands included: the sum over the tasks, exactly."""
+        return float(self.edges_s[-1])
+
+    def xyz_m(self) -> NDArray[np.float64]:
+        """Return the TCP in the middle of K cells of about STEP_S, shape (K, 3); thousands of programs keep none."""
+        cells = max(1, round(self.length_s / STEP_S))
+        middle = (np.arange(cells) + 0.5) * (self.length_s / cells)
+        xyz, first = np.empty((cells, 3)), 0
+        for task, arrival_s, end_s in zip(self.tasks, self.edges_s[::2], self.edges_s[1::2], strict=True):
+            last = int(np.searchsorted(middle, end_s))
+            phase = np.clip((middle[first:last] - arrival_s) / max(task.nominal_s, 1e-9) + 1.0, 0.0, 1.0)
+            at = np.linspace(0.0, 1.0, len(task.xyz_m))
+            for axis in range(3):
+                xyz[first:last, axis] = np.interp(phase, at, task.xyz_m[:, axis])
+            first = last
+        xyz[first:] = self.tasks[-1].xyz_m[-1]
+        return xyz
 
 
 def lay_out(sequence: TaskSequence, nominal: Mapping[str, NominalTask], dataset: Dataset) -> Program:
@@ -58,20 +74,8 @@ def lay_out(sequence: TaskSequence, nominal: Mapping[str, NominalTask], dataset:
         cure = f"Go by tasks that were: {_tasks_from(missing[0], nominal)}."
         raise EstimateError(seen, cure=cure)
     tasks = tuple(nominal[task] for task in sequence.tasks)
-    edges = np.cumsum([part for task in tasks for part in (task.nominal_s, task.dwell_s + task.wait_s)])
-    length_s = float(edges[-1])
-    cells = max(1, round(length_s / STEP_S))
-    middle = (np.arange(cells) + 0.5) * (length_s / cells)
-    part = np.minimum(np.searchsorted(edges, middle, side="right"), len(edges) - 1)
-    leg, moving = part // 2, part % 2 == 0
-    xyz = np.empty((cells, 3))
-    for index, task in enumerate(tasks):
-        mine = leg == index
-        begin = edges[2 * index] - task.nominal_s
-        phase = np.clip((middle[mine] - begin) / max(task.nominal_s, 1e-9), 0.0, 1.0)
-        at = np.linspace(0.0, 1.0, len(task.xyz_m))
-        xyz[mine] = np.column_stack([np.interp(phase, at, task.xyz_m[:, axis]) for axis in range(3)])
-    return Program(tasks, length_s, xyz, moving, leg)
+    parts = [part for task in tasks for part in (task.nominal_s, task.dwell_s + task.wait_s)]
+    return Program(tasks, np.cumsum(parts))
 
 
 def _tasks_from(task: str, nominal: Mapping[str, NominalTask]) -> str:

@@ -25,7 +25,7 @@ from cyclekit.estimate.result import CycleEstimate, TaskShare
 from cyclekit.estimate.rivals import by_average, by_history, by_nominal
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.spread import Asked, logged_support, roll_spread
-from cyclekit.estimate.tracks import OperatorTracks, operator_tracks, phase_is_free
+from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import Rolled, roll_all, roll_out
 from cyclekit.out_of_core import in_memory
@@ -243,7 +243,7 @@ def _weights(ask: _Asked, cycles: Rolled, tracks: OperatorTracks | None) -> NDAr
     """Weights of the cycles in each resample of the logs, shape (resamples, K)."""
     if tracks is None:  # cycles put together of tasks: each draw is one
         return resampled([str(k) for k in range(len(cycles.duration_s))], ask.seed)
-    runs_on = len(set(tracks.executions)) < len(tracks.executions) or phase_is_free(ask.dataset)
+    runs_on = len(set(tracks.executions)) < len(tracks.executions) or tracks.phase_free
     return resampled(tracks.executions, ask.seed, together=TOGETHER if runs_on else 1)
 
 

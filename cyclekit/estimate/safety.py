@@ -70,25 +70,29 @@ def scaling_of(model: SafetyModel, robot_m: NDArray[np.float64], human_m: NDArra
     """Return s of each pair of positions, shape (N, 3) both; where nobody is seen, what the logs showed then."""
     without = model.card.get("scaling_without_operator")
     scaling = np.full(len(robot_m), 1.0 if without is None else float(without))
-    present = np.flatnonzero(np.isfinite(human_m).all(axis=1))
-    if len(present):
-        inputs = np.concatenate([robot_m[present], human_m[present]], axis=1).astype(np.float32)
+    inputs = np.empty((len(robot_m), 6), dtype=np.float32)
+    inputs[:, :3], inputs[:, 3:] = robot_m, human_m
+    seen = np.isfinite(inputs[:, 3] + inputs[:, 4] + inputs[:, 5])
+    present: NDArray[np.int64] | slice = slice(None)
+    if not seen.all():
+        present = np.flatnonzero(seen)
+        inputs = inputs[present]
+    if len(inputs):
         blocks = range(0, len(inputs), BLOCK)
-        found = np.concatenate([model.predict(inputs[start : start + BLOCK]) for start in blocks])
-        scaling[present] = np.clip(found, 0.0, 1.0)
+        found = [model.predict(inputs[start : start + BLOCK]) for start in blocks]
+        scaling[present] = np.clip(np.concatenate(found), 0.0, 1.0)
     return scaling
 
 
 class Follower:
-    """s of N cycles over time, one call per step of `step_s`, all rows every time."""
+    """s of N cycles over time, one call per step of `step_s`."""
 
-    def __init__(self, model: SafetyModel, dynamics: Dynamics, count: int, step_s: float) -> None:
+    def __init__(self, model: SafetyModel, dynamics: Dynamics, step_s: float) -> None:
         self._model, self._dynamics, self._step_s = model, dynamics, step_s
         self._delay = round((dynamics.latency_s or 0.0) / step_s)
         self._seen: deque[Vector] = deque()
         self._held: Vector | None = None
         self._s: Vector | None = None
-        self._count = count
 
     def advance(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
         """Return s (N,) of this step for positions (N, 3) at its middle."""
@@ -101,6 +105,11 @@ class Follower:
             wanted = np.clip(wanted, lowest, highest)
         self._s = wanted
         return wanted
+
+    def keep(self, going: NDArray[np.bool_]) -> None:
+        """Leave the other rows out from now on."""
+        self._seen = deque(wanted[going] for wanted in self._seen)
+        self._s, self._held = (None if part is None else part[going] for part in (self._s, self._held))
 
     def _wanted(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
         """The safety function with its hysteresis: what was learned lies half way between falling and rising."""

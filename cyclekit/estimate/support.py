@@ -33,7 +33,11 @@ class Support:
         A pair without an operator (NaN) counts as known: there the robot runs free.
         """
         absent = ~np.isfinite(human_m).all(axis=1)
-        return absent | np.isin(_cells(robot_m, np.nan_to_num(human_m)), self._filled)
+        if not len(self._filled):
+            return np.asarray(absent)
+        asked = _cells(robot_m, np.nan_to_num(human_m))
+        at = np.minimum(np.searchsorted(self._filled, asked), len(self._filled) - 1)
+        return np.asarray(absent | (self._filled[at] == asked))
 
 
 def _cells(robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -50,6 +50,7 @@ class OperatorTracks:
         executions: Name of the execution behind each track; several tracks can be of one.
         step_s: Time between samples.
         goal_m: g_h, shape (K, T, 3); NaN = unknown.
+        phase_free: What `phase_is_free` says of these logs.
     """
 
     xyz_m: NDArray[np.float64]
@@ -59,6 +60,7 @@ class OperatorTracks:
     executions: tuple[str, ...]
     step_s: float
     goal_m: NDArray[np.float64] | None = None
+    phase_free: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,16 +97,18 @@ def operator_tracks(
         raise EstimateError(seen, cure="Ingest the tracker's log together with the robot's.")
     if operator is not None:
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
+    free = _is_free(dataset, tracks)
     if phases is None:
-        phases = PHASES if operator is None and phase_is_free(dataset) else 1
-    ran_on = {name: _run_on(dataset, tracks, name, step) for name in begins}
+        phases = PHASES if operator is None and free else 1
+    after = _after(dataset)
+    ran_on = {name: _run_on(tracks, [name, *after[name]], step) for name in begins}
     length = int(np.ceil(horizon_s / step)) + 2
     entries = [(name, len(tracks[name].where) * phase // phases) for phase in range(phases) for name in begins]
     streams = [(ran_on[name][0][at:], ran_on[name][1][at:]) for name, at in entries]
     where, activity = _extended(streams, length)
     logged = np.array([len(stream) for stream, _ in streams])
     executions = tuple(name for name, _ in entries)
-    return OperatorTracks(where[..., :3], activity, tuple(names), logged, executions, step, where[..., 3:])
+    return OperatorTracks(where[..., :3], activity, tuple(names), logged, executions, step, where[..., 3:], free)
 
 
 def phase_is_free(dataset: Dataset) -> bool:
@@ -113,7 +117,10 @@ def phase_is_free(dataset: Dataset) -> bool:
     So where the log runs on from execution to execution, and where the operator stands when one begins is no different
     from where he stands at any time: its mean within SAME_MEAN standard errors, its spread within SAME_SPREAD.
     """
-    _, tracks = _logged(dataset)
+    return _is_free(dataset, _logged(dataset)[1])
+
+
+def _is_free(dataset: Dataset, tracks: dict[str, _Track]) -> bool:
     if len(tracks) < 8:
         return False
     order = dataset.executions.sort("session", "start_s")
@@ -135,13 +142,18 @@ def _logged(dataset: Dataset) -> tuple[list[str], dict[str, _Track]]:
     """The operator's tasks, and what was logged of him in each execution."""
     samples = dataset.samples()
     names = sorted(name for name in samples["human_task"].unique().to_list() if name is not None)
-    code = {name: index for index, name in enumerate(names)}
     columns = [f"human_{part}{axis}_m" for part in ("", "goal_") for axis in "xyz"]
+    where = samples.select(pl.col(columns).cast(pl.Float64).fill_null(np.nan)).to_numpy()
+    code = pl.col("human_task").cast(pl.Enum(names)).to_physical().cast(pl.Int64).fill_null(-1)
+    activity, t_s = samples.select(code).to_series().to_numpy(), samples["t_s"].to_numpy()
+    rows = samples.select("execution", row=pl.int_range(pl.len())).group_by("execution", maintain_order=True)
     tracks: dict[str, _Track] = {}
-    for (execution,), rows in samples.group_by(["execution"], maintain_order=True):
-        activity = np.array([code.get(name, -1) for name in rows["human_task"].to_list()])
-        where = rows.select(pl.col(columns).cast(pl.Float64).fill_null(np.nan)).to_numpy()
-        tracks[str(execution)] = _Track(where, activity, float(rows["t_s"][0]), float(rows["t_s"][-1]))
+    for execution, first, last, count in rows.agg(
+        first=pl.col("row").first(), last=pl.col("row").last(), count=pl.len()
+    ).iter_rows():
+        assert count == last - first + 1  # samples come execution by execution
+        mine = slice(first, last + 1)
+        tracks[str(execution)] = _Track(where[mine], activity[mine], float(t_s[first]), float(t_s[last]))
     return names, tracks
 
 
@@ -162,13 +174,20 @@ def _order(activity: NDArray[np.int64], names: list[str]) -> tuple[str, ...]:
     return tuple(names[i] for i in activity[changes].tolist() if i >= 0)
 
 
-def _run_on(
-    dataset: Dataset, tracks: dict[str, _Track], name: str, step: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The track of an execution and of those that follow it in the same session without a longer pause."""
-    order = dataset.executions.filter(pl.col("session") == pl.lit(_session(dataset, name)))["execution"].to_list()
+def _after(dataset: Dataset) -> dict[str, list[str]]:
+    """The two executions that follow each in its session."""
+    found: dict[str, list[str]] = {}
+    for (_,), rows in dataset.executions.group_by(["session"], maintain_order=True):
+        order = rows["execution"].to_list()
+        found |= {name: order[number + 1 : number + 3] for number, name in enumerate(order)}
+    return found
+
+
+def _run_on(tracks: dict[str, _Track], names: list[str], step: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The track of the first of these executions, and of those that follow it without a longer pause."""
+    name, *others = names
     end, parts, doing = tracks[name].end_s, [tracks[name].where], [tracks[name].activity]
-    for following in order[order.index(name) + 1 : order.index(name) + 3]:
+    for following in others:
         if following not in tracks or tracks[following].begin_s - end > RUN_ON_S:
             break
         after = tracks[following]
@@ -178,11 +197,6 @@ def _run_on(
         doing += [np.full(pause, doing[-1][-1]), after.activity]
         end = after.end_s
     return np.concatenate(parts), np.concatenate(doing)
-
-
-def _session(dataset: Dataset, execution: str) -> str:
-    row = dataset.executions.filter(pl.col("execution") == execution)
-    return str(row["session"][0])
 
 
 def _extended(
@@ -195,12 +209,11 @@ def _extended(
     own = np.array([min(len(track), length) for track, _ in tracks])
     for k, (track, doing) in enumerate(tracks):
         xyz[k, : own[k]], activity[k, : own[k]] = track[:length], doing[:length]
-    order = np.argsort(-own, kind="stable")
-    for k in order.tolist():
+    order = [k for k in np.argsort(-own, kind="stable").tolist() if own[k] < length]
+    by_time = xyz[..., :3].transpose(1, 0, 2).copy() if order else xyz  # where all are at an instant lies together
+    for k in order:
         end = int(own[k])
-        if end >= length:
-            continue
-        donor = _donor(xyz, activity, own, k, end - 1)
+        donor = _donor(by_time[end - 1], activity[:, end - 1], own > end, k)
         if donor is None:
             xyz[k, end:], activity[k, end:] = xyz[k, end - 1], activity[k, end - 1]
         else:  # longer tracks were continued before, so the donor is complete
@@ -208,17 +221,20 @@ def _extended(
     return xyz, activity
 
 
-def _donor(
-    xyz: NDArray[np.float64], activity: NDArray[np.int64], own: NDArray[np.int64], k: int, at: int
-) -> int | None:
-    running = np.flatnonzero(own > at + 1)
-    if not len(running):
-        return None
-    here, there = xyz[k, at, :3], xyz[running, at, :3]
-    absent = ~np.isfinite(there[:, 0])
-    distance = np.where(absent, np.inf, np.linalg.norm(np.nan_to_num(there - here), axis=1))
-    if not np.isfinite(here[0]):
+def _donor(xyz_m: NDArray[np.float64], activity: NDArray[np.int64], running: NDArray[np.bool_], k: int) -> int | None:
+    """Return the running track whose operator is nearest at this instant and does the same, None if there is none.
+
+    Args:
+        xyz_m: Where all are, shape (K, 3).
+        activity: What all do, shape (K,).
+        running: Whose own log goes on, shape (K,).
+        k: Whose track is to be continued.
+    """
+    absent = np.isnan(xyz_m[:, 0])
+    if absent[k]:
         distance = np.where(absent, 0.0, np.inf)
-    distance = distance + OTHER_TASK_M * (activity[running, at] != activity[k, at])
+    else:
+        distance = np.where(absent, np.inf, np.linalg.norm(xyz_m - xyz_m[k], axis=1))
+    distance = np.where(running, distance + OTHER_TASK_M * (activity != activity[k]), np.inf)
     best = int(distance.argmin())
-    return int(running[best]) if np.isfinite(distance[best]) else None
+    return best if np.isfinite(distance[best]) else None

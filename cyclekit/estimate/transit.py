@@ -106,7 +106,7 @@ class TransitTable:
     def arrive(self, task: NDArray[np.int64], start_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return when tasks (N,) arrive that start at `start_s` (N, K), s; shape (N, K)."""
         starts = self.arrival_s.shape[2]
-        place = np.minimum(np.nan_to_num(start_s, posinf=1e9) / self.start_s, starts - 1.001)
+        place = np.minimum(start_s / self.start_s, starts - 1.001)
         below = place.astype(np.int64)
         flat = (task[:, None] * self.arrival_s.shape[1] + np.arange(self.arrival_s.shape[1])) * starts + below
         table = self.arrival_s.reshape(-1)

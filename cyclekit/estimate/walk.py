@@ -129,118 +129,152 @@ def walk(
         support: Where logged positions lie; None leaves `known` and `looked` empty.
         dynamics: How s follows the safety function.
     """
-    lines = _Lines(programs, which, stands_s)
-    count, samples = len(which), tracks.activity.shape[1]
-    duration = np.full(count, np.inf)
-    activity_s = np.zeros((count, len(tracks.activities) + 1))
+    lines, people = _Lines(programs, which, stands_s), _People(tracks)
+    count, samples, kinds = len(which), tracks.activity.shape[1], len(tracks.activities) + 1
+    duration, activity_s = np.full(count, np.inf), np.zeros(count * kinds)
     known, looked, spliced = np.zeros(count), np.zeros(count), np.zeros(count)
-    follower = None if dynamics.none else Follower(model, dynamics, count, TIME_STEP_S)
-    every, last_s = np.arange(count), np.ones(count)
+    follower = None if dynamics.none else Follower(model, dynamics, TIME_STEP_S)
+    rows, mine, scaling = np.arange(count), track, np.ones(count)  # of the rows that are not at their end
     for number in range(int((samples - 2) * tracks.step_s / TIME_STEP_S)):
-        going = np.flatnonzero(~np.isfinite(duration))
-        if not len(going):
-            break
-        asked = going if follower is None else every
-        robot = lines.robot_at(asked, last_s[asked] * TIME_STEP_S / 2)
-        human, sample = _human_at(tracks, track[asked], (number + 0.5) * TIME_STEP_S)
-        scaling = _follow(model, follower, lines, asked, robot, human)
-        last_s[asked] = scaling
-        lost, left = lines.advance(going, last_s[going])
-        arrives = lines.arrived(going)
-        duration[going[arrives]] = (number + 1) * TIME_STEP_S - left[arrives]
-        activity_s[going, tracks.activity[track[going], sample]] += lost
-        spliced[going] += sample >= tracks.logged[track[going]]
+        robot = lines.robot_at(scaling * TIME_STEP_S / 2)
+        where, doing, sample = people.at((number + 0.5) * TIME_STEP_S)
+        human = where.take(mine, axis=0)
+        scaling = _follow(model, follower, lines, robot, human)
+        lost, left = lines.advance(scaling)
+        activity_s[rows * kinds + doing[mine]] += lost
+        spliced[rows] += sample >= tracks.logged[mine]
         if support is not None and number % SUPPORT_EVERY == 0:
-            known[asked] += support.near_logged(robot, human)
-            looked[asked] += 1
-    return Walked(duration, lines.safety_s, activity_s, known, looked, spliced)
+            known[rows] += support.near_logged(robot, human)
+            looked[rows] += 1
+        arrives = lines.arrived
+        if arrives.any():
+            duration[rows[arrives]] = (number + 1) * TIME_STEP_S - left[arrives]
+            rows, mine, scaling = rows[~arrives], mine[~arrives], scaling[~arrives]
+            lines.keep(~arrives)
+            if follower is not None:
+                follower.keep(~arrives)
+            if not len(rows):
+                break
+    return Walked(duration, lines.losses(), activity_s.reshape(count, kinds), known, looked, spliced)
 
 
 def _follow(
     model: SafetyModel,
     follower: Follower | None,
     lines: _Lines,
-    asked: Whole,
     robot_m: NDArray[np.float64],
     human_m: NDArray[np.float64],
 ) -> Vector:
     if follower is not None:
         return follower.advance(robot_m, human_m)
-    scaling = np.ones(len(asked))
-    matters = lines.may_move(asked)  # where a robot stands all through a step nothing is asked
-    scaling[matters] = scaling_of(model, robot_m[matters], human_m[matters])
+    scaling = np.ones(len(robot_m))
+    matters = np.flatnonzero(lines.may_move)  # where a robot stands all through a step nothing is asked
+    scaling[matters] = scaling_of(model, robot_m.take(matters, axis=0), human_m.take(matters, axis=0))
     return scaling
 
 
 class _Lines:
-    """Programs side by side, one row per cycle: where each row is, and what it has lost to safety per task."""
+    """Programs side by side, one row per cycle under way: where each is, and what it has lost to safety per task.
+
+    What is kept of the losses has a row per cycle; everything else has one per cycle that is not at its end.
+    """
 
     def __init__(self, programs: Sequence[Program], which: Whole, stands_s: Sequence[NDArray[np.float64]]) -> None:
         legs = max(len(program.tasks) for program in programs)
         ends, rates = np.full((len(programs), 2 * legs + 1), np.inf), np.ones((len(which), legs + 1))
-        self._last = np.array([2 * len(program.tasks) for program in programs])[which]
         for number, program in enumerate(programs):
-            parts = [part for task in program.tasks for part in (task.nominal_s, task.dwell_s + task.wait_s)]
-            ends[number, : len(parts)] = np.cumsum(parts)
-            mine = which == number
-            rates[mine, : len(program.tasks)] = np.array(parts[1::2]) / stands_s[number]
-        self._ends, self._rates, self._which = ends, rates, which
-        self._part = np.zeros(len(which), dtype=np.int64)  # even: a motion, odd: the stand after it
-        self._at = np.zeros(len(which))
-        self.safety_s = np.zeros((len(which), legs))
-        self._xyz = np.concatenate([program.xyz_m for program in programs])
-        cells = np.array([len(program.xyz_m) for program in programs])
-        self._first = (np.cumsum(cells) - cells)[which]
-        self._cells = cells[which]
+            ends[number, : len(program.edges_s)] = program.edges_s
+            stands = [task.dwell_s + task.wait_s for task in program.tasks]
+            rates[which == number, : len(stands)] = np.array(stands) / stands_s[number]
+        self._ends, self._rates = ends, rates
+        paths = [program.xyz_m() for program in programs]
+        self._xyz = np.concatenate(paths)
+        self._safety_s = np.zeros((len(which), legs))
+        cells = np.array([len(path) for path in paths])
+        self._row, self._which = np.arange(len(which)), which
+        self._last = np.array([2 * len(program.tasks) for program in programs])[which]
+        self._first, self._cells = (np.cumsum(cells) - cells)[which], cells[which]
         self._per_s = (cells / np.array([program.length_s for program in programs]))[which]
+        self._part = np.zeros(len(which), dtype=np.int64)  # even: a motion, odd: the stand after it
+        self._at, self._lost = np.zeros(len(which)), np.zeros(len(which))
+        self._end, self._moving, self._rate = ends[which, 0], np.ones(len(which), dtype=np.bool_), rates[:, 0]
 
-    def arrived(self, rows: Whole) -> NDArray[np.bool_]:
+    @property
+    def arrived(self) -> NDArray[np.bool_]:
         """Which rows are at their end."""
-        return np.asarray(self._part[rows] == self._last[rows])
+        return np.asarray(self._part == self._last)
 
-    def may_move(self, rows: Whole) -> NDArray[np.bool_]:
+    @property
+    def may_move(self) -> NDArray[np.bool_]:
         """Which rows are in motion at some time of the next step."""
-        part, at = self._part[rows], self._at[rows]
-        rest = (self._ends[self._which[rows], part] - at) / np.maximum(self._rates[rows, part // 2], 1e-12)
-        return np.asarray((part % 2 == 0) | (rest < TIME_STEP_S))
+        rest = (self._end - self._at) / np.maximum(self._rate, 1e-12)
+        return np.asarray(self._moving | (rest < TIME_STEP_S))
 
-    def robot_at(self, rows: Whole, ahead_s: Vector) -> NDArray[np.float64]:
+    def keep(self, going: NDArray[np.bool_]) -> None:
+        """Leave the other rows out from now on."""
+        for name in ("row", "which", "last", "first", "cells", "per_s", "part", "at", "lost", "end", "moving", "rate"):
+            setattr(self, f"_{name}", getattr(self, f"_{name}")[going])
+
+    def robot_at(self, ahead_s: Vector) -> NDArray[np.float64]:
         """TCP (N, 3) where the rows will be when their nominal time has advanced by `ahead_s` (N,)."""
-        place = np.minimum(self._at[rows] + ahead_s, self._ends[self._which[rows], self._part[rows]])
-        cell = np.minimum((place * self._per_s[rows]).astype(np.int64), self._cells[rows] - 1)
-        return np.asarray(self._xyz[self._first[rows] + cell])
+        place = np.minimum(self._at + ahead_s, self._end)
+        cell = np.minimum((place * self._per_s).astype(np.int64), self._cells - 1)
+        return np.asarray(self._xyz.take(self._first + cell, axis=0))
 
-    def advance(self, going: Whole, scaling: Vector) -> tuple[Vector, Vector]:
-        """Go on by TIME_STEP_S; return the safety loss in it and what is left of it at the end, shape (len(going),).
+    def advance(self, scaling: Vector) -> tuple[Vector, Vector]:
+        """Go on by TIME_STEP_S; return the safety loss in it and what is left of it at the end, shape (N,) each.
 
         The step is divided where a motion or a stand ends in it: each has a rate of its own.
         """
-        lost, left = np.zeros(len(going)), np.full(len(going), TIME_STEP_S)
-        rows = np.arange(len(going))
-        while len(rows):
-            k, part = going[rows], self._part[going[rows]]
-            moving, leg = part % 2 == 0, part // 2
-            rate = np.where(moving, scaling[rows], self._rates[k, leg])
-            end = self._ends[self._which[k], part]
-            to_go = end - self._at[k]
+        lost, left = np.zeros(len(scaling)), np.full(len(scaling), TIME_STEP_S)
+        rows: slice | Whole = slice(None)  # first all of them, then those with time left
+        while True:
+            end, at, moving = self._end[rows], self._at[rows], self._moving[rows]
+            rate = np.where(moving, scaling[rows], self._rate[rows])
+            to_go = end - at
             needs = np.where(to_go <= 1e-9, 0.0, to_go / np.maximum(rate, 1e-12))
             done, spent = needs <= left[rows], np.minimum(needs, left[rows])
-            self._at[k] = np.where(done, end, self._at[k] + rate * spent)
-            self._part[k] += done
+            self._at[rows] = np.where(done, end, at + rate * spent)
             loss = np.where(moving, (1.0 - rate) * spent, 0.0)
-            self.safety_s[k, leg] += loss
+            self._lost[rows] += loss
             lost[rows] += loss
             left[rows] -= spent
-            rows = rows[done & (part + 1 < self._last[k])]
-        return lost, left
+            ended = np.flatnonzero(done) if isinstance(rows, slice) else rows[done]
+            self._next(ended)
+            rows = ended[self._part[ended] < self._last[ended]]
+            if not len(rows):
+                return lost, left
+
+    def losses(self) -> NDArray[np.float64]:
+        """Safety loss per cycle and task, shape (cycles, tasks), s, that of motions under way included."""
+        found = self._safety_s.copy()
+        found[self._row, self._part // 2] += self._lost
+        return found
+
+    def _next(self, rows: Whole) -> None:
+        """Let these rows begin with their next motion or stand."""
+        row, leg = self._row[rows], self._part[rows] // 2
+        self._safety_s[row, leg] += self._lost[rows]
+        part = self._part[rows] + 1
+        self._part[rows], self._lost[rows], self._moving[rows] = part, 0.0, part % 2 == 0
+        self._end[rows], self._rate[rows] = self._ends[self._which[rows], part], self._rates[row, part // 2]
 
 
-def _human_at(tracks: OperatorTracks, rows: Whole, t_s: float) -> tuple[NDArray[np.float64], int]:
-    sample = int(t_s / tracks.step_s + 1e-9)
-    weight = t_s / tracks.step_s - sample
-    here, after = tracks.xyz_m[:, sample], tracks.xyz_m[:, sample + 1]
-    between = here + (after - here) * weight
-    return np.where(np.isnan(between), here, between)[rows], sample
+class _People:
+    """Operator tracks by time: where all are at an instant lies together in memory."""
+
+    def __init__(self, tracks: OperatorTracks) -> None:
+        self._xyz_m = np.ascontiguousarray(tracks.xyz_m.transpose(1, 0, 2))
+        self._activity = np.ascontiguousarray(tracks.activity.T) % (len(tracks.activities) + 1)  # unknown is the last
+        self._step_s = tracks.step_s
+
+    def at(self, t_s: float) -> tuple[NDArray[np.float64], Whole, int]:
+        """Return where each operator is (K, 3), what he does (K,), and the sample before."""
+        sample = int(t_s / self._step_s + 1e-9)
+        weight = t_s / self._step_s - sample
+        here, after = self._xyz_m[sample], self._xyz_m[sample + 1]
+        between = here + (after - here) * weight
+        return np.where(np.isnan(between), here, between), self._activity[sample], sample
 
 
 def _of_one(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     Layer = tuple[Matrix, Matrix]
     Cell = tuple[Matrix, Matrix, Matrix]
 
-_BLOCK, _BLOCK_OF_HISTORIES = 1024, 2048
+_BLOCK = 1024
 _MANY = 50_000
 """From this many rows on, BLAS is kept to one thread: in products this small a second one mostly waits, and where
 another program is on its core a prediction was seen to take three to five times the processor time."""
@@ -66,11 +67,10 @@ class Weights:
         Args:
             X: Raw inputs, shape (N, F), with LSTM layers (N, K, F), oldest first; NaN only in groups of `known`.
         """
-        size = _BLOCK_OF_HISTORIES if self.recurrent else _BLOCK
         out = np.empty((len(X), self.layers[-1][1].size), np.float32)
         with threadpool_limits(1, user_api="blas") if len(X) > _MANY else nullcontext():
-            for start in range(0, len(X), size):
-                out[start : start + size] = self._block(self._completed(X[start : start + size]))
+            for start in range(0, len(X), _BLOCK):
+                out[start : start + _BLOCK] = self._block(self._completed(X[start : start + _BLOCK]))
         return out
 
     def _completed(self, X: NDArray[np.floating[Any]]) -> Matrix:
@@ -94,11 +94,9 @@ class Weights:
             values = values @ weight
             values += bias
             if index == self.softmax_after:
-                values -= values.max(axis=1, keepdims=True)
-                np.exp(values, out=values)
-                values /= values.sum(axis=1, keepdims=True)
+                values = _softmax(values)
             elif index < len(self.layers) - 1:
-                np.maximum(values, 0, out=values)
+                np.maximum(values, _zeros(weight.shape[1])[: len(values)], out=values)
         return values
 
     def _after_history(self, values: Matrix) -> Matrix:
@@ -116,6 +114,21 @@ def distance(X: Matrix, unknown: float) -> Matrix:
     """Return ||x_r - x_h||, shape (..., 1), m; `unknown` where that is not known."""
     apart = np.linalg.norm(X[..., :3] - X[..., _HUMAN], axis=-1, keepdims=True)
     return np.asarray(np.where(np.isnan(apart), np.float32(unknown), apart), np.float32)
+
+
+@lru_cache(maxsize=8)
+def _zeros(width: int) -> Matrix:
+    """Return zeros (_BLOCK, width): numpy compares with an array several times faster than with one number."""
+    return np.zeros((_BLOCK, width), np.float32)
+
+
+def _softmax(values: Matrix) -> Matrix:
+    """Return the softmax of each row (N, outputs); a few long rows are quicker than many short ones."""
+    values = np.ascontiguousarray(values.T)
+    values -= values.max(axis=0)
+    np.exp(values, out=values)
+    values /= values.sum(axis=0)
+    return values.T
 
 
 def _lstm(values: Matrix, cells: tuple[Cell, ...]) -> Matrix:

@@ -36,7 +36,7 @@ class Plan:
     """The order found.
 
     Attributes:
-        order: The visits in order.
+        order: The visits in order; of all orders the one with the least sum of mean and its standard error.
         places: All places in order, `via` included.
         expected_s: Mean cycle time of it over the logged operators.
         against: What it is compared with: `logged orders` or `random orders`.
@@ -73,7 +73,7 @@ def plan(
     seed: int = 0,
     progress: Callable[[float, str], None] | None = None,
 ) -> Plan:
-    """Search the order of `jobs` with the least expected cycle time.
+    """Search the order of `jobs` with the least expected cycle time, the surer one where they are alike.
 
     Args:
         model: A model of problem `now`.
@@ -95,7 +95,7 @@ def plan(
     with threadpool_limits(limits=1, user_api="blas"):
         tracks = operator_tracks(dataset, horizon_s=3.0 * length)
         table = transit_table(model, tasks, tracks, progress=progress)
-        every = Scorer(table, jobs, seed=seed)
+        every = Scorer(table, jobs, seed=seed, executions=len(set(tracks.executions)))
         order, searched, tried = best_order(every, seed=seed, progress=progress)
         against, basis = _basis(dataset, jobs, seed)
         weights = resampled(tracks.executions, seed)
@@ -167,7 +167,10 @@ def _unseen(table: TransitTable, jobs: Jobs, basis: list[Order], executions: tup
     first = np.isin(np.array(executions), np.random.default_rng(seed).permutation(names)[: len(names) // 2])
     savings = []
     for mine in (first, ~first):
-        chooser, judge = (Scorer(table, jobs, which=np.flatnonzero(half), seed=seed) for half in (mine, ~mine))
+        chooser, judge = (
+            Scorer(table, jobs, which=np.flatnonzero(half), seed=seed, executions=len(set(np.array(executions)[half])))
+            for half in (mine, ~mine)
+        )
         if not mine.any() or mine.all():
             return float("nan")
         order, _, _ = best_order(chooser, seed=seed)

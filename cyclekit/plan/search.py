@@ -32,18 +32,28 @@ STARTS = 4
 
 
 class Scorer:
-    """Mean duration of orders over the tracks `which`, shape (k,); all tracks where None."""
+    """Durations of orders over the tracks `which`, shape (k,); all tracks where None.
+
+    `executions`: how many independent operators these tracks are of; None: orders are ranked by their means alone.
+    """
 
     def __init__(
-        self, table: TransitTable, jobs: Jobs, *, which: NDArray[np.int64] | None = None, seed: int = 0
+        self,
+        table: TransitTable,
+        jobs: Jobs,
+        *,
+        which: NDArray[np.int64] | None = None,
+        seed: int = 0,
+        executions: int | None = None,
     ) -> None:
         self._table, self.jobs, self._seed = table, jobs, seed
-        self._rows = which
+        self._rows, self._executions = which, executions
 
     @classmethod
     def of_unfinished(cls, scorer: Scorer) -> Scorer:
         """Return a scorer of orders that go on: the robot does not return to the end after them."""
-        return cls(scorer._table, replace(scorer.jobs, end=None), which=scorer._rows, seed=scorer._seed)
+        unfinished = replace(scorer.jobs, end=None)
+        return cls(scorer._table, unfinished, which=scorer._rows, seed=scorer._seed, executions=scorer._executions)
 
     @property
     def nominal_s(self) -> dict[str, float]:
@@ -58,6 +68,19 @@ class Scorer:
     def means(self, orders: Sequence[Order]) -> NDArray[np.float64]:
         """Return the mean duration of each order, shape (orders,), s."""
         return np.asarray(self.durations(orders).mean(axis=1))
+
+    def scores(self, orders: Sequence[Order]) -> NDArray[np.float64]:
+        """Return what orders are ranked by, shape (orders,), s: the mean and its standard error on top.
+
+        The least of many means is mostly one that few operators happened to suit. Of two orders with like means the
+        one whose cycles differ less is the more likely to be as good beside other operators.
+        """
+        found = self.durations(orders)
+        means = np.asarray(found.mean(axis=1))
+        if self._executions is None:
+            return means
+        with np.errstate(invalid="ignore"):  # cycles that do not end are inf
+            return np.asarray(means + np.nan_to_num(found.std(axis=1)) / self._executions**0.5)
 
 
 def tasks_of(places: Sequence[str]) -> list[str]:
@@ -74,16 +97,16 @@ def best_order(
     if factorial(len(jobs.visit)) <= FEW_ORDERS:
         orders = list(every_order(jobs))
         tell(0.5, f"trying {len(orders)} orders")
-        return orders[int(scorer.means(orders).argmin())], "all orders", len(orders)
+        return orders[int(scorer.scores(orders).argmin())], "all orders", len(orders)
     rng = np.random.default_rng(seed)
     greedy = greedy_order(scorer)
     random = [random_order(jobs, rng) for _ in range(RANDOM_ORDERS)]
-    ranked = [random[i] for i in np.argsort(scorer.means(random))[:STARTS]]
+    ranked = [random[i] for i in np.argsort(scorer.scores(random))[:STARTS]]
     tried, found = RANDOM_ORDERS, []
     for number, start in enumerate([greedy, *ranked]):
         tell(number / (STARTS + 1), f"local search {number + 1} of {STARTS + 1}")
-        order, mean, count = _improved(scorer, start)
-        found.append((mean, order))
+        order, score, count = _improved(scorer, start)
+        found.append((score, order))
         tried += count
     return min(found)[1], "search", tried
 
@@ -129,15 +152,15 @@ def random_order(jobs: Jobs, rng: np.random.Generator) -> Order:
 
 
 def _improved(scorer: Scorer, order: Order) -> tuple[Order, float, int]:
-    """Move one visit or swap two, the best of all such steps, until none helps; order, its mean, orders scored."""
-    best, tried = float(scorer.means([order])[0]), 1
+    """Move one visit or swap two, the best of all such steps, until none helps; order, its score, orders scored."""
+    best, tried = float(scorer.scores([order])[0]), 1
     while True:
         around = [near for near in dict.fromkeys(_neighbours(order)) if scorer.jobs.allowed(near)]
-        means = scorer.means(around)
+        scores = scorer.scores(around)
         tried += len(around)
-        if not len(around) or means.min() >= best - 1e-9:
+        if not len(around) or scores.min() >= best - 1e-9:
             return order, best, tried
-        order, best = around[int(means.argmin())], float(means.min())
+        order, best = around[int(scores.argmin())], float(scores.min())
 
 
 def _neighbours(order: Order) -> Iterator[Order]:

@@ -32,6 +32,9 @@ def test_changes_and_order_are_computed_for_the_page(
     assert len(document["what_if"]) == len(document["sequences"])
     assert document["plan"]["tried"] == 6
     assert document["check"]["executions"] > 0
+    rivals = {row["name"] for row in document["evaluation"]["mse"]}
+    assert {"constant mean", "distance staircase"} <= rivals
+    assert "gradient boosting" not in rivals  # a page shall be quick: `cyclekit evaluate` fits it
 
 
 def test_what_the_whatif_command_wrote_goes_into_the_page(

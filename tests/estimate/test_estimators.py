@@ -166,7 +166,9 @@ def test_an_operator_who_minds_the_robot_is_found_out():
 def test_a_bias_that_is_no_chance_is_taken_out_and_the_parts_still_add_up(logged: Dataset, staircase: Any, routes: Any):
     biased = replace(crossing(100, 0.0), own_bias=0.02, own_error=0.001)
     assert biased.factor == pytest.approx(1 / 1.02, abs=1e-4)
-    assert replace(biased, own_error=0.2).factor == pytest.approx(1.0, abs=1e-3)
+    assert replace(biased, own_error=0.2).factor == 1.0
+    assert replace(biased, own_error=0.02).factor == 1.0  # one standard error is chance
+    assert 1 / 1.02 < replace(biased, own_error=0.01).factor < 0.99
     assert replace(biased, own_error=0.2).model_error == pytest.approx(0.2, rel=0.01)
     sequence = TaskSequence("A", routes[0][:9])
     (plain,) = estimate(staircase, logged, [sequence])
@@ -189,6 +191,28 @@ def test_conformal_quantiles_hold_on_new_cycles():
         cycles, fresh = rng.normal(100.0, 5.0, 50), rng.normal(100.0, 5.0)
         inside.append(check.quantile(cycles, 0.05) <= fresh <= check.quantile(cycles, 0.95))
     assert 0.86 < np.mean(inside) < 0.96
+
+
+def test_cycles_that_take_another_turn_than_the_logged_ones_do_not_widen_the_interval():
+    """Three in ten rolled cycles have nothing to do with the logged one, and yet are drawn from the same cycles."""
+    rng = np.random.default_rng(6)
+    logged_s = rng.normal(100.0, 5.0, 400)
+    own_s = np.where(rng.random(400) < 0.3, rng.normal(100.0, 5.0, 400), logged_s)
+    crossed = np.where(np.eye(400, dtype=bool), np.nan, own_s[None, :])
+    check = compare(logged_s, own_s, crossed, np.ones(400, dtype=bool), (0.05, 0.95))
+    assert check.slope == pytest.approx(0.7, abs=0.1)
+    cycles = rng.normal(100.0, 5.0, 4000)
+    assert check.quantile(cycles, 0.05) == pytest.approx(100 - 1.645 * 5, abs=0.5)  # and not 100 - 1.645 * 6.3
+    assert check.quantile(cycles, 0.95) == pytest.approx(100 + 1.645 * 5, abs=0.5)
+
+
+def test_what_the_network_leaves_open_widens_the_interval():
+    """Logged cycles scatter by 4 s about the rolled ones, which know nothing of it."""
+    rng = np.random.default_rng(7)
+    own_s = rng.normal(100.0, 3.0, 400)
+    crossed = np.where(np.eye(400, dtype=bool), np.nan, own_s[None, :])
+    check = compare(own_s + rng.normal(0.0, 4.0, 400), own_s, crossed, np.ones(400, dtype=bool), (0.05, 0.95))
+    assert check.quantile(rng.normal(100.0, 3.0, 4000), 0.95) == pytest.approx(100 + 1.645 * 5, abs=0.5)
 
 
 @given(st.integers(19, 200), st.sampled_from([0.05, 0.1, 0.9, 0.95]))
@@ -222,7 +246,7 @@ class Sides:
 
 
 def followed(dynamics: Dynamics, places: list[float]) -> list[float]:
-    follower = Follower(Sides(), dynamics, 1, 0.1)
+    follower = Follower(Sides(), dynamics, 0.1)
     return [float(follower.advance(np.zeros((1, 3)), np.array([[x, 0.0, 0.0]]))[0]) for x in places]
 
 

@@ -1,0 +1,88 @@
+"""What few logged operators cost a plan: orders chosen by some of the executions, judged by all the others.
+
+    python benchmarks/order_luck.py --executions 200
+
+Every order of the jobs takes what the table of arrivals says it takes beside each logged operator. Some executions are
+drawn, the order that they favour is judged by the executions that were not drawn, and held against the order that is
+best by those. That best one has its own luck in it, so what is printed is somewhat more than an order really loses.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from cells import logged
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.tracks import operator_tracks
+from cyclekit.estimate.transit import transit_table
+from cyclekit.plan import Jobs
+from cyclekit.plan.search import every_order, tasks_of
+from cyclekit_sim.scenes import BUILT_IN
+
+OUT = Console(width=120)
+JOBS = {
+    "box-picking, every other slot": ("box-picking", slice(0, None, 2)),
+    "box-picking, the other five": ("box-picking", slice(1, None, 2)),
+    "box-picking, the left side": ("box-picking", slice(0, 5)),
+    "pick-and-package": ("pick-and-package", slice(None)),
+    "laser-zones": ("laser-zones", slice(None)),
+}
+
+
+def durations(work: Path, scene: str, slots: slice, executions: int) -> np.ndarray:
+    """Return how long each order takes beside each logged operator, shape (orders, executions), s."""
+    cell = logged(work, scene, executions, seed=101)
+    jobs = Jobs(tuple(BUILT_IN[scene].slots[slots]), "home", "home", "conveyor")
+    orders = [tasks_of(jobs.places(order)) for order in every_order(jobs)]
+    nominal = nominal_tasks(cell.dataset)
+    tasks = {task: nominal[task] for order in orders for task in order}
+    length = max(sum(tasks[task].nominal_s + tasks[task].dwell_s for task in order) for order in orders)
+    with threadpool_limits(limits=1, user_api="blas"):
+        tracks = operator_tracks(cell.dataset, horizon_s=2.5 * length)
+        found = transit_table(cell.model, tasks, tracks).durations(orders)
+    count = len(set(tracks.executions))
+    return found.reshape(len(orders), -1, count).mean(axis=1)  # entries of one execution come phase by phase
+
+
+def lost(durations_s: np.ndarray, drawn: int, draws: int) -> dict[str, np.ndarray]:
+    """Return what the chosen order loses against the best by the others, %, shape (draws,), by what orders rank by."""
+    rng = np.random.default_rng(1)
+    found: dict[str, list[float]] = {"mean": [], "mean + standard error": []}
+    for _ in range(draws):
+        order = rng.permutation(durations_s.shape[1])
+        mine, rest = durations_s[:, order[:drawn]], durations_s[:, order[drawn:]].mean(axis=1)
+        mean, error = mine.mean(axis=1), mine.std(axis=1) / drawn**0.5
+        for name, score in (("mean", mean), ("mean + standard error", mean + error)):
+            found[name].append(100 * (rest[score.argmin()] / rest.min() - 1))
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def main() -> None:
+    """Measure."""
+    parser = argparse.ArgumentParser(description="What few logged operators cost a plan.")
+    parser.add_argument("--executions", type=int, default=60)
+    parser.add_argument("--draws", type=int, default=1000)
+    parser.add_argument("--work", type=Path, help="folder for cells; else a temporary one")
+    asked = parser.parse_args()
+    title = f"{asked.executions} logged, {asked.draws} draws: mean loss % (one in ten loses more than)"
+    table = Table("jobs", "orders", "chosen by", "mean", "mean + standard error", title=title)
+    with tempfile.TemporaryDirectory() as folder:
+        for name, (scene, slots) in JOBS.items():
+            takes = durations(asked.work or Path(folder), scene, slots, asked.executions)
+            for drawn in (30, 60) if asked.executions > 60 else (asked.executions // 2,):
+                cells = [
+                    f"{x.mean():.2f} ({np.quantile(x, 0.9):.2f})" for x in lost(takes, drawn, asked.draws).values()
+                ]
+                table.add_row(name, str(len(takes)), str(drawn), *cells)
+    OUT.print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""The walk of many rows at once is, row by row, the walk that its text describes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.program import draw_stands, lay_out
+from cyclekit.estimate.safety import Dynamics, scaling_of
+from cyclekit.estimate.spread import logged_support
+from cyclekit.estimate.support import HUMAN_M, ROBOT_M
+from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
+from cyclekit.estimate.walk import SUPPORT_EVERY, TIME_STEP_S, Walked, roll_out, walk
+from cyclekit.sequences import TaskSequence
+
+if TYPE_CHECKING:
+    from cyclekit.dataset import Dataset
+    from cyclekit.estimate.program import Program
+
+TRACKS = 5
+
+
+class Smooth:
+    """A scaling that differs at every pair of positions, so that no mistaken row or instant goes unseen."""
+
+    problem, card = "now", {"scaling_without_operator": 0.9}
+
+    def predict(self, X: np.ndarray) -> np.ndarray:
+        apart = np.linalg.norm(X[:, :3].astype(float) - X[:, 3:], axis=1)
+        return np.clip(0.45 * apart - 0.35 + 0.05 * np.sin(9 * X[:, 0]), 0.0, 1.0)
+
+
+def by_hand(model: Any, program: Program, tracks: OperatorTracks, k: int, stands_s: np.ndarray) -> dict[str, Any]:
+    """Walk one program beside one track, a step at a time; the step is shared out where a motion or a stand ends."""
+    ends, xyz = program.edges_s, program.xyz_m()
+    part, at, last, clock = 0, 0.0, 1.0, 0.0
+    lost, activity_s = np.zeros(len(program.tasks)), np.zeros(len(tracks.activities) + 1)
+    looks: list[tuple[np.ndarray, np.ndarray]] = []
+    spliced, steps = 0, 0
+
+    def rate_of(part: int, scaling: float) -> float:
+        task = program.tasks[part // 2]
+        return scaling if part % 2 == 0 else (task.dwell_s + task.wait_s) / stands_s[part // 2]
+
+    while part < len(ends):
+        sample = steps  # the tracks have a sample per step, and the middle of a step lies between two
+        here, after = tracks.xyz_m[k, sample], tracks.xyz_m[k, sample + 1]
+        human = here if np.isnan(here + after).any() else here + (after - here) * 0.5
+        place = min(at + last * TIME_STEP_S / 2, ends[part])
+        robot = xyz[min(int(place * (len(xyz) / program.length_s)), len(xyz) - 1)]
+        stands_on = part % 2 == 1 and (ends[part] - at) / rate_of(part, 1.0) >= TIME_STEP_S
+        last = 1.0 if stands_on else float(scaling_of(model, robot[None], human[None])[0])
+        if steps % SUPPORT_EVERY == 0:
+            looks.append((robot, human))
+        spliced += sample >= tracks.logged[k]
+        left = TIME_STEP_S
+        while left > 0 and part < len(ends):
+            rate = rate_of(part, last)
+            needs = (ends[part] - at) / rate if rate > 0 else np.inf
+            spent = min(needs, left)
+            if part % 2 == 0:
+                lost[part // 2] += (1 - rate) * spent
+                activity_s[tracks.activity[k, sample]] += (1 - rate) * spent
+            at, left = (ends[part], left - spent) if needs <= left else (at + rate * spent, 0.0)
+            part += needs <= spent
+        steps, clock = steps + 1, (steps + 1) * TIME_STEP_S - left
+    return {"duration": clock, "lost": lost, "activity": activity_s, "looks": looks, "spliced": spliced}
+
+
+@pytest.fixture(scope="module")
+def asked(logged: Dataset) -> tuple[list[Program], OperatorTracks]:
+    """Two programs of different length and five tracks, one of whose operators is away for a while."""
+    places = tuple(logged.card["executions"][0]["places"])
+    nominal = nominal_tasks(logged)
+    programs = [lay_out(TaskSequence("some", places[:count]), nominal, logged) for count in (7, 4)]
+    tracks = operator_tracks(logged, horizon_s=90.0)
+    tracks.xyz_m[1, 40:90] = np.nan
+    short = {name: getattr(tracks, name)[:TRACKS] for name in ("xyz_m", "activity", "executions")}
+    return programs, OperatorTracks(
+        **short, activities=tracks.activities, logged=np.minimum(tracks.logged[:TRACKS], 60), step_s=tracks.step_s
+    )
+
+
+def test_many_rows_at_once_are_each_walked_as_one_would_by_hand(
+    logged: Dataset, asked: tuple[list[Program], OperatorTracks]
+):
+    programs, tracks = asked
+    support = logged_support(logged)
+    stands = [draw_stands(program, TRACKS, 3) for program in programs]
+    which, track = np.repeat([0, 1], TRACKS), np.tile(np.arange(TRACKS), 2)
+    found = walk(Smooth(), programs, which, track, stands, tracks, support)
+    samples = logged.samples()
+    robot, human = (samples.select(f"{who}_{a}_m" for a in "xyz").drop_nulls().to_numpy() for who in ("robot", "human"))
+    logged_cells = {(*r, *h) for r, h in zip(np.floor(robot / ROBOT_M), np.floor(human / HUMAN_M), strict=True)}
+
+    def near(r: np.ndarray, h: np.ndarray) -> bool:
+        return bool(np.isnan(h).any()) or (*np.floor(r / ROBOT_M), *np.floor(h / HUMAN_M)) in logged_cells
+
+    for row in range(2 * TRACKS):
+        program, k = programs[which[row]], track[row]
+        wanted = by_hand(Smooth(), program, tracks, k, stands[which[row]][k])
+        assert found.duration_s[row] == pytest.approx(wanted["duration"], abs=1e-9)
+        np.testing.assert_allclose(found.safety_s[row, : len(program.tasks)], wanted["lost"], atol=1e-9)
+        np.testing.assert_allclose(found.activity_s[row], wanted["activity"], atol=1e-9)
+        assert found.spliced[row] == wanted["spliced"] > 0
+        assert found.looked[row] == len(wanted["looks"])
+        assert found.known[row] == sum(near(r, h) for r, h in wanted["looks"])
+    assert 0 < found.known.sum() < found.looked.sum()
+
+
+def test_rows_with_dynamics_do_not_mind_who_else_is_walked(asked: tuple[list[Program], OperatorTracks]):
+    """Rows that are at their end are left out, of what the dynamics remember as well."""
+    programs, tracks = asked
+    slow = Dynamics(latency_s=0.3, ramp_down_per_s=2.0, ramp_up_per_s=0.5, hysteresis_m=0.15)
+    stands = [draw_stands(program, TRACKS, 3) for program in programs]
+    which, track = np.repeat([0, 1], TRACKS), np.tile(np.arange(TRACKS), 2)
+    found = walk(Smooth(), programs, which, track, stands, tracks, dynamics=slow)
+    for row in range(2 * TRACKS):
+        program, some = programs[which[row]], stands[which[row]][track[row]][None]
+        alone = walk(Smooth(), [program], np.array([0]), track[row : row + 1], [some], tracks, dynamics=slow)
+        assert found.duration_s[row] == alone.duration_s[0]
+        legs = len(program.tasks)
+        np.testing.assert_array_equal(found.safety_s[row, :legs], alone.safety_s[0])
+
+
+def test_a_cycle_that_does_not_end_has_lost_what_it_lost_so_far(
+    constant: Any, asked: tuple[list[Program], OperatorTracks]
+):
+    programs, tracks = asked
+    stands = draw_stands(programs[0], TRACKS, 0)
+    both = np.array([0, 2])
+    found: Walked = walk(constant(0.0), programs[:1], 0 * both, both, [stands[both]], tracks)
+    assert np.isinf(found.duration_s).all()
+    steps = int((tracks.activity.shape[1] - 2) * tracks.step_s / TIME_STEP_S)
+    np.testing.assert_allclose(found.safety_s[:, 0], steps * TIME_STEP_S)
+    assert np.isinf(roll_out(constant(0.0), programs[0], tracks, None).duration_s).all()

@@ -40,7 +40,7 @@ def limits_of_cycles(cycles: Rolled, entry: CycleEstimate, check: Check | None) 
 def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     """Return what limits every number from these logs, one sentence each."""
     found = []
-    samples = dataset.samples()
+    samples = dataset.samples(columns=["human_x_m", "scaling_origin"])
     absent = samples["human_x_m"].null_count() / max(samples.height, 1)
     if absent > 0.01 and model.card.get("scaling_without_operator") is None:
         found.append(f"in {absent:.0%} of the samples nobody is seen; there the robot is taken to run free")

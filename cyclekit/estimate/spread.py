@@ -83,7 +83,7 @@ def _of_logs(
 
 def logged_support(dataset: Dataset) -> Support:
     """Return where robot and operator were ever logged."""
-    robot, human = (
-        dataset.samples().select(f"{who}_{axis}_m" for axis in "xyz").to_numpy() for who in ("robot", "human")
-    )
+    robots, humans = ([f"{who}_{axis}_m" for axis in "xyz"] for who in ("robot", "human"))
+    samples = dataset.samples(columns=[*robots, *humans])
+    robot, human = (samples.select(names).to_numpy() for names in (robots, humans))
     return Support(robot, human)

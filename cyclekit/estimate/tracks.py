@@ -140,9 +140,9 @@ def _is_free(dataset: Dataset, tracks: dict[str, _Track]) -> bool:
 
 def _logged(dataset: Dataset) -> tuple[list[str], dict[str, _Track]]:
     """The operator's tasks, and what was logged of him in each execution."""
-    samples = dataset.samples()
-    names = sorted(name for name in samples["human_task"].unique().to_list() if name is not None)
     columns = [f"human_{part}{axis}_m" for part in ("", "goal_") for axis in "xyz"]
+    samples = dataset.samples(columns=["execution", "t_s", "human_task", *columns])
+    names = sorted(name for name in samples["human_task"].unique().to_list() if name is not None)
     where = samples.select(pl.col(columns).cast(pl.Float64).fill_null(np.nan)).to_numpy()
     code = pl.col("human_task").cast(pl.Enum(names)).to_physical().cast(pl.Int64).fill_null(-1)
     activity, t_s = samples.select(code).to_series().to_numpy(), samples["t_s"].to_numpy()

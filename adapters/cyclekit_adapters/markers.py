@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import polars as pl
 
+from cyclekit.adapter import Recording
 from cyclekit.errors import LogError, nearest
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.joints import all_joints, joint_rows
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.adapter import ReadOptions
+    from cyclekit_adapters.delimited import Rows
     from cyclekit_adapters.sightings import Sightings
 
 # Anterior and posterior superior iliac spines (LASI, RPSI, ASISr, L_PSIS, ...), sacrum, waist, pelvis, mid-hip.
@@ -179,6 +181,44 @@ def skeleton_table(
         points = np.where(np.abs(points_m[:, members]) < _EARTH_M, points_m[:, members], np.nan)
         tables.append(joint_rows(t_s, person, joints, points, source_row))
     return all_joints(tables)
+
+
+def recording_of(
+    people: People,
+    names: Sequence[str],
+    points_m: NDArray[np.float64],
+    t_s: pl.Series,
+    rows: Rows,
+    seen: Sightings,
+    *,
+    options: ReadOptions,
+    up: Literal["y", "z"],
+) -> Recording:
+    """Return one part of a table of markers as a recording, and note what was seen.
+
+    Args:
+        people: Who wears which markers.
+        names: M names.
+        points_m: As for `people_table`.
+        t_s: (T,), of the tracker's clock.
+        rows: The lines of the file, with `source_row`.
+        seen: What was seen in the file so far.
+        options: Whether skeletons are kept.
+        up: The axis that points up.
+    """
+    table = people_table(people, points_m, t_s, rows.frame["source_row"])
+    seen.add(table)
+    seen.clock(t_s)
+    skeletons = skeleton_table(people, names, points_m, t_s, rows.frame["source_row"]) if options.skeletons else None
+    return Recording(
+        people=table,
+        skeletons=skeletons,
+        clock="relative",
+        up=up,
+        rows_are="line",
+        rows_read=rows.rows_read,
+        set_aside=rows.set_aside,
+    )
 
 
 def marker_warnings(people: People, seen: Sightings) -> list[str]:

@@ -25,8 +25,7 @@ from cyclekit_adapters.markers import (
     marker_facts,
     marker_warnings,
     marker_words,
-    people_table,
-    skeleton_table,
+    recording_of,
 )
 from cyclekit_adapters.qualisys_header import BODIES, KEYS, Header, read_header
 from cyclekit_adapters.sightings import Sightings
@@ -63,20 +62,10 @@ class _QualisysTsv:
         seen = Sightings()
 
         def make(rows: Rows) -> Recording:
-            t_s, source = header.clock.seconds(rows.frame), rows.frame["source_row"]
+            t_s = header.clock.seconds(rows.frame)
             points = _seen(points_of(rows.frame, cells)) * _MM
-            table = people_table(here, points, t_s, source)
-            seen.add(table)
-            seen.clock(t_s)
-            return Recording(
-                people=table,
-                skeletons=skeleton_table(here, names, points, t_s, source) if options.skeletons else None,
-                clock="relative",
-                up=cast('Literal["y", "z"]', up or "z"),
-                rows_are="line",
-                rows_read=rows.rows_read,
-                set_aside=rows.set_aside,
-            )
+            which = cast('Literal["y", "z"]', up or "z")
+            return recording_of(here, names, points, t_s, rows, seen, options=options, up=which)
 
         def finish(last: Recording) -> Recording:
             said = [*header.clock.warnings(), *marker_warnings(people, seen), *_filled(header, people)]

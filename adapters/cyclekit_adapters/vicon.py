@@ -23,8 +23,7 @@ from cyclekit_adapters.markers import (
     marker_facts,
     marker_warnings,
     marker_words,
-    people_table,
-    skeleton_table,
+    recording_of,
 )
 from cyclekit_adapters.sightings import Sightings
 from cyclekit_adapters.text_blocks import head_lines, head_of
@@ -61,20 +60,10 @@ class _ViconCsv:
         clock, seen = FrameClock((FRAME,), section.rate_hz, 1), Sightings()
 
         def make(rows: Rows) -> Recording:
-            t_s, source = clock.seconds(rows.frame), rows.frame["source_row"]
+            t_s = clock.seconds(rows.frame)
             points = points_of(rows.frame, cells) * section.metres
-            table = people_table(here, points, t_s, source)
-            seen.add(table)
-            seen.clock(t_s)
-            return Recording(
-                people=table,
-                skeletons=skeleton_table(here, names, points, t_s, source) if options.skeletons else None,
-                clock="relative",
-                up=cast('Literal["y", "z"]', up or "z"),
-                rows_are="line",
-                rows_read=rows.rows_read,
-                set_aside=rows.set_aside,
-            )
+            which = cast('Literal["y", "z"]', up or "z")
+            return recording_of(here, names, points, t_s, rows, seen, options=options, up=which)
 
         def finish(last: Recording) -> Recording:
             said = marker_warnings(people, seen)

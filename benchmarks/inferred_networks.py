@@ -4,7 +4,7 @@
 
 The same executions (ramps 2.5/s, reaction time 0.1 s, encoder noise of a real UR5) are logged with and without the
 override. Both datasets train the same network; both networks are judged on other executions whose override was logged,
-and both answer what unseen sequences take.
+and both answer what unseen sequences take: means over the seeds, and how much one seed moves them from another.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from cells import Logged, logged, unseen_sequences
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.rollout import estimate
 from cyclekit.evaluate import evaluate
+from cyclekit.models.saved import TrainedModel
 from cyclekit.models.spec import ModelSpec
 from cyclekit.sequences import TaskSequence
 from cyclekit.train import train
@@ -28,16 +29,20 @@ from cyclekit_sim import SCENES, SimulationOptions
 REAL = SimulationOptions(ramp_down_per_s=2.5, ramp_up_per_s=2.5, latency_s=0.1, encoder_noise_rad=2e-5)
 
 
-def errors(cell: Logged, judge: Logged, seeds: int) -> list[float]:
-    """Return the one-step MSE on the executions of `judge`, of a network for each seed."""
-    models = [train(cell.dataset, ModelSpec.of(problem="now", seed=seed)) for seed in range(seeds)]
+def networks(cell: Logged, seeds: int) -> list[TrainedModel]:
+    """Return a network for each seed."""
+    return [train(cell.dataset, ModelSpec.of(problem="now", seed=seed)) for seed in range(seeds)]
+
+
+def errors(models: list[TrainedModel], judge: Logged) -> list[float]:
+    """Return the one-step MSE of each network on the executions of `judge`."""
     return [evaluate(model, judge.dataset, boosting=False).metrics.mse_mean for model in models]
 
 
-def expected_s(cell: Logged, sequence: TaskSequence) -> float:
+def expected_s(model: TrainedModel, cell: Logged, sequence: TaskSequence) -> float:
     """Return what a sequence is expected to take; NaN where that is refused."""
     try:
-        return estimate(cell.model, cell.dataset, [sequence])[0].expected_s
+        return estimate(model, cell.dataset, [sequence])[0].expected_s
     except EstimateError:  # a task of it was never seen at full speed, or not often enough
         return np.nan
 
@@ -47,16 +52,19 @@ def compare(work: Path, scene: str, count: int, seeds: int) -> str:
     told = logged(work, scene, count, options=REAL, kind="told")
     silent = logged(work, scene, count, options=replace(REAL, log_override=False), kind="silent")
     judge = logged(work, scene, 40, seed=5, options=REAL, kind="judge")
-    with_log, without = errors(told, judge, seeds), errors(silent, judge, seeds)
+    both = [(cell, networks(cell, seeds)) for cell in (told, silent)]
+    with_log, without = (errors(models, judge) for _, models in both)
     wanted = unseen_sequences(told.dataset, scene, 10)
-    times = np.array([[expected_s(cell, sequence) for sequence in wanted] for cell in (told, silent)])
-    answered = np.isfinite(times).all(axis=0)
-    moved = 100 * (times[1, answered] / times[0, answered] - 1)
+    times = np.array([[[expected_s(m, cell, one) for one in wanted] for m in models] for cell, models in both])
+    answered = np.isfinite(times).all(axis=(0, 1))
+    means = times[:, :, answered].mean(axis=1)
+    moved = 100 * (means[1] / means[0] - 1)
+    by_seed = 100 * (times[0][:, answered].std(axis=0, ddof=1) / means[0]).mean() if seeds > 1 else np.nan
     change = 100 * (np.mean(without) / np.mean(with_log) - 1)
     spread = 100 * np.std(with_log) / np.mean(with_log)
     return (
         f"| {scene} | {count} | {1e4 * np.mean(with_log):.2f} | {1e4 * np.mean(without):.2f} | {change:+.1f} % | "
-        f"{spread:.1f} % | {np.abs(moved).mean():.2f} % | {moved[np.abs(moved).argmax()]:+.2f} % | "
+        f"{spread:.1f} % | {np.abs(moved).mean():.2f} % | {moved[np.abs(moved).argmax()]:+.2f} % | {by_seed:.2f} % | "
         f"{answered.sum()} of {len(wanted)} |"
     )
 
@@ -69,8 +77,8 @@ def main() -> None:
     ask.add_argument("--seeds", type=int, default=3)
     given = ask.parse_args()
     print(
-        "| scene | executions | MSE x1e4, logged | inferred | change | by seed | cycle moves | worst | answered |\n"
-        "|---|---|---|---|---|---|---|---|---|"
+        "| scene | executions | MSE x1e4, logged | inferred | change | by seed | cycle moves | worst | by seed | answered |\n"
+        "|---|---|---|---|---|---|---|---|---|---|"
     )
     for scene in given.scenes.split(","):
         with tempfile.TemporaryDirectory() as scratch:

@@ -26,7 +26,7 @@ from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, find_all, matches
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import ConfigError, DatasetError, LogError
-from cyclekit.intake import How, read_all
+from cyclekit.intake import How, check_shared, read_all
 from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.privacy import dated_names, without_wall_clock, without_what_names
@@ -231,11 +231,13 @@ def _old(out: Path) -> Dataset | None:
 
 
 def _native(staging: Path, recording: str, table: str) -> pl.DataFrame | None:
+    check_shared(staging)
     file = staging / "recordings" / recording / f"{table}.parquet"
     return pl.read_parquet(file, glob=False) if file.is_file() else None
 
 
 def _stored(staging: Path, recording: str, columns: Sequence[str]) -> StoredTable:
+    check_shared(staging)
     return StoredTable(staging / "recordings" / recording / "robot.parquet", columns)
 
 

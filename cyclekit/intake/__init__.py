@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
     from cyclekit.discover import Log
 
-__all__ = ["How", "Intake", "read_all"]
+__all__ = ["How", "Intake", "check_shared", "read_all"]
 
 
 @dataclass(frozen=True)
@@ -102,11 +102,20 @@ def read_all(
     return Intake([entries[log.id] for log in logs if log.id in entries], failed, kept, digests)
 
 
-def _read(log: Log, *, staging: Path, how: How) -> Kept | LogError:
-    """Read one log, wherever that is; its checksums are computed beside the reading."""
+def check_shared(staging: Path) -> None:
+    """Refuse to work for a dataset that this machine does not see.
+
+    Raises:
+        EngineError: The folder in which it is made is not here.
+    """
     if not staging.is_dir():
         seen = f"{staging}: not there on the machine of the worker"
         raise EngineError(seen, cure="Put the dataset where all machines see it, or give each a cell: cyclekit fleet")
+
+
+def _read(log: Log, *, staging: Path, how: How) -> Kept | LogError:
+    """Read one log, wherever that is; its checksums are computed beside the reading."""
+    check_shared(staging)
     with Digests(wanted=how.checksums) as digests:
         result = keep_or_error(log, digests, staging=staging, how=how)
         if isinstance(result, Kept):

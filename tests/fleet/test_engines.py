@@ -12,6 +12,7 @@ from engine_tasks import dies_always, dies_once, environment, square
 
 from cyclekit.engine import LOCAL, Engine, in_chunks
 from cyclekit.errors import ConfigError, EngineError, MissingExtra
+from cyclekit.intake import check_shared
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -88,3 +89,10 @@ def test_without_ray_the_message_names_the_command_that_installs_it(monkeypatch:
 def test_an_engine_that_contradicts_itself_is_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ConfigError):
         Engine(**wrong)
+
+
+def test_a_worker_that_does_not_see_the_dataset_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(EngineError, match="not there on the machine of the worker") as told:
+        check_shared(tmp_path / "elsewhere")
+    assert "where all machines see it" in str(told.value.cure)
+    check_shared(tmp_path)

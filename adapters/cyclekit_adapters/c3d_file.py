@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,10 +18,12 @@ from cyclekit.errors import DamagedLog, LogError
 
 if TYPE_CHECKING:
     from pathlib import Path
+    from typing import BinaryIO
 
     from numpy.typing import NDArray
 
 _BLOCK = 512
+_HEAD_BLOCKS = 100 + 255  # parameters begin in block 100 at the latest and count their blocks in one byte
 _KEY = 0x50
 _INTEL, _DEC, _MIPS = 84, 85, 86
 _CURE = "Write the file again, or check the copy."
@@ -88,9 +90,24 @@ def read_c3d(path: Path) -> C3dFile:
         LogError: It cannot be opened, is damaged, or holds no points.
     """
     try:
-        raw = path.read_bytes()
+        with path.open("rb") as log:
+            return _read(_Open(path, log, path.stat().st_size, log.read(_HEAD_BLOCKS * _BLOCK)))
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
+
+
+class _Open(NamedTuple):
+    """A file that is being read, its size, and its first blocks: all that can hold its parameters."""
+
+    path: Path
+    log: BinaryIO
+    size: int
+    head: bytes
+
+
+def _read(file: _Open) -> C3dFile:
+    """Read the parameters, then as many frames as they state: what lies behind those is of no use."""
+    path, raw = file.path, file.head
     if len(raw) < 2 * _BLOCK or raw[1] != _KEY or not 2 <= raw[0] <= 100:
         raise DamagedLog(path, "no header of a C3D file", cure=_CURE)
     at = (raw[0] - 1) * _BLOCK
@@ -99,7 +116,7 @@ def read_c3d(path: Path) -> C3dFile:
         raise DamagedLog(path, f"unknown processor type {processor} in its parameters", cure=_CURE)
     parameters = _parameters(raw, at, max(raw[at + 2], 1) * _BLOCK, processor)
     texts = {key: _texts(item) for key, item in parameters.items() if item.kind == -1}
-    return _points(path, raw, processor, parameters, texts)
+    return _points(file, processor, parameters, texts)
 
 
 def _parameters(raw: bytes, begin: int, size: int, processor: int) -> _Parameters:
@@ -168,9 +185,8 @@ def _floats(raw: bytes, processor: int) -> NDArray[np.float32]:
     return np.frombuffer(raw, ">f4" if processor == _MIPS else "<f4").astype(np.float32)
 
 
-def _points(
-    path: Path, raw: bytes, processor: int, parameters: _Parameters, texts: dict[tuple[str, str], list[str]]
-) -> C3dFile:
+def _points(file: _Open, processor: int, parameters: _Parameters, texts: dict[tuple[str, str], list[str]]) -> C3dFile:
+    path, raw = file.path, file.head
     order = ">" if processor == _MIPS else "<"
     count, analog, first, last = struct.unpack_from(order + "4H", raw, 2)
     header_scale, header_rate = _floats(raw[12:16], processor)[0], _floats(raw[20:24], processor)[0]
@@ -187,13 +203,15 @@ def _points(
         raise DamagedLog(path, f"{cause} ({markers} points at {rate_hz:g} Hz from block {block})", cure=_CURE)
     frames = _frames_stated(parameters, processor, int(stated("FRAMES", max(last - first + 1, 0))))
     width = 4 * markers + analog
-    size = 4 if scale < 0.0 else 2
-    held = max(len(raw) - (block - 1) * _BLOCK, 0) // (size * width)
+    frame = width * (4 if scale < 0.0 else 2)
+    held = max(file.size - (block - 1) * _BLOCK, 0) // frame
     used = min(frames, held)
     if not used:
         raise DamagedLog(path, f"a header of {frames} frames and no whole frame of data", cure=_CURE)
-    data = raw[(block - 1) * _BLOCK :][: used * width * size]
-    points = _places(data, processor, scale, used, width, markers)
+    file.log.seek((block - 1) * _BLOCK)
+    data = file.log.read(used * frame)
+    used = len(data) // frame  # fewer where somebody cuts it meanwhile
+    points = _places(data[: used * frame], processor, scale, used, width, markers)
     labels = _labels(texts, markers)
     return C3dFile(points, labels, rate_hz, _first_frame(parameters, processor, first), frames, texts)
 

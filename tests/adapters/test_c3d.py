@@ -1,4 +1,5 @@
 import struct
+import tracemalloc
 
 import ezc3d
 import numpy as np
@@ -198,3 +199,17 @@ def test_the_labelled_markers_of_the_subject_are_joints_on_request_and_angles_ar
     ]
     assert "LHipAngles" not in read.facts["names_in_file"]
     assert ADAPTER.read(path, ReadOptions()).skeletons is None
+
+
+def test_what_lies_behind_the_frames_is_not_read_into_memory(tmp_path):
+    whole = write(tmp_path / "take.c3d", some_points())
+    padded = tmp_path / "padded.c3d"
+    padded.write_bytes(whole.read_bytes())
+    with padded.open("r+b") as log:
+        log.truncate(256 << 20)
+    tracemalloc.start()
+    points = read_c3d(padded).points
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_array_equal(points, read_c3d(whole).points)
+    assert peak < 64 << 20

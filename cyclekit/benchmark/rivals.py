@@ -51,7 +51,8 @@ def _perceptron(learn: Samples, judge: Samples) -> Vector:
 
     mean, scale = learn.X.mean(axis=0), np.maximum(learn.X.std(axis=0), 1e-6)
     epochs = int(np.clip(5_000_000 / len(learn), 5, 100))
-    net = MLPRegressor((64,) * 5, batch_size=min(512, len(learn)), max_iter=epochs, random_state=0, tol=0.0)
+    batch = min(512, len(learn))
+    net = MLPRegressor(hidden_layer_sizes=(64,) * 5, batch_size=batch, max_iter=epochs, random_state=0, tol=0.0)
     import warnings
 
     with warnings.catch_warnings(), threadpool_limits(1):

@@ -11,9 +11,11 @@ import pytest
 from cyclekit.benchmark import Settings, benchmark_paper
 from cyclekit.benchmark.floors import bayes, plug_in
 from cyclekit.benchmark.plan import FLOORS, PAPER, RIVALS, entries
+from cyclekit.benchmark.rivals import predict_by
 from cyclekit.benchmark.tables import BEGIN, END, markdown, put_into
 from cyclekit.cli import run
 from cyclekit.errors import ConfigError
+from cyclekit.samples import INPUTS, Samples
 
 DISTANCE = {"kind": "DistanceStaircase", "levels": [0.0, 0.25, 0.5, 0.75, 1.0], "thresholds_m": [1.2, 1.5, 1.9, 2.4]}
 ZONES = {
@@ -121,6 +123,19 @@ def test_the_table_takes_its_place_in_a_page_and_nothing_else(tmp_path):
     page.write_text("no place")
     with pytest.raises(ConfigError, match="no place for the tables"):
         put_into(page, "x")
+
+
+@pytest.mark.parametrize("name", ["distance staircase", "MLP"])
+def test_a_rival_that_learns_beats_the_constant_mean(name):
+    rng = np.random.default_rng(2)
+    positions = rng.uniform([-0.5] * 3 + [-2.5] * 3, [0.5] * 3 + [2.5] * 3, (1500, 6)).astype(np.float32)
+    truth = plug_in(DISTANCE, positions[:, :3].astype(float), positions[:, 3:].astype(float))
+    nothing = np.zeros(1500, np.int64)
+    weight = np.ones(1500, np.float32)
+    rows = Samples(positions, nothing.astype(np.int32), truth, nothing, ("a",), truth, INPUTS["now"], weight)
+    learn, judge = rows.where(np.arange(1500) < 1200), rows.where(np.arange(1500) >= 1200)
+    predicted = predict_by(name, learn, judge, DISTANCE["levels"], judge.scaling)
+    assert np.mean((predicted - judge.scaling) ** 2) < 0.5 * judge.scaling.var()
 
 
 def test_spread_over_seeds_is_shown():

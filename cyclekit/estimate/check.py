@@ -5,7 +5,7 @@ beside the operators of all other executions, as a new sequence would be. If the
 both agree with the log on average.
 
 The operator of a new cycle is then like those of the logged ones, so the conformal quantile of their rolled-out
-cycles, each off by a residual of executions that the network never saw, covers a new cycle as often as it says (Vovk's
+cycles, each off by a residual of logged executions, covers a new cycle as often as it says (Vovk's
 argument, as in Angelopoulos and Bates, arXiv 2107.07511). Whether it does is measured: each logged duration against the
 rolled-out cycles of all other operators.
 """
@@ -50,6 +50,12 @@ OWN_BIAS = 0.01
 """A rollout beside the operators themselves that is off by more than this part is wrong."""
 
 
+WORSE = 2.0
+"""Where the executions that the network never saw come out worse than the others, their median error beyond so many
+times that of the others, they alone say how far a rollout is off. Otherwise all do: one cycle that took another turn
+among nine unseen ones would be taken for one in nine."""
+
+
 @dataclass(frozen=True)
 class Check:
     """How rolled-out durations compare with logged ones; parts of the duration.
@@ -57,16 +63,12 @@ class Check:
     Attributes:
         executions: How many logged executions were rolled out.
         held_out: How many of them the network had never seen.
-        own_bias: Mean of rolled / logged - 1, each execution beside its own operator, on those the network had not
-            seen (on all, where there are none).
+        own_bias: Mean of rolled / logged - 1, each execution beside its own operator; of those the network had not seen
+            where they come out worse than the others (WORSE), else of all.
         own_error: Standard error of that mean.
         crossed_bias: Mean of rolled / logged - 1 beside all other operators.
         reacts_z: Difference of the two in standard errors: far from 0, the operator reacts to the robot.
-        residuals: logged / rolled - 1 beside their own operators, of the executions the network had not seen (of all,
-            where there are fewer than three): what is left of it when `slope` is taken out.
-        slope: How far a logged cycle lies from the mean of its sequence where the rolled one lies 1 from it. A cycle on
-            the edge of a threshold that takes another turn than the logged one did lies no nearer to the mean than
-            that; to add its residual alone would make cycles differ more than they do.
+        residuals: logged / rolled - 1 of the same executions.
         coverage: Part of the logged executions between the outer conformal quantiles of all other operators' cycles;
             None with few executions.
         coverage_held_out: `coverage` among the executions the network had not seen; None where there are none.
@@ -83,7 +85,6 @@ class Check:
     coverage: float | None
     coverage_held_out: float | None
     levels: tuple[float, float]
-    slope: float = 1.0
 
     @property
     def factor(self) -> float:
@@ -123,10 +124,9 @@ class Check:
         return tuple(found)
 
     def quantile(self, cycles_s: Vector, level: float) -> float:
-        """Return the conformal quantile of corrected cycles (K,), s, with `slope` and off by residuals."""
+        """Return the conformal quantile of corrected cycles (K,), s, each off by a residual."""
         off = np.resize(np.array(self.residuals) - np.mean(self.residuals), len(cycles_s))
-        nearer = cycles_s.mean() + self.slope * (cycles_s - cycles_s.mean())
-        return conformal(nearer * (1.0 + np.random.default_rng(0).permutation(off)), level)
+        return conformal(cycles_s * (1.0 + np.random.default_rng(0).permutation(off)), level)
 
     def to_json(self) -> dict[str, Any]:
         """Return the check as plain JSON values."""
@@ -219,9 +219,7 @@ def compare(
     count = len(logged_s)
     mean = np.nanmean(crossed_s, axis=1)
     own, cross = own_s / logged_s - 1, mean / logged_s - 1
-    some = held_out if held_out.sum() >= 3 else np.ones(count, dtype=np.bool_)
-    judged = own[some]
-    slope, residuals = _apart(own_s[some] / mean[some] - 1, 1 / (1 + judged) - 1)
+    judged = own[_judges(own, held_out)]
     reacts = (mean - own_s) / logged_s
     z = float(reacts.mean() / max(reacts.std(ddof=1) / np.sqrt(count), 1e-9)) if count > 2 else 0.0
     outer = min(min(levels), 1 - max(levels))
@@ -234,20 +232,20 @@ def compare(
         own_error=float(judged.std() / np.sqrt(len(judged))),
         crossed_bias=float(cross.mean()),
         reacts_z=z,
-        residuals=tuple(residuals.tolist()),
-        slope=slope,
+        residuals=tuple((1 / (1 + judged) - 1).tolist()),
         coverage=float(inside.mean()) if enough else None,
         coverage_held_out=float(inside[held_out].mean()) if enough and held_out.any() else None,
         levels=(outer, 1 - outer),
     )
 
 
-def _apart(rolled: Vector, residuals: Vector) -> tuple[float, Vector]:
-    """Take out of residuals what goes with the deviations of rolled cycles; 1 + that slope, and what is left, (N,)."""
-    from_mean = rolled - rolled.mean()
-    spread = float(from_mean @ from_mean)
-    slope = float(from_mean @ residuals) / spread if spread > 0.0 else 0.0
-    return 1.0 + slope, residuals - slope * from_mean
+def _judges(own: Vector, held_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Tell which executions say how far a rollout is off beside its own operator, (E,): see WORSE."""
+    every = np.ones(len(own), dtype=np.bool_)
+    if held_out.sum() < 3 or held_out.all():
+        return every
+    off = np.abs(own)
+    return held_out if np.median(off[held_out]) > WORSE * np.median(off[~held_out]) else every
 
 
 def conformal(values: Vector, level: float) -> float:

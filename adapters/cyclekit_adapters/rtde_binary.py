@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
 _TYPES = {"DOUBLE": ">f8", "INT32": ">i4", "UINT32": ">u4", "UINT64": ">u8", "UINT8": "u1", "BOOL": "u1"}
 _LINE_BYTES = 1 << 20  # far more than all fields of RTDE together
 _LONGEST_UPTIME_S = 1e9  # thirty years: a larger time is no time but the bytes of something else
@@ -88,14 +90,12 @@ def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str]
     """
     try:
         data = path.stat().st_size - layout.offset
-        whole, rest = divmod(max(data, 0), layout.row.itemsize)
-        # A map of the file, so that of a long recording only the columns asked for come into memory.
-        table = np.memmap(path, layout.row, "r", layout.offset, (whole,)) if whole else np.empty(0, layout.row)
     except OSError as error:
         raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
+    whole, rest = divmod(max(data, 0), layout.row.itemsize)
     fields = {name: f"f{layout.names.index(name)}" for name in numbers}
     for first in range(0, whole, _ROWS):
-        part = table[first : first + _ROWS]
+        part = _mapped(path, layout, first, min(_ROWS, whole - first))
         number = np.arange(first, first + len(part), dtype=np.int64)
         columns = {name: part[place].astype(np.float64) for name, place in fields.items()}
         frame = pl.DataFrame({"source_row": number, INDEX: number, **columns})
@@ -109,3 +109,14 @@ def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str]
             schema={"source_row": pl.Int64(), INDEX: pl.Int64(), **dict.fromkeys(numbers, pl.Float64())}
         )
         yield Rows(none, 1, pl.DataFrame([(whole, cut)], schema=_SET_ASIDE, orient="row"))
+
+
+def _mapped(path: Path, layout: BinaryLayout, first: int, count: int) -> NDArray[np.void]:
+    """Return some rows as a map of the file: of a wide row only the columns asked for come into memory.
+
+    A map of its own for each block gives back the memory of the one before.
+    """
+    try:
+        return np.memmap(path, layout.row, "r", layout.offset + first * layout.row.itemsize, (count,))
+    except (OSError, ValueError) as error:  # the latter where somebody has cut the file meanwhile
+        raise LogError(path, f"cannot be read: {error}", cure="Check the path and its rights.") from error

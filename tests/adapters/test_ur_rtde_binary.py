@@ -1,5 +1,6 @@
 import struct
 
+import numpy as np
 import polars as pl
 import pytest
 from damage import damaged, read_or_refuse
@@ -40,6 +41,17 @@ def sample(ur):
         | {"speed_scaling": 0.5, "actual_digital_output_bits": 2**17 + 5, "output_int_register_3": -7}
         for i, state in enumerate([1, 2, 2, 4])
     ]
+
+
+def test_a_long_recording_is_mapped_block_by_block(tmp_path, ur, monkeypatch):
+    path = tmp_path / "a.bin"
+    path.write_bytes(binary([ur.row(1.0 + number / 125) for number in range(10)]))
+    whole = read(path)
+    monkeypatch.setattr("cyclekit_adapters.rtde_binary._ROWS", 4)
+    mapped, at_once = [], np.memmap
+    monkeypatch.setattr(np, "memmap", lambda *words: mapped.append(words[-1][0]) or at_once(*words))
+    assert read(path).robot.equals(whole.robot)
+    assert mapped == [4, 4, 2]
 
 
 def test_a_binary_recording_gives_the_same_tables_as_its_text_form(tmp_path, ur):

@@ -28,9 +28,9 @@ def replay(
         str | None, typer.Option(help="Model whose prediction and learned zones are shown beside the log.")
     ] = None,
     at: Annotated[
-        str, typer.Option(help="What it opens at: slowdown (the costliest), error (the model's worst), or a time.")
+        str, typer.Option(help="What plays first: slowdown (the costliest), error (the model's worst), or a time.")
     ] = "slowdown",
-    open_after: Annotated[bool, typer.Option("--open", help="Open the recording in the Rerun viewer.")] = False,
+    open_after: Annotated[bool, typer.Option("--open", help="Open the recording in the Rerun viewer, there.")] = False,
     serve_after: Annotated[
         bool, typer.Option("--serve", help="Serve it to a browser on this machine, until Ctrl-C.")
     ] = False,
@@ -56,7 +56,7 @@ def replay(
     terminal.warnings(facts.notes)
     terminal.done(_document(facts), _said(facts))
     if open_after:
-        open_viewer(out)
+        open_viewer(out, facts.first)
     if serve_after:
         with serve(out, bind=bind, port=port) as server:
             terminal.remark(f"open in a browser, until Ctrl-C: {server.address}")

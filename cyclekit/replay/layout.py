@@ -6,7 +6,7 @@ that have something to show are there. What they show is the business of `scene`
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -33,16 +33,23 @@ Focus = Literal["slowdown", "error"] | float
 """What a replay opens at: the costliest slow-down, the worst error of the model, or a second of the execution."""
 
 LEAD_S = 1.5
+PHASES_PER_S = 25
 LONG_S = 240.0
 
 
-def blueprint(runs: Sequence[Execution], order: Order, at: Focus) -> rrb.Blueprint:
+class Opening(NamedTuple):
+    """A stretch of a timeline: nanoseconds of the execution, or phases of the path."""
+
+    timeline: str
+    start: int
+    end: int
+
+
+def blueprint(runs: Sequence[Execution], order: Order, first: Opening | None) -> rrb.Blueprint:
     """Return the layout for one execution, or for several side by side."""
-    body = _alone(runs[0]) if len(runs) == 1 else _beside(runs, order)
-    panel = _time_panel(runs[0], at) if len(runs) == 1 else _phase_panel(runs, order)
     return rrb.Blueprint(
-        body,
-        panel,
+        _alone(runs[0]) if len(runs) == 1 else _beside(runs, order),
+        _time_panel(first),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
         auto_views=False,
@@ -90,16 +97,20 @@ def _beside(runs: Sequence[Execution], order: Order) -> rrb.Vertical:
     return rrb.Vertical(*[view for _, view in rows], row_shares=[share for share, _ in rows])
 
 
-def _time_panel(run: Execution, at: Focus) -> rrb.TimePanel:
-    """Start at the costliest slow-down, in a loop, so that the first thing seen is why the robot was slow."""
-    span = _span(run, at)
+def opening(runs: Sequence[Execution], order: Order, at: Focus) -> Opening | None:
+    """Return what is played first, so that the first thing seen is why the robot was slow; None = nothing stands out.
+
+    One execution: the costliest slow-down, or what `at` says. Several run by the phase of the path: the task whose
+    times differ most.
+    """
+    if len(runs) > 1:
+        keys = most_different(runs)
+        return Opening(PHASE, order[keys[0]] * TASK, (order[keys[0]] + 1) * TASK - 1) if keys else None
+    span = _span(runs[0], at)
     if span is None:
-        return rrb.TimePanel(state="collapsed", timeline=EXECUTION, play_state="paused")
-    start_s, end_s = max(0.0, span[0] - LEAD_S), min(run.duration_s, span[1] + LEAD_S)
-    window = rrb.components.AbsoluteTimeRange(min=round(start_s * 1e9), max=round(end_s * 1e9))
-    return rrb.TimePanel(
-        state="collapsed", timeline=EXECUTION, play_state="playing", loop_mode="selection", time_selection=window
-    )
+        return None
+    start_s, end_s = max(0.0, span[0] - LEAD_S), min(runs[0].duration_s, span[1] + LEAD_S)
+    return Opening(EXECUTION, round(start_s * 1e9), round(end_s * 1e9))
 
 
 def _span(run: Execution, at: Focus) -> tuple[float, float] | None:
@@ -112,15 +123,18 @@ def _span(run: Execution, at: Focus) -> tuple[float, float] | None:
     return None if worst is None else (worst.start_s, worst.end_s)
 
 
-def _phase_panel(runs: Sequence[Execution], order: Order) -> rrb.TimePanel:
-    """Several executions run by the phase of the path, in a loop over the task whose times differ most."""
-    keys = most_different(runs)
-    if not keys:
+def _time_panel(first: Opening | None) -> rrb.TimePanel:
+    """Play `first` in a loop. Where the viewer begins cannot be said in a file: `viewer.open_viewer` moves it there."""
+    if first is None:
         return rrb.TimePanel(state="collapsed", timeline=EXECUTION, play_state="paused")
-    start = order[keys[0]] * TASK
-    window = rrb.components.AbsoluteTimeRange(min=start, max=start + TASK - 1)
+    window = rrb.components.AbsoluteTimeRange(min=first.start, max=first.end)
     return rrb.TimePanel(
-        state="collapsed", timeline=PHASE, fps=25, play_state="playing", loop_mode="selection", time_selection=window
+        state="collapsed",
+        timeline=first.timeline,
+        fps=PHASES_PER_S if first.timeline == PHASE else None,
+        play_state="playing",
+        loop_mode="selection",
+        time_selection=window,
     )
 
 

@@ -16,7 +16,7 @@ from cyclekit.errors import CyclekitError
 from cyclekit.replay.compare import comparison
 from cyclekit.replay.curves import HUES, log_curves
 from cyclekit.replay.execution import load_execution
-from cyclekit.replay.layout import blueprint
+from cyclekit.replay.layout import blueprint, opening
 from cyclekit.replay.misses import Miss, misses
 from cyclekit.replay.phase import common_order, path_phase
 from cyclekit.replay.scene import log_scene
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset import Dataset
     from cyclekit.replay.execution import Execution, PredictsNow
-    from cyclekit.replay.layout import Focus
+    from cyclekit.replay.layout import Focus, Opening
+    from cyclekit.replay.phase import Order
 
 MOST = len(HUES)
 """So many executions can be shown side by side."""
@@ -48,6 +49,7 @@ class ReplayFacts:
         gaps: Stretches without any sample.
         notes: What is missing or doubtful, one sentence each.
         misses: Where prediction and log differ most, of the first execution.
+        first: What is to be played first.
     """
 
     path: Path
@@ -59,6 +61,7 @@ class ReplayFacts:
     gaps: int
     notes: tuple[str, ...]
     misses: tuple[Miss, ...]
+    first: Opening | None
 
 
 def write_replay(
@@ -94,8 +97,10 @@ def write_replay(
     for number, name in enumerate(dict.fromkeys(names)):
         say(0.7 * number / len(names), f"reading {name}")
         runs.append(load_execution(dataset, name, model))
+    order = common_order(runs)
+    first = opening(runs, order, at)
     with replaced(out) as temporary:
-        rows = _fill(runs, at, temporary, lambda part, text: say(0.7 + 0.3 * part, text))
+        rows = _fill(runs, order, first, temporary, lambda part, text: say(0.7 + 0.3 * part, text))
     notes = dict.fromkeys(note for run in runs for note in run.notes)
     return ReplayFacts(
         path=out,
@@ -107,17 +112,19 @@ def write_replay(
         gaps=sum(len(run.gaps) for run in runs),
         notes=tuple(notes),
         misses=tuple(misses(runs[0])),
+        first=first,
     )
 
 
-def _fill(runs: Sequence[Execution], at: Focus, file: Path, say: Callable[[float, str], None]) -> int:
+def _fill(
+    runs: Sequence[Execution], order: Order, first: Opening | None, file: Path, say: Callable[[float, str], None]
+) -> int:
     """Write the executions into `file` and close it; same executions, same recording id."""
     names = " and ".join(run.name for run in runs)
     identity = uuid.uuid5(uuid.NAMESPACE_URL, f"cyclekit:{runs[0].cell}:{names}")
     stream = rr.RecordingStream("cyclekit", recording_id=identity, send_properties=False)
     memory = stream.memory_recording()  # rerun's own file sink waits for ever when the disk is full
-    order = common_order(runs)
-    stream.send_blueprint(blueprint(runs, order, at))
+    stream.send_blueprint(blueprint(runs, order, first))
     stream.send_recording_name(f"{runs[0].cell}, {names}")
     rows = 0
     for number, run in enumerate(runs):

@@ -8,7 +8,6 @@ comes from here.
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import time
 import urllib.request
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from cyclekit.errors import CyclekitError
-from cyclekit.replay.viewer import LOOPBACK, no_usage_counting, require_replay, viewer_program
+from cyclekit.replay.viewer import LOOPBACK, free_port, no_usage_counting, require_replay, viewer_program
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -107,7 +106,7 @@ def serve(path: Path, *, bind: str = LOOPBACK, port: int = WEB_PORT) -> ReplaySe
 def _viewer_files() -> dict[str, bytes]:
     """Take the viewer's files from Rerun's own server, on loopback, which ends with it."""
     no_usage_counting()
-    page, data = _free_port(), _free_port()
+    page, data = free_port(), free_port()
     ports = ["--port", str(data), "--web-viewer-port", str(page)]
     command = [*viewer_program(), "--serve-web", "--bind", LOOPBACK, *ports]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -129,9 +128,3 @@ def _fetched(address: str) -> bytes:
                 msg = f"Rerun does not give its viewer for browsers ({error})"
                 raise CyclekitError(msg, cure="Open the replay in the native viewer instead: --open.") from error
             time.sleep(0.1)
-
-
-def _free_port() -> int:
-    with socket.socket() as free:
-        free.bind((LOOPBACK, 0))
-        return int(free.getsockname()[1])

@@ -3,6 +3,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import polars as pl
@@ -267,8 +268,52 @@ def test_a_replay_beside_a_file_taken_for_a_folder_is_refused(dataset, tmp_path)
 
 
 def test_the_viewer_listens_to_this_machine_only(tmp_path):
-    command = viewer.viewer_command(tmp_path / "x.rrd")
+    command = viewer.viewer_command(tmp_path / "x.rrd", 9876)
     assert command[command.index("--bind") + 1] == "127.0.0.1"
+
+
+@pytest.mark.parametrize(
+    ("executions", "moved"),
+    [
+        (["1"], {"timeline": "execution", "duration": 3.0, "play_state": "playing"}),
+        (["1", "2"], {"timeline": "path_phase", "sequence": 100, "play_state": "playing"}),
+    ],
+)
+def test_the_viewer_is_moved_to_where_the_time_was_lost(dataset, tmp_path, monkeypatch, executions, moved):
+    """The viewer's states: not there yet, nothing loaded yet, ready. A file alone cannot say where it begins."""
+    facts = write_replay(dataset, executions, tmp_path / "x.rrd", at=4.5)
+    assert facts.first is not None
+    states, asked = iter([ConnectionError(), "", "recording"]), []
+
+    class Client:
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            return None
+
+        def get_state(self):
+            return SimpleNamespace(active_recording=self.state)
+
+        def set_time(self, timeline, **how):
+            asked.append({"timeline": timeline, **how})
+
+    def connect(address):
+        client = Client()
+        client.state = next(states)
+        if isinstance(client.state, Exception):
+            raise client.state
+        assert address.startswith("rerun+http://127.0.0.1:")
+        return client
+
+    monkeypatch.setattr(viewer, "no_usage_counting", lambda: None)
+    monkeypatch.setattr(viewer, "viewer_program", lambda: [sys.executable, "-c", "import time; time.sleep(60)"])
+    monkeypatch.setattr(viewer, "ViewerClient", SimpleNamespace(connect=connect))
+    with viewer.open_viewer(facts.path, facts.first) as process:
+        process.kill()
+    (told,) = asked
+    assert told.keys() == moved.keys()
+    assert told == moved | ({"sequence": facts.first.start} if "sequence" in moved else {})
 
 
 def test_opening_a_replay_that_is_not_there_says_how_to_make_one(tmp_path):

@@ -125,7 +125,7 @@ def _dataset(found: DatasetDescription) -> str:
         f"  samples     {found.samples} at 10 Hz; operator seen in {percent(found.operator_seen)}",
         f"  scaling     known in {percent(found.scaling_known)} of them{inferred}",
         f"  in motion   known in {percent(found.motion_covered)} of the samples{_deviation(found)}",
-        *([f"  unknown     {_reasons(found.scaling_gaps)}"] if found.scaling_gaps else []),
+        *([bullet([_reasons(found.scaling_gaps)], mark="  unknown     ")] if found.scaling_gaps else []),
         f"  recordings  {found.recordings}, from {found.sources} source files",
     ]
     head += [bullet([reason], mark=f"  set aside   {count} rows: ") for reason, count in found.set_aside.items()]

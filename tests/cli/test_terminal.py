@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import math
 import re
@@ -11,12 +12,15 @@ from pathlib import Path
 
 import pytest
 import typer
+from fabricated import fabricate_dataset
 from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.cli import terminal
+from cyclekit.cli.facts import page
 from cyclekit.cli.options import seconds, vector
 from cyclekit.cli.terminal import Terminal, bullet, duration, percent, table, write_json, write_out
+from cyclekit.describe import DatasetDescription, describe
 
 
 def test_a_path_in_brackets_stays_in_the_table() -> None:
@@ -141,3 +145,12 @@ def test_a_result_is_written_whole_with_its_folder(tmp_path: Path) -> None:
     write_out(tmp_path / "new" / "x.json", {"expected_s": math.nan})
     assert json.loads((tmp_path / "new" / "x.json").read_text(encoding="utf-8")) == {"expected_s": None}
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["x.json"]
+
+
+def test_an_inspected_dataset_keeps_to_80_columns_however_many_reasons_it_has(tmp_path: Path) -> None:
+    found = describe(fabricate_dataset(tmp_path / "dataset", executions=1, rounds=1).path)
+    assert isinstance(found, DatasetDescription)
+    reasons = {f"some reason why it is unknown {number}": 1000 + number for number in range(4)}
+    shown = page(dataclasses.replace(found, path=Path("dataset"), scaling_gaps=reasons))
+    assert all(str(count) in shown for count in reasons.values())
+    assert max(map(len, shown.splitlines())) <= 80

@@ -22,6 +22,7 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.atomic import recover
+from cyclekit.config import Furniture
 from cyclekit.errors import DatasetError, UnknownName
 from cyclekit.storage import local
 from cyclekit.tables import StoredTable
@@ -120,6 +121,12 @@ class Dataset:
     def human_places(self) -> dict[str, Place]:
         """Operator places by name (empty where neither the cell file nor events name any)."""
         return {name: _place(name, entry) for name, entry in self.card["human_places"].items()}
+
+    @property
+    def furniture(self) -> dict[str, Furniture]:
+        """What stands in the cell, by name, as the cell file says."""
+        told = self.card.get("settings", {}).get("furniture", {})
+        return {name: Furniture(_triple(e["xyz_m"]), _triple(e["size_m"]), e["yaw_deg"]) for name, e in told.items()}
 
     @property
     def levels(self) -> tuple[float, ...]:
@@ -247,5 +254,9 @@ def _card_text(path: Path) -> str | None:
 
 
 def _place(name: str, entry: dict[str, Any]) -> Place:
-    x, y, z = entry["xyz_m"]
-    return Place(name, (x, y, z), entry["radius_m"], entry["inferred"])
+    return Place(name, _triple(entry["xyz_m"]), entry["radius_m"], entry["inferred"])
+
+
+def _triple(values: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return x, y, z

@@ -89,6 +89,21 @@ class NamedPlace:
 
 
 @dataclass(frozen=True)
+class Furniture:
+    """A table or any other thing in the cell: a box, drawn in replays and reports and used for nothing else.
+
+    Attributes:
+        xyz_m: Middle of its top, base frame.
+        size_m: Length, width and height; length is along x before it is turned.
+        yaw_deg: How it is turned about the vertical.
+    """
+
+    xyz_m: Point
+    size_m: Point
+    yaw_deg: float = 0.0
+
+
+@dataclass(frozen=True)
 class Executions:
     """How executions of the process begin.
 
@@ -126,6 +141,7 @@ class Cell:
     reference: tuple[str, ...] = ()
     places: Mapping[str, NamedPlace] = field(default_factory=dict)
     human_places: Mapping[str, NamedPlace] = field(default_factory=dict)
+    furniture: Mapping[str, Furniture] = field(default_factory=dict)
     executions: Executions = field(default_factory=Executions)
     rate_hz: float = 10.0
     bridge_s: float = 0.3

@@ -8,7 +8,19 @@ from dataclasses import MISSING, fields
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, get_args
 
-from cyclekit.config.cells import CLOCK_KEYS, Begin, Cell, Executions, Frame, Matrix, NamedPlace, Point, Source, Sync
+from cyclekit.config.cells import (
+    CLOCK_KEYS,
+    Begin,
+    Cell,
+    Executions,
+    Frame,
+    Furniture,
+    Matrix,
+    NamedPlace,
+    Point,
+    Source,
+    Sync,
+)
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.toml_file import list_at, read_toml
 
@@ -34,6 +46,7 @@ def load_cell(path: Path) -> Cell:
         reference=tuple(map(str, list_at(where, raw, "reference"))),
         places=_places(f"{where} [places]", raw.get("places", {})),
         human_places=_places(f"{where} [human_places]", raw.get("human_places", {})),
+        furniture=_furniture(f"{where} [furniture]", raw.get("furniture", {})),
         executions=_executions(f"{where} [executions]", raw.get("executions", {})),
         rate_hz=_positive(where, raw, "rate_hz", 10.0),
         bridge_s=_number(where, raw, "bridge_s", 0.3),
@@ -214,4 +227,16 @@ def _places(where: str, raw: object) -> dict[str, NamedPlace]:
         _only(f"{where[:-1]}.{name}]", entry, NamedPlace)
         radius = _positive(f"{where[:-1]}.{name}]", entry, "radius_m", 0.05)
         found[name] = NamedPlace(_point(f"{where} {name} xyz_m", entry["xyz_m"]), radius)
+    return found
+
+
+def _furniture(where: str, raw: object) -> dict[str, Furniture]:
+    found = {}
+    for name, entry in _table(where, raw).items():
+        here = f"{where[:-1]}.{name}]"
+        _only(here, entry, Furniture)
+        size = _point(f"{here} size_m", entry["size_m"])
+        if min(size) <= 0:
+            raise ConfigError(f"{here}: size_m = {list(size)} has no extent", cure="size_m = [length, width, height]")
+        found[name] = Furniture(_point(f"{here} xyz_m", entry["xyz_m"]), size, _number(here, entry, "yaw_deg", 0.0))
     return found

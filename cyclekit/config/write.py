@@ -30,6 +30,8 @@ def cell_to_toml(cell: Cell) -> str:
         for name, place in places.items():
             xyz, radius = _toml(list(place.xyz_m)), _toml(place.radius_m)
             lines += ["", f"[{title}.{_key(name)}]", f"xyz_m = {xyz}", f"radius_m = {radius}"]
+    for name, thing in cell.furniture.items():
+        lines += ["", f"[furniture.{_key(name)}]", *(f"{key} = {_toml(value)}" for key, value in vars(thing).items())]
     begin = cell.executions
     lines += [
         "",

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cyclekit.config import Furniture
     from cyclekit.dataset import Dataset, Place
 
 GAP_S = 0.35
@@ -109,6 +110,7 @@ class Execution:
     tasks: pl.DataFrame
     places: Mapping[str, Place]
     human_places: Mapping[str, Place]
+    furniture: Mapping[str, Furniture]
     levels: tuple[float, ...]
     joints: Joints | None
     others: tuple[NDArray[np.float64], ...]
@@ -161,6 +163,7 @@ def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None
         tasks=tasks.with_columns(pl.col("start_s", "arrival_s", "end_s") - start_s),
         places=dataset.places,
         human_places=dataset.human_places,
+        furniture=dataset.furniture,
         levels=dataset.levels,
         joints=joints,
         others=other_people(dataset, session, t_s + start_s, human_m, robot_m),

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 PAPER = (238, 241, 244)
 """Background of the scene; zones are tinted towards it, so that they stay behind what stands on them."""
 
+FURNITURE = (206, 211, 217)
 ZONE_TINT = 0.42
 _LABEL_INK = {colours.OPERATOR: (190, 245, 232)}
 """Labels stand on grey: light letters, a little green for the operator's."""
@@ -37,6 +38,7 @@ def log_scene(sink: Sink) -> None:
     sink.static("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
     _places(sink, "scene/places", sink.run.places, colours.ROBOT)
     _places(sink, "scene/operator_places", sink.run.human_places, colours.OPERATOR)
+    _furniture(sink)
     _zones(sink)
     _robot(sink)
     log_people(sink)
@@ -53,6 +55,26 @@ def _places(sink: Sink, path: str, places: Mapping[str, Place], colour: str) -> 
     words = [label.text for label in labels]
     paint = [_LABEL_INK.get(colour, (255, 255, 255))] * len(at)
     sink.static(f"{path}/names", rr.Points3D(at, radii=0.001, colors=paint, labels=words, show_labels=True))
+
+
+def _furniture(sink: Sink) -> None:
+    """The boxes of the cell file, light, so that they stay behind what stands on them."""
+    things = sink.run.furniture
+    if not things:
+        return
+    halves = np.array([thing.size_m for thing in things.values()]) / 2
+    centres = np.array([thing.xyz_m for thing in things.values()]) - halves * (0, 0, 1)
+    turns = [rr.RotationAxisAngle(axis=(0, 0, 1), degrees=thing.yaw_deg) for thing in things.values()]
+    boxes = rr.Boxes3D(
+        centers=centres,
+        half_sizes=halves,
+        rotation_axis_angles=turns,
+        colors=[FURNITURE] * len(things),
+        labels=list(things),
+        show_labels=False,
+        fill_mode="solid",
+    )
+    sink.static("scene/furniture", boxes)
 
 
 def _zones(sink: Sink) -> None:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cyclekit.config import Furniture
     from cyclekit.dataset import Dataset, Place
     from cyclekit.report.findings import Predicts
 
@@ -42,6 +43,7 @@ class FloorPlan:
         robot_known: False where no log is a robot's, so that nobody knows where it stands.
         places: Named places of the robot.
         human_places: Named places of the operator.
+        furniture: What stands there, by name.
         cell_m: Side of a square.
     """
 
@@ -53,6 +55,7 @@ class FloorPlan:
     robot_known: bool
     places: Mapping[str, Place]
     human_places: Mapping[str, Place]
+    furniture: Mapping[str, Furniture]
     cell_m: float = CELL_M
 
 
@@ -82,6 +85,7 @@ def floor_plan(dataset: Dataset, samples: pl.DataFrame, model: Predicts | None =
         robot_known=has_robot(samples),
         places=dataset.places,
         human_places=dataset.human_places,
+        furniture=dataset.furniture,
     )
 
 

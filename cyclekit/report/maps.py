@@ -6,7 +6,7 @@ numbers. They come from `findings`, `floor` and `judged`; turning a figure into 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -175,7 +175,14 @@ def _square(axes: Axes, x: float, y: float, side: float, colour: str, alpha: flo
 
 
 def _furniture(axes: Axes, plan: FloorPlan, labels: Mapping[str, str]) -> None:
-    """What stands in the cell: the robot's base and way, places with their tables, axes and colour scale."""
+    """What stands in the cell: tables, the robot's base and way, places, axes and colour scale."""
+    for name, thing in plan.furniture.items():
+        (x, y, _), (length, width, _) = thing.xyz_m, thing.size_m
+        corner = (x - length / 2, y - width / 2)
+        box = Rectangle(corner, length, width, angle=thing.yaw_deg, rotation_point="center")
+        box.set(facecolor=RULE, edgecolor=MUTED, linewidth=1.2, zorder=1)
+        axes.add_patch(box)
+        tip(cast("Figure", axes.figure), box, name)
     axes.plot(*plan.robot_m.T, color=colours.ROBOT, linewidth=0.7, alpha=0.7, zorder=3)
     named: list[tuple[str, tuple[float, float], str]] = []
     if plan.robot_known:

@@ -26,6 +26,8 @@ def cell_file(scene: Scene, options: SimulationOptions) -> str:
     for name, station in stations.items():
         where = f"xyz_m = {_numbers(station.xyz_m)}"
         lines += ["", f"[human_places.{name}]", where, f"radius_m = {station.radius_m}"]
+    for name, (top_m, size_m) in scene.furniture.items():
+        lines += ["", f"[furniture.{name}]", f"xyz_m = {_numbers(top_m)}", f"size_m = {_numbers(size_m)}"]
     return "\n".join(lines) + "\n"
 
 

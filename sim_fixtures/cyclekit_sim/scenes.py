@@ -15,6 +15,7 @@ from cyclekit_sim.safety import DistanceStaircase, FloorZone, FloorZones, Safety
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 PELVIS_Z_M = 0.2
+FLOOR_Z_M = -0.75
 GOAL_SD_M, MIDDLE_SD_M = 0.05, 0.25
 
 
@@ -35,6 +36,7 @@ class Scene:
         name: Its name on the command line.
         places: Robot places by name, `home` and `conveyor` among them.
         stations: Operator places by name.
+        furniture: Tables and belts by name, nothing but looks: middle of the top and size of each.
         safety: The safety function, which the logs do not tell.
         picks: Conveyor-to-slot placements per execution.
         repeats_slots: True: each placement draws any slot; False: the slots are a permutation.
@@ -49,6 +51,7 @@ class Scene:
     name: str
     places: Mapping[str, Place]
     stations: Mapping[str, Station]
+    furniture: Mapping[str, tuple[Place, Place]]
     safety: SafetyFunction
     picks: int
     repeats_slots: bool
@@ -65,8 +68,18 @@ class Scene:
         return tuple(name for name in self.places if name not in ("home", "conveyor"))
 
 
+def _thing(x: float, y: float, top_z: float, length: float, width: float) -> tuple[Place, Place]:
+    """A table or belt that stands on the floor: middle of its top, and its size."""
+    return (x, y, top_z), (length, width, round(top_z - FLOOR_Z_M, 3))
+
+
 def _station(x: float, y: float, dwell_s: tuple[float, float]) -> Station:
     return Station((x, y, PELVIS_Z_M), dwell_s)
+
+
+def _two_tables() -> dict[str, tuple[Place, Place]]:
+    tables = {side: _thing(0.0, y, -0.05, 0.9, 0.35) for side, y in (("left_table", 0.65), ("right_table", -0.65))}
+    return {"belt": _thing(0.95, 0.0, 0.05, 0.9, 0.3), **tables}
 
 
 def _box_picking() -> Scene:
@@ -82,6 +95,7 @@ def _box_picking() -> Scene:
         name="box-picking",
         places=dict(sorted(places.items())),
         stations=stations,
+        furniture=_two_tables(),
         safety=DistanceStaircase(LEVELS, (1.2, 1.5, 1.9, 2.4)),
         picks=10,
         repeats_slots=False,
@@ -112,6 +126,10 @@ def _pick_and_package() -> Scene:
         name="pick-and-package",
         places=places,
         stations=stations,
+        furniture={
+            "belt": _thing(0.75, -0.40, 0.05, 0.8, 0.3),
+            "packing_table": _thing(0.30, 0.55, -0.05, 1.0, 0.35),
+        },
         safety=DistanceStaircase(LEVELS, (0.6, 0.8, 1.2, 1.6)),
         picks=12,
         repeats_slots=True,
@@ -146,6 +164,7 @@ def _laser_zones() -> Scene:
         name="laser-zones",
         places=places,
         stations=stations,
+        furniture=_two_tables(),
         safety=FloorZones((0.0, 0.5, 0.75, 1.0), zones),
         picks=6,
         repeats_slots=False,

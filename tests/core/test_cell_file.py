@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cyclekit.config import Cell, Executions, Frame, NamedPlace, Source, Sync, cell_to_toml, load_cell
+from cyclekit.config import Cell, Executions, Frame, Furniture, NamedPlace, Source, Sync, cell_to_toml, load_cell
 from cyclekit.errors import ConfigError, UnknownName
 
 EVERYTHING = """
@@ -41,6 +41,11 @@ radius_m = 0.02
 [human_places."left table"]
 xyz_m = [0.0, 1.5, 0.2]
 
+[furniture.bench]
+xyz_m = [0.0, 1.2, -0.05]
+size_m = [0.9, 0.35, 0.7]
+yaw_deg = 30
+
 [executions]
 begin = "digital-output"
 gap_s = 5
@@ -67,6 +72,7 @@ def test_every_key_of_a_cell_file_arrives(tmp_path: Path):
     assert source.frame.xyz_m == (1.0, 2.5, -0.8)
     assert cell.places == {"conveyor": NamedPlace((0.6, 0.0, 0.1), 0.02)}
     assert cell.human_places == {"left table": NamedPlace((0.0, 1.5, 0.2), 0.05)}
+    assert cell.furniture == {"bench": Furniture((0.0, 1.2, -0.05), (0.9, 0.35, 0.7), 30.0)}
     assert cell.executions == Executions("digital-output", 5.0, "conveyor", 3)
 
 
@@ -182,6 +188,9 @@ def test_a_name_that_is_not_known_is_refused_with_the_nearest(tmp_path: Path, te
         'sources = [{ path = "a", sync_events = 3 }]',
         'sources = [{ path = "a", same_clock_as = 3 }]',
         'sources = [{ path = "a", sees_as = "Flange" }]',
+        "furniture = { bench = { xyz_m = [0, 0, 0], size_m = [1, 0, 1] } }",
+        "furniture = { bench = { xyz_m = [0, 0, 0] } }",
+        "furniture = { bench = { xyz_m = [0, 0, 0], size_m = [1, 1, 1], yaw_deg = 'left' } }",
         '[executions]\nbegin = "signal"',
         '[executions]\nsignal = "cycle_start"',
         'sources = [{ path = "a", sees = "tcp", clock_offset_s = 3 }]',
@@ -258,6 +267,9 @@ CELL = st.builds(
     reference=st.lists(TEXT, max_size=2).map(tuple),
     places=PLACES,
     human_places=PLACES,
+    furniture=st.dictionaries(
+        TEXT, st.builds(Furniture, POINT, st.tuples(POSITIVE, POSITIVE, POSITIVE), NUMBER), max_size=2
+    ),
     executions=st.builds(
         Executions,
         begin=st.sampled_from(["auto", "file", "gap", "home", "register", "digital-output"]),

@@ -326,3 +326,16 @@ def test_places_are_where_the_cell_has_them(dataset, tmp_path):
     static = [c for c in RrdReader(facts.path).stream() if str(c.entity_path) == "/scene/places" and c.is_static]
     shown = static[0].to_record_batch().to_pydict()["Points3D:positions"][0]
     assert np.array(shown) == pytest.approx(np.array(list(PLACES.values())))
+
+
+def test_tables_stand_where_the_cell_file_says(dataset, tmp_path):
+    card = dataset.card | {
+        "settings": {"furniture": {"bench": {"xyz_m": [0.5, 1.0, -0.1], "size_m": [0.9, 0.4, 0.6], "yaw_deg": 30.0}}}
+    }
+    facts = write_replay(Dataset(dataset.path, card), "1", tmp_path / "x.rrd")
+    (drawn,) = [c for c in RrdReader(facts.path).stream() if str(c.entity_path) == "/scene/furniture"]
+    box = {name.removeprefix("Boxes3D:"): value[0] for name, value in drawn.to_record_batch().to_pydict().items()}
+    assert box["centers"] == [pytest.approx([0.5, 1.0, -0.4])]  # the middle of its top is told
+    assert box["half_sizes"] == [pytest.approx([0.45, 0.2, 0.3])]
+    assert box["rotation_axis_angles"][0]["angle"] == pytest.approx(np.deg2rad(30.0))
+    assert box["labels"] == ["bench"]

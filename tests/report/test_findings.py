@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 
 import numpy as np
 import polars as pl
@@ -8,9 +9,11 @@ import pytest
 from fabricated import LEVELS, THRESHOLDS_M
 from report_pages import DistanceModel
 
+from cyclekit.dataset import Dataset
 from cyclekit.report import findings
 from cyclekit.report.floor import floor_plan
 from cyclekit.report.judged import calibration
+from cyclekit.report.maps import lost_map, zone_map
 
 
 def test_the_levels_and_distances_of_the_true_staircase_are_read_back(dataset):
@@ -76,3 +79,16 @@ def test_a_calibrated_model_lies_on_the_line_and_a_biased_one_does_not(dataset):
     assert right.worst < 0.02
     assert calibration(dataset.samples(), names, Biased()).worst > 0.3
     assert calibration(dataset.samples(), [], DistanceModel()) is None
+
+
+def test_tables_of_the_cell_file_stand_on_both_plans(dataset):
+    bench = {"xyz_m": [0.5, 1.0, -0.1], "size_m": [0.9, 0.4, 0.6], "yaw_deg": 90.0}
+    furnished = Dataset(dataset.path, dataset.card | {"settings": {"furniture": {"bench": bench}}})
+    plan = floor_plan(furnished, dataset.samples(), DistanceModel())
+    for draw in (lost_map, zone_map):
+        figure = draw(6.0, plan, defaultdict(str))
+        (box,) = [patch for patch in figure.axes[0].patches if getattr(patch, "get_angle", float)() == 90.0]
+        turned = box.get_patch_transform().transform(box.get_path().vertices)
+        assert turned[:, 0].min() == pytest.approx(0.3)
+        assert turned[:, 1].max() == pytest.approx(1.45)
+        assert ("bench", "") in figure.cyclekit_tips

@@ -35,7 +35,7 @@ def cell(folder: Path, scene: str, count: int, rate: int, *, logged: bool, alone
     """Simulate a cell."""
     options = SimulationOptions(
         robot_rate_hz=rate, ramp_down_per_s=2.5, ramp_up_per_s=2.5, latency_s=0.1, encoder_noise_rad=2e-5,
-        log_override=logged, with_operator=not alone,
+        log_override=logged, with_operator=not alone, executions_per_session=count if alone else None,
     )  # fmt: skip
     return simulate(scene, folder, executions=count, seed=SEED + alone, options=options)
 
@@ -178,19 +178,20 @@ def main() -> None:
     ask = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     ask.add_argument("--executions", type=int, default=40)
     ask.add_argument("--rates", default="125,500")
+    ask.add_argument("--reference", type=int, default=0, help="executions of the reference run; default: a quarter")
     ask.add_argument("--scenes", default=",".join(SCENES))
     given = ask.parse_args()
     for scene in given.scenes.split(","):
         for rate in map(int, given.rates.split(",")):
             with tempfile.TemporaryDirectory() as scratch:
-                compare(Path(scratch), scene, given.executions, rate)
+                compare(Path(scratch), scene, given.executions, rate, given.reference or max(4, given.executions // 4))
 
 
-def compare(folder: Path, scene: str, count: int, rate: int) -> None:
-    """Print the table of one scene at one rate."""
+def compare(folder: Path, scene: str, count: int, rate: int, reference: int) -> None:
+    """Print the table of one scene at one rate; the reference run has so many executions."""
     logged = cell(folder / "logged", scene, count, rate, logged=True)
     silent = cell(folder / "logs", scene, count, rate, logged=False)
-    empty = cell(folder / "empty", scene, max(4, count // 4), rate, logged=False, alone=True)
+    empty = cell(folder / "empty", scene, reference, rate, logged=False, alone=True)
     truth = told(logged)
     print(f"\n{scene}, {rate} Hz, {count} executions, {sum(log.height for log in truth.values())} rows\n")
     print(
@@ -201,18 +202,18 @@ def compare(folder: Path, scene: str, count: int, rate: int) -> None:
     dataset = Dataset.open(ingest([silent], folder / "alone").dataset)
     took = time.perf_counter() - began
     found = errors(dataset, truth)
-    reference = folder / "both"
-    reference.mkdir()
+    both = folder / "both"
+    both.mkdir()
     for path in (*silent.glob("session_*"), silent / "cell.toml"):
-        path.rename(reference / path.name)
-    (empty / "session_000").rename(reference / "empty_cell")
-    text = (reference / "cell.toml").read_text(encoding="utf-8")
-    (reference / "cell.toml").write_text('reference = ["empty_cell/robot.csv"]\n' + text, encoding="utf-8")
+        path.rename(both / path.name)
+    (empty / "session_000").rename(both / "empty_cell")
+    text = (both / "cell.toml").read_text(encoding="utf-8")
+    (both / "cell.toml").write_text('reference = ["empty_cell/robot.csv"]\n' + text, encoding="utf-8")
     began = time.perf_counter()
-    with_reference = Dataset.open(ingest([reference], folder / "with").dataset)
+    with_reference = Dataset.open(ingest([both], folder / "with").dataset)
     print(shown("cyclekit, reference run", *errors(with_reference, truth), time.perf_counter() - began))
     print(shown("cyclekit, none: fastest repetitions", *found, took))
-    alone = cell(folder / "told", scene, max(4, count // 4), rate, logged=True, alone=True)
+    alone = cell(folder / "told", scene, reference, rate, logged=True, alone=True)
     for name, (error, samples) in rivals(legs(logged, truth), legs(alone, told(alone)), rate).items():
         print(shown(f"velocity ratio, {name}", error, samples), flush=True)
 

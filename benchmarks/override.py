@@ -35,7 +35,7 @@ def cell(folder: Path, scene: str, count: int, rate: int, *, logged: bool, alone
     """Simulate a cell."""
     options = SimulationOptions(
         robot_rate_hz=rate, ramp_down_per_s=2.5, ramp_up_per_s=2.5, latency_s=0.1, encoder_noise_rad=2e-5,
-        log_override=logged, with_operator=not alone, executions_per_session=count if alone else None,
+        log_override=logged, with_operator=not alone,
     )  # fmt: skip
     return simulate(scene, folder, executions=count, seed=SEED + alone, options=options)
 

@@ -2,21 +2,21 @@
 
 A person is the hip of a skeleton, a rigid body, or the middle of the seen markers (of the pelvis, where there are any)
 of a marker set, in that order of preference; each is a track of its own, and the cell file may name the one that
-counts. Lengths come in the unit that line 1 states, Y points up, rotation stands before position. The clock is the
-take's: frame number over export rate. An empty cell is a body that no camera saw, and stays unknown. Which way the
-volume is turned in the cell is not in the file. Where skeletons are asked for, their joints are the bones as Motive
-names them.
+counts. Lengths come in the unit that line 1 states; Y points up, unless the exporter was told otherwise, which is not
+in the file: `up = "z"` in the cell file says so. Rotation stands before position. The clock is the take's: frame number
+over export rate. An empty cell is a body that no camera saw, and stays unknown. Which way the volume is turned in the
+cell is not in the file. Where skeletons are asked for, their joints are the bones as Motive names them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, cast
 
 import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
-from cyclekit.errors import DamagedLog, LogError, UnknownName, nearest
+from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, fields_of, read_blocks
 from cyclekit_adapters.frame_clock import FRAME, TIME, FrameClock
@@ -25,6 +25,7 @@ from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.joints import all_joints, joint_rows, points_of
 from cyclekit_adapters.markers import is_pelvis
 from cyclekit_adapters.sightings import Sightings
+from cyclekit_adapters.source_map import words
 from cyclekit_adapters.text_blocks import file_encoding, head_of
 
 if TYPE_CHECKING:
@@ -74,8 +75,7 @@ class _MotiveCsv:
         return whole(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
-        for key in options.map:
-            raise UnknownName("[sources.map] of a Motive log", "key", key, [], cure="Motive needs no map; use `body`.")
+        up = cast('Literal["y", "z"]', words(options, "Motive", {"up": ("y", "z")}).get("up", "y"))
         header = _header(path)
         metres = _metres(path, header)
         people = _people_of(path, header, options.body)
@@ -93,7 +93,7 @@ class _MotiveCsv:
                 people=table,
                 skeletons=_skeletons(frame, bones, metres) if bones else None,
                 clock="relative",
-                up="y",
+                up=up,
                 rows_are="line",
                 rows_read=rows.rows_read,
                 set_aside=rows.set_aside,

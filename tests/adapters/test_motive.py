@@ -1,7 +1,7 @@
 import pytest
 
 from cyclekit.adapter import ReadOptions
-from cyclekit.errors import DamagedLog, LogError
+from cyclekit.errors import DamagedLog, LogError, UnknownName
 from cyclekit_adapters.motive import ADAPTER
 
 
@@ -212,3 +212,11 @@ def test_places_where_a_marker_should_be_are_said_to_be_filled_in(tmp_path, kind
 def test_euler_angles_stand_in_three_columns_before_the_position(tmp_path):
     head = columns(["Rigid Body"] * 6, ["vest"] * 6, ["Rotation"] * 3 + PLACE, XYZ * 2)
     assert read(tmp_path / "take.csv", take(head, "0,0,10,20,30,1,1.7,3")).people["y_m"].to_list() == [1.7]
+
+
+def test_an_export_turned_to_z_up_is_said_in_the_cell_file(tmp_path, motive):
+    text = motive({"Helmet": [(1.0, 2.0, 1.7)]})
+    log = read(tmp_path / "take.csv", text, map={"up": "z"})
+    assert (log.up, log.people["z_m"].to_list()) == ("z", [1.7])
+    with pytest.raises(UnknownName, match="'x'"):
+        read(tmp_path / "take.csv", text, map={"up": "x"})

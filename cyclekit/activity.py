@@ -47,6 +47,9 @@ GOAL_SIGNAL = "goal"
 
 
 _HUMAN = tuple(f"human_{axis}_m" for axis in "xyz")
+HEIGHT_M = 1.5
+"""By more than this nobody's height changes while he works; floor axes change by metres. Over ENOUGH positions."""
+ENOUGH = 100
 OPERATOR = "operator: "
 """How a warning of a recording begins that was found here, and not when its log was read."""
 
@@ -186,8 +189,18 @@ def _tracks(entry: dict[str, Any], read: Read, source: Source | None) -> list[Tr
     if disbelieved:
         told = f"{disbelieved} positions are not believed, since nobody moves at over 20 m/s"
         entry["warnings"].append(f"{OPERATOR}{told}: unknown there")
+    if (height_m := _height_range(tracks)) > HEIGHT_M:
+        told = f"the height of a person changes by {height_m:.1f} m: check which axis points up, and frame in cell.toml"
+        entry["warnings"].append(f"{OPERATOR}{told}")
     entry["operator"] = {"not_believed": disbelieved}
     return tracks
+
+
+def _height_range(tracks: Sequence[Track]) -> float:
+    """Return by how much the height of one track changes at most, without its lowest and highest twentieth, m."""
+    heights = [height[np.isfinite(height)] for track in tracks for height in [track.xyz_m[:, 2]]]
+    ranges = [float(np.subtract(*np.quantile(height, [0.95, 0.05]))) for height in heights if len(height) >= ENOUGH]
+    return max(ranges, default=0.0)
 
 
 def _positions(

@@ -129,6 +129,8 @@ def why_unknown(path: Path) -> UnknownFormat:
         return UnknownFormat(
             path, "this is a Git LFS pointer, not the log itself", cure="Fetch the content first: git lfs pull"
         )
+    if head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"{", b"[")):
+        return UnknownFormat(path, "JSON of a kind that no adapter recognises", cure=cure)
     cells = max(head.count(separator) for separator in (b",", b";", b"\t")) + 1
     if len(head) < 4096 and b"\0" not in head and cells > 3 and len(head.strip().splitlines()) == 1:
         return UnknownFormat(path, "a single line: a header and no rows", cure="Record again, or remove the file.")

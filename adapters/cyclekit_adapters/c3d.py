@@ -57,7 +57,10 @@ class _C3d:
         cut = log.frames_stated - len(places)
         if cut:
             said.append(f"the file is cut: {cut} of {log.frames_stated} frames are missing at its end")
-        shown = {"+Z": "z", "+Y": "y"}.get(log.text("POINT", "Y_SCREEN").upper().replace(" ", ""))
+        screen = log.text("POINT", "Y_SCREEN").upper().replace(" ", "")
+        shown = {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen)
+        if screen and not shown and not up:
+            said.append(f"POINT:Y_SCREEN is {screen[:9]}, neither +Y nor +Z: z is taken to be up; see `up`")
         told = f"{shown}, by POINT:Y_SCREEN" if shown else "z, as most systems have it; not in the file"
         return Recording(
             people=table,

@@ -74,9 +74,13 @@ class CsvMap:
         """Return what stands between fields, None where it is to be found from the header."""
         return None if self.delimiter is None else _DELIMITERS.get(self.delimiter, self.delimiter)
 
-    def clock_kind(self) -> ClockKind:
-        """Return what kind of clock the table has: as said, else epoch where the calendar and the zone are known."""
-        known = "epoch" if self.time_format and self.time_zone else "relative"
+    def clock_kind(self, *, zoned: bool) -> ClockKind:
+        """Return what kind of clock the table has: as said, else epoch where the calendar and the zone are known.
+
+        Args:
+            zoned: Its times name their zone.
+        """
+        known = "epoch" if self.time_format and (self.time_zone or zoned) else "relative"
         return cast("ClockKind", self.clock or known)
 
     def role(self) -> Role:

@@ -76,6 +76,10 @@ class FrameClock:
     def _exact(self, frame: float) -> float:
         return (frame - self.first) / self.rate_hz if self.rate_hz else 0.0
 
+    def at(self, frame: float) -> float | None:
+        """Return the time of a frame by its number, s; None where the Time column is the clock."""
+        return self._exact(frame) if self.rate_hz and not self.by_time else None
+
     def seconds(self, frame: pl.DataFrame) -> pl.Series:
         """Return the time of each row, shape (N,), s; `frame` holds `names`, INDEX and `source_row`."""
         if self.by_time or not self.rate_hz:

@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
-from cyclekit.errors import MissingColumns, UnknownName
+from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.controller_time import Once
 from cyclekit_adapters.delimited import Rows, read_blocks
@@ -52,7 +52,7 @@ class _FrankaLogCsv:
         once = Once(_TIME)
 
         def make(rows: Rows) -> Recording:
-            rows = once.rows(rows)
+            rows = once.rows(_milliseconds(path, rows))
             return Recording(
                 robot=_robot(rows.frame, speeds),
                 clock="uptime",
@@ -78,6 +78,20 @@ class _FrankaLogCsv:
         numbers = [_TIME, *_ANGLES, *speeds]
         blocks = read_blocks(path, layout, numbers=numbers, required=[_TIME], any_of=_ANGLES)
         yield from in_parts(path, blocks, make, finish)
+
+
+def _milliseconds(path: Path, rows: Rows) -> Rows:
+    """Return the rows of whole milliseconds; a few others are garbled, many are another logger's seconds.
+
+    Raises:
+        DamagedLog: Most times are no whole numbers: a thousand times too slow they would be taken for.
+    """
+    odd = rows.frame[_TIME] % 1 != 0
+    if 2 * odd.sum() > len(odd):
+        cause = f"time {rows.frame.filter(odd)[_TIME][-1]:g} is no whole number of milliseconds, as most are not"
+        cure = 'libfranka writes whole ones; map the table of another logger with adapter = "csv" and its time_unit.'
+        raise DamagedLog(path, cause, cure=cure)
+    return rows.without(odd, "its time is no whole number of milliseconds") if odd.any() else rows
 
 
 def _robot(frame: pl.DataFrame, speeds: list[str]) -> pl.DataFrame:

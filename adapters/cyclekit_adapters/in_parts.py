@@ -47,15 +47,18 @@ def in_parts(
     rows_read, usable, unknown = 0, 0, 0
     aside: pl.DataFrame | None = None
     for rows in blocks:
-        rows_read, usable = rows_read + rows.rows_read, usable + rows.frame.height
+        part = make(rows)
+        refused = rows.set_aside if part.set_aside is None else part.set_aside  # `make` may set rows aside, too
+        rows_read += rows.rows_read
+        usable += rows.frame.height - (refused.height - rows.set_aside.height)
         unknown += rows.not_finite
-        if aside is None and rows.set_aside.height:
-            aside = rows.set_aside
+        if aside is None and refused.height:
+            aside = refused
         if rows_read > MANY and usable < rows_read * HARDLY_ANY and aside is not None:
             raise _hardly_any(path, rows_read, usable, aside)
         if last is not None:
             yield last
-        last = make(rows)
+        last = part
     if last is None or not usable:
         raise nothing_usable(path, rows_read, pl.DataFrame() if aside is None else aside)
     done = finish(last)

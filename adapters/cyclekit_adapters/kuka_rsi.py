@@ -1,15 +1,18 @@
 """KUKA: CSV of RSI values (`X_RIst`, `Y_RIst`, `Z_RIst`, `IPOC`), as people's RSI clients write it.
 
 RSI itself is a stream and has no file format, so the columns are those of the client; the names of the values are
-KUKA's. `RIst` is where the robot is (mm, base chosen in the RSI configuration), `RSol` only the set point of the next
-cycle. The clock is `IPOC`, the controller's count of milliseconds; a `Timestamp` beside it is the PC's, often in whole
-seconds of an unnamed zone: with `time_zone` in `[sources.map]` both stamps are kept, and the log can be placed among
-logs in epoch time. RSI does not carry the override: it stays unknown.
+KUKA's, and clients put them together in several ways (`X_RIst`, `RIst.X`, `rist_x`). `RIst` is where the robot is (mm,
+base chosen in the RSI configuration), `AIPos` its axes (degrees), `RSol` only the set point of the next cycle. The
+clock is `IPOC`, the controller's count of milliseconds; a `Timestamp` beside it is the PC's, often in whole seconds of
+an unnamed zone: with `time_zone` in `[sources.map]` both stamps are kept, and the log can be placed among logs in epoch
+time. RSI does not carry the override: it stays unknown.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+import re
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -24,20 +27,50 @@ from cyclekit_adapters.host_clock import HostClock
 from cyclekit_adapters.in_parts import in_parts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-_POSITION = ("X_RIst", "Y_RIst", "Z_RIst")
+_PLACE = re.compile(r"([xyz])[ _.]?rist|rist[ _.]?([xyz])", re.IGNORECASE)
+_AXIS = re.compile(r"a([1-6])[ _.]?aipos|aipos[ _.]?a([1-6])", re.IGNORECASE)
+_AXES = 6
 _TIME, _LATE = "IPOC", "Delay"
 _HOST = "timestamp"
 _OVERRIDES = ("OV_PRO", "OV_ROB", "OV_JOG")
-_MM, _MS = 1e-3, 1e-3
+_MM, _MS, _DEGREE = 1e-3, 1e-3, math.pi / 180.0
+_NO_PLACE = "RIst not recorded: only joint angles are known"
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """What the client called the values: its column of each axis of the place, of each joint, and of the clock."""
+
+    time: str | None
+    place: dict[str, str]
+    joints: dict[int, str]
+
+    @staticmethod
+    def among(names: Sequence[str]) -> _Columns:
+        time = next((name for name in names if name.upper() == _TIME), None)
+        places = {(m[1] or m[2]).lower(): name for name in names if (m := _PLACE.fullmatch(name))}
+        joints = {int(m[1] or m[2]) - 1: name for name in names if (m := _AXIS.fullmatch(name))}
+        return _Columns(time, places, joints if len(joints) == _AXES else {})
+
+    def require(self, path: Path, names: Sequence[str]) -> str:
+        """Return the column of the clock."""
+        missing = [f"{axis.upper()}_RIst" for axis in "xyz" if axis not in self.place]
+        if self.time is not None and (not missing or (not self.place and self.joints)):
+            return self.time
+        cure = "Let the RSI client write RIst and IPOC, and record again."
+        if self.time is None:
+            missing.append(_TIME)
+            cure += ' A table with another clock is mapped with adapter = "csv".'
+        raise MissingColumns(path, missing, names, cure)
 
 
 class _KukaRsiCsv:
     def recognises(self, path: Path) -> bool:
-        names = column_names(path)
-        return _TIME in names and any(name in names for name in _POSITION)
+        found = _Columns.among(column_names(path))
+        return bool(found.place) or bool(found.time and found.joints)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         return whole(self.stream(path, options))
@@ -45,21 +78,21 @@ class _KukaRsiCsv:
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         zone = _zone(options)
         layout = layout_below(path)
-        if missing := {_TIME, *_POSITION}.difference(layout.names):
-            raise MissingColumns(
-                path, missing, layout.names, "Let the RSI client write RIst and IPOC, and record again."
-            )
-        numbers = [_TIME, *_POSITION, *([_LATE] if _LATE in layout.names else [])]
-        once, late, cycles = Once(_TIME), Spread((_LATE,)), list[float]()
+        columns = _Columns.among(layout.names)
+        time = columns.require(path, layout.names)
+        values = [*columns.place.values(), *columns.joints.values()]
+        numbers = [time, *values, *([_LATE] if _LATE in layout.names else [])]
+        once, late, cycles = Once(time), Spread((_LATE,)), list[float]()
         host = next((HostClock(name, zone) for name in layout.names if name.lower() == _HOST), None)
 
         def make(rows: Rows) -> Recording:
             rows = once.rows(rows)
             late.add(rows.frame)
-            cycles.append(_number(rows.frame[_TIME].diff().median()))
-            stamps = None if host is None else host.stamps(rows.frame[_TIME] * _MS, rows.frame[host.column])
+            cycles.append(_number(rows.frame[time].diff().median()))
+            stamps = None if host is None else host.stamps(rows.frame[time] * _MS, rows.frame[host.column])
             return Recording(
-                robot=_robot(rows.frame),
+                robot=_robot(rows.frame, time, columns),
+                joint_names=tuple(columns.joints[axis] for axis in sorted(columns.joints)),
                 stamps=stamps,
                 clock="uptime",
                 rows_are="line",
@@ -73,11 +106,16 @@ class _KukaRsiCsv:
                 "cycle": f"{cycles[0]:g} ms",
                 "point": "RIst: the active tool in the base of the RSI configuration, mm",
             }
-            said = [*once.warnings(), *_warnings(layout.names, late.most.get(_LATE, 0.0)), *_no_zone(host)]
+            said = [
+                *once.warnings(),
+                *([] if columns.place else [_NO_PLACE]),
+                *_warnings(layout.names, late.most.get(_LATE, 0.0)),
+                *_no_zone(host),
+            ]
             return replace(last, warnings=tuple(said), facts=facts | _host_fact(host))
 
         texts = [host.column] if host else []
-        blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=[_TIME], any_of=_POSITION)
+        blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=[time], any_of=values)
         yield from in_parts(path, blocks, make, finish)
 
 
@@ -113,9 +151,10 @@ def _host_fact(host: HostClock | None) -> dict[str, str]:
     return {"host_clock": f"{host.column}{zone}: kept at the rows where it changes, early by up to one cycle"}
 
 
-def _robot(frame: pl.DataFrame) -> pl.DataFrame:
-    places = [(pl.col(name) * _MM).alias(f"tcp_{axis}_m") for name, axis in zip(_POSITION, "xyz", strict=True)]
-    return conform(frame.select((pl.col(_TIME) * _MS).alias("t_s"), "source_row", *places), ROBOT)
+def _robot(frame: pl.DataFrame, time: str, columns: _Columns) -> pl.DataFrame:
+    places = [(pl.col(name) * _MM).alias(f"tcp_{axis}_m") for axis, name in columns.place.items()]
+    joints = [(pl.col(name) * _DEGREE).alias(f"q{axis}_rad") for axis, name in columns.joints.items()]
+    return conform(frame.select((pl.col(time) * _MS).alias("t_s"), "source_row", *places, *joints), ROBOT)
 
 
 def _warnings(names: tuple[str, ...], late: float) -> list[str]:

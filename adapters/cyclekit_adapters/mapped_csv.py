@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import codecs
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -18,21 +18,21 @@ from cyclekit.adapter import ReadOptions, Recording, Role, StreamingAdapter, who
 from cyclekit.errors import ConfigError, DamagedLog, MissingColumns
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
 from cyclekit_adapters.controller_time import Back, Once, Spread
-from cyclekit_adapters.csv_map import FRAME, METRES, RADIANS, SECONDS, STATES, WHERE, CsvMap, csv_map
-from cyclekit_adapters.delimited import INDEX, Layout, Rows, delimiter_of, header_names, read_blocks, unique
+from cyclekit_adapters.csv_map import METRES, RADIANS, STATES, WHERE, CsvMap, csv_map
+from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, header_names, read_blocks, unique
 from cyclekit_adapters.header_line import names_in
 from cyclekit_adapters.in_parts import in_parts
+from cyclekit_adapters.mapped_time import T_S, name_their_zone, require_epoch, timed
 from cyclekit_adapters.text_blocks import file_encoding, head_lines
-from cyclekit_adapters.written_time import written_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from cyclekit.adapter import ClockKind
+
 _SLACK = 1e-3
 _LINES_SEARCHED = 50  # for the header, where it is not in the line that it should be in
-_T = "\x1ft_s"  # a name that no column of a file can have
-_JOINED = "\x1fwhen"
 
 
 class _MappedCsv:
@@ -54,13 +54,17 @@ class _MappedCsv:
         if not mapping.time and not options.rate_hz:
             cure = 'Map it in cell.toml (time = "..."), or give rate_hz = ... if the rows have a fixed rate.'
             raise MissingColumns(path, ["time"], layout.names, cure)
-        once, seen, back = Once(_T), _Seen(mapping, role), Back(_T, mapping.person)
+        zoned = name_their_zone(path, layout, mapping)
+        clock = mapping.clock_kind(zoned=zoned)
+        once, seen, back = Once(T_S), _Seen(mapping, role), Back(T_S, mapping.person)
         table: Callable[[pl.DataFrame, CsvMap], pl.DataFrame] = {"robot": _robot, "people": _people, "events": _events}[
             role
         ]
 
         def make(rows: Rows) -> Recording:
-            rows = _timed(rows, mapping, options.rate_hz)
+            rows = timed(rows, mapping, options.rate_hz, zoned=zoned)
+            if clock == "epoch":
+                require_epoch(path, rows.frame, mapping)
             if role == "robot":
                 rows = once.rows(rows, "repeats the time of the row before it")
             else:
@@ -68,7 +72,7 @@ class _MappedCsv:
             seen.add(rows.frame)
             return Recording(
                 **{role: table(rows.frame, mapping)},  # type: ignore[arg-type]  # the three roles are three fields
-                clock=mapping.clock_kind(),
+                clock=clock,
                 joint_names=mapping.joints if role == "robot" else (),
                 rows_are="line",
                 rows_read=rows.rows_read,
@@ -81,7 +85,7 @@ class _MappedCsv:
                 "delimiter": repr(layout.delimiter),
                 "encoding": layout.encoding,
             }
-            return replace(last, warnings=(*seen.warnings(once.back), *back.warnings()), facts=facts)
+            return replace(last, warnings=(*seen.warnings(once.back, clock), *back.warnings()), facts=facts)
 
         some = [*numbers, *texts] if role == "robot" else []
         some = [name for name in some if name not in mapping.time]
@@ -159,30 +163,9 @@ def _delimiter(line: str, mapping: CsvMap, wanted: set[str]) -> str:
     return next((mark for mark in candidates if fits(mark)), delimiter_of(line, candidates))
 
 
-def _timed(rows: Rows, mapping: CsvMap, rate_hz: float | None) -> Rows:
-    """Add the time in seconds; a row whose time cannot be read is set aside."""
-    frame = rows.frame
-    if not mapping.time:
-        return replace(rows, frame=frame.with_columns((pl.col(INDEX) / cast("float", rate_hz)).alias(_T)))
-    if mapping.time_format is None:
-        (column,) = mapping.time
-        second = 1.0 / cast("float", rate_hz) if mapping.time_unit == FRAME else SECONDS[mapping.time_unit]
-        return replace(rows, frame=frame.with_columns((pl.col(column) * second).alias(_T)))
-    text = pl.concat_str(mapping.time, separator=" ")
-    when = written_seconds(text, str(mapping.time_format), mapping.time_zone)
-    frame = frame.with_columns(text.alias(_JOINED), when.alias(_T))
-    rows = replace(rows, frame=frame)
-    bad = frame[_T].is_null()
-    if bad.any():
-        first = frame.filter(bad)[_JOINED][0]
-        pattern = mapping.time_format
-        rows = rows.without(bad, f"its time is not written as {pattern!r} (the first such: {str(first)[:40]!r})")
-    return replace(rows, frame=rows.frame.drop(_JOINED))
-
-
 def _robot(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
     metres, radians = METRES[mapping.length_unit], RADIANS[mapping.joint_unit]
-    columns = [pl.col(_T).alias("t_s"), pl.col("source_row")]
+    columns = [pl.col(T_S).alias("t_s"), pl.col("source_row")]
     columns += [(pl.col(column) * metres).alias(f"tcp_{axis}_m") for axis, column in mapping.places().items()]
     columns += [(pl.col(column) * radians).alias(f"q{i}_rad") for i, column in enumerate(mapping.joints)]
     if mapping.speed:
@@ -212,12 +195,12 @@ def _people(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
     metres = METRES[mapping.length_unit]
     places = [(pl.col(column) * metres).alias(f"{axis}_m") for axis, column in mapping.places().items()]
     person = pl.col(mapping.person) if mapping.person else pl.lit("0")
-    return conform(frame.select(pl.col(_T).alias("t_s"), person.alias("person"), "source_row", *places), PEOPLE)
+    return conform(frame.select(pl.col(T_S).alias("t_s"), person.alias("person"), "source_row", *places), PEOPLE)
 
 
 def _events(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
     signal, value = pl.col(str(mapping.signal)).alias("signal"), pl.col(str(mapping.value)).alias("value")
-    return conform(frame.select(pl.col(_T).alias("t_s"), signal, value, "source_row"), EVENTS)
+    return conform(frame.select(pl.col(T_S).alias("t_s"), signal, value, "source_row"), EVENTS)
 
 
 @dataclass
@@ -242,7 +225,7 @@ class _Seen:
         if self.mapping.state:
             self.states |= set(frame[self.mapping.state].drop_nulls().unique().to_list())
 
-    def warnings(self, back: int) -> list[str]:
+    def warnings(self, back: int, clock: ClockKind) -> list[str]:
         mapping, said = self.mapping, []
         if back:
             said.append(f"time steps back {back} time(s): each part is a run of its own")
@@ -256,7 +239,7 @@ class _Seen:
         ]
         if other := sorted(self.states - set(STATES) - set(mapping.states)):
             said.append(f"states {', '.join(map(repr, other[:5]))} have no meaning here; map them in `states`")
-        if mapping.time_format and mapping.clock_kind() != "epoch":
+        if mapping.time_format and clock != "epoch":
             said.append("its times of day have no zone, so they cannot be placed among other logs; give time_zone")
         return said
 

@@ -93,13 +93,13 @@ def choose_people(path: Path, names: Sequence[str], options: ReadOptions, adapte
     if options.body is not None:
         if options.body in subjects:
             members = subjects[options.body]
-            pelvis = [index for index in members if _is_pelvis(names[index])]
+            pelvis = [index for index in members if is_pelvis(names[index])]
             worn = {options.body: _labelled(members, names)}
             return People({options.body: pelvis or members}, _point(bool(pelvis)), worn=worn)
         return People({options.body: [_find(path, (*names, *subjects), options.body)]}, "the marker named")
     if not subjects:
         raise LogError(path, "no positions: it has no markers", cure="Export the trajectories of the markers.")
-    hips = {who: [i for i in members if _is_pelvis(names[i])] for who, members in subjects.items()}
+    hips = {who: [i for i in members if is_pelvis(names[i])] for who, members in subjects.items()}
     found = {who: members for who, members in hips.items() if members}
     things = tuple(who for who in subjects if found and who not in found)
     worn = {who: _labelled(subjects[who], names) for who in found or subjects}
@@ -110,7 +110,8 @@ def _point(hips: bool) -> str:
     return "middle of the pelvis markers seen" if hips else "middle of all markers seen"
 
 
-def _is_pelvis(name: str) -> bool:
+def is_pelvis(name: str) -> bool:
+    """Tell whether a marker, with its subject or without, is one of the pelvis."""
     return _PELVIS.match(name.rpartition(":")[2].strip()) is not None
 
 
@@ -121,7 +122,7 @@ def _subjects(names: Sequence[str]) -> dict[str, list[int]]:
         found.setdefault(subject.strip() if colon else _ALONE, []).append(index)
     labelled = {who: members for who, members in found.items() if who != _ALONE}
     loose = [i for i in found.get(_ALONE, []) if not names[i].startswith("*")]
-    if labelled and not any(_is_pelvis(names[i]) for i in loose):
+    if labelled and not any(is_pelvis(names[i]) for i in loose):
         return labelled  # markers of nobody beside those of named subjects
     return found
 

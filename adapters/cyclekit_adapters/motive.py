@@ -1,28 +1,31 @@
 """OptiTrack Motive: CSV export of a take, versions 1.21 to 1.25.
 
-A person is a rigid body, the hip of a skeleton, or the middle of the seen markers of a marker set, in that order of
-preference; each is a track of its own, and the cell file may name the one that counts. Lengths come in the unit that
-line 1 states, Y points up, rotation stands before position. The clock is the take's: frame number over export rate.
-An empty cell is a body that no camera saw, and stays unknown. Which way the volume is turned in the cell is not in
-the file. Where skeletons are asked for, their joints are the bones as Motive names them.
+A person is the hip of a skeleton, a rigid body, or the middle of the seen markers (of the pelvis, where there are any)
+of a marker set, in that order of preference; each is a track of its own, and the cell file may name the one that
+counts. Lengths come in the unit that line 1 states; Y points up, unless the exporter was told otherwise, which is not
+in the file: `up = "z"` in the cell file says so. Rotation stands before position. The clock is the take's: frame number
+over export rate. An empty cell is a body that no camera saw, and stays unknown. Which way the volume is turned in the
+cell is not in the file. Where skeletons are asked for, their joints are the bones as Motive names them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, cast
 
 import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
-from cyclekit.errors import DamagedLog, LogError, UnknownName, nearest
+from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, fields_of, read_blocks
 from cyclekit_adapters.frame_clock import FRAME, TIME, FrameClock
 from cyclekit_adapters.header_line import has_decimal_comma
 from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.joints import all_joints, joint_rows, points_of
+from cyclekit_adapters.markers import is_pelvis
 from cyclekit_adapters.sightings import Sightings
+from cyclekit_adapters.source_map import words
 from cyclekit_adapters.text_blocks import file_encoding, head_of
 
 if TYPE_CHECKING:
@@ -34,7 +37,13 @@ _LOOKED_AT = 20  # rows
 _HEADER_BYTES = 4 << 20  # a take of many markers has header rows of megabytes
 _METRES = {"meters": 1.0, "millimeters": 1e-3, "centimeters": 1e-2}
 _BODY, _BONE, _MARKER, _EXPECTED = "Rigid Body", "Bone", "Marker", "Rigid Body Marker"
+_SOLVED = {_EXPECTED, "Bone Marker"}  # where a marker should be: never empty, whatever the cameras saw
 _HIPS = {"hip", "hips", "pelvis"}
+_KEYS = {
+    *("Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate", "Capture Start Time"),
+    *("Capture Start Frame", "Total Frames in Take", "Total Exported Frames", "Rotation Type", "Length Units"),
+    *("Coordinate Space",),
+}
 _EXPORT = "Export the take again from Motive as CSV"
 
 _Points = list[tuple[str, str, str]]
@@ -66,8 +75,7 @@ class _MotiveCsv:
         return whole(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
-        for key in options.map:
-            raise UnknownName("[sources.map] of a Motive log", "key", key, [], cure="Motive needs no map; use `body`.")
+        up = cast('Literal["y", "z"]', words(options, "Motive", {"up": ("y", "z")}).get("up", "y"))
         header = _header(path)
         metres = _metres(path, header)
         people = _people_of(path, header, options.body)
@@ -85,7 +93,7 @@ class _MotiveCsv:
                 people=table,
                 skeletons=_skeletons(frame, bones, metres) if bones else None,
                 clock="relative",
-                up="y",
+                up=up,
                 rows_are="line",
                 rows_read=rows.rows_read,
                 set_aside=rows.set_aside,
@@ -107,8 +115,7 @@ class _MotiveCsv:
 def _header(path: Path) -> _Header:
     lines = head_of(path, _HEADER_BYTES).split("\n")
     mark = delimiter_of(lines[0], _MARKS)
-    first = fields_of(lines[0], mark)
-    about = {key.strip(): value.strip() for key, value in zip(first[::2], first[1::2], strict=False)}
+    about = _about(fields_of(lines[0], mark), mark)
     at = next((i for i, line in enumerate(lines[:60]) if line.startswith((f"Frame{mark}", f'"Frame"{mark}'))), None)
     if at is None or "Length Units" not in about:
         cause = "no header" if at is None and "Length Units" not in about else "the header is incomplete"
@@ -125,6 +132,22 @@ def _header(path: Path) -> _Header:
     clock = _clock(path, about, names)
     clock.decide(rows, mark, decimal_comma=comma)
     return _Header(about, layout, _points(path, above, axes, names), clock)
+
+
+def _about(cells: list[str], mark: str) -> dict[str, str]:
+    """Return line 1 as pairs; a name of a take or a note may hold the delimiter without quotes, and goes on then."""
+    about: dict[str, str] = {}
+    key, at = "", 0
+    while at < len(cells):
+        cell = cells[at].strip()
+        if cell in _KEYS or not key.startswith("Take"):
+            key = cell
+            about[key] = cells[at + 1].strip() if at + 1 < len(cells) else ""
+            at += 2
+        else:
+            about[key] += f"{mark} {cell}" if cell else ""
+            at += 1
+    return about
 
 
 def _clock(path: Path, about: dict[str, str], names: tuple[str, ...]) -> FrameClock:
@@ -193,18 +216,19 @@ def _people_of(path: Path, header: _Header, body: str | None) -> dict[str, _Poin
 
 
 def _tracks(points: dict[tuple[str, str], tuple[str, str, str]]) -> list[dict[str, _Points]]:
-    """Return groups of tracks, best first: rigid bodies, skeletons by their hip, marker sets, anything else."""
+    """Return groups of tracks, best first: skeletons by their hip, rigid bodies, marker sets, anything else."""
     bodies = {name: [xyz] for (kind, name), xyz in points.items() if kind == _BODY}
     skeletons: dict[str, _Points] = {}
-    sets: dict[str, _Points] = {}
+    sets: dict[str, dict[str, tuple[str, str, str]]] = {}
     for (kind, name), xyz in points.items():
         owner, _, part = name.partition(":")
         if kind == _BONE and (part.lower() in _HIPS or owner not in skeletons):
             skeletons[owner] = [xyz]  # the first bone is the top of the hierarchy; one called hip replaces it
         if kind == _MARKER and part and not owner.startswith("Unlabeled"):
-            sets.setdefault(owner, []).append(xyz)
+            sets.setdefault(owner, {})[name] = xyz
+    worn = {owner: [xyz for name, xyz in markers.items() if is_pelvis(name)] for owner, markers in sets.items()}
     rest = {name: [xyz] for (_, name), xyz in points.items()}
-    return [bodies, skeletons, sets, rest]
+    return [skeletons, bodies, {owner: worn[owner] or list(sets[owner].values()) for owner in sets}, rest]
 
 
 def _bones(header: _Header, body: str | None) -> dict[str, dict[str, tuple[str, str, str]]]:
@@ -246,6 +270,14 @@ def _warnings(header: _Header, people: dict[str, _Points], seen: Sightings, body
         said.append(f"{len(people)} bodies tracked ({', '.join(people)}): name the operator with `body`")
     if body is None and not kinds & {_BODY, _BONE} and any(name.startswith("Unlabeled") for name in people):
         said.append("only unlabelled markers: one marker may be split over several tracks")
+    things = [name for kind, name in header.points if kind == _BODY]
+    if body is None and things and _BONE in kinds:
+        said.append(f"a skeleton is the person: rigid bodies ({', '.join(things)}) are left out; `body` chooses one")
+    solved = {name for kind, name in header.points if kind in _SOLVED} - {n for k, n in header.points if k == _MARKER}
+    if solved.intersection(people):
+        said.append(
+            "some places are where a marker should be, filled in where no camera saw it: export measured markers"
+        )
     if any(len(points) > 1 for points in people.values()):
         said.append("the person is the middle of the markers seen, which jumps when one is hidden")
     said += seen.hidden()

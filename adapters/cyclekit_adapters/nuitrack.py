@@ -4,7 +4,8 @@ The person is JOINT_WAIST, row by row else JOINT_TORSO. Metres, y up, z away fro
 is not documented, so check it when the tracker's place in the cell is measured. `timestamp` is microseconds since 1970
 (smaller numbers: since the device started); `id` is the track, and with several cameras `serial/id`, each in its own
 camera's frame. The recorder repeats rows: a row that repeats the time of the one before it of the same camera and id
-counts once. Where skeletons are asked for, their joints are all JOINT_*, without that word: `waist`, `left_hand`, ...
+counts once. A joint at exactly 0, 0, 0, where the camera is, was not seen. Where skeletons are asked for, their joints
+are all JOINT_*, without that word: `waist`, `left_hand`, ...
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
@@ -151,7 +153,9 @@ class _Tracks:
 
 
 def _people(frame: pl.DataFrame, points: list[str]) -> pl.DataFrame:
-    whole = [pl.all_horizontal(pl.col(f"{point}.{axis}").is_not_null() for axis in "xyz") for point in points]
+    at = [[pl.col(f"{point}.{axis}") for axis in "xyz"] for point in points]
+    known = [pl.all_horizontal(axis.is_not_null() for axis in axes) for axes in at]
+    whole = [seen & pl.any_horizontal(axis != 0.0 for axis in axes) for seen, axes in zip(known, at, strict=True)]
     places = {
         f"{axis}_m": pl.coalesce(
             pl.when(seen).then(pl.col(f"{point}.{axis}")) for seen, point in zip(whole, points, strict=True)
@@ -164,6 +168,7 @@ def _people(frame: pl.DataFrame, points: list[str]) -> pl.DataFrame:
 def _skeletons(frame: pl.DataFrame, joints: list[str], body: str | None) -> pl.DataFrame:
     frame = only(frame, body)
     points = points_of(frame, [f"{joint}.{axis}" for joint in joints for axis in "xyz"])
+    points[(points == 0.0).all(axis=2)] = np.nan
     names = [joint.removeprefix(_JOINT).lower() for joint in joints]
     return joint_rows(frame["timestamp"] * _MICRO, frame["person"], names, points, frame["source_row"])
 

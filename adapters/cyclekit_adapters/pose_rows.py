@@ -29,7 +29,7 @@ _WHERE = "[sources.map] of a table of poses"
 _METRES = {"m": 1.0, "mm": 1e-3}
 _ORIENTATIONS = ({"qx", "qy", "qz", "qw"}, {"rx", "ry", "rz"}, {"roll", "pitch", "yaw"})
 _ELEMENT = re.compile(r"(?:state\.)?(O_T_EE|q|dq)(?:\[(\d+)\]|_(\d+))")
-_MATRIX, _PLACE, _JOINTS = 16, (12, 13, 14), 7
+_MATRIX, _PLACE, _BELOW, _JOINTS = 16, (12, 13, 14), (3, 7, 11), 7  # below the rotation stand zeros
 
 
 class _PoseCsv:
@@ -50,12 +50,14 @@ class _PoseCsv:
         if rate_hz is None:
             cure = "The rows carry no time: give the rate they were written at in cell.toml, rate_hz = ..."
             raise MissingColumns(path, ["time"], layout.names, cure)
+        below = _below(layout.names)
         places = [columns[f"tcp_{axis}_m"] for axis in "xyz"]
         values = {
             name: pl.col(source) * (metres if name.startswith("tcp") else 1.0) for name, source in columns.items()
         }
 
         def make(rows: Rows) -> Recording:
+            _require_columns_first(path, rows.frame, places, below)
             t_s = pl.Series("t_s", rows.frame[INDEX].to_numpy() / rate_hz)
             robot = rows.frame.select(t_s, "source_row", **values)
             return Recording(
@@ -75,7 +77,7 @@ class _PoseCsv:
             }
             return replace(last, warnings=tuple(_warnings(options)), facts=facts)
 
-        blocks = read_blocks(path, layout, numbers=list(columns.values()), required=places)
+        blocks = read_blocks(path, layout, numbers=[*columns.values(), *below], required=places)
         yield from in_parts(path, blocks, make, finish)
 
 
@@ -92,6 +94,22 @@ def _metres(options: ReadOptions) -> float:
     if options.rate_hz is not None and not options.rate_hz > 0:
         raise ConfigError(f"rate_hz = {options.rate_hz!r} is no rate", cure="Rows per second, for example 1000.")
     return _METRES[unit]
+
+
+def _below(names: tuple[str, ...]) -> list[str]:
+    """Return the numbers of the matrix that are zero if it was written column by column."""
+    found = {(m[1], int(m[2] or m[3])): name for name in names if (m := _ELEMENT.fullmatch(name))}
+    return [found["O_T_EE", element] for element in _BELOW if ("O_T_EE", element) in found]
+
+
+def _require_columns_first(path: Path, frame: pl.DataFrame, places: list[str], below: list[str]) -> None:
+    """Refuse a matrix written row by row: where the place is looked for, it is 0, 0, 0."""
+    if not below or frame.is_empty():
+        return
+    if (frame.select(places) == 0.0).to_numpy().all() and (frame.select(below) != 0.0).to_numpy().any():
+        cause = f"O_T_EE is written row by row: the place is in {', '.join(below)}, not where libfranka has it"
+        cure = f'Map it with adapter = "csv": x = "{below[0]}", y = "{below[1]}", z = "{below[2]}".'
+        raise DamagedLog(path, cause, cure=cure)
 
 
 def _columns(names: tuple[str, ...]) -> dict[str, str]:

@@ -4,7 +4,8 @@ Header lines are a key, a tab and values; a row of column names may follow (for 
 middle of the pelvis markers seen, or the origin of a rigid body worn. Lengths are millimetres; Z is up unless the cell
 file says `up = "y"`. An empty cell, `NULL` and a place of exactly 0, 0, 0 are not seen. The clock is the measurement's,
 (frame - 1) / frequency: `TIME_STAMP` counts from the start of the PC, and Qualisys advises against using it. With an
-external timebase (`FREQUENCY EXT`) the Time column is the clock. Where skeletons are asked for, their joints are the
+external timebase (`FREQUENCY EXT`) the Time column is the clock. Events set in QTM are events, at the time of their
+frame. Where skeletons are asked for, their joints are the
 subject's labelled markers.
 """
 
@@ -14,8 +15,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
+import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.schema import EVENTS, conform, empty
 from cyclekit_adapters.delimited import Rows, read_blocks
 from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.joints import points_of
@@ -44,7 +47,7 @@ _MEASURED = "Measured"
 class _QualisysTsv:
     def recognises(self, path: Path) -> bool:
         head = head_of(path)
-        if not head.startswith(("FILE_VERSION\t", "NO_OF_FRAMES\t")):
+        if head.partition("\t")[0] not in KEYS:
             return False
         keys = [line.partition("\t")[0] for line in head.split("\n", 12)[:12] if "\t" in line]
         return len(KEYS.intersection(keys)) >= 3
@@ -59,13 +62,14 @@ class _QualisysTsv:
         used = people.used(skeletons=options.skeletons)
         here, names = people.among(used), [header.names[index] for index in used]
         cells = [cell for index in used for cell in header.cells[index]]
-        seen = Sightings()
+        seen, events = Sightings(), [_events(header)] if header.events else []
 
         def make(rows: Rows) -> Recording:
             t_s = header.clock.seconds(rows.frame)
             points = _seen(points_of(rows.frame, cells)) * _MM
             which = cast('Literal["y", "z"]', up or "z")
-            return recording_of(here, names, points, t_s, rows, seen, options=options, up=which)
+            part = recording_of(here, names, points, t_s, rows, seen, options=options, up=which)
+            return replace(part, events=events.pop() if events else empty(EVENTS)) if header.events else part
 
         def finish(last: Recording) -> Recording:
             said = [*header.clock.warnings(), *marker_warnings(people, seen), *_filled(header, people)]
@@ -93,6 +97,17 @@ def _people(path: Path, header: Header, options: ReadOptions) -> People:
             return choose_people(path, header.names, options, "Qualisys")  # which says what there is
         tracks = {options.body: tracks[options.body]}
     return People(tracks, "origin of the rigid body")
+
+
+def _events(header: Header) -> pl.DataFrame:
+    """Return table EVENTS: one row per event, told apart by its frame."""
+    rows = [
+        (time if (at := header.clock.at(frame)) is None else at, name, f"frame {frame:.0f}", line)
+        for line, name, frame, time in header.events
+    ]
+    kept = [row for row in rows if np.isfinite(row[0])]
+    schema = {name: column.dtype for name, column in EVENTS.items()}
+    return conform(pl.DataFrame(kept, schema=schema, orient="row").sort("t_s", maintain_order=True), EVENTS)
 
 
 def _seen(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,6 +5,8 @@ What the columns mean is the business of `qualisys`.
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -25,6 +27,7 @@ KEYS = frozenset(
         *("MARKER_NAMES", "TRAJECTORY_TYPES", "BODY_NAMES"),
     }
 )
+_KEY = re.compile(r"[A-Z][A-Z0-9]*_[A-Z0-9_]+")  # a key that we do not know, and no name of a column
 _NAMES = {MARKERS: "MARKER_NAMES", BODIES: "BODY_NAMES"}
 _HEADER_BYTES = 4 << 20
 _LOOKED_AT = 20  # rows
@@ -44,6 +47,7 @@ class Header:
         cells: The columns of x, y, z of each.
         layout: How the rows are written.
         clock: What the frames count.
+        events: Line, name, frame and time (s; NaN where it is not stated) of each event set in QTM.
     """
 
     about: dict[str, list[str]]
@@ -52,6 +56,7 @@ class Header:
     cells: tuple[Cells, ...]
     layout: Layout
     clock: FrameClock
+    events: tuple[tuple[int, str, float, float], ...] = ()
 
     def facts(self) -> dict[str, str]:
         """Return what the header states about the measurement."""
@@ -69,12 +74,16 @@ def read_header(path: Path, rate_hz: float | None) -> Header:
     """
     lines = [line.rstrip("\r") for line in head_of(path, _HEADER_BYTES).split("\n")]
     about: dict[str, list[str]] = {}
+    events: list[tuple[int, str, float, float]] = []
     at = 0
-    for at, line in enumerate(lines):  # noqa: B007  # where the keys end is what is wanted
+    for at, line in enumerate(lines):  # where the keys end is wanted, too
         key, *values = line.split("\t")
-        if key not in KEYS:
+        if key not in KEYS and not (values and _KEY.fullmatch(key)):
             break
         about[key] = [value.strip() for value in values]
+        if key == "EVENT" and len(values) > 1:
+            frame, time = _number(about[key][1]), _number("".join(about[key][2:3]))
+            events.append((at + 1, about[key][0], frame, time))
     kind = " ".join(about.get("DATA_INCLUDED", [MARKERS]))
     if kind not in _NAMES:
         cause = f"it holds {kind or 'no'} data, neither 3D trajectories of markers nor 6D rigid bodies"
@@ -90,7 +99,7 @@ def read_header(path: Path, rate_hz: float | None) -> Header:
     layout = Layout(columns, "\t", at + bool(titles), decimal_comma=comma, encoding=file_encoding(path) or "utf-8")
     clock = _clock(path, about, columns, rate_hz)
     clock.decide(rows, "\t", decimal_comma=comma)
-    return Header(about, kind, names, cells, layout, clock)
+    return Header(about, kind, names, cells, layout, clock, tuple(events))
 
 
 def _columns(
@@ -143,6 +152,11 @@ def _is_word(text: str) -> bool:
         return text.upper() not in ("", "NULL") and not isinstance(float(text.replace(",", ".", 1)), float)
     except ValueError:
         return True
+
+
+def _number(text: str) -> float:
+    """Return a number of the header, NaN where there is none."""
+    return float(text.replace(",", ".")) if _is_number(text.replace(",", ".")) else math.nan
 
 
 def _is_number(text: str) -> bool:

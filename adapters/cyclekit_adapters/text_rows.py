@@ -5,6 +5,7 @@ What a cell may look like, and nothing about lines and files: those are the busi
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -93,7 +94,9 @@ def nothing_usable(path: Path, rows_read: int, set_aside: pl.DataFrame) -> Damag
     first = set_aside["reason"][0] if set_aside.height else "unknown"
     line = f" (line {set_aside['source_row'][0]})" if set_aside.height else ""
     cause = f"none of its {rows_read} rows can be used; the first{line}: {first}"
-    return DamagedLog(path, cause, cure="Check how the file was written or copied.")
+    comma = re.search(r"'[+-]?\d+,\d+'.* is not a number", first)
+    cure = 'Where commas are decimal marks, map it with adapter = "csv" and decimal = ",".' if comma else None
+    return DamagedLog(path, cause, cure=cure or "Check how the file was written or copied.")
 
 
 def number_in(name: str, layout: Layout) -> pl.Expr:

@@ -23,6 +23,7 @@ from cyclekit_adapters.controller_time import Once, Spread
 from cyclekit_adapters.delimited import Layout, Rows, read_blocks
 from cyclekit_adapters.header_line import column_names, layout_below
 from cyclekit_adapters.in_parts import in_parts
+from cyclekit_adapters.input_events import InputEvents
 from cyclekit_adapters.rtde_binary import BinaryLayout, binary_layout, is_binary, read_binary_rows
 from cyclekit_adapters.text_blocks import head_of
 
@@ -37,7 +38,7 @@ _PLAYING = 2
 _POSITION = [f"actual_TCP_pose_{axis}" for axis in range(3)]
 _SPEED = [f"actual_TCP_speed_{axis}" for axis in range(3)]
 _FRACTIONS = ["speed_scaling", "target_speed_fraction"]
-_OUTPUTS = "actual_digital_output_bits"
+_OUTPUTS, _INPUTS = "actual_digital_output_bits", "actual_digital_input_bits"
 _RECORD_IT = "Add the field to record_configuration.xml (or to the list of variables) and record again."
 _SLACK = 1e-3  # a fraction may exceed 1 by rounding; by more it is something else
 
@@ -55,7 +56,8 @@ class _UrRtdeCsv:
         register = _register(path, layout, options)
         joints = _joints(layout.names)
         _require(path, layout.names, joints)
-        wanted = _fields(register, joints, options.columns)
+        inputs = _inputs(path, layout, options)
+        wanted = _fields(register, joints, options.columns) + [_INPUTS] * (inputs is not None)
         present = [name for name in wanted if name in layout.names]
         once, seen = Once("timestamp"), _Seen()
 
@@ -64,6 +66,7 @@ class _UrRtdeCsv:
             seen.add(rows.frame)
             return Recording(
                 robot=_robot(rows.frame, register, joints),
+                events=None if inputs is None else inputs.changes(rows.frame),
                 clock="uptime",
                 joint_names=tuple(name for name in joints if name.startswith("actual_q_")),
                 rows_are="row" if isinstance(layout, BinaryLayout) else "line",
@@ -100,14 +103,26 @@ def _writer(layout: Layout | BinaryLayout) -> str:
 
 def _register(path: Path, layout: Layout | BinaryLayout, options: ReadOptions) -> str:
     for key in options.map:
-        if key != "register":
-            raise UnknownName("[sources.map] of a UR RTDE log", "key", key, ["register"])
+        if key not in ("register", "inputs"):
+            raise UnknownName("[sources.map] of a UR RTDE log", "key", key, ["register", "inputs"])
     if "register" not in options.map:
         return "output_int_register_0"
     register = str(options.map["register"])
     if register not in layout.names:
         raise MissingColumns(path, [register], layout.names, _RECORD_IT)
     return register
+
+
+def _inputs(path: Path, layout: Layout | BinaryLayout, options: ReadOptions) -> InputEvents | None:
+    """Return what finds the changes of the digital inputs, where the cell file wants them as events."""
+    wanted = options.map.get("inputs", "no")
+    if wanted not in ("events", "no"):
+        raise UnknownName("[sources.map] of a UR RTDE log", "inputs", str(wanted), ["events", "no"])
+    if wanted == "no":
+        return None
+    if _INPUTS not in layout.names:
+        raise MissingColumns(path, [_INPUTS], layout.names, _RECORD_IT)
+    return InputEvents(_INPUTS, "timestamp")
 
 
 def _joints(names: tuple[str, ...]) -> dict[str, str]:

@@ -69,6 +69,8 @@ class _ViconCsv:
             said = marker_warnings(people, seen)
             if seen.back:
                 said.append("frames do not increase throughout: the rows were edited or joined")
+            if log.titles.count("Trajectories") > 1:
+                said.append("a second section Trajectories is not read: cut the file before it to read it, too")
             facts = {
                 "rate_hz": f"{section.rate_hz:g}",
                 "unit": next(name for name, metres in METRES.items() if metres == section.metres),

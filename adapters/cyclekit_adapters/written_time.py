@@ -11,19 +11,22 @@ _FIRST_YEAR = 1900
 """Of any log: 06.03.25 read by a pattern with %Y is the year 25."""
 
 
-def written_seconds(text: pl.Expr, pattern: str, zone: str | None) -> pl.Expr:
+def written_seconds(text: pl.Expr, pattern: str, zone: str | None, *, zoned: bool = False) -> pl.Expr:
     """Return seconds since 1970 (since midnight, where the pattern has no date) of times written as text.
 
     Args:
         text: The times; null stays null, and so does what is not written like that.
         pattern: `iso`, or a pattern of strftime.
         zone: Zone of times that name none; without it they are taken as UTC, which nobody may rely on.
+        zoned: The times of this log name their zone, so by `iso` one that does not is none.
     """
     if pattern == "iso":
         text = text.str.replace(" ", "T", literal=True).str.replace(",", ".", literal=True)
-        zoned = text.str.replace("Z$", "+00:00").str.to_datetime("%+", time_unit="ns", time_zone="UTC", strict=False)
+        named = text.str.replace("Z$", "+00:00").str.to_datetime("%+", time_unit="ns", time_zone="UTC", strict=False)
+        if zoned:
+            return _since_1970(named)
         plain = text.str.to_datetime("%Y-%m-%dT%H:%M:%S%.f", time_unit="ns", strict=False)
-        return pl.coalesce(_since_1970(zoned), _since_1970(_in_zone(plain, zone)))
+        return pl.coalesce(_since_1970(named), _since_1970(_in_zone(plain, zone)))
     if "%d" not in pattern and "%j" not in pattern and "%D" not in pattern and "%F" not in pattern:
         return text.str.to_time(pattern, strict=False).cast(pl.Int64) * 1e-9
     if "%z" in pattern or "%+" in pattern:

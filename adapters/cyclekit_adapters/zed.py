@@ -131,6 +131,7 @@ def _take_frame(path: Path, dump: _Dump, key: str, value: object, *, skeletons: 
         alone = [value] if "keypoint" in value else []  # a list of bodies without frames
         bodies = value.get("body_list", alone)  # the C++ exporter leaves the key out where nobody is
         stamp = next((value[name] for name in ("timestamp", "ts") if value.get(name) is not None), key)
+        stamp = key if key.isdigit() and not stamp else stamp  # the key tells it where the writer left it at 0
     else:
         bodies, stamp = value, key
     if not isinstance(bodies, list):

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 STILL_ROWS = 100
 """A value that stays the same over fewer rows says nothing."""
 NOWHERE_M = 1e9
+NEAR_M = 0.02
+"""Nobody, and no tool, is never farther from the origin than this: a robot has a base, a tracker a camera there."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ class Places:
         self._jumps = 0
         self._same: Vector | None = None
         self._still, self._seen = True, 0
+        self._most_m = 0.0
 
     def out_of_reach(self, xyz: Vector, here: Mask) -> Mask:
         """Tell which positions, shape (3, N), are out of reach; none where most are, for then the unit is another.
@@ -110,7 +113,7 @@ class Places:
         return np.asarray((way > possible) & (step > 0))
 
     def look_still(self, xyz: Vector) -> None:
-        """Note whether the position has ever changed; a real sensor has noise, even of somebody who stands still."""
+        """Note how far away it was and whether it ever changed; a sensor has noise, even of who stands still."""
         known = np.isfinite(xyz[0]) & np.isfinite(xyz[1])
         if not known.any():
             return
@@ -118,6 +121,7 @@ class Places:
         if self._same is None:
             self._same = xyz[:2, first]
         self._seen += int(known.sum())
+        self._most_m = max(self._most_m, float(np.nan_to_num(np.abs(xyz[:, known])).max()))
         x, y = self._same
         self._still = self._still and bool(((xyz[0] == x) & (xyz[1] == y))[known].all())
 
@@ -128,6 +132,11 @@ class Places:
             said.append(
                 f"{kind.whose} is {self._far_m:.0f} m away in {self._far_rows} rows: likely millimetres; "
                 'say length_unit = "mm", or the unit in the export'
+            )
+        if 0.0 < self._most_m < NEAR_M and self._seen >= STILL_ROWS:
+            said.append(
+                f"{kind.whose} is never farther than {1e3 * self._most_m:.1f} mm from the origin on any axis: likely "
+                "metres that are said to be millimetres; correct the unit"
             )
         if self._jumps:
             said.append(f"{kind.whose} jumps faster than {kind.speed_m_s:.0f} m/s {self._jumps} time(s): {kind.likely}")

@@ -213,3 +213,11 @@ def test_what_lies_behind_the_frames_is_not_read_into_memory(tmp_path):
     tracemalloc.stop()
     np.testing.assert_array_equal(points, read_c3d(whole).points)
     assert peak < 64 << 20
+
+
+def test_an_axis_that_is_neither_y_nor_z_up_is_said(tmp_path):
+    log = ADAPTER.read(write(tmp_path / "trial.c3d", some_points(), screen="-Z"), ReadOptions())
+    assert log.up == "z"
+    assert any("Y_SCREEN is -Z" in said for said in log.warnings)
+    chosen = ADAPTER.read(tmp_path / "trial.c3d", ReadOptions(map={"up": "y"}))
+    assert (chosen.up, any("Y_SCREEN" in said for said in chosen.warnings)) == ("y", False)

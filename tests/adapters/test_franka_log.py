@@ -148,3 +148,13 @@ def test_the_flange_is_the_product_of_the_seven_link_matrices(q):
         pose = pose @ link(a, d, alpha, theta)
     pose = pose @ link(0, 0.107, 0, 0)
     assert flange_position_m(np.array([q]))[0] == pytest.approx(pose[:3, 3], abs=1e-12)
+
+
+def test_seconds_of_another_logger_are_not_taken_for_milliseconds(tmp_path):
+    path = write(tmp_path / "log.csv", line(0.0), line(0.001), line(0.002))
+    with pytest.raises(DamagedLog, match=r"0\.002 is no whole number of milliseconds") as refusal:
+        read(path)
+    assert 'adapter = "csv"' in str(refusal.value)
+    log = read(write(tmp_path / "log.csv", line(1), line(2), line(2.5), line(3)))
+    assert log.robot["t_s"].to_list() == pytest.approx([0.001, 0.002, 0.003])
+    assert log.set_aside["source_row"].to_list() == [4]

@@ -213,3 +213,38 @@ def test_any_log_of_whole_rows_comes_back_as_it_was_written(tmp_path_factory, cy
     robot = read(path).robot
     assert robot["t_s"].to_list() == pytest.approx([t / 1000 for t, _ in rows])
     assert robot["tcp_x_m"].to_list() == pytest.approx([x / 1000 for _, x in rows])
+
+
+@pytest.mark.parametrize("name", ["RIst_X", "RIst.X", "RIstX", "RIst X", "X_RIst", "XRIst", "rist_x", "X_rist"])
+def test_every_client_puts_the_names_together_in_its_own_way(tmp_path, name):
+    columns = [name.replace("X", axis) if "X" in name else name.replace("_x", f"_{axis.lower()}") for axis in "XYZABC"]
+    path = write(
+        tmp_path / "robot.csv", "100,200,300,1,2,3,12", "100,200,300,1,2,3,24", columns=",".join([*columns, "Ipoc"])
+    )
+    assert find_adapter(path).name == "kuka-rsi"
+    assert read(path).robot.select("t_s", "tcp_x_m", "tcp_y_m", "tcp_z_m").row(1) == pytest.approx(
+        (0.024, 0.1, 0.2, 0.3)
+    )
+
+
+def test_axes_are_degrees(tmp_path):
+    axes = ",".join(f"A{axis}_AIPos" for axis in range(1, 7))
+    turned = "0,-90,90,180,45,-360"
+    path = write(tmp_path / "robot.csv", f"{turned},1,2,3,12", columns=f"{axes},X_RIst,Y_RIst,Z_RIst,IPOC")
+    log = read(path)
+    expected = np.pi * np.array([0, -0.5, 0.5, 1, 0.25, -2])
+    assert log.robot.select(f"q{axis}_rad" for axis in range(6)).row(0) == pytest.approx(tuple(expected))
+    assert log.joint_names == tuple(axes.split(","))
+    assert log.robot["tcp_x_m"].to_list() == pytest.approx([0.001])
+    alone = read(write(tmp_path / "axes.csv", f"{turned},12", columns=f"{axes},IPOC"))
+    assert alone.robot["q3_rad"].to_list() == pytest.approx([np.pi])
+    assert any("RIst not recorded" in said for said in alone.warnings)
+    assert find_adapter(tmp_path / "axes.csv").name == "kuka-rsi"
+
+
+def test_a_log_without_ipoc_says_how_it_can_be_read(tmp_path):
+    path = write(tmp_path / "robot.csv", "2024-05-06 14:05:15,1,2,3", columns="Timestamp,X_RIst,Y_RIst,Z_RIst")
+    assert find_adapter(path).name == "kuka-rsi"
+    with pytest.raises(MissingColumns, match="'IPOC'") as refusal:
+        read(path)
+    assert 'adapter = "csv"' in str(refusal.value)

@@ -3,7 +3,7 @@ import math
 import pytest
 
 from cyclekit.adapter import ReadOptions, whole
-from cyclekit.errors import ConfigError, DamagedLog, MissingColumns, UnknownName
+from cyclekit.errors import ConfigError, DamagedLog, LogError, MissingColumns, UnknownName
 from cyclekit_adapters.mapped_csv import ADAPTER
 
 
@@ -172,6 +172,9 @@ def test_a_file_name_with_brackets_is_a_name_and_no_pattern(tmp_path):
 @pytest.mark.parametrize(
     ("text", "pattern", "zone", "seconds"),
     [
+        ("01.05.2024 12:00:00,250", "%d.%m.%Y %H:%M:%S%.f", "Europe/Rome", 1714557600.25),
+        ("2024-05-01 10:00:00.250 +0200", "%Y-%m-%d %H:%M:%S%.f %z", None, 1714550400.25),
+        ("2024-05-01 10:00:00.250", "iso", None, 1714557600.25),
         ("2024-05-01T10:00:00.250Z", "iso", None, 1714557600.25),
         ("2024-05-01 10:00:00,250+02:00", "iso", None, 1714550400.25),
         ("2024-05-01 12:00:00.25", "iso", "Europe/Rome", 1714557600.25),
@@ -184,8 +187,37 @@ def test_times_written_as_text(tmp_path, text, pattern, zone, seconds):
     mapping = {"time_format": pattern} | ({"time_zone": zone} if zone else {})
     log = read(tmp_path / "log.csv", f't;x;y\n"{text}";2;3\n', role="people", time="t", x="x", y="y", **mapping)
     assert log.people["t_s"].to_list() == [pytest.approx(seconds, abs=1e-6)]
-    assert log.clock == ("epoch" if zone else "relative")
-    assert any("give time_zone" in said for said in log.warnings) == (zone is None)
+    placed = bool(zone) or text.endswith(("Z", "00"))  # the text names its zone
+    assert log.clock == ("epoch" if placed else "relative")
+    assert any("give time_zone" in said for said in log.warnings) != placed
+
+
+def test_where_times_name_their_zone_one_that_does_not_is_set_aside(tmp_path):
+    text = "t;x;y\n2024-05-01T10:00:00+02:00;1;2\n2024-05-01T10:00:01;1;2\n2024-05-01T10:00:02+02:00;1;2\n"
+    log = read(tmp_path / "log.csv", text, role="people", time="t", x="x", y="y", time_format="iso")
+    assert log.people["t_s"].to_list() == [1714550400.0, 1714550402.0]
+    assert log.set_aside["source_row"].to_list() == [3]
+
+
+def test_a_log_of_which_no_time_can_be_read_is_refused(tmp_path):
+    how = {"time": "t", "x": "x", "y": "y", "time_format": "%d/%m/%Y %H:%M"}
+    with pytest.raises(DamagedLog, match=r"none of its 2 rows can be used; the first \(line 2\): its time is not"):
+        read(tmp_path / "log.csv", "t;x;y\n2024-05-01;1;2\n2024-05-02;1;2\n", role="people", **how)
+
+
+def test_a_clock_said_to_be_epoch_must_be_one(tmp_path):
+    how = {"role": "robot", "time": "t", "x": "x", "y": "y", "clock": "epoch"}
+    with pytest.raises(LogError, match="not in the years 2000 to 2099") as refusal:
+        read(tmp_path / "log.csv", "t,x,y\n1714557600000,0,0\n1714557600010,0,0\n", **how)
+    assert "time_unit" in str(refusal.value)
+    log = read(tmp_path / "log.csv", "t,x,y\n1714557600000,0,0\n1714557600010,0,0\n", time_unit="ms", **how)
+    assert log.robot["t_s"].to_list() == pytest.approx([1714557600.0, 1714557600.01])
+
+
+def test_a_decimal_comma_that_was_not_mapped_is_named_in_the_cure(tmp_path):
+    with pytest.raises(DamagedLog, match="'0,5' in column 't'") as refusal:
+        read(tmp_path / "log.csv", "t;x;y\n0,5;1;2\n", role="robot", time="t", x="x", y="y")
+    assert 'decimal = ","' in str(refusal.value)
 
 
 def test_a_date_and_a_time_of_day_in_two_columns(tmp_path):

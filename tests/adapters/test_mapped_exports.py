@@ -14,17 +14,18 @@ SECTION = GUIDE.partition("### Controllers without a public layout")[2]
 JOINTS = "joint_1,joint_2,joint_3,joint_4,joint_5,joint_6"
 RIGHT_ANGLE = 1.5707963267948966
 
+SINCE_1970 = 1_714_557_600
 EXPORTS = {
     "FANUC": "logger_ms,X,Y,Z,W,GENOVERRIDE\n1000,850,-120.5,300,0,40\n1500,850,-120.5,310,0,100\n",
     "ABB": f"tm,pos_x,pos_y,pos_z,{JOINTS},speed_ratio\n1000,850,-120.5,300,90,0,0,0,0,0,40\n"
     "1500,850,-120.5,310,90,0,0,0,0,0,100\n",
-    "Yaskawa": f"stamp_s,tcp_x,tcp_y,tcp_z,{JOINTS}\n1,0.85,-0.1205,0.3,{RIGHT_ANGLE},0,0,0,0,0\n"
-    f"1.5,0.85,-0.1205,0.31,{RIGHT_ANGLE},0,0,0,0,0\n",
+    "Yaskawa": f"stamp_s,tcp_x,tcp_y,tcp_z,{JOINTS}\n{SINCE_1970 + 1},0.85,-0.1205,0.3,{RIGHT_ANGLE},0,0,0,0,0\n"
+    f"{SINCE_1970 + 1.5},0.85,-0.1205,0.31,{RIGHT_ANGLE},0,0,0,0,0\n",
     "Doosan": "time_stamp,"
     + ",".join(f"actual_{what}_{i}" for what in ("tcp_position", "joint_position") for i in range(6))
     + "\n1.0,850,-120.5,300,0,0,0,90,0,0,0,0,0\n1.5,850,-120.5,310,0,0,0,90,0,0,0,0,0\n",
     "Techman": "header_stamp_s,tool_pose_0,tool_pose_1,tool_pose_2,project_speed,project_run\n"
-    "1.0,0.85,-0.1205,0.3,40,True\n1.5,0.85,-0.1205,0.31,100,False\n",
+    f"{SINCE_1970 + 1},0.85,-0.1205,0.3,40,True\n{SINCE_1970 + 1.5},0.85,-0.1205,0.31,100,False\n",
     "xArm": f"timestamp_us,actual_x,actual_y,actual_z,{JOINTS},state\n"
     f"1000000,850,-120.5,300,{RIGHT_ANGLE},0,0,0,0,0,1\n1500000,850,-120.5,310,{RIGHT_ANGLE},0,0,0,0,0,2\n",
 }
@@ -55,7 +56,8 @@ def test_the_guide_shows_these_makers_and_no_other():
 @pytest.mark.parametrize("maker", EXPORTS)
 def test_the_cell_file_of_the_guide_gives_metres_and_seconds(tmp_path, maker):
     log = read(tmp_path, maker)
-    assert log.robot["t_s"].to_list() == pytest.approx([1.0, 1.5])
+    begin = SINCE_1970 if CLOCKS[maker] == "epoch" else 0
+    assert (log.robot["t_s"] - begin).to_list() == pytest.approx([1.0, 1.5])
     assert log.robot["tcp_x_m"].to_list() == pytest.approx([0.85] * 2)
     assert log.robot["tcp_y_m"].to_list() == pytest.approx([-0.1205] * 2)
     assert log.robot["tcp_z_m"].to_list() == pytest.approx([0.3, 0.31])

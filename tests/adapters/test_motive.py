@@ -1,7 +1,7 @@
 import pytest
 
 from cyclekit.adapter import ReadOptions
-from cyclekit.errors import DamagedLog, LogError
+from cyclekit.errors import DamagedLog, LogError, UnknownName
 from cyclekit_adapters.motive import ADAPTER
 
 
@@ -153,3 +153,70 @@ def test_a_take_that_a_german_spreadsheet_saved_again_is_read_alike(tmp_path, mo
     log = read(tmp_path / "take.csv", saved)
     assert log.people.rows() == read(tmp_path / "take.csv", text).people.rows()
     assert log.people.select("x_m", "y_m").rows() == [(1.5, 1.75), (None, None)]
+
+
+def columns(kinds, names, components, axes):
+    """The five rows above the data of a take, written out."""
+    rows = [["", "Type", *kinds], ["", "Name", *names], ["", "ID", *("6D" for _ in kinds)], ["", "", *components]]
+    return [",".join(row) for row in [*rows, ["Frame", "Time (Seconds)", *axes]]]
+
+
+def take(head, *rows, line="Format Version,1.25,Take Name,walk,Export Frame Rate,100,Length Units,Meters"):
+    return "\r\n".join([line, "", *head, *rows, ""])
+
+
+XYZ, PLACE = ["X", "Y", "Z"], ["Position"] * 3
+
+
+def test_a_skeleton_is_the_person_and_the_box_beside_it_is_not(tmp_path):
+    kinds, names = ["Rigid Body"] * 3 + ["Bone"] * 3, ["Box"] * 3 + ["Ann"] * 3
+    text = take(columns(kinds, names, PLACE * 2, XYZ * 2), "0,0.00,5,1,5,1,0.9,2", "1,0.01,5,1,5,1.5,0.9,2")
+    log = read(tmp_path / "take.csv", text)
+    assert log.people.select("person", "x_m").rows() == [("Ann", 1.0), ("Ann", 1.5)]
+    assert any("rigid bodies (Box) are left out" in said for said in log.warnings)
+    box = read(tmp_path / "take.csv", text, body="Box")
+    assert box.people["x_m"].to_list() == [5.0, 5.0]
+    assert not any("left out" in said for said in box.warnings)
+
+
+def test_of_a_marker_set_with_a_pelvis_the_pelvis_is_the_person(tmp_path):
+    names = ["Ann:WaistLFront"] * 3 + ["Ann:WaistRBack"] * 3 + ["Ann:LHandOut"] * 3
+    text = take(
+        columns(["Marker"] * 9, names, PLACE * 3, XYZ * 3), "0,0,1,0.9,0,2,0.9,0,9,9,9", "1,0.01,1,1,0,,,,9,9,9"
+    )
+    log = read(tmp_path / "take.csv", text)
+    assert log.people.select("x_m", "y_m").rows() == [(1.5, 0.9), (1.0, 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("name", "known"), [("walk, morning", "walk, morning"), ('"walk, morning"', "walk, morning"), ("a,b,c", "a, b, c")]
+)
+def test_the_name_of_a_take_may_hold_commas(tmp_path, name, known):
+    line = f"Format Version,1.23,Take Name,{name},Take Notes,,Export Frame Rate,100,Length Units,Millimeters,,,"
+    head = columns(["Rigid Body"] * 3, ["vest"] * 3, PLACE, XYZ)
+    log = read(tmp_path / "take.csv", take(head, "0,0,1000,0,0", line=line))
+    assert log.people["x_m"].to_list() == [1.0]
+    assert log.facts["Take Name"] == known
+
+
+@pytest.mark.parametrize("kind", ["Rigid Body Marker", "Bone Marker"])
+def test_places_where_a_marker_should_be_are_said_to_be_filled_in(tmp_path, kind):
+    text = take(columns([kind] * 3, ["vest:1"] * 3, PLACE, XYZ), "0,0.00,1,1,1", "1,0.01,1,1,1")
+    assert any("filled in" in said for said in read(tmp_path / "take.csv", text).warnings)
+    both = columns([kind] * 3 + ["Marker"] * 3, ["vest:1"] * 6, PLACE * 2, XYZ * 2)
+    log = read(tmp_path / "take.csv", take(both, "0,0.00,1,1,1,2,2,2", "1,0.01,1,1,1,,,"))
+    assert log.people["x_m"].to_list() == [2.0, None]
+    assert not any("filled in" in said for said in log.warnings)
+
+
+def test_euler_angles_stand_in_three_columns_before_the_position(tmp_path):
+    head = columns(["Rigid Body"] * 6, ["vest"] * 6, ["Rotation"] * 3 + PLACE, XYZ * 2)
+    assert read(tmp_path / "take.csv", take(head, "0,0,10,20,30,1,1.7,3")).people["y_m"].to_list() == [1.7]
+
+
+def test_an_export_turned_to_z_up_is_said_in_the_cell_file(tmp_path, motive):
+    text = motive({"Helmet": [(1.0, 2.0, 1.7)]})
+    log = read(tmp_path / "take.csv", text, map={"up": "z"})
+    assert (log.up, log.people["z_m"].to_list()) == ("z", [1.7])
+    with pytest.raises(UnknownName, match="'x'"):
+        read(tmp_path / "take.csv", text, map={"up": "x"})

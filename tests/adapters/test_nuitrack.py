@@ -107,3 +107,14 @@ def test_a_camera_that_joins_late_has_names_of_its_own(tmp_path):
     log = read(tmp_path / "nui.csv", table(rows))
     assert dict(log.people["person"].value_counts().rows()) == {"1": 400, "CAM2/1": 1}
     assert any("2 cameras" in said for said in log.warnings)
+
+
+def test_a_joint_where_the_camera_is_was_not_seen(tmp_path):
+    lost, torso = row(33_333, 0.0), row(66_666, 0.0)
+    lost[3:9] = [0.0] * 6
+    torso[3:6] = [0.0] * 3
+    text = table([row(0, 0.25), lost, torso])
+    log = read(tmp_path / "nui.csv", text, skeletons=True)
+    assert log.people["x_m"].to_list() == [0.25, None, 9.0]
+    assert log.skeletons.filter(joint="waist")["x_m"].to_list() == [0.25, None, None]
+    assert any("no place in 1 of 3 rows" in said for said in log.warnings)

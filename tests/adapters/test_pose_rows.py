@@ -136,3 +136,13 @@ def test_any_poses_come_back_in_whatever_order_the_columns_are(tmp_path_factory,
     robot = read(path, rate_hz=rate_hz).robot
     assert robot.select("tcp_x_m", "tcp_y_m", "tcp_z_m").rows() == places
     assert robot["t_s"].to_list() == pytest.approx([i / rate_hz for i in range(len(places))])
+
+
+def test_a_matrix_written_row_by_row_is_refused_and_not_read_as_the_origin(tmp_path):
+    row = [1, 0, 0, 0.4, 0, 1, 0, -0.1, 0, 0, 1, 0.6, 0, 0, 0, 1]
+    path = write(tmp_path / "poses.csv", MATRIX, row, row)
+    with pytest.raises(DamagedLog, match="row by row") as refusal:
+        read(path)
+    assert 'x = "O_T_EE[3]"' in str(refusal.value)
+    identity = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+    assert read(write(tmp_path / "poses.csv", MATRIX, identity)).robot["tcp_x_m"].to_list() == [0.0]

@@ -179,3 +179,23 @@ def test_any_order_of_lines_is_read_or_refused(tmp_path_factory, lines):
     path = tmp_path_factory.getbasetemp() / "any_qtm.tsv"
     path.write_text("\n".join(lines) + "\n")
     read_or_refuse(ADAPTER, path)
+
+
+def test_events_set_in_qtm_are_events_at_the_time_of_their_frame(tmp_path):
+    lines = tsv(HIPS).split("\r\n")
+    lines[8:8] = ["EVENT\tsync\t1\t0.00000", "EVENT\tsync\t151\t1.50000"]
+    log = read(tmp_path / "walk.tsv", "\r\n".join(lines))
+    assert log.events.rows() == [(0.0, "sync", "frame 1", 9), (1.5, "sync", "frame 151", 10)]
+    assert log.people["x_m"].to_list() == pytest.approx([1.0, 1.005])
+    external = "\r\n".join(lines).replace("FREQUENCY\t100", "FREQUENCY\tEXT").replace("\t1.50000", "\t1,75")
+    assert read(tmp_path / "walk.tsv", external).events["t_s"].to_list() == [0.0, 1.75]
+    assert read(tmp_path / "walk.tsv", tsv(HIPS)).events is None
+
+
+def test_keys_in_another_order_and_keys_of_a_later_version_are_no_obstacle(tmp_path):
+    lines = tsv(HIPS).split("\r\n")
+    stamp = next(i for i, line in enumerate(lines) if line.startswith("TIME_STAMP"))
+    moved = [lines[stamp], *lines[:stamp], "CAPTURE_VOLUME\t1\t2", *lines[stamp + 1 :]]
+    log = read(tmp_path / "walk.tsv", "\r\n".join(moved))
+    assert log.people["x_m"].to_list() == pytest.approx([1.0, 1.005])
+    assert log.people["source_row"].to_list() == [14, 15]

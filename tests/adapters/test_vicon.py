@@ -150,3 +150,11 @@ def test_a_trial_with_events_on_top_is_read_as_well(tmp_path):
     log = read(tmp_path / "trial.csv", [*events, *section(HIPS)])
     assert log.people["x_m"].to_list() == pytest.approx([0.1, 0.01])
     assert log.people["source_row"].to_list() == [11, 12]
+
+
+def test_a_second_section_of_trajectories_is_not_dropped_silently(tmp_path):
+    lines = [*section(HIPS), "", *section(HIPS, first=3)]
+    log = read(tmp_path / "trial.csv", lines)
+    assert log.people["t_s"].to_list() == [0.0, 0.01]
+    assert any("second section Trajectories" in said for said in log.warnings)
+    assert not any("second section" in said for said in read(tmp_path / "trial.csv", section(HIPS)).warnings)

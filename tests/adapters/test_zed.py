@@ -280,3 +280,12 @@ def test_a_packed_dump_is_read_as_well(tmp_path):
     path.write_bytes(gzip.compress(json.dumps(python_dump({0: [body(1, 1.0)]})).encode()))
     assert ADAPTER.recognises(path)
     assert ADAPTER.read(path, ReadOptions()).people["x_m"].to_list() == [1.0]
+
+
+def test_a_timestamp_that_the_writer_left_at_zero_is_told_by_the_key(tmp_path):
+    dump = python_dump({ms: [body(3, 0.25, 1.0)] for ms in (0, 100)})
+    for frame in dump.values():
+        frame["timestamp"] = 0
+    log = read(tmp_path / "bodies.json", dump)
+    assert log.people["t_s"].to_list() == pytest.approx([1.7e9, 1.7e9 + 0.1])
+    assert log.clock == "epoch"

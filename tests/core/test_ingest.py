@@ -121,6 +121,7 @@ def test_a_path_that_is_not_there_is_refused(tmp_path: Path):
 @pytest.mark.parametrize(
     ("content", "cause"),
     [
+        (b'{"people":[{"pose_keypoints_2d":[1,2,0.9,3,4,0.8]}],"version":1.3}', "JSON of a kind that no adapter"),
         (b"the gripper squeaks\nand the belt slips\n", "no adapter recognises this content"),
         (b"", "the file is empty"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "Git LFS pointer"),

@@ -242,6 +242,20 @@ def test_a_sample_without_an_operator_says_why(tmp_path: Path, robot_log: Any, m
     assert (found["human_gap"].is_null() == found["human_x_m"].is_not_null()).all()
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_height_that_changes_by_metres_is_an_axis_that_does_not_point_up(
+    tmp_path: Path, robot_log: Any, motive_log: Any, turned: bool
+):
+    robot_log(tmp_path / "logs" / "robot.csv", [("stand", 1.0), ("move", 4.0), ("stand", 9.0)])
+    walk = [(2.0, 3.0 * np.sin(0.02 * i), 1.0 + 0.02 * np.cos(i)) for i in range(500)]
+    points = [(x, -z, y) if turned else (x, y, z) for x, y, z in walk]
+    motive_log(tmp_path / "logs" / "operator.csv", points)
+    report = ingest([tmp_path / "logs"], tmp_path / "dataset")
+    said = [text for text in report.warnings if "height of a person" in text]
+    assert len(said) == turned
+    assert all("frame in cell.toml" in text for text in said)
+
+
 def test_ids_that_change_every_frame_still_make_one_operator_in_the_samples(tmp_path: Path, robot_log: Any):
     doing = [("move", 0.5), ("move", 0.0)] * 8
     robot_log(tmp_path / "logs" / "robot.csv", [("stand", 1.0), *doing, ("stand", 1.0)])

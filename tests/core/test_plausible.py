@@ -208,3 +208,15 @@ def test_what_cannot_be_does_not_depend_on_where_a_log_was_cut_into_parts(times,
         assert in_parts.tables()[name].equals(at_once.tables()[name])
         assert sorted(aside(in_parts)) == sorted(aside(at_once))
         assert in_parts.warnings == at_once.warnings
+
+
+def test_metres_that_are_said_to_be_millimetres_are_named():
+    person = walk().with_columns(pl.col("x_m", "y_m", "z_m") * 1e-3)
+    (said,) = examined(Recording(people=person)).warnings
+    assert "never farther than" in said
+    assert "metres that are said to be millimetres" in said
+    log = robot()
+    small = Recording(robot=log.robot.with_columns(pl.col("^tcp_.*$") * 1e-3))
+    assert any("the TCP is never farther" in text for text in examined(small).warnings)
+    short = Recording(people=person.head(20))
+    assert examined(short).warnings == ()

@@ -18,7 +18,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.adapter import Adapter, ClockKind, ReadOptions, Recording
-from cyclekit.errors import DamagedLog
+from cyclekit.errors import DamagedLog, LogError
 from cyclekit.schema import STAMPS, conform
 from cyclekit_adapters.rosbag.clocks import EPOCH_S, Source, choose_times, simulated
 from cyclekit_adapters.rosbag.container import Bag, is_bag, opened
@@ -46,6 +46,8 @@ class _RosBag:
             contents = collect(bag, roles, skeletons=options.skeletons)
             contents.warnings += [f"{topic} is not read: {why}; convert the bag to mcap" for topic, why in lost.items()]
             frames = find_frames(contents, roles, skeletons=options.skeletons, frame_given=options.frame_given)
+            if frames.rivals and options.role in (None, "robot"):
+                raise _several_arms(path, frames.rivals)
             is_simulated = _choose_times(contents, roles, frames)
             robot = robot_table(contents, roles, frames) if options.role in (None, "robot") else None
             people = people_table(contents, roles, frames) if roles.people or roles.bodies else None
@@ -75,7 +77,9 @@ def _roles(bag: Bag, path: Path, options: ReadOptions) -> tuple[Roles, dict[str,
     lost: dict[str, str] = {}
     while True:
         counts = {**bag.counts, **dict.fromkeys(lost, 0)}
-        roles = _wanted(roles_in(path, bag.topics, counts, options.map, options.body), options)
+        wants_robot = options.role in (None, "robot")
+        roles = roles_in(path, bag.topics, counts, options.map, options.body, robot=wants_robot)
+        roles = _wanted(roles, options)
         found = bag.settle(roles.topics() - set(lost))
         if not found:
             return roles, lost
@@ -137,6 +141,11 @@ def _stamps(contents: Contents, frames: Frames) -> pl.DataFrame | None:
     if float(host_s.min()) < EPOCH_S:
         return None
     return conform(pl.DataFrame({"t_s": t_s, "host_s": host_s}).sort("t_s", "host_s"), STAMPS)
+
+
+def _several_arms(path: Path, tools: list[str]) -> LogError:
+    cure = f'Name one in [sources.map] of cell.toml: tool_frame = "{tools[0]}".'
+    return LogError(path, f"the transforms lead to the tools of several arms ({', '.join(tools)})", cure=cure)
 
 
 def _nothing_usable(bag: Bag) -> DamagedLog:

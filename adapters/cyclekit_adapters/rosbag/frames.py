@@ -52,6 +52,7 @@ class Frames:
     Attributes:
         base: The robot's base frame, empty where nothing tells it.
         tool: From the base to the tool, where no topic tells the TCP.
+        rivals: The tools, where the transforms lead to those of several arms alike.
         people: From the base to each frame that people are in and that is another one.
         adrift: Frames that people are in, without a way to the base.
         kept: Frames that people are in and stay in, since the cell file says where they stand.
@@ -60,6 +61,7 @@ class Frames:
 
     base: str = ""
     tool: list[Step] = field(default_factory=list)
+    rivals: list[str] = field(default_factory=list)
     people: dict[str, list[Step]] = field(default_factory=dict)
     adrift: set[str] = field(default_factory=set)
     kept: set[str] = field(default_factory=set)
@@ -89,7 +91,8 @@ def find_frames(contents: Contents, roles: Roles, *, skeletons: bool, frame_give
     """
     tree, frames = contents.transforms, Frames()
     if roles.tcp not in contents.tracks and (found := tree.tool_way(roles.base_frame, roles.tool_frame)):
-        frames.base, frames.tool = found
+        frames.base, frames.tool, others = found
+        frames.rivals = sorted([frames.tool[-1].link.child, *others]) if others else []
     frames.base = (roles.base_frame or contents.frame_of(roles.tcp) or frames.base).strip("/")
     seen = sorted(set(_people_frames(contents, roles)))
     candidates = [frames.base] if frames.base else tree.bases(None)

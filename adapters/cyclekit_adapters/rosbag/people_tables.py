@@ -40,7 +40,11 @@ def people_table(contents: Contents, roles: Roles, frames: Frames) -> pl.DataFra
         elif parts:
             _add_numbered(contents, frames, topic, prefix, columns)
     _add_bodies(contents, roles, frames, columns)
-    contents.rows_of["people"] = _topics(contents, roles, frames)
+    topics = contents.rows_of["people"] = _topics(contents, roles, frames)
+    if ", " in topics:
+        contents.warnings.append(
+            f"people are on several topics ({topics}): if they are the same people, name one as `body`"
+        )
     return _table(columns, PEOPLE)
 
 

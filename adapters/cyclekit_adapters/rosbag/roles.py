@@ -15,6 +15,7 @@ from cyclekit.errors import ConfigError, LogError, UnknownName, nearest
 from cyclekit_adapters.rosbag.clocks import HOWS, How
 from cyclekit_adapters.rosbag.modes import ROBOT_MODE, SAFETY_MODE
 from cyclekit_adapters.rosbag.people import MARKERS, TRACKERS
+from cyclekit_adapters.rosbag.robots import of_one_robot, spaces
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -27,6 +28,9 @@ CONTROLLER, CLOCK = "control_msgs/msg/JointTrajectoryControllerState", "rosgraph
 _NUMBERS = {f"std_msgs/msg/{kind}" for kind in ("Float64", "Float32", "Int64", "Int32", "Int16", "UInt8")}
 _PEOPLE_WORDS = {"poses", "people", "persons", "humans", "bodies", "human", "person", "operator"}
 _TOPICS = ("tcp", "joints", "scaling", "running", "people", "events")
+_TCP, _RUNNING = ("tcp_pose_broadcaster/pose", "tcp_pose"), "robot_program_running"
+_UR_RUNNING = tuple(f"{name}/{_RUNNING}" for name in ("io_and_status_controller", "ur_hardware_interface"))
+_UR_2, _UR_1 = "speed_scaling_state_broadcaster/speed_scaling", "speed_scaling_factor"
 _KEYS = (*_TOPICS, "scaling_max", "base_frame", "tool_frame", "time")
 _WHERE = "[sources.map] of a bag"
 
@@ -68,7 +72,13 @@ class Roles:
 
 
 def roles_in(
-    path: Path, types: Mapping[str, str], counts: Mapping[str, int], chosen: Mapping[str, object], body: str | None
+    path: Path,
+    types: Mapping[str, str],
+    counts: Mapping[str, int],
+    chosen: Mapping[str, object],
+    body: str | None,
+    *,
+    robot: bool = True,
 ) -> Roles:
     """Decide what the topics of a bag are for.
 
@@ -78,11 +88,12 @@ def roles_in(
         counts: Messages of each topic; a topic without any is no candidate.
         chosen: `[sources.map]` of the cell file, which beats every rule.
         body: Topic of the person, where the cell file names one.
+        robot: Whether the robot is wanted of this bag; of several then one must be meant.
 
     Raises:
         UnknownName: The cell file uses a key that a bag does not know.
         ConfigError: The cell file names a scaling topic of unknown unit.
-        LogError: The cell file names a topic that the bag does not hold.
+        LogError: The cell file names a topic that the bag does not hold, or not which of several robots is meant.
     """
     for key in chosen:
         if key not in _KEYS:
@@ -90,10 +101,12 @@ def roles_in(
     named = {key: _named(path, types, chosen[key]) for key in _TOPICS if key in chosen}
     live = {topic: kind for topic, kind in types.items() if counts.get(topic, 0) > 0}
     people = _named(path, types, body) if body else named.get("people", _people(live))
+    if robot:
+        live = _of_robot(path, live, named)
     transforms = tuple(topic for topic, kind in live.items() if kind in (TRANSFORMS, _TF1))
     bodies = not {*people}.isdisjoint(transforms) or (not body and "people" not in named and _has_humans(types))
-    running = named.get("running", _ending(live, {FLAG}, "robot_program_running"))
-    tcp = named.get("tcp", _ending(live, {POSE}, "tcp_pose_broadcaster/pose", "tcp_pose"))
+    running = named.get("running", _ending(live, {FLAG}, _RUNNING))
+    tcp = named.get("tcp", _ending(live, {POSE}, *_TCP))
     frames = {key: str(chosen[key]) for key in ("base_frame", "tool_frame") if key in chosen}
     scaling = _chosen_factor(named["scaling"], chosen, live) if "scaling" in named else _factors(live)
     used = {*running, *(factor.topic for factor in scaling)}
@@ -114,6 +127,25 @@ def roles_in(
         tool_frame=frames.get("tool_frame"),
         time=_times(path, types, chosen.get("time", {})),
     )
+
+
+def _of_robot(path: Path, live: Mapping[str, str], named: Mapping[str, list[str]]) -> dict[str, str]:
+    """Return the topics of one robot and those of none; the robot is that of a topic named, else of the only pose."""
+
+    def quantity(topic: str) -> str | None:
+        kind = live[topic]
+        if kind == POSE and "tcp" not in named:
+            return next((end for end in _TCP if _ends(topic, end)), None)
+        if kind == FLAG and "running" not in named and _ends(topic, _RUNNING):
+            return next((end for end in _UR_RUNNING if _ends(topic, end)), _RUNNING)
+        factor = _factor(topic, kind) if "scaling" not in named else None
+        if factor is None or factor.family not in ("ur-1", "ur-2", "cnr"):
+            return None
+        return {"ur-1": _UR_1, "ur-2": _UR_2}.get(factor.family) or topic.rpartition("/")[2]
+
+    anchors = [topic for key in ("tcp", "joints", "scaling", "running") for topic in named.get(key, [])]
+    poses = _ending(live, {POSE}, *_TCP)
+    return of_one_robot(path, live, spaces(live, quantity), [*anchors, *(poses if len(poses) == 1 else [])])
 
 
 def _times(path: Path, types: Mapping[str, str], asked: object) -> dict[str, How]:
@@ -202,11 +234,11 @@ def _factors(types: Mapping[str, str]) -> tuple[Factor, ...]:
 
 
 def _factor(topic: str, kind: str) -> Factor | None:
-    if kind == "std_msgs/msg/Float64" and _ends(topic, "speed_scaling_state_broadcaster/speed_scaling"):
+    if kind == "std_msgs/msg/Float64" and _ends(topic, _UR_2):
         return Factor(topic, "ur-2", full=100.0)
-    if _ends(topic, "speed_scaling_factor") and kind == "std_msgs/msg/Float64":
+    if _ends(topic, _UR_1) and kind == "std_msgs/msg/Float64":
         return Factor(topic, "ur-1", full=1.0)
-    if _ends(topic, "speed_scaling_factor") and kind == "std_msgs/msg/Int32":
+    if _ends(topic, _UR_1) and kind == "std_msgs/msg/Int32":
         return Factor(topic, "command", full=100.0)
     if _ends(topic, "collaborative_speed_scaling") and kind in {FLAG, *_NUMBERS}:
         return Factor(topic, "clamp", full=1.0)

@@ -122,20 +122,28 @@ class Transforms:
         forth = there[: above.index(common)]
         return [*(Step(link, back=True) for link in back[:begin]), *(Step(link) for link in reversed(forth))]
 
-    def tool_way(self, base: str | None, tool: str | None) -> tuple[str, list[Step]] | None:
-        """Return the base frame and the way from it to the tool; None if there is none.
+    def tool_way(self, base: str | None, tool: str | None) -> tuple[str, list[Step], list[str]] | None:
+        """Return the base frame, the way from it to the tool, and tools of other arms; None if there is no way.
 
         Args:
-            base: Frame of the base; by default `base`, then `base_link`, with any prefix.
+            base: Frame of the base; by default the one of the tool's own prefix, then `base`, then `base_link`.
             tool: Frame of the tool; by default the first known name, with any prefix.
         """
-        tools = [tool] if tool else [child for name in TOOLS for child in self.links if is_named(child, name)]
-        for start in tools:
-            above = [link.parent for link in reversed(self._up(_plain(start)))]
-            for end in self.bases(base, above):
-                if way := self.way(end, start):
-                    return end, way
+        for name in [tool] if tool else TOOLS:
+            alike = [tool] if tool else sorted(child for child in self.links if is_named(child, name))
+            found = [(start, *way) for start in alike if (way := self._way_to(base, start, name))]
+            exact = [one for one in found if _plain(one[0]) == name]
+            if found:
+                start, end, steps = (exact or found)[0]
+                return end, steps, [] if exact else [other for other, *_ in found if other != start]
         return None
+
+    def _way_to(self, base: str | None, tool: str, name: str) -> tuple[str, list[Step]] | None:
+        above = [link.parent for link in reversed(self._up(_plain(tool)))]
+        prefix = _plain(tool).removesuffix(name)
+        own = [] if base else [prefix + end for end in BASES if prefix + end in above]
+        ways = ((end, self.way(end, tool)) for end in [*own, *self.bases(base, above)])
+        return next(((end, way) for end, way in ways if way), None)
 
     def bases(self, base: str | None, first: Iterable[str] = ()) -> list[str]:
         """Return the frames that may be the robot's base, those in `first` before others."""

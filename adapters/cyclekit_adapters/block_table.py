@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit_adapters.text_rows import CELL, INDEX, UNDECODED, Wanted, cleaned, not_finite, number_in
+from cyclekit_adapters.text_rows import CELL, INDEX, UNDECODED, Wanted, finite, not_finite, number_in, stripped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -179,7 +179,7 @@ def _parsed(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
         table = (
             _scanned(block, layout, types, quoted=quoted)
             .with_columns(doubt.alias(_DOUBT), *numbers)
-            .select(*cleaned(wanted), not_finite(wanted).alias(_COUNT), _DOUBT)
+            .select(*wanted.numbers, *stripped(wanted), not_finite(wanted).alias(_COUNT), _DOUBT)
             .collect(engine="in-memory")
         )
     except pl.exceptions.PolarsError:
@@ -190,7 +190,8 @@ def _parsed(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
     if quoted and table.height != block.count(b"\n"):
         return None  # a quote that was never closed spans lines
     unknown = int(table[_COUNT][0] or 0) if table.height else 0
-    return Table(pl.DataFrame(table.get_columns()[:-2]), table.height, unknown)
+    frame = pl.DataFrame(table.get_columns()[:-2])
+    return Table(frame.with_columns(finite(wanted)) if unknown else frame, table.height, unknown)
 
 
 def _scanned(block: bytes, layout: Layout, types: dict[str, pl.DataType], *, quoted: bool) -> pl.LazyFrame:

@@ -17,7 +17,18 @@ import polars as pl
 from cyclekit_adapters.block_table import Table, short_lines, table_of
 from cyclekit_adapters.made_ahead import made_ahead
 from cyclekit_adapters.single_lines import as_texts, cells_of, is_name_line, is_torn, miscounted
-from cyclekit_adapters.text_rows import CELL, INDEX, SET_ASIDE, Rows, Wanted, as_numbers, cleaned, not_finite, trusted
+from cyclekit_adapters.text_rows import (
+    CELL,
+    INDEX,
+    SET_ASIDE,
+    Rows,
+    Wanted,
+    as_numbers,
+    finite,
+    not_finite,
+    stripped,
+    trusted,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -202,5 +213,5 @@ class RowParser:
         where = pl.DataFrame(found.places, schema={"source_row": pl.Int64(), INDEX: pl.Int64()}, orient="row")
         table, garbled = as_numbers(pl.concat([where, table], how="horizontal"), self.layout, self.wanted)
         unknown = int(table.select(not_finite(self.wanted)).item() or 0) if table.height else 0
-        table = table.select("source_row", INDEX, *cleaned(self.wanted))
+        table = table.select("source_row", INDEX, *finite(self.wanted), *stripped(self.wanted))
         return trusted(table, sorted(found.aside + garbled), rows_read, self.wanted, unknown)

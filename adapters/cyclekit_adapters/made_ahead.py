@@ -37,7 +37,7 @@ def made_ahead(items: Iterable[Item], make: Callable[[Item], Made]) -> Iterator[
         try:
             for item in chain((item for _, item in first), coming):
                 waiting.append((item, workers.submit(make, item)))
-                if len(waiting) > AT_ONCE:
+                if len(waiting) == AT_ONCE:
                     begun, made = waiting.popleft()
                     yield begun, made.result()
             while waiting:

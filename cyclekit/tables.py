@@ -74,12 +74,16 @@ class TableWriter:
 
     def close(self) -> None:
         """Write what is left; `atomic.built` sees to it that it is on the disk before it is in place."""
-        if self._waiting or self.rows == 0:
-            self._put(self._waiting)
-        self._behind.end()
-        with _as_os_error(self._path):
-            self._parquet.close()
-            self._file.close()
+        try:
+            if self._waiting or self.rows == 0:
+                self._put(self._waiting)
+            self._behind.end()
+            with _as_os_error(self._path):
+                self._parquet.close()
+                self._file.close()
+        except BaseException:
+            self.abandon()
+            raise
 
     def abandon(self) -> None:
         """Give up: what is there is half a table, and whoever began it removes it."""

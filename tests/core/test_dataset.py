@@ -301,10 +301,15 @@ def test_a_table_that_is_given_up_makes_no_noise_when_it_goes(tmp_path: Path, mo
 def test_a_full_disk_is_said_of_a_table_written_behind_too(pieces: int, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(tables, "GROUP_ROWS", 20_000)
     rows = schema.conform(pl.DataFrame({"t_s": np.random.default_rng(0).normal(size=10_000)}), schema.EVENTS)
-    before, writer = threading.active_count(), tables.TableWriter(Path("/dev/full"), schema.EVENTS)
-    with pytest.raises(OSError, match="No space left") as told, writer:
-        for _ in range(pieces):
-            writer.write(rows)
+    before = threading.active_count()
+
+    def write_all() -> None:
+        with tables.TableWriter(Path("/dev/full"), schema.EVENTS) as writer:
+            for _ in range(pieces):
+                writer.write(rows)
+
+    with pytest.raises(OSError, match="No space left") as told:
+        write_all()
     assert told.value.filename == "/dev/full"
     assert threading.active_count() == before
 

@@ -135,17 +135,22 @@ def _write(
 ) -> int:
     thin = Thinner(rate_hz) if rate_hz is not None else None
     writer: _Output | None = None
-    for frame in parts.of(table):
-        frame = pl.DataFrame([frame[name] for name in _chosen(frame, columns, parts.table)])
-        ready = thin.add(frame) if thin else frame
-        writer = writer or _Output(temporary, out.suffix, ready, parts.table)
-        writer.write(ready)
-        if progress:
-            progress(0.5, f"{writer.rows} rows")
-    assert writer is not None
-    if thin:
-        writer.write(thin.rest())
-    writer.close()
+    try:
+        for frame in parts.of(table):
+            frame = pl.DataFrame([frame[name] for name in _chosen(frame, columns, parts.table)])
+            ready = thin.add(frame) if thin else frame
+            writer = writer or _Output(temporary, out.suffix, ready, parts.table)
+            writer.write(ready)
+            if progress:
+                progress(0.5, f"{writer.rows} rows")
+        assert writer is not None
+        if thin:
+            writer.write(thin.rest())
+        writer.close()
+    except BaseException:
+        if writer is not None:
+            writer.abandon()  # before its file is removed
+        raise
     return writer.rows
 
 
@@ -178,6 +183,10 @@ class _Output:
     def close(self) -> None:
         if self._parquet is not None:
             self._parquet.close()
+
+    def abandon(self) -> None:
+        if self._parquet is not None:
+            self._parquet.abandon()
 
 
 class Thinner:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 from collections import OrderedDict
 from contextlib import contextmanager, suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,8 @@ import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
+
+from cyclekit.behind import Behind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -54,6 +56,7 @@ class TableWriter:
         types = {name: column.dtype for name, column in columns.items()} | dict.fromkeys(more, pl.Float64())
         self.rows, self._pieces, self._waiting, self._path = 0, list[pl.DataFrame](), 0, file
         self._empty, layout = _empty(tuple(types.items()))
+        self._behind = Behind()
         texts = [name for name, dtype in types.items() if dtype == pl.String()]
         numbers = [name for name, dtype in types.items() if dtype.is_float()]
         with _as_os_error(file):
@@ -71,14 +74,21 @@ class TableWriter:
 
     def close(self) -> None:
         """Write what is left; `atomic.built` sees to it that it is on the disk before it is in place."""
-        if self._waiting or self.rows == 0:
-            self._put(self._waiting)
-        with _as_os_error(self._path):
-            self._parquet.close()
-            self._file.close()
+        try:
+            if self._waiting or self.rows == 0:
+                self._put(self._waiting)
+            self._behind.end()
+            with _as_os_error(self._path):
+                self._parquet.close()
+                self._file.close()
+        except BaseException:
+            self.abandon()
+            raise
 
     def abandon(self) -> None:
         """Give up: what is there is half a table, and whoever began it removes it."""
+        with suppress(Exception):
+            self._behind.end()
         self._parquet.is_open = False  # else it would try to end the file when it is collected, and complain
         with suppress(Exception):
             self._file.close()
@@ -87,7 +97,14 @@ class TableWriter:
         frame = pl.concat(self._pieces) if self._pieces else self._empty
         rest = frame[count:]
         self._pieces, self._waiting = ([rest] if rest.height else []), rest.height
-        table = frame[:count].to_arrow(compat_level=pl.CompatLevel.oldest())
+        part = frame[:count]
+        if self.rows > GROUP_ROWS:
+            self._behind.begin(partial(self._write_out, part))
+        else:  # no thread for a small table
+            self._write_out(part)
+
+    def _write_out(self, part: pl.DataFrame) -> None:
+        table = part.to_arrow(compat_level=pl.CompatLevel.oldest())
         with _as_os_error(self._path):
             self._parquet.write_table(table, row_group_size=GROUP_ROWS)
 
@@ -184,7 +201,7 @@ class StoredTable:
         if (known := _decoded.get(key)) is not None:
             return known
         with pq.ParquetFile(self._file) as parquet:
-            table = parquet.read_row_group(number, columns=self._columns, use_threads=False)
+            table = parquet.read_row_group(number, columns=self._columns)
         frame = pl.DataFrame(table)  # not by Arrow's own way to numpy, which imports pandas where there is one
         columns = {name: _floats(frame[name]) for name in self._columns}
         _decoded.keep(key, columns)

@@ -7,12 +7,13 @@ doubt is left to `row_parser`, which goes line by line.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
-from cyclekit_adapters.text_rows import CELL, INDEX, UNDECODED, Wanted, cleaned, not_finite, number_in
+from cyclekit_adapters.text_rows import CELL, INDEX, UNDECODED, Wanted, finite, not_finite, number_in, stripped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from cyclekit_adapters.text_layout import Layout
 
 _BEYOND, _DOUBT, _COUNT = "\x1fbeyond", "\x1fdoubt", "\x1fnot finite"  # names that no column of a log has
-_LOOKED_AT = 1 << 18
+_LOOKED_AT = 1 << 17
 _NEWLINE, _RETURN, _QUOTE, _BLANK = b'\n\r" '
 _WHITE = np.frombuffer(b" \t\n\v\f\r", np.uint8)
 _PLACES, _PLACE_BYTES = 32, 1024
@@ -31,48 +32,67 @@ def mark_between(layout: Layout) -> str:
     return layout.delimiter if len(layout.delimiter) == 1 else CELL
 
 
-def table_of(
-    block: bytes, layout: Layout, wanted: Wanted, *, line: int, row: int
-) -> tuple[pl.DataFrame, int, int] | None:
-    """Return the rows of whole lines, the number of lines and how many values are NaN or infinite.
+@dataclass(frozen=True)
+class Table:
+    """Rows of consecutive lines.
 
-    None if any row may be short, long or garbled.
+    Attributes:
+        frame: The columns wanted, cleaned.
+        lines: How many lines they stand in, blank ones included.
+        not_finite: How many values are NaN or infinite.
+        numbers: The line that each row stands in, from 0, shape (N,); None = one after the other.
+    """
+
+    frame: pl.DataFrame
+    lines: int
+    not_finite: int
+    numbers: NDArray[np.int64] | None = None
+
+    def placed(self, line: int, row: int) -> pl.DataFrame:
+        """Return the rows with `source_row` and INDEX, given those of the first line."""
+        rows = self.frame.height
+        lines = np.arange(line, line + rows) if self.numbers is None else self.numbers + line
+        places = [pl.Series("source_row", lines), pl.Series(INDEX, np.arange(row, row + rows))]
+        return pl.DataFrame([*places, *self.frame.get_columns()])
+
+
+def table_of(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
+    """Return the rows of whole lines; None if any row may be short, long or garbled.
 
     Args:
         block: The lines.
         layout: How they are written.
         wanted: The columns to be read.
-        line: Number of the first line in its file, for the column `source_row`.
-        row: Number of the first row, for the column INDEX.
     """
     if _has_too_many_lines(block, layout) or _may_be_garbled(block, layout, wanted):
         return None
-    found = _parsed(block, layout, wanted, line, row)
-    if found is not None:
-        return found[0], found[0].height, found[1]
+    if (found := _parsed(block, layout, wanted)) is not None:
+        return found
     if not _has_blank_lines(block):
         return None
-    compact, lines = _without_blank_lines(block)
-    found = _parsed(compact, layout, wanted, line, row)
-    if found is None:
+    compact, numbers = _without_blank_lines(block)
+    if (found := _parsed(compact, layout, wanted)) is None:
         return None
-    return found[0].with_columns((lines + line).alias("source_row")), block.count(b"\n"), found[1]
+    return replace(found, lines=block.count(b"\n"), numbers=numbers)
 
 
 def _may_be_garbled(block: bytes, layout: Layout, wanted: Wanted) -> bool:
-    if b"\0" in block or (wanted.texts and UNDECODED.encode() in block):
+    if wanted.texts and UNDECODED.encode() in block:
         return True
-    if layout.delimiter == " " and _has_two_blanks(block):
+    if _has_nul_or_two_blanks(block) if layout.delimiter == " " else b"\0" in block:
         return True
     return layout.quotes and b'"' in block and not _quotes_close(block, layout)
 
 
-def _has_two_blanks(block: bytes) -> bool:
-    """Tell whether two blanks stand side by side; where there are so many, this is faster than to search."""
+def _has_nul_or_two_blanks(block: bytes) -> bool:
+    """Tell whether there is a NUL byte, or two blanks side by side: so many blanks that to search for two is slow.
+
+    Piece by piece, so that what is looked at twice is fetched from memory once.
+    """
     raw = np.frombuffer(block, np.uint8)
     for begin in range(0, len(raw), _LOOKED_AT):
         blank = raw[begin : begin + _LOOKED_AT + 1] == _BLANK
-        if (blank[:-1] & blank[1:]).any():
+        if (blank[:-1] & blank[1:]).any() or block.find(b"\0", begin, begin + _LOOKED_AT) >= 0:
             return True
     return False
 
@@ -93,12 +113,12 @@ def _quotes_close(block: bytes, layout: Layout) -> bool:
     return bool(np.isin(before, beside).all() and np.isin(after, [*beside, ord("\r")]).all())
 
 
-def _without_blank_lines(block: bytes) -> tuple[bytes, pl.Series]:
+def _without_blank_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
     """Return whole lines without the blank ones, and which of the lines each was, from 0, shape (N,)."""
     begins, ends, _ = _lines_of(block, None)
     numbers = np.flatnonzero(_is_told(block, begins, ends))
     spans = zip(begins[numbers].tolist(), ends[numbers].tolist(), strict=True)
-    return b"".join(block[begin : end + 1] for begin, end in spans), pl.Series(numbers, dtype=pl.Int64)
+    return b"".join(block[begin : end + 1] for begin, end in spans), numbers
 
 
 def short_lines(block: bytes, layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
@@ -143,7 +163,7 @@ def _has_too_many_lines(block: bytes, layout: Layout) -> bool:
     return sum(part.count(b"\n") for part in seen) * len(layout.names) > sum(map(len, seen))
 
 
-def _parsed(block: bytes, layout: Layout, wanted: Wanted, line: int, row: int) -> tuple[pl.DataFrame, int] | None:
+def _parsed(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
     first, last = layout.names[0], layout.names[-1]
     quoted = layout.quotes and b'"' in block
     as_text = {last, *(wanted.numbers if layout.decimal_comma and b"." in block else ())}
@@ -157,14 +177,12 @@ def _parsed(block: bytes, layout: Layout, wanted: Wanted, line: int, row: int) -
     if layout.delimiter == " ":
         empty = pl.col(first) == "" if types[first] == pl.String else pl.col(first).is_null()
         doubt |= empty.any()
-    place = pl.int_range(pl.len(), dtype=pl.Int64)
-    places = (place + line).alias("source_row"), (place + row).alias(INDEX)
     numbers = [number_in(n, layout).cast(pl.Float64, strict=True).alias(n) for n in wanted.numbers if n in as_text]
     try:
         table = (
             _scanned(block, layout, types, quoted=quoted)
             .with_columns(doubt.alias(_DOUBT), *numbers)
-            .select(*places, *cleaned(wanted), not_finite(wanted).alias(_COUNT), _DOUBT)
+            .select(*wanted.numbers, *stripped(wanted), not_finite(wanted).alias(_COUNT), _DOUBT)
             .collect(engine="in-memory")
         )
     except pl.exceptions.PolarsError:
@@ -174,7 +192,9 @@ def _parsed(block: bytes, layout: Layout, wanted: Wanted, line: int, row: int) -
         return None
     if quoted and table.height != block.count(b"\n"):
         return None  # a quote that was never closed spans lines
-    return pl.DataFrame(table.get_columns()[:-2]), int(table[_COUNT][0] or 0) if table.height else 0
+    unknown = int(table[_COUNT][0] or 0) if table.height else 0
+    frame = pl.DataFrame(table.get_columns()[:-2])
+    return Table(frame.with_columns(finite(wanted)) if unknown else frame, table.height, unknown)
 
 
 def _scanned(block: bytes, layout: Layout, types: dict[str, pl.DataType], *, quoted: bool) -> pl.LazyFrame:

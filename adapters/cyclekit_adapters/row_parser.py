@@ -14,9 +14,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit_adapters.block_table import short_lines, table_of
+from cyclekit_adapters.block_table import Table, short_lines, table_of
+from cyclekit_adapters.made_ahead import made_ahead
 from cyclekit_adapters.single_lines import as_texts, cells_of, is_name_line, is_torn, miscounted
-from cyclekit_adapters.text_rows import CELL, INDEX, SET_ASIDE, Rows, Wanted, as_numbers, cleaned, not_finite, trusted
+from cyclekit_adapters.text_rows import (
+    CELL,
+    INDEX,
+    SET_ASIDE,
+    Rows,
+    Wanted,
+    as_numbers,
+    finite,
+    not_finite,
+    stripped,
+    trusted,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -70,41 +82,56 @@ class RowParser:
 
     def rows(self, blocks: Iterable[bytes]) -> Iterator[Rows]:
         """Yield the rows of consecutive blocks of lines; only the very last line of all may lack its end."""
+        for block, table in made_ahead(self._pieces(blocks), self._table_of):
+            yield from self._parsed(block, table)
+
+    def _pieces(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
+        """Yield the blocks below the lines to be passed over, cut so that no row is parted from a piece of it."""
         held = b""
         for block in blocks:
+            block = self._below(block)
             line = block[: block.find(b"\n") + 1]
             torn = bool(held) and self._is_torn(line)  # what may belong to the row above it stays with it
-            yield from self._parsed(held + line if torn else held)
+            if held:
+                yield held + line if torn else held
             held = block[len(line) :] if torn else block
-        yield from self._parsed(held)
+        if held:
+            yield held
 
-    def _parsed(self, block: bytes) -> Iterator[Rows]:
+    def _below(self, block: bytes) -> bytes:
         while self.skip and block:
             _, _, block = block.partition(b"\n")
             self.skip, self.line = self.skip - 1, self.line + 1
+        return block
+
+    def _table_of(self, block: bytes) -> Table | None:
+        return table_of(block[: block.rfind(b"\n") + 1], self.layout, self.wanted)
+
+    def _parsed(self, block: bytes, table: Table | None) -> Iterator[Rows]:
+        """Yield the rows of a block, given them as a table if all is well with it alone."""
         whole = block.rfind(b"\n") + 1
         if whole:
-            yield from self._halved(block[:whole])
+            yield from self._halved(block[:whole], table)
         if tail := block[whole:]:
             if tail.strip():
                 yield self._rows(_Sorted(aside=[(self.line, _CUT)]), rows_read=1)
                 self.row += 1
             self.line += 1
 
-    def _halved(self, block: bytes) -> Iterator[Rows]:
+    def _halved(self, block: bytes, table: Table | None) -> Iterator[Rows]:
         """Yield the rows of whole lines: at once where all is well, else half by half."""
         if block.isspace():
             self.line += block.count(b"\n")
             return
-        if not self.ended and not self.torn and (rows := self._at_once(block)) is not None:
-            yield rows
+        if table is not None and not self.ended and not self.torn:
+            yield self._at_once(table)
             return
         middle = self._middle(block)
         if len(block) <= ONE_BY_ONE or not 0 < middle < len(block):
             yield self._all_aside(block) or self._one_by_one(block)
             return
-        yield from self._halved(block[:middle])
-        yield from self._halved(block[middle:])
+        for half in (block[:middle], block[middle:]):
+            yield from self._halved(half, None if self.ended or self.torn else self._table_of(half))
 
     def _middle(self, block: bytes) -> int:
         """Return where to halve a block: behind a line end, and not between a row and a piece of it."""
@@ -115,14 +142,11 @@ class RowParser:
     def _is_torn(self, line: bytes) -> bool:
         return is_torn(line.decode("utf-8", "replace"), self.layout)
 
-    def _at_once(self, block: bytes) -> Rows | None:
-        found = table_of(block, self.layout, self.wanted, line=self.line, row=self.row)
-        if found is None:
-            return None
-        table, lines, unknown = found
-        self.line, self.row = self.line + lines, self.row + table.height
-        self.below_names = self.below_names and not table.height
-        return trusted(table, [], table.height, self.wanted, unknown)
+    def _at_once(self, table: Table) -> Rows:
+        frame = table.placed(self.line, self.row)
+        self.line, self.row = self.line + table.lines, self.row + frame.height
+        self.below_names = self.below_names and not frame.height
+        return trusted(frame, [], frame.height, self.wanted, table.not_finite)
 
     def _all_aside(self, block: bytes) -> Rows | None:
         """Set all lines of a block aside at once, where none can be a row or the names once more."""
@@ -189,5 +213,5 @@ class RowParser:
         where = pl.DataFrame(found.places, schema={"source_row": pl.Int64(), INDEX: pl.Int64()}, orient="row")
         table, garbled = as_numbers(pl.concat([where, table], how="horizontal"), self.layout, self.wanted)
         unknown = int(table.select(not_finite(self.wanted)).item() or 0) if table.height else 0
-        table = table.select("source_row", INDEX, *cleaned(self.wanted))
+        table = table.select("source_row", INDEX, *finite(self.wanted), *stripped(self.wanted))
         return trusted(table, sorted(found.aside + garbled), rows_read, self.wanted, unknown)

@@ -138,11 +138,15 @@ def not_finite(wanted: Wanted) -> pl.Expr:
     return pl.sum_horizontal(pl.lit(0), *((~pl.col(name).is_finite()).sum() for name in wanted.numbers))
 
 
-def cleaned(wanted: Wanted) -> list[pl.Expr]:
-    """Return the columns asked for: numbers that are finite, texts without blanks and quotes around them."""
-    finite = [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in wanted.numbers]
-    texts = [pl.col(name).str.strip_chars().str.replace(_IN_QUOTES, "$1$2") for name in wanted.texts]
-    return [*finite, *(text.replace("", None).alias(name) for text, name in zip(texts, wanted.texts, strict=True))]
+def finite(wanted: Wanted) -> list[pl.Expr]:
+    """Return the numbers asked for, unknown where they are NaN or infinite."""
+    return [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in wanted.numbers]
+
+
+def stripped(wanted: Wanted) -> list[pl.Expr]:
+    """Return the texts asked for without blanks and quotes around them, unknown where nothing is left."""
+    bare = {name: pl.col(name).str.strip_chars().str.replace(_IN_QUOTES, "$1$2") for name in wanted.texts}
+    return [text.replace("", None).alias(name) for name, text in bare.items()]
 
 
 def trusted(

@@ -55,7 +55,8 @@ def run(words: list[str]) -> int:
 
     as_json = "--json" in words
     try:
-        code = app()(args=words or ["--help"], prog_name="cyclekit", standalone_mode=False)
+        wanted = words[:1] if words and words[0] in ORDER else ORDER
+        code = app(wanted)(args=words or ["--help"], prog_name="cyclekit", standalone_mode=False)
     except CyclekitError as error:
         return say_failure(str(error), kind=type(error).__name__, as_json=as_json)
     except typer.TyperException as error:
@@ -67,14 +68,14 @@ def run(words: list[str]) -> int:
     return code if isinstance(code, int) else 0
 
 
-def app() -> typer.Typer:
-    """Return the command line with every command, in the order of the work."""
+def app(wanted: Sequence[str] = ORDER) -> typer.Typer:
+    """Return the command line with the commands wanted: each takes milliseconds to look at before one can run."""
     from importlib import import_module
 
     from cyclekit.cli.options import new_app
 
     commands = new_app()
-    for command in ORDER:
+    for command in wanted:
         module = import_module(f"cyclekit.cli.{command}")
         commands.command(command, epilog=f"\b\nExample:\n  {module.EXAMPLE}")(getattr(module, command))
     return commands

@@ -34,14 +34,15 @@ class Sliding:
 
     def with_neighbours(self, frame: pl.DataFrame, *, last: bool) -> pl.DataFrame:
         """Return the next window: rows judged before, those that waited and those of `frame`."""
-        rows = frame if self._waiting is None else pl.concat([self._waiting, frame], rechunk=True)
+        known = [rows for rows in (self._before, self._waiting) if rows is not None]
+        seen = pl.concat([*known, frame], rechunk=True) if known else frame
+        judged = 0 if self._before is None else self._before.height
+        rows = seen[judged:]
         ahead = 0 if last else min(self._beside(rows), rows.height)
         here = rows.height - ahead
-        self._waiting, before = rows[here:], self._before
-        seen = rows if before is None else pl.concat([before, rows], rechunk=True)
-        known = seen[: seen.height - ahead]
-        self._before = known.tail(self._beside(known))
-        place = np.repeat(np.array([BEFORE, HERE, AHEAD], np.int8), [seen.height - rows.height, here, ahead])
+        self._waiting, to_here = rows[here:], seen[: seen.height - ahead]
+        self._before = to_here.tail(self._beside(to_here))
+        place = np.repeat(np.array([BEFORE, HERE, AHEAD], np.int8), [judged, here, ahead])
         return seen.hstack([pl.Series(PLACE, place)])
 
 

@@ -7,7 +7,6 @@ import os
 import sys
 from pathlib import Path, PurePosixPath
 from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 WAIT_S = 600.0
 """So long a process waits for another one of this machine that is fetching the same."""
@@ -15,6 +14,8 @@ WAIT_S = 600.0
 
 def of_file_url(url: str) -> Path | None:
     """Return the path of this machine that a `file:` URL means, None for another URL."""
+    from urllib.request import url2pathname  # brings the web along, which takes longer to import than most logs to find
+
     parts = urlsplit(url)
     return Path(url2pathname(parts.path)) if parts.scheme.lower() == "file" else None
 

@@ -10,13 +10,14 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import pyarrow as pa
-from pyarrow import fs
 
 from cyclekit.errors import StorageError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+    from pyarrow import fs
 
 URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)  # two letters at least: C:\\ is a drive
 AT_ONCE = 8
@@ -34,6 +35,8 @@ def opened(url: str) -> tuple[fs.FileSystem, str]:
     Raises:
         StorageError: Nobody knows that kind of URL.
     """
+    from pyarrow import fs  # brings the web along, and hardly anything is at a URL
+
     try:
         system, path = fs.FileSystem.from_uri(url)
     except (ValueError, pa.ArrowException) as error:
@@ -61,7 +64,7 @@ def said(url: str, what: str) -> Iterator[None]:
 
 def content(system: fs.FileSystem, key: str) -> bytes | None:
     """Return a small object, None where there is none."""
-    if system.get_file_info(key).type != fs.FileType.File:
+    if not system.get_file_info(key).is_file:
         return None
     with system.open_input_stream(key) as stream:
         return bytes(stream.read())
@@ -82,9 +85,11 @@ def put(system: fs.FileSystem, key: str, content: bytes) -> None:
 def files_below(system: fs.FileSystem, path: str) -> list[fs.FileInfo]:
     """Return the files below a path, or the one that it is; none where there is nothing."""
     whole = system.get_file_info(path)
+    from pyarrow import fs
+
     below = fs.FileSelector(path, recursive=True, allow_not_found=True)
-    found = [whole] if whole.type == fs.FileType.File else system.get_file_info(below)
-    return [info for info in found if info.type == fs.FileType.File]
+    found = [whole] if whole.is_file else system.get_file_info(below)
+    return [info for info in found if info.is_file]
 
 
 def fetch(system: fs.FileSystem, key: str, target: Path, sha256: str | None) -> None:

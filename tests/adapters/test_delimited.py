@@ -51,7 +51,7 @@ def test_reading_fast_and_looking_at_every_line_give_the_same_rows(body, cut, qu
     layout = replace(LAYOUT, quotes=quotes)
     for columns in ({"numbers": ["a", "b", "c"]}, {"numbers": ["b"]}, {"numbers": ["a"], "texts": ["b"]}):
         fast = rows_of(text, layout, **columns)
-        with mock.patch.object(row_parser.RowParser, "_at_once", return_value=None):
+        with mock.patch.object(row_parser, "table_of", return_value=None):
             careful = rows_of(text, layout, **columns)
         assert fast.frame.equals(careful.frame)
         assert fast.set_aside.equals(careful.set_aside)

@@ -9,6 +9,7 @@ import random
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -293,6 +294,24 @@ def test_a_table_that_is_given_up_makes_no_noise_when_it_goes(tmp_path: Path, mo
     del writer
     gc.collect()
     assert complaints == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a disk that is always full is a thing of Linux")
+@pytest.mark.parametrize("pieces", [1, 40])
+def test_a_full_disk_is_said_of_a_table_written_behind_too(pieces: int, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(tables, "GROUP_ROWS", 20_000)
+    rows = schema.conform(pl.DataFrame({"t_s": np.random.default_rng(0).normal(size=10_000)}), schema.EVENTS)
+    before = threading.active_count()
+
+    def write_all() -> None:
+        with tables.TableWriter(Path("/dev/full"), schema.EVENTS) as writer:
+            for _ in range(pieces):
+                writer.write(rows)
+
+    with pytest.raises(OSError, match="No space left") as told:
+        write_all()
+    assert told.value.filename == "/dev/full"
+    assert threading.active_count() == before
 
 
 def test_what_was_decoded_is_kept_up_to_its_limit_and_the_oldest_goes_first(monkeypatch: pytest.MonkeyPatch):

@@ -20,6 +20,7 @@ from cyclekit_adapters.rosbag import library_file, mcap_file, ros1_file, sqlite_
 from cyclekit_adapters.rosbag.chunks import ChunkedFile
 from cyclekit_adapters.rosbag.decode import Decoder, Group
 from cyclekit_adapters.rosbag.definitions import is_known
+from cyclekit_adapters.rosbag.first_bytes import MCAP, ROS1, SQLITE, head
 from cyclekit_adapters.rosbag.folder import Folder, folder_of
 from cyclekit_adapters.rosbag.known import KNOWN
 from cyclekit_adapters.rosbag.payloads import BagFile, Channel, Damage, Ints
@@ -190,27 +191,6 @@ def opened(path: Path) -> Iterator[Bag]:
     yield bag
 
 
-def is_bag(path: Path) -> bool:
-    """Tell from the first bytes whether `path` is a bag; a folder is one if its metadata.yaml says so."""
-    if path.is_dir():
-        return b"rosbag2_bagfile_information" in head(path / "metadata.yaml", 4096)
-    first = head(path, 65536)
-    return first.startswith((ros1_file.MAGIC, mcap_file.MAGIC)) or (
-        first.startswith(sqlite_file.MAGIC) and b"serialization_format" in first
-    )
-
-
-def head(path: Path, size: int) -> bytes:
-    """Return the first `size` bytes of a file, none of what cannot be read."""
-    try:
-        if not path.is_file():
-            return b""
-        with path.open("rb") as log:
-            return log.read(size)
-    except OSError:
-        return b""
-
-
 def _check(file: Path) -> None:
     """Refuse what can be named at once."""
     first = head(file, 64)
@@ -218,15 +198,15 @@ def _check(file: Path) -> None:
         raise DamagedLog(file, "this is a Git LFS pointer, not the bag itself", cure="Fetch the content: git lfs pull")
     if not first:
         raise DamagedLog(file, "the file is empty or cannot be read", cure=f"{_AGAIN}.")
-    if not first.startswith((ros1_file.MAGIC, mcap_file.MAGIC, sqlite_file.MAGIC)) and file.suffix != ".zstd":
+    if not first.startswith((ROS1, MCAP, SQLITE)) and file.suffix != ".zstd":
         raise DamagedLog(file, "not a ROS 1 bag, an mcap or a sqlite3 bag by its content", cure=f"{_AGAIN}.")
 
 
 def _look(file: Path) -> BagFile:
     first = head(file, 64)
-    if first.startswith(ros1_file.MAGIC):
+    if first.startswith(ROS1):
         return ros1_file.look(file)
-    if first.startswith(mcap_file.MAGIC):
+    if first.startswith(MCAP):
         return mcap_file.look(file)
     return sqlite_file.look(file)
 

@@ -17,9 +17,9 @@ import numpy as np
 from rosbags.typesys.msg import normalize_msgtype
 
 from cyclekit_adapters.rosbag.chunks import MAX_RECORDS, Chunk, ChunkedFile, Messages, moment, records
+from cyclekit_adapters.rosbag.first_bytes import MCAP
 from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Ints, column, gather
 
-MAGIC = b"\x89MCAP0\r\n"
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _INDEX, _DATA_END = 2, 3, 4, 5, 6, 7, 15
 _STATISTICS, _CHUNK_COUNT = 11, 22  # its number, and where in it the number of chunks stands
 _RECORD = struct.Struct("<BQ")
@@ -146,11 +146,11 @@ def look(path: Path) -> ChunkedFile:
 
 def _heads(log: BufferedReader, survey: _Survey, end: int) -> int | None:
     """Read the heads of all records; return where the file stops making sense, None if it is whole."""
-    position, chunks = len(MAGIC), survey.found.chunks
+    position, chunks = len(MCAP), survey.found.chunks
     while True:
         log.seek(position)
         head = log.read(9)
-        if head[:8] == MAGIC:
+        if head[:8] == MCAP:
             return None
         if len(head) < 9:
             return position
@@ -196,8 +196,8 @@ def _chunk(log: BufferedReader, found: ChunkedFile, position: int, after: int) -
 
 def _closed(log: BufferedReader, end: int) -> bool:
     """Return whether the file has its own end: then it is not cut, and what says otherwise is damaged."""
-    log.seek(max(0, end - len(MAGIC)))
-    return log.read() == MAGIC
+    log.seek(max(0, end - len(MCAP)))
+    return log.read() == MCAP
 
 
 def _cut_chunk(log: BufferedReader, found: ChunkedFile, position: int, length: int) -> None:

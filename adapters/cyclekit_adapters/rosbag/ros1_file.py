@@ -20,7 +20,6 @@ from cyclekit_adapters.rosbag.chunks import MAX_RECORDS, Chunk, ChunkedFile, Mes
 from cyclekit_adapters.rosbag.inflate import STORED
 from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Damage, Ints, column, distinct, gather
 
-MAGIC = b"#ROSBAG V"
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CONNECTION = b"\x02", b"\x03", b"\x04", b"\x05", b"\x07"
 _MAX_HEADER = 1 << 20
 _SIZE = struct.Struct("<I")

@@ -24,7 +24,6 @@ from cyclekit_adapters.rosbag.chunks import moment
 from cyclekit_adapters.rosbag.payloads import BLOCK_BYTES, Channel, Damage, Ints, Payloads
 from cyclekit_adapters.rosbag.sqlite_pages import NoPages, Pages, Value
 
-MAGIC = b"SQLite format 3\0"
 _NOTATIONS = {"ros2msg": "msg", "ros2idl": "idl"}
 _ROWS = 512  # rows fetched at once; many more, and they leave the processor's cache before they are joined
 _GLANCE = 10_000  # rows looked at before all of them are counted

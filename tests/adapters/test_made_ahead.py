@@ -1,0 +1,83 @@
+"""Blocks are parsed several at a time and handed on in order; an error comes at its block, and no thread is left."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from cyclekit_adapters.delimited import Layout, rows_of
+from cyclekit_adapters.made_ahead import AT_ONCE, made_ahead
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+def test_results_come_with_their_items_and_in_their_order():
+    def later_for_even(item: int) -> int:
+        time.sleep(0.0 if item % 2 else 0.002)
+        return -item
+
+    assert list(made_ahead(range(30), later_for_even)) == [(item, -item) for item in range(30)]
+    assert list(made_ahead([], later_for_even)) == []
+
+
+def test_one_item_alone_is_made_by_the_caller():
+    assert list(made_ahead([1], lambda _: threading.get_ident())) == [(1, threading.get_ident())]
+    assert dict(made_ahead([1, 2], lambda _: threading.get_ident()))[1] != threading.get_ident()
+
+
+def test_two_are_in_the_making_at_the_same_time():
+    together = threading.Barrier(2, timeout=10.0)
+    assert len(list(made_ahead(range(2 * AT_ONCE), lambda _: together.wait()))) == 2 * AT_ONCE  # else it would break
+
+
+def test_no_more_items_are_taken_than_are_worked_on():
+    taken: list[int] = []
+
+    def items() -> Iterator[int]:
+        for item in range(100):
+            taken.append(item)
+            yield item
+
+    for item, _ in made_ahead(items(), str):
+        assert len(taken) - item <= AT_ONCE  # the rest of a log larger than memory is not in memory
+
+
+def test_an_error_comes_at_its_item_and_one_who_stops_leaves_no_thread():
+    before = threading.active_count()
+
+    def make(item: int) -> int:
+        return 1 // (item - 3)
+
+    made = made_ahead(range(100), make)
+    assert [item for item, _ in (next(made), next(made), next(made))] == [0, 1, 2]
+    with pytest.raises(ZeroDivisionError):
+        next(made)
+    assert threading.active_count() == before
+    stopped = made_ahead(range(100), str)
+    assert next(stopped) == (0, "0")
+    stopped.close()  # type: ignore[attr-defined]
+    assert threading.active_count() == before
+
+
+@pytest.mark.parametrize("size", [7, 60, 61, 500])
+def test_the_line_and_row_of_each_row_do_not_depend_on_how_a_log_is_cut_into_blocks(size: int):
+    lines = [f"{row},{row}.5" for row in range(90)]
+    lines[20], lines[41] = "", "20,x"  # a blank line, a garbled number
+    lines[60:60] = ["t,x"]  # the names once more
+    lines[85:85] = ["time,x"]  # another table
+    text = "\n".join(["t,x", *lines, "89,0.2"]).encode()  # the last one was cut
+    blocks, rest = [], text
+    while rest:
+        end = rest.find(b"\n", min(size, len(rest) - 1)) + 1 or len(rest)
+        blocks.append(rest[:end])
+        rest = rest[end:]
+    whole = rows_of([text], layout := Layout(("t", "x"), ",", 1), numbers=["t", "x"])
+    found = rows_of(blocks, layout, numbers=["t", "x"])
+    assert found.frame.equals(whole.frame)
+    assert found.set_aside.equals(whole.set_aside)
+    assert found.rows_read == whole.rows_read == 92
+    assert whole.set_aside["source_row"].to_list() == [43, 62, *range(87, 95)]

@@ -99,7 +99,7 @@ def fit(
     check = rows_on(device, validation, spec, standard, known)
     with torch.random.fork_rng(devices=[]), one_fast_thread():
         torch.manual_seed(spec.seed)
-        network = build(spec, rows.X.shape[1], levels, known).to(device)
+        network = build(spec, rows.X.shape[1], levels, known, standard[1]).to(device)
         history = _run(network, spec, learn, check, torch.tensor(levels, device=device), progress)
         on_level = validation.step >= 0
         temperature = 1.0
@@ -146,10 +146,10 @@ def _run(
     best, best_state, since = float("inf"), copy.deepcopy(network.state_dict()), 0
     for number in range(1, epochs + 1):
         network.train()
-        if number > spec.freeze_norm_after * epochs:
-            _freeze_norm(network)
         total = torch.zeros((), device=learn.scaling.device)
-        for part in learn.batches(batches):
+        for count, part in enumerate(learn.batches(batches), (number - 1) * batches):
+            if count >= spec.freeze_norm_after * epochs * batches:
+                freeze_norm(network)
             loss = _loss(network, spec, learn, part, balance)
             steps.take(loss)
             total += loss.detach()
@@ -194,7 +194,7 @@ def _balance(learn: Rows, count: int) -> torch.Tensor:
     return float(len(learn)) / (count * rows)
 
 
-def _freeze_norm(network: nn.Module) -> None:
+def freeze_norm(network: nn.Module) -> None:
     """Let batch normalisation keep the statistics that it has, instead of measuring every batch anew."""
     for module in network.modules():
         if isinstance(module, nn.BatchNorm1d):

@@ -44,7 +44,9 @@ def train(
     features: Annotated[
         Literal["positions", "distance"], typer.Option(help="Give the network the distance as well.")
     ] = "positions",
-    optimiser: Annotated[Literal["adamw", "muon"], typer.Option(help="How weights are moved.")] = "adamw",
+    optimiser: Annotated[
+        Literal["adamw", "muon"], typer.Option(help="How weights are moved; the literature: adamw.")
+    ] = "muon",
     balance: Annotated[
         Literal["none", "classes"], typer.Option(help="classes: rare levels weigh as much as common ones.")
     ] = "none",

@@ -42,6 +42,11 @@ def test_the_mixed_net_ends_in_memberships_of_the_levels_and_a_linear_value():
     assert [type(m).__name__ for m in list(network)[-3:]] == ["Linear", "Softmax", "Linear"]
 
 
+def test_muon_moves_the_weights_where_it_was_measured_better():
+    assert [ModelSpec.of(problem).optimiser for problem in NETWORKS] == ["muon", "muon", "adamw"]
+    assert ModelSpec.of("average", optimiser="muon").optimiser == "muon"
+
+
 def test_without_normalisation_there_is_none():
     network = build(ModelSpec.of("now", norm="none"), 6, LEVELS)
     assert not any(isinstance(m, nn.BatchNorm1d) for m in network)

@@ -76,7 +76,7 @@ class Way:
         standard, device = standardisation(learn.X), torch.device("cpu")
         rows, judge = (rows_on(device, part, self.spec, standard, ()) for part in (learn, test))
         torch.manual_seed(self.spec.seed)
-        network = build(self.spec, learn.X.shape[1], LEVELS)
+        network = build(self.spec, learn.X.shape[1], LEVELS, scale=standard[1])
         moved = Steps(network, self.spec, DECAY, steps)
         for part in self.batches(rows, steps):
             moved.take(((self.run(network, rows, part) - rows.scaling[part]) ** 2).mean())

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 _BLOCK = 16_384
 _STEPS, _EPOCHS = 12_000, (8, 100)
 """Where no number of epochs is asked for: as many as make this many steps, within these bounds."""
+_CENTRE_ROWS = 200_000
 _DECAY_ROWS, _MOST_DECAY = 3000, 0.1
 """Where no weight decay is asked for: this many divided by the training rows. Few rows need it, many hardly any."""
 
@@ -99,8 +100,10 @@ def fit(
     check = rows_on(device, validation, spec, standard, known)
     with torch.random.fork_rng(devices=[]), one_fast_thread():
         torch.manual_seed(spec.seed)
-        network = build(spec, rows.X.shape[1], levels, known).to(device)
+        network = build(spec, rows.X.shape[1], levels, known, standard[1]).to(device)
         history = _run(network, spec, learn, check, torch.tensor(levels, device=device), progress)
+        if spec.centre and not names_steps:
+            _centre(network, spec, learn)
         on_level = validation.step >= 0
         temperature = 1.0
         if names_steps and on_level.any():
@@ -140,16 +143,16 @@ def _run(
     batches = max(len(learn) // spec.batch, 1)
     epochs = spec.epochs or min(max(round(_STEPS / batches), _EPOCHS[0]), _EPOCHS[1])
     decay = min(_DECAY_ROWS / len(learn), _MOST_DECAY) if spec.weight_decay is None else spec.weight_decay
-    steps = Steps(network, spec, decay, max(batches * epochs, 10))  # fewer cannot rise and fall
+    steps = Steps(network, spec, decay, max(batches * epochs, 20))  # fewer cannot rise and fall
     balance = _balance(learn, len(levels)) if spec.balance == "classes" and spec.network == "classifier" else None
     history: list[Epoch] = []
     best, best_state, since = float("inf"), copy.deepcopy(network.state_dict()), 0
     for number in range(1, epochs + 1):
         network.train()
-        if number > spec.freeze_norm_after * epochs:
-            _freeze_norm(network)
         total = torch.zeros((), device=learn.scaling.device)
-        for part in learn.batches(batches):
+        for count, part in enumerate(learn.batches(batches), (number - 1) * batches):
+            if count >= spec.freeze_norm_after * epochs * batches:
+                freeze_norm(network)
             loss = _loss(network, spec, learn, part, balance)
             steps.take(loss)
             total += loss.detach()
@@ -194,11 +197,30 @@ def _balance(learn: Rows, count: int) -> torch.Tensor:
     return float(len(learn)) / (count * rows)
 
 
-def _freeze_norm(network: nn.Module) -> None:
+def freeze_norm(network: nn.Module) -> None:
     """Let batch normalisation keep the statistics that it has, instead of measuring every batch anew."""
     for module in network.modules():
         if isinstance(module, nn.BatchNorm1d):
             module.eval()
+
+
+def _centre(network: nn.Module, spec: ModelSpec, learn: Rows) -> None:
+    """Shift the output so that its mean error over (some of) the rows it learned from is zero.
+
+    One Newton step: rows that are cut to 0 or 1 do not move.
+    """
+    network.eval()
+    last = [module for module in network.modules() if isinstance(module, nn.Linear)][-1]
+    every = torch.arange(0, len(learn), math.ceil(len(learn) / _CENTRE_ROWS), device=learn.scaling.device)
+    off, moved = torch.zeros(2, device=learn.scaling.device).unbind()
+    with torch.inference_mode():
+        for part in torch.split(every, _BLOCK):
+            out = network(learn.inputs(part, spec.noise_m))[:, 0]
+            off = off + ((out - learn.scaling[part, 0]) * learn.weight[part]).sum()
+            moved = moved + (((out > 0) & (out < 1)) * learn.weight[part]).sum()
+    if moved > 0:
+        with torch.no_grad():
+            last.bias.sub_(off / moved)
 
 
 def _outputs(network: nn.Module, rows: Rows) -> torch.Tensor:

@@ -26,12 +26,21 @@ from cyclekit.samples import GROUPS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from cyclekit.models.spec import ModelSpec
 
 _HUMAN = GROUPS["human"]
 
 
-def build(spec: ModelSpec, inputs: int, levels: Sequence[float], known: Sequence[str] = ()) -> nn.Module:
+def build(
+    spec: ModelSpec,
+    inputs: int,
+    levels: Sequence[float],
+    known: Sequence[str] = (),
+    scale: NDArray[np.float64] | None = None,
+) -> nn.Module:
     """Return the untrained network of `spec`; its first weights come from torch's random state.
 
     Args:
@@ -39,6 +48,7 @@ def build(spec: ModelSpec, inputs: int, levels: Sequence[float], known: Sequence
         inputs: Number of inputs F, without those that say "known".
         levels: Staircase levels, ascending.
         known: Groups that have an input which says whether they are known.
+        scale: 1/deviation of every input, shape (F,): what does not vary (0) is not forecast either. None: all varies.
 
     Returns:
         A module from (B, F + groups), with a history from (B, K, F + groups), to logits (B, P) of a classifier or
@@ -48,7 +58,8 @@ def build(spec: ModelSpec, inputs: int, levels: Sequence[float], known: Sequence
     if spec.network == "lstm-1":
         return Recurrent(width, spec, _head(spec, levels))
     if spec.network == "lstm-2":
-        return Forecasting(width, spec, _head(spec, levels), ("human" in known) * inputs)
+        varies = torch.ones(3) if scale is None else torch.from_numpy(scale[_HUMAN] > 0).float()
+        return Forecasting(width, spec, _head(spec, levels), ("human" in known) * inputs, varies)
     return nn.Sequential(*feed_forward((width, *spec.hidden), spec.norm), *_head(spec, levels))
 
 
@@ -72,12 +83,26 @@ class Recurrent(nn.Module):
 class Forecasting(nn.Module):
     """LSTM-2: where the operator will be, from where he has been; then the regression network.
 
-    `forecast` of the last call, shape (B, 3), standardised, is kept for the loss.
+    `forecast` of the last call, shape (B, 3), standardised, is kept for the loss. A coordinate that never varies is
+    forecast as what it always is: left free, it would be no position but one more channel between the two networks.
     """
 
-    def __init__(self, inputs: int, spec: ModelSpec, head: list[nn.Module], presence: int) -> None:
-        """Build it for that many inputs; `presence` is the column that says whether he is there, 0 for none."""
+    varies: torch.Tensor
+
+    def __init__(
+        self, inputs: int, spec: ModelSpec, head: list[nn.Module], presence: int, varies: torch.Tensor
+    ) -> None:
+        """Build it for that many inputs.
+
+        Args:
+            inputs: Of the regressor.
+            spec: Widths and normalisation.
+            head: Last layers.
+            presence: Column that says whether the operator is there, 0 for none.
+            varies: 1 for each of his coordinates that varies, 0 for the others, shape (3,).
+        """
         super().__init__()
+        self.register_buffer("varies", varies, persistent=False)
         width = spec.hidden[0]
         self.columns = [*range(_HUMAN.start, _HUMAN.stop), *([presence] if presence else [])]
         self.lstm = nn.LSTM(len(self.columns), width, batch_first=True)
@@ -88,7 +113,7 @@ class Forecasting(nn.Module):
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return values (B, 1) for histories (B, K, inputs)."""
         states, _ = self.lstm(x[:, :, self.columns])
-        self.forecast = self.ahead(states[:, -1])
+        self.forecast = self.ahead(states[:, -1]) * self.varies
         now = x[:, -1]
         out: torch.Tensor = self.rest(torch.cat([now[:, : _HUMAN.start], self.forecast, now[:, _HUMAN.stop :]], dim=1))
         return out

@@ -82,7 +82,7 @@ def test_the_command_writes_tables_and_figures(out, table):
     assert "| Bayes estimate, flat prior |" in whole
     assert "| persistence |" in whole
     assert all(0 < r["mse"] < 0.3 and r["rows"] > 500 for r in results)
-    assert (out / "figures" / "box-picking-ahead-2s-lstm-1-none-muon-heatmap.svg").is_file()
+    assert (out / "figures" / "box-picking-ahead-2s-lstm-1-none-heatmap.svg").is_file()
 
 
 def test_it_goes_on_where_it_stopped(out, table):

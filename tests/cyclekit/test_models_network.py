@@ -42,6 +42,11 @@ def test_the_mixed_net_ends_in_memberships_of_the_levels_and_a_linear_value():
     assert [type(m).__name__ for m in list(network)[-3:]] == ["Linear", "Softmax", "Linear"]
 
 
+def test_muon_moves_the_weights_where_it_was_measured_better():
+    assert [ModelSpec.of(problem).optimiser for problem in NETWORKS] == ["muon", "muon", "adamw"]
+    assert ModelSpec.of("average", optimiser="muon").optimiser == "muon"
+
+
 def test_without_normalisation_there_is_none():
     network = build(ModelSpec.of("now", norm="none"), 6, LEVELS)
     assert not any(isinstance(m, nn.BatchNorm1d) for m in network)
@@ -56,10 +61,11 @@ def test_a_folded_network_predicts_what_the_network_predicts(problem, name, norm
     inputs = 6 if problem == "now" else 12
     known = known if inputs == 12 else known[:1]
     spec = ModelSpec.of(problem, name, norm=norm, features="distance" if distance else "positions")
-    network = build(spec, inputs, LEVELS, known)
+    mean, scale = rng.normal(size=inputs), rng.uniform(0.5, 3, inputs)
+    scale[5] = 0.0  # an operator who is always at the same height
+    network = build(spec, inputs, LEVELS, known, scale)
     disturb(network)
     network.eval()
-    mean, scale = rng.normal(size=inputs), rng.uniform(0.5, 3, inputs)
     X = rng.normal(size=(300, inputs) if spec.history[0] == 1 else (300, spec.history[0], inputs))
     for group in known:
         X[rng.random(X.shape[:-1]) < 0.2, GROUPS[group]] = np.nan

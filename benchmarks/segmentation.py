@@ -4,7 +4,7 @@
 
 Each scene is simulated with ramps (2.5/s), a reaction time (0.1 s) and the encoder noise of a real UR5, logged in one
 long run; with the override in the log and without it; and both with dwells longer than any halt (`pick` 20 s). Every
-task of the truth is looked for among the found ones: the same start and goal, begun within two seconds. A true one
+task of the truth is looked for among the found ones: the same start and goal, under way at the same time. A true one
 that is not there is lost, a found one that is no true one is invented. Boundaries are departure and arrival.
 
 The second table ingests as many executions of box-picking as `--growth` names in one log each, without the override:
@@ -26,7 +26,6 @@ from cyclekit.ingest import ingest
 from cyclekit_sim import SCENES, SimulationOptions, simulate
 
 SEED = 31
-NEAR_S = 2.0
 HALTS_S = 20.0
 
 
@@ -59,14 +58,19 @@ def truth_of(logs: Path) -> pl.DataFrame:
 
 def compare(truth: pl.DataFrame, found: pl.DataFrame) -> tuple[int, int, np.ndarray]:
     """Return how many tasks are lost, how many invented, and the errors of the boundaries of the others, (2 N,)."""
-    found = found.select(
-        "task", "start_s", "arrival_s", session=pl.col("execution").str.split(".").list.first(), begin=pl.col("start_s")
-    ).sort("session", "begin")
-    both = truth.join_asof(
-        found, left_on="start_s", right_on="begin", by=["session", "task"], strategy="nearest", tolerance=NEAR_S,
-        check_sortedness=False,
-    ).filter(pl.col("start_s_right").is_not_null()).unique(["session", "start_s_right"])  # fmt: skip
-    errors = [(both[f"{name}_right"] - both[name]).to_numpy() for name in ("start_s", "arrival_s")]
+    ours = found.select(
+        "task", session=pl.col("execution").str.split(".").list.first(), start="start_s", arrival="arrival_s"
+    ).with_row_index("ours")  # fmt: skip
+    pairs = ours.join_where(
+        truth.with_row_index("theirs"),
+        pl.col("session") == pl.col("session_right"),
+        pl.col("task") == pl.col("task_right"),
+        pl.col("start") < pl.col("arrival_s"),
+        pl.col("arrival") > pl.col("start_s"),
+    ).with_columns(common_s=pl.min_horizontal("arrival", "arrival_s") - pl.max_horizontal("start", "start_s"))
+    best = pairs.sort("common_s", descending=True).unique("ours", keep="first", maintain_order=True)
+    both = best.unique("theirs", keep="first", maintain_order=True)
+    errors = [(both["start"] - both["start_s"]).to_numpy(), (both["arrival"] - both["arrival_s"]).to_numpy()]
     return truth.height - both.height, found.height - both.height, np.concatenate(errors)
 
 

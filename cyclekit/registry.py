@@ -121,6 +121,9 @@ def why_unknown(path: Path) -> UnknownFormat:
         return UnknownFormat(path, "neither a file nor a folder: a pipe, a socket, a device or a broken link")
     with path.open("rb") as file:
         head = file.read(4096)
+    if (whose := find_adapter(path.parent)) is not None:
+        cause = f"it is part of the folder {path.parent.name!r}, which is one log of adapter {whose.name!r}"
+        return UnknownFormat(path, cause, cure="Name the folder.")
     known = ", ".join(adapters())
     cure = f"cyclekit reads: {known} (see `cyclekit adapters`)."
     if not head:

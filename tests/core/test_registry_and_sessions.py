@@ -10,7 +10,7 @@ import pytest
 from cyclekit.config import Cell, Source
 from cyclekit.discover import find_all, matches
 from cyclekit.errors import ConfigError, LogError, UnknownName
-from cyclekit.registry import adapter_named, adapters, find_adapter, find_logs
+from cyclekit.registry import adapter_named, adapters, find_adapter, find_logs, why_unknown
 from cyclekit.session import group_sessions
 
 TRIP = [("stand", 0.5), ("move", 0.3), ("stand", 0.5)]
@@ -134,3 +134,14 @@ def test_sessions_are_named_after_their_folder_or_their_log_and_never_alike():
     assert [session.name for session in sessions] == ["day.a", "day.b", "run.csv"]
     assert [session.reference for session in sessions] == [False, True, False]
     assert [log["session"] for log in logs] == ["day.a", "day.b", "run.csv"]
+
+
+def test_a_file_of_a_log_that_is_a_folder_points_at_the_folder(tmp_path: Path):
+    folder = tmp_path / "movement"
+    folder.mkdir()
+    rows = "".join(f"{0.008 * i:.3f}, 0.1, 0.2, 0.3, 0, 0, 0\n" for i in range(5))
+    for name in ("log_tool_vector.csv", "log_q_actual.csv"):
+        (folder / name).write_text(rows)
+    said = str(why_unknown(folder / "log_q_actual.csv"))
+    assert "part of the folder 'movement', which is one log of adapter 'ur-split'" in said
+    assert "Name the folder" in said

@@ -198,7 +198,7 @@ class Dataset:
         """Yield the times of one native-rate table (`t_s`), in parts: it may be larger than memory."""
         stored = StoredTable(self.path / "recordings" / recording / f"{table}.parquet", ("t_s",))
         for begin, end in stored.groups:
-            yield pl.DataFrame({"t_s": stored.read(begin, end)["t_s"]})
+            yield pl.DataFrame({"t_s": stored.column("t_s", begin, end)})
 
     def native_robot(self, execution: str, columns: Sequence[str] | None = None) -> pl.DataFrame | None:
         """Return the native-rate robot rows of one execution, `t_s` in session time; None without a robot log.

@@ -83,7 +83,7 @@ def _of_robot(table: StoredTable, column: str, *, bit: int | None = None, wanted
     for number, (begin, end) in enumerate(table.groups):
         values, known = table.whole_numbers(number, column)
         values = np.concatenate([last, (values if bit is None else (values >> bit) & 1)[known]])
-        times = np.concatenate([last_t, table.read(begin, end)["t_s"][known]])
+        times = np.concatenate([last_t, table.column("t_s", begin, end)[known]])
         rows = np.flatnonzero(values[1:] != values[:-1]) + 1
         changes.append(np.stack([times[rows - 1], times[rows], values[rows]]))
         seen.update(values[:1].tolist(), values[rows].tolist())

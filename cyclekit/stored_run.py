@@ -76,7 +76,7 @@ class StoredRun:
         """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None where it was not logged."""
         if self.more is None or "slider" not in self.more.columns:
             return None
-        return self.more.read(self.first + first, self.first + last + 1)["slider"]
+        return self.more.column("slider", self.first + first, self.first + last + 1)
 
     @property
     def is_inferred(self) -> bool:
@@ -94,7 +94,7 @@ class StoredRun:
 
     def time_at(self, row: int) -> float:
         """Return the session time of a row, seconds."""
-        return float(self.table.read(self.first + row, self.first + row + 1)["t_s"][0]) + self.offset_s
+        return float(self.table.column("t_s", self.first + row, self.first + row + 1)[0]) + self.offset_s
 
     def row_at(self, t_s: Vector) -> Rows:
         """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
@@ -104,7 +104,7 @@ class StoredRun:
         for number in np.unique(step).tolist():
             last = int(rows[number + 1]) if number + 1 < len(rows) else self.rows
             here = step == number
-            times_there = self.table.read(self.first + int(rows[number]), self.first + last)["t_s"]
+            times_there = self.table.column("t_s", self.first + int(rows[number]), self.first + last)
             before = np.searchsorted(times_there, t_s[here] - self.offset_s + 1e-9, side="right") - 1
             found[here] = rows[number] + np.clip(before, 0, None)
         return found
@@ -134,7 +134,7 @@ def runs_of(
     """
     cuts, firsts, before, periods = [0], list[tuple[int, float]](), np.nan, []
     for begin, end in table.groups:
-        t = table.read(begin, end)["t_s"]
+        t = table.column("t_s", begin, end)
         between = np.diff(t, prepend=before)
         cuts += (begin + np.flatnonzero((between > gap_s) | (between <= 0))).tolist()
         firsts.append((begin, float(t[0])))
@@ -149,7 +149,7 @@ def runs_of(
         if end <= first:
             continue
         inside = [(begin - first, t) for begin, t in firsts if first < begin < end]
-        start = float(table.read(first, first + 1)["t_s"][0])
+        start = float(table.column("t_s", first, first + 1)[0])
         rows, times = zip((0, start), *inside, strict=True)
         steps = (np.array(rows, np.int64), np.array(times) + offset_s)
         halts = tuple(

@@ -163,14 +163,21 @@ class StoredTable:
 
     def read(self, first: int, end: int) -> Columns:
         """Return rows `first` to before `end` as float64, NaN = unknown; not to be written to."""
+        return self._rows(self._columns, first, end)
+
+    def column(self, name: str, first: int, end: int) -> NDArray[np.float64]:
+        """Return one column of these rows, shape (N,), as `read` does, without decoding the others."""
+        return self._rows([name], first, end)[name]
+
+    def _rows(self, names: Sequence[str], first: int, end: int) -> Columns:
         parts = [
-            {name: values[max(first - begin, 0) : end - begin] for name, values in self._group(number).items()}
+            {name: values[max(first - begin, 0) : end - begin] for name, values in self._group(number, names).items()}
             for number, (begin, after) in enumerate(self.groups)
             if begin < end and after > first
         ]
         if len(parts) == 1:
             return parts[0]
-        return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in self._columns}
+        return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in names}
 
     def whole_numbers(self, number: int, column: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Return a column of whole numbers in one row group, all 64 bits of them, and which are known, shape (N,)."""
@@ -196,36 +203,37 @@ class StoredTable:
         if pending is not None:
             yield pending
 
-    def _group(self, number: int) -> Columns:
-        key = (self._file, tuple(self._columns), number)
-        if (known := _decoded.get(key)) is not None:
-            return known
-        with pq.ParquetFile(self._file) as parquet:
-            table = parquet.read_row_group(number, columns=self._columns)
-        frame = pl.DataFrame(table)  # not by Arrow's own way to numpy, which imports pandas where there is one
-        columns = {name: _floats(frame[name]) for name in self._columns}
-        _decoded.keep(key, columns)
+    def _group(self, number: int, names: Sequence[str]) -> Columns:
+        known = {name: _decoded.get((self._file, name, number)) for name in names}
+        columns = {name: values for name, values in known.items() if values is not None}
+        if missing := [name for name in names if name not in columns]:
+            with pq.ParquetFile(self._file) as parquet:
+                table = parquet.read_row_group(number, columns=missing)
+            frame = pl.DataFrame(table)  # not by Arrow's own way to numpy, which imports pandas where there is one
+            for name in missing:
+                columns[name] = _floats(frame[name])
+                _decoded.keep((self._file, name, number), columns[name])
         return columns
 
 
 class _Decoded:
-    """What was decoded last, up to a limit; the latest part stays however large it is."""
+    """The columns that were decoded last, up to a limit; the latest stays however large it is."""
 
     def __init__(self) -> None:
         self.most_bytes = _KEPT_BYTES
-        self._parts: OrderedDict[tuple[Path, tuple[str, ...], int], Columns] = OrderedDict()
+        self._parts: OrderedDict[tuple[Path, str, int], NDArray[np.float64]] = OrderedDict()
         self._bytes = 0
 
-    def get(self, key: tuple[Path, tuple[str, ...], int]) -> Columns | None:
+    def get(self, key: tuple[Path, str, int]) -> NDArray[np.float64] | None:
         if key in self._parts:
             self._parts.move_to_end(key)
         return self._parts.get(key)
 
-    def keep(self, key: tuple[Path, tuple[str, ...], int], columns: Columns) -> None:
-        self._parts[key] = columns
-        self._bytes += _size(columns)
+    def keep(self, key: tuple[Path, str, int], values: NDArray[np.float64]) -> None:
+        self._parts[key] = values
+        self._bytes += values.nbytes
         while len(self._parts) > 1 and self._bytes > self.most_bytes:
-            self._bytes -= _size(self._parts.popitem(last=False)[1])
+            self._bytes -= self._parts.popitem(last=False)[1].nbytes
 
     def clear(self) -> None:
         self._parts.clear()
@@ -233,10 +241,6 @@ class _Decoded:
 
 
 _decoded = _Decoded()
-
-
-def _size(columns: Columns) -> int:
-    return sum(values.nbytes for values in columns.values())
 
 
 @contextmanager

@@ -318,17 +318,17 @@ def test_what_was_decoded_is_kept_up_to_its_limit_and_the_oldest_goes_first(monk
     monkeypatch.setattr(tables, "_KEPT_BYTES", 100)
     kept = tables._Decoded()
     monkeypatch.setattr(tables, "_decoded", kept)
-    keys = [(Path("a"), ("x",), number) for number in range(5)]
+    keys = [(Path("a"), "x", number) for number in range(5)]
     for key in keys[:3]:
-        kept.keep(key, {"x": np.zeros(5)})  # 40 bytes each
+        kept.keep(key, np.zeros(5))  # 40 bytes each
     assert [kept.get(key) is not None for key in keys[:3]] == [False, True, True]
     kept.get(keys[1])
-    kept.keep(keys[3], {"x": np.zeros(5)})  # the one looked at last stays
+    kept.keep(keys[3], np.zeros(5))  # the one looked at last stays
     assert [kept.get(key) is not None for key in keys[:4]] == [False, True, False, True]
-    kept.keep(keys[4], {"x": np.zeros(500)})
+    kept.keep(keys[4], np.zeros(500))
     assert [kept.get(key) is not None for key in keys] == [False] * 4 + [True]
     with tables.keeping(1000):
         for key in keys[:2]:
-            kept.keep(key, {"x": np.zeros(5)})
+            kept.keep(key, np.zeros(5))
         assert all(kept.get(key) is not None for key in keys[:2])
     assert kept.get(keys[1]) is None

@@ -3,6 +3,9 @@
 as it should be        a second of history for each row, rows in random order
 in order of time       the same, but batches of rows that follow each other: what `shuffle=False` does
 rows as a sequence     no history: torch takes a batch (rows, inputs) for one sequence, and the rows are shuffled
+executions, N steps    each execution is one sequence, eight of them a step, Adam at 1e-3; after N steps
+forecast apart         LSTM-2 in two stages: the LSTM learns where the operator will be, the regressor the scaling now,
+                       and is then asked with the robot's place now and the operator's forecast place
 
 python benchmarks/recurrent.py --executions 100 --steps 600
 """
@@ -13,17 +16,20 @@ import argparse
 import tempfile
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from rich.console import Console
 from rich.table import Table
+from torch import nn
 
 from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
 from cyclekit.models.fitting import one_fast_thread
-from cyclekit.models.network import Recurrent, build
+from cyclekit.models.network import Forecasting, Recurrent, build
 from cyclekit.models.optimiser import Steps
 from cyclekit.models.rows import Rows, rows_on, standardisation
 from cyclekit.models.spec import ModelSpec
@@ -31,10 +37,13 @@ from cyclekit.samples import Samples, build_samples, split_executions
 from cyclekit_sim import simulate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator, Sequence
+
+    import polars as pl
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
-BATCH, DECAY = 256, 0.01
+BATCH, DECAY, CPU = 256, 0.01, torch.device("cpu")
+WHOLE = (10, 50, 200)
 RIGHT, IN_ORDER, AS_SEQUENCE = "as it should be", "in order of time", "rows as a sequence"
 WAYS = [
     ("regressor", "batch", RIGHT),
@@ -53,7 +62,7 @@ class Way:
     spec: ModelSpec
     feed: str
 
-    def run(self, network: torch.nn.Module, rows: Rows, part: torch.Tensor) -> torch.Tensor:
+    def run(self, network: nn.Module, rows: Rows, part: torch.Tensor) -> torch.Tensor:
         """Return what the network says about some rows, shape (B, 1)."""
         x = rows.inputs(part, 0.0)
         if self.feed == AS_SEQUENCE and isinstance(network, Recurrent):
@@ -71,19 +80,90 @@ class Way:
                 done += 1
                 yield part
 
+    def fitted(self, rows: Rows, inputs: int, steps: int, scale: np.ndarray, *, forecast: bool = False) -> nn.Module:
+        """Train on the scaling, or on nothing but the forecast."""
+        torch.manual_seed(self.spec.seed)
+        network = build(self.spec, inputs, LEVELS, scale=scale)
+        moved = Steps(network, self.spec.for_rows(len(rows)), DECAY, steps)
+        for part in self.batches(rows, steps):
+            out, wanted = self.run(network, rows, part), rows.scaling[part]
+            if forecast and isinstance(network, Forecasting) and rows.ahead is not None:
+                out, wanted = network.forecast, rows.ahead[part]
+            moved.take(((out - wanted) ** 2).mean())
+        return network.eval()
+
     def error(self, learn: Samples, test: Samples, steps: int) -> float:
         """Train and return the MSE on held-out rows, in order of time."""
-        standard, device = standardisation(learn.X), torch.device("cpu")
-        rows, judge = (rows_on(device, part, self.spec, standard, ()) for part in (learn, test))
-        torch.manual_seed(self.spec.seed)
-        network = build(self.spec, learn.X.shape[1], LEVELS, scale=standard[1])
-        moved = Steps(network, self.spec, DECAY, steps)
-        for part in self.batches(rows, steps):
-            moved.take(((self.run(network, rows, part) - rows.scaling[part]) ** 2).mean())
-        network.eval()
-        with torch.inference_mode():
-            out = torch.cat([self.run(network, judge, part) for part in torch.arange(len(judge)).split(BATCH)])
-        return float(((out - judge.scaling) ** 2).mean())
+        standard = standardisation(learn.X)
+        rows, judge = (rows_on(CPU, part, self.spec, standard, ()) for part in (learn, test))
+        network = self.fitted(rows, learn.X.shape[1], steps, standard[1])
+        return mse(lambda part: self.run(network, judge, part), judge)
+
+
+def mse(predict: Callable[[torch.Tensor], torch.Tensor], judge: Rows) -> float:
+    """Return the error of what is predicted for parts of the rows."""
+    with torch.inference_mode():
+        out = torch.cat([predict(part) for part in torch.arange(len(judge)).split(BATCH)])
+    return float(((out - judge.scaling) ** 2).mean())
+
+
+def forecast_apart(frames: Sequence[pl.DataFrame], steps: int, seed: int) -> tuple[float, float]:
+    """Return the MSE of LSTM-2 in two stages, and that of its second stage told where the operator will be."""
+    lstm = Way(ModelSpec.of("ahead", "lstm-2", 2.0, seed=seed), RIGHT)
+    now = Way(ModelSpec.of("now", "regressor", seed=seed), RIGHT)
+    learn, test = (build_samples(frame, "ahead", 2.0, LEVELS, history=lstm.spec.history) for frame in frames)
+    standard = standardisation(learn.X)
+    rows, judge = (rows_on(CPU, part, lstm.spec, standard, ()) for part in (learn, test))
+    first = lstm.fitted(rows, learn.X.shape[1], steps, standard[1], forecast=True)
+    of_now = (standard[0][:6], standard[1][:6])
+    present = rows_on(CPU, build_samples(frames[0], "now", 0.0, LEVELS), now.spec, of_now, ())
+    second = now.fitted(present, 6, steps, of_now[1])
+    assert isinstance(first, Forecasting)
+    assert judge.ahead is not None
+    future = judge.ahead
+
+    def asked(part: torch.Tensor, *, told: bool) -> torch.Tensor:
+        x = judge.inputs(part, 0.0)
+        first(x)
+        assert first.forecast is not None
+        place = future[part] if told else first.forecast
+        out: torch.Tensor = second(torch.cat([x[:, -1, :3], place], dim=1))
+        return out
+
+    return mse(partial(asked, told=False), judge), mse(partial(asked, told=True), judge)
+
+
+def whole_executions(learn: Samples, test: Samples, seed: int) -> Iterator[tuple[int, float]]:
+    """Train LSTM-1 on executions as sequences; yield the steps done and the MSE on held-out executions."""
+    mean, scale = standardisation(learn.X)
+    torch.manual_seed(seed)
+    network = build(ModelSpec.of("ahead", "lstm-1", 2.0), learn.X.shape[1], LEVELS)
+    assert isinstance(network, Recurrent)
+    moved = torch.optim.Adam(network.parameters(), 1e-3)
+    sequences, judge = ([_sequence(rows, k, mean, scale) for k in np.unique(rows.execution)] for rows in (learn, test))
+
+    def error(some: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> torch.Tensor:
+        states, _ = network.lstm(nn.utils.rnn.pad_sequence([x for x, _ in some], batch_first=True))
+        flat = torch.cat([state[: len(x)] for state, (x, _) in zip(states, some, strict=True)])
+        out: torch.Tensor = ((network.rest(flat)[:, 0] - torch.cat([y for _, y in some])) ** 2).mean()
+        return out
+
+    for done in range(1, WHOLE[-1] + 1):
+        network.train()
+        moved.zero_grad()
+        error([sequences[k] for k in torch.randperm(len(sequences))[:8]]).backward()  # type: ignore[no-untyped-call]
+        moved.step()
+        if done in WHOLE:
+            network.eval()
+            with torch.inference_mode():
+                yield done, float(error(judge))
+
+
+def _sequence(rows: Samples, k: int, mean: np.ndarray, scale: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return one execution: standardised inputs (N, F) and targets (N,)."""
+    mine = rows.execution == k
+    inputs, target = (rows.X[mine] - mean) * scale, rows.scaling[mine]
+    return torch.from_numpy(inputs.astype(np.float32)), torch.from_numpy(target.astype(np.float32))
 
 
 def main() -> None:
@@ -108,6 +188,17 @@ def main() -> None:
         with one_fast_thread():
             mse = way.error(learn, test, options.steps)
         shown.add_row(network, norm, feed, f"{mse * 1e3:.2f}", f"{time.process_time() - begin:.0f}")
+    history = ModelSpec.of("ahead", "lstm-1").history
+    learn, test = (build_samples(frame, "ahead", 2.0, LEVELS, history=history) for frame in frames)
+    with one_fast_thread():
+        begin = time.process_time()
+        for done, found in whole_executions(learn, test, options.seed):
+            took = f"{time.process_time() - begin:.0f}"
+            shown.add_row("lstm-1", "batch", f"executions, {done} steps", f"{found * 1e3:.2f}", took)
+        begin = time.process_time()
+        apart, told = forecast_apart(frames, options.steps, options.seed)
+    shown.add_row("lstm-2", "batch", "forecast apart", f"{apart * 1e3:.2f}", f"{time.process_time() - begin:.0f}")
+    shown.add_row("", "", "the same, told the operator's place ahead", f"{told * 1e3:.2f}", "")
     shown.add_row("constant mean", "", "", f"{test.scaling.var() * 1e3:.2f}")
     Console(width=100).print(shown)
 

@@ -54,7 +54,7 @@ def mse(probabilities: np.ndarray, step: np.ndarray) -> float:
 def cyclekit_loop(X: np.ndarray, step: np.ndarray, seed: int, **settings: str) -> Iterator[Callable[..., np.ndarray]]:
     """Train as `fitting` does: picks of one tensor, one rise and fall of the rate over five epochs."""
     torch.manual_seed(seed)
-    spec = ModelSpec.of("now", "classifier", **settings)  # type: ignore[arg-type]
+    spec = ModelSpec.of("now", "classifier", **settings).for_rows(len(X))  # type: ignore[arg-type]
     net = build(spec, 6, LEVELS.tolist())
     x, target = torch.from_numpy(X), torch.from_numpy(step)
     batches = len(x) // spec.batch
@@ -63,7 +63,7 @@ def cyclekit_loop(X: np.ndarray, step: np.ndarray, seed: int, **settings: str) -
         parts = torch.randperm(len(x)).tensor_split(batches)
         for first in range(0, batches, batches // 16):
             net.train()
-            if epoch * batches + first >= spec.freeze_norm_after * 5 * batches:
+            if epoch * batches + first >= (spec.freeze_norm_after or 0) * 5 * batches:
                 freeze_norm(net)
             with one_fast_thread():
                 for part in parts[first : first + batches // 16]:

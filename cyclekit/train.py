@@ -93,7 +93,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
         fitted = fit(spec, found.learn, found.check, found.levels, progress, known=found.known)
         made = (spec.problem, spec.network, spec.horizon_s, found.levels, fitted.weights)
         model = TrainedModel(*made, history=spec.history)
-        card = _card(dataset, spec, found, fitted, measure(model, found.held_out))
+        card = _card(dataset, found, fitted, measure(model, found.held_out))
     return replace(model, card=json.loads(json.dumps(card)))  # as it will be read back: lists, no tuples
 
 
@@ -174,11 +174,11 @@ def _rounded(staircase: Staircase) -> tuple[float, ...]:
     return tuple(round(float(level), 6) for level in staircase.levels)
 
 
-def _card(dataset: Dataset, spec: ModelSpec, found: _Rows, fitted: Fitted, metrics: Metrics) -> dict[str, Any]:
+def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: Metrics) -> dict[str, Any]:
     shares = zip(found.levels, found.staircase.share, strict=True)
     sizes = {"train": len(found.learn), "validation": len(found.check), "test": len(found.held_out)}
     return {
-        **_origin(dataset, spec),
+        **_origin(dataset, fitted.spec),
         "metrics": metrics.to_json(),
         "levels": [{"value": v, "share": round(float(s), 6)} for v, s in shares],
         "warnings": [*found.notes, *found.staircase.warnings, *_other_opinion(found.seen, found.staircase)],

@@ -45,9 +45,9 @@ def train(
         Literal["positions", "distance"], typer.Option(help="Give the network the distance as well.")
     ] = "positions",
     optimiser: Annotated[
-        Literal["muon", "adamw"] | None,
-        typer.Option(help="How weights are moved; default: muon, for the average: adamw.", show_default=False),
-    ] = None,
+        Literal["auto", "muon", "adamw"],
+        typer.Option(help="How weights are moved; auto: muon where it was measured better."),
+    ] = "auto",
     balance: Annotated[
         Literal["none", "classes"], typer.Option(help="classes: rare levels weigh as much as common ones.")
     ] = "none",
@@ -79,9 +79,7 @@ def train(
     from cyclekit.train import Training, train_at
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
-    settings: dict[str, Any] = {"features": features, "balance": balance, "noise_m": noise}
-    if optimiser is not None:
-        settings["optimiser"] = optimiser
+    settings: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}
     spec = partial(ModelSpec.of, problem, network, horizon_s, norm=norm, **settings)
     todo = [Training(dataset, spec(seed=seed), out)]
     if chosen is not None:

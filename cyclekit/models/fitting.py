@@ -57,6 +57,7 @@ class Fitted:
     """What fitting gives.
 
     Attributes:
+        spec: What was trained, with what was left to the number of rows.
         weights: The best epoch's network as matrices on raw inputs.
         history: One entry per epoch.
         mean: Mean of every input, shape (F,), m.
@@ -65,6 +66,7 @@ class Fitted:
             part (Guo et al. 2017); 1 for the others.
     """
 
+    spec: ModelSpec
     weights: Weights
     history: tuple[Epoch, ...]
     mean: NDArray[np.float64]
@@ -96,6 +98,7 @@ def fit(
     names_steps = spec.network == "classifier"
     if names_steps and not rows.in_files:  # what is in files has been left out before
         rows = rows.where(rows.step >= 0)
+    spec = spec.for_rows(len(rows))
     learn = rows_on(device, rows, spec, standard, known)
     check = rows_on(device, validation, spec, standard, known)
     with torch.random.fork_rng(devices=[]), one_fast_thread():
@@ -110,7 +113,7 @@ def fit(
             temperature = best_temperature(_outputs(network, check).cpu().numpy()[on_level], validation.step[on_level])
     distance = (DISTANCE_M, DISTANCE_1_M) if spec.features == "distance" else None
     folded = fold(network, *standard, known, temperature=temperature, distance=distance)
-    return Fitted(folded, history, *standard, temperature)
+    return Fitted(spec, folded, history, *standard, temperature)
 
 
 @contextmanager
@@ -151,7 +154,7 @@ def _run(
         network.train()
         total = torch.zeros((), device=learn.scaling.device)
         for count, part in enumerate(learn.batches(batches), (number - 1) * batches):
-            if count >= spec.freeze_norm_after * epochs * batches:
+            if count >= (spec.freeze_norm_after or 0.0) * epochs * batches:
                 freeze_norm(network)
             loss = _loss(network, spec, learn, part, balance)
             steps.take(loss)

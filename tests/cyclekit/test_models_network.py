@@ -12,7 +12,7 @@ from cyclekit.errors import ConfigError, CyclekitError, UnknownName
 from cyclekit.models.folding import fold
 from cyclekit.models.network import build
 from cyclekit.models.saved import TrainedModel
-from cyclekit.models.spec import NETWORKS, RECURRENT, ModelSpec
+from cyclekit.models.spec import FREEZE_NORM_AFTER, MUON_ROWS, NETWORKS, RECURRENT, ModelSpec
 from cyclekit.samples import GROUPS
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -43,8 +43,11 @@ def test_the_mixed_net_ends_in_memberships_of_the_levels_and_a_linear_value():
 
 
 def test_muon_moves_the_weights_where_it_was_measured_better():
-    assert [ModelSpec.of(problem).optimiser for problem in NETWORKS] == ["muon", "muon", "adamw"]
-    assert ModelSpec.of("average", optimiser="muon").optimiser == "muon"
+    assert [ModelSpec.of(problem).for_rows(MUON_ROWS).optimiser for problem in NETWORKS] == ["muon", "muon", "adamw"]
+    few = ModelSpec.of().for_rows(MUON_ROWS - 1)
+    assert (few.optimiser, few.freeze_norm_after) == ("adamw", FREEZE_NORM_AFTER["adamw"])
+    asked = ModelSpec.of("average", optimiser="muon", freeze_norm_after=0.5).for_rows(1)
+    assert (asked.optimiser, asked.freeze_norm_after) == ("muon", 0.5)
 
 
 def test_without_normalisation_there_is_none():

@@ -234,14 +234,17 @@ def test_training_with_noise_suits_a_tracker_that_is_noisier_than_the_logs(cell)
 
 
 def test_a_rare_level_is_found_more_often_when_all_levels_weigh_alike(cell, tmp_path):
-    rare = (
-        pl.when((pl.col("scaling") == 0.25) & (pl.int_range(pl.len()) % 8 > 0)).then(None).otherwise(pl.col("scaling"))
-    )
+    number = pl.col("execution").str.extract(r"(\d+)$").cast(pl.Int64)
+    unseen = (pl.col("scaling") == 0.25) & (number % 4 > 0)
+    rare = pl.when(unseen).then(None).otherwise(pl.col("scaling"))
     few = changed(cell, tmp_path, rare.alias("scaling"))
-    plain, balanced = (train(few, ModelSpec.of(batch=256, epochs=6, balance=how)) for how in ("none", "classes"))
+    plain, balanced = (
+        train(few, ModelSpec.of(batch=256, epochs=6, noise_m=0.3, balance=how)) for how in ("none", "classes")
+    )
+    assert plain.levels == balanced.levels == LEVELS
     rows = build_samples(cell.samples(plain.card["split"]["test"]), "now", 0.0, LEVELS)
     found = [float(np.mean(m.steps(rows.X)[rows.step == 1] == 1)) for m in (plain, balanced)]
-    assert found[1] > found[0]
+    assert found[1] > found[0] + 0.2
 
 
 def test_training_stops_early_when_asked_to(cell):
@@ -281,7 +284,7 @@ def test_executions_under_different_sliders_teach_one_safety_function(cell, tmp_
     assert any("slider" in text for text in model.card["warnings"])
 
 
-@pytest.mark.parametrize("settings", [{"features": "distance"}, {"optimiser": "adamw"}])
+@pytest.mark.parametrize("settings", [{"features": "distance"}, {"optimiser": "muon"}])
 def test_what_differs_from_the_paper_learns_as_well_and_survives_the_disk(cell, tmp_path, settings):
     model = train(cell, ModelSpec.of(batch=256, epochs=5, **settings))
     assert model.card["metrics"]["mse_mean"] < 0.03
@@ -289,3 +292,4 @@ def test_what_differs_from_the_paper_learns_as_well_and_survives_the_disk(cell, 
     rows = build_samples(cell.samples(model.card["split"]["test"]), "now", 0.0, LEVELS, allow=("human",))
     assert np.array_equal(load_model(tmp_path / "model").predict(rows.X), model.predict(rows.X))
     assert (model.weights.distance is not None) == ("features" in settings)
+    assert model.card["spec"]["optimiser"] == settings.get("optimiser", "adamw")  # of the default: what it came to

@@ -111,12 +111,14 @@ def forecast_apart(frames: Sequence[pl.DataFrame], steps: int, seed: int) -> tup
     """Return the MSE of LSTM-2 in two stages, and that of its second stage told where the operator will be."""
     lstm = Way(ModelSpec.of("ahead", "lstm-2", 2.0, seed=seed), RIGHT)
     now = Way(ModelSpec.of("now", "regressor", seed=seed), RIGHT)
-    learn, test = (build_samples(frame, "ahead", 2.0, LEVELS, history=lstm.spec.history) for frame in frames)
+    learn, test = (
+        build_samples(frame, "ahead", 2.0, LEVELS, history=lstm.spec.history, rate_hz=10.0) for frame in frames
+    )
     standard = standardisation(learn.X)
     rows, judge = (rows_on(CPU, part, lstm.spec, standard, ()) for part in (learn, test))
     first = lstm.fitted(rows, learn.X.shape[1], steps, standard[1], forecast=True)
     of_now = (standard[0][:6], standard[1][:6])
-    present = rows_on(CPU, build_samples(frames[0], "now", 0.0, LEVELS), now.spec, of_now, ())
+    present = rows_on(CPU, build_samples(frames[0], "now", 0.0, LEVELS, rate_hz=10.0), now.spec, of_now, ())
     second = now.fitted(present, 6, steps, of_now[1])
     assert isinstance(first, Forecasting)
     assert judge.ahead is not None
@@ -183,13 +185,15 @@ def main() -> None:
     shown = Table("network", "normalisation", "fed", "MSE x1e3", "cpu s", title="the scaling 2 s ahead, held out")
     for network, norm, feed in WAYS:
         way = Way(ModelSpec.of("ahead", network, 2.0, norm=norm, seed=options.seed), feed)  # type: ignore[arg-type]
-        learn, test = (build_samples(frame, "ahead", 2.0, LEVELS, history=way.spec.history) for frame in frames)
+        learn, test = (
+            build_samples(frame, "ahead", 2.0, LEVELS, history=way.spec.history, rate_hz=10.0) for frame in frames
+        )
         begin = time.process_time()
         with one_fast_thread():
             mse = way.error(learn, test, options.steps)
         shown.add_row(network, norm, feed, f"{mse * 1e3:.2f}", f"{time.process_time() - begin:.0f}")
     history = ModelSpec.of("ahead", "lstm-1").history
-    learn, test = (build_samples(frame, "ahead", 2.0, LEVELS, history=history) for frame in frames)
+    learn, test = (build_samples(frame, "ahead", 2.0, LEVELS, history=history, rate_hz=10.0) for frame in frames)
     with one_fast_thread():
         begin = time.process_time()
         for done, found in whole_executions(learn, test, options.seed):

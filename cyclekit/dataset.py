@@ -2,7 +2,7 @@
 
     DATASET/dataset.json                                  schema version, provenance, executions, places, levels
     DATASET/recordings/<id>/{robot,people,events}.parquet native rate, SI, each log's own clock
-    DATASET/samples/<session>.parquet                     10 Hz, one clock, one base frame
+    DATASET/samples/<session>.parquet                     `rate_hz`, one clock, one base frame
     DATASET/tasks.parquet                                 one row per executed robot task
     DATASET/quarantine.parquet                            every row that was set aside, with file, row and reason
 
@@ -111,6 +111,11 @@ class Dataset:
         types = {"execution": schema.TEXT, "session": schema.TEXT, "start_s": schema.F64, "end_s": schema.F64}
         frame = pl.DataFrame(rows, schema={**types, "complete": schema.FLAG})
         return frame.with_columns(duration_s=pl.col("end_s") - pl.col("start_s"))
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples a second."""
+        return float(self.card.get("rate_hz", 10.0))
 
     @property
     def places(self) -> dict[str, Place]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
 
 
-def scaling_in_time(frame: pl.DataFrame, rate_hz: float = 10.0) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def scaling_in_time(frame: pl.DataFrame, rate_hz: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return the scaling of every row of SAMPLES (NaN = unknown) and its stretch, shape (N,) each."""
     return frame["scaling"].fill_null(np.nan).to_numpy(), stretches(frame, rate_hz)
 
@@ -57,5 +57,5 @@ def staircase_of(dataset: Dataset, frame: pl.DataFrame, method: str = "plateau")
         frame: Table SAMPLES or a part of it, rows of one execution together and in order of time.
         method: One of `steps.METHODS`.
     """
-    scaling, run = scaling_in_time(frame, float(dataset.card.get("rate_hz", 10.0)))
+    scaling, run = scaling_in_time(frame, dataset.rate_hz)
     return find_staircase(scaling, run=run, method=method, levels=fixed_levels(dataset))

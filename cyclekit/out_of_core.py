@@ -47,7 +47,7 @@ def memory_rows() -> int:
 def rows_of(dataset: Dataset) -> int:
     """Return about how many samples the executions of a dataset have, by their durations."""
     seconds = dataset.executions["duration_s"].sum()
-    return round(float(seconds) * float(dataset.card.get("rate_hz", 10.0)))
+    return round(float(seconds) * dataset.rate_hz)
 
 
 def some_executions(dataset: Dataset, names: Sequence[str], rows: int, *, seed: int = 0) -> tuple[str, ...]:
@@ -59,7 +59,7 @@ def some_executions(dataset: Dataset, names: Sequence[str], rows: int, *, seed: 
         rows: Samples to have.
         seed: Same names and seed, same choice.
     """
-    rate_hz = float(dataset.card.get("rate_hz", 10.0))
+    rate_hz = dataset.rate_hz
     lasts_s = dict(dataset.executions.select("execution", "duration_s").iter_rows())
     order = np.random.default_rng(seed).permutation(len(names))
     ends = np.cumsum([lasts_s[names[number]] * rate_hz for number in order])
@@ -86,7 +86,7 @@ def in_memory(dataset: Dataset, *, seed: int = 0) -> tuple[Dataset, str | None]:
 
 def frames(dataset: Dataset, names: Sequence[str], rows: int = PART_ROWS) -> Iterator[pl.DataFrame]:
     """Yield the samples of executions in parts of whole executions, about `rows` in each."""
-    rate_hz = float(dataset.card.get("rate_hz", 10.0))
+    rate_hz = dataset.rate_hz
     lasts_s = dict(dataset.executions.select("execution", "duration_s").iter_rows())
     part: list[str] = []
     held = 0.0

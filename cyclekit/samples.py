@@ -110,7 +110,7 @@ def build_samples(
     horizon_s: float,
     levels: Sequence[float],
     *,
-    rate_hz: float = 10.0,
+    rate_hz: float,
     allow: Collection[str] = (),
     history: tuple[int, int] = (1, 1),
 ) -> Samples:
@@ -184,7 +184,7 @@ def _history(run: NDArray[np.int64], unusable: NDArray[np.bool_], history: tuple
     return np.asarray(np.maximum(at[:, None] - back[None, :], begin[:, None]))
 
 
-def stretches(frame: pl.DataFrame, rate_hz: float = 10.0) -> NDArray[np.int64]:
+def stretches(frame: pl.DataFrame, rate_hz: float) -> NDArray[np.int64]:
     """Return the number of the unbroken stretch (one execution, no gap) of every row of SAMPLES, shape (N,)."""
     step = pl.col("t_s").diff()
     new = (pl.col("execution") != pl.col("execution").shift()) | (step > _GAP / rate_hz) | (step <= 0)

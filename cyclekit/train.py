@@ -118,10 +118,15 @@ class _Rows:
     dropped: Mapping[str, int]
 
 
+def _builder(dataset: Dataset, spec: ModelSpec) -> Callable[..., Samples]:
+    rate_hz, history = dataset.rate_hz, spec.history
+    return partial(build_samples, problem=spec.problem, horizon_s=spec.horizon_s, rate_hz=rate_hz, history=history)
+
+
 def _in_memory(dataset: Dataset, spec: ModelSpec) -> _Rows:
     frame = dataset.samples(dataset.executions["execution"].to_list())
     frame, slider = without_slider(dataset, frame)
-    build = partial(build_samples, problem=spec.problem, horizon_s=spec.horizon_s, history=spec.history)
+    build = _builder(dataset, spec)
     everything = build(frame, levels=(), allow=GROUPS)
     either = groups_seen_both_ways(everything, MIN_ROWS // 2)
     usable = _enough(dataset, frame, build(frame, levels=(), allow=either))
@@ -148,7 +153,7 @@ def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -
     split = _split(dataset, dataset.executions["execution"].to_list(), smaller)
     some = some_executions(dataset, [*split.train, *split.validation], most_rows // 2, seed=spec.seed)
     seen, slider = without_slider(dataset, dataset.samples(some))
-    build = partial(build_samples, problem=spec.problem, horizon_s=spec.horizon_s, history=spec.history)
+    build = _builder(dataset, spec)
     known = groups_seen_both_ways(build(seen, levels=(), allow=GROUPS), MIN_ROWS // 2)
     staircase = _staircase(dataset, seen, spec)
     levels = _rounded(staircase)
@@ -181,7 +186,8 @@ def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: Metrics) -> d
         **_origin(dataset, fitted.spec),
         "metrics": metrics.to_json(),
         "levels": [{"value": v, "share": round(float(s), 6)} for v, s in shares],
-        "warnings": [*found.notes, *found.staircase.warnings, *_other_opinion(found.seen, found.staircase)],
+        "warnings": [*found.notes, *found.staircase.warnings, *_other_opinion(dataset, found.seen, found.staircase)],
+        "rate_hz": dataset.rate_hz,
         "temperature": fitted.temperature,
         "may_be_unknown": list(found.known),
         "scaling_without_operator": scaling_without_operator(found.seen),
@@ -271,8 +277,8 @@ def _check_learnable(dataset: Dataset, learn: Samples, check: Samples, held_out:
             raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
 
 
-def _other_opinion(frame: pl.DataFrame, staircase: Staircase) -> list[str]:
-    scaling, _ = scaling_in_time(frame)
+def _other_opinion(dataset: Dataset, frame: pl.DataFrame, staircase: Staircase) -> list[str]:
+    scaling, _ = scaling_in_time(frame, dataset.rate_hz)
     other = second_opinion(scaling, staircase)
     return [] if other is None else [other]
 
@@ -291,7 +297,7 @@ def _split(dataset: Dataset, names: Sequence[str], spec: ModelSpec) -> Split:
 
 def _staircase(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Staircase:
     """Find the levels; a network that names steps needs at least two of them."""
-    scaling, _ = scaling_in_time(frame)
+    scaling, _ = scaling_in_time(frame, dataset.rate_hz)
     staircase = staircase_of(dataset, frame)
     if np.nanmax(scaling) - np.nanmin(scaling) < 1e-6:
         msg = f"{dataset.path}: the speed scaling is {np.nanmax(scaling):.2f} throughout, so there is nothing to learn"

@@ -200,7 +200,15 @@ class _Cell:
         allow = () if model is None else model.weights.known
         frame = self.dataset.samples(list(names))
         levels = self.safety["levels"]
-        return build_samples(frame, entry.problem, entry.horizon_s, levels, allow=allow, history=history)
+        return build_samples(
+            frame,
+            entry.problem,
+            entry.horizon_s,
+            levels,
+            rate_hz=self.dataset.rate_hz,
+            allow=allow,
+            history=history,
+        )
 
     def _rival(self, entry: Entry, learn: Samples, rows: Samples) -> NDArray[np.float64]:
         robot, human = rows.X[:, :3].astype(np.float64), rows.X[:, 3:6].astype(np.float64)

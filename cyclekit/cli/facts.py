@@ -122,7 +122,7 @@ def _dataset(found: DatasetDescription) -> str:
     head = [
         f"{found.path}: dataset, schema version {found.schema_version}",
         f"  executions  {found.executions}{cut}, {duration(found.duration_s)} in all",
-        f"  samples     {found.samples} at 10 Hz; operator seen in {percent(found.operator_seen)}",
+        f"  samples     {found.samples} at {found.rate_hz:g} Hz; operator seen in {percent(found.operator_seen)}",
         f"  scaling     known in {percent(found.scaling_known)} of them{inferred}",
         f"  in motion   known in {percent(found.motion_covered)} of the samples{_deviation(found)}",
         *([bullet([_reasons(found.scaling_gaps)], mark="  unknown     ")] if found.scaling_gaps else []),

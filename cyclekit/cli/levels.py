@@ -39,7 +39,7 @@ def levels(
         opened = Dataset.open(dataset)
         frame = opened.samples(columns=["execution", "t_s", "scaling"])
         found = staircase_of(opened, frame, method)
-        values, _ = scaling_in_time(frame)
+        values, _ = scaling_in_time(frame, opened.rate_hz)
         other = second_opinion(values, found) if method == "plateau" else None
         if picture is not None:
             from cyclekit.figures.levels import draw_levels

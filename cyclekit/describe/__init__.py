@@ -144,6 +144,7 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
         executions_complete=int(executions["complete"].sum()),
         duration_s=float(executions["duration_s"].sum()),
         samples=samples.height,
+        rate_hz=dataset.rate_hz,
         places={
             name: {"xyz_m": p.xyz_m, "radius_m": p.radius_m, "inferred": p.inferred}
             for name, p in dataset.places.items()

@@ -109,6 +109,7 @@ class DatasetDescription:
     executions_complete: int
     duration_s: float
     samples: int
+    rate_hz: float
     places: Mapping[str, Mapping[str, Any]]
     human_places: Mapping[str, Mapping[str, Any]]
     tasks: tuple[Mapping[str, Any], ...]

@@ -88,7 +88,7 @@ def operator_tracks(
     Raises:
         EstimateError: No execution has an operator track, or none matches `operator`.
     """
-    step = 1.0 / float(dataset.card["rate_hz"])
+    step = 1.0 / dataset.rate_hz
     names, tracks = _logged(dataset)
     complete = set(dataset.executions.filter("complete")["execution"].to_list())
     begins = [name for name in tracks if name in complete and np.isfinite(tracks[name].where[:, :3]).any()]

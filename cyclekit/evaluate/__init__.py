@@ -191,7 +191,13 @@ def _held_out(model: TrainedModel) -> tuple[str, ...]:
 def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) -> Samples:
     frame, _ = without_slider(dataset, dataset.samples(executions))
     known, history = model.weights.known, model.history
-    return build_samples(frame, model.problem, model.horizon_s, model.levels, allow=known, history=history)
+    learned_hz = float(model.card.get("rate_hz", dataset.rate_hz))
+    if history != (1, 1) and learned_hz != dataset.rate_hz:
+        msg = f"the model looks back at samples of {learned_hz:g} Hz, and {dataset.path} has {dataset.rate_hz:g} Hz"
+        raise ModelError(msg, cure=f"Ingest the logs with --rate {learned_hz:g}, or train on this dataset.")
+    return build_samples(
+        frame, model.problem, model.horizon_s, model.levels, rate_hz=dataset.rate_hz, allow=known, history=history
+    )
 
 
 def _read_outs(metrics: Metrics) -> list[Row]:

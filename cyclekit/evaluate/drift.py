@@ -125,7 +125,8 @@ def drift_between(
         frame.filter(pl.col("execution").is_in(list(names)))
         for frame, names in ((before, judged_before), (after, judged_after))
     ]
-    safety = _safety(model, *judged)
+    rates = (older.rate_hz, newer.rate_hz)
+    safety = _safety(*(_errors(model, frame, rate_hz) for frame, rate_hz in zip(judged, rates, strict=True)))
     habits = _habits(before, after)
     cycles = [frame.executions.filter("complete")["duration_s"].to_numpy() for frame in (older, newer)]
     if min(len(part) for part in cycles) > 1:
@@ -135,8 +136,7 @@ def drift_between(
     return Drift(tuple(safety), tuple(habits), counts)
 
 
-def _safety(model: TrainedModel, before: pl.DataFrame, after: pl.DataFrame) -> list[Shift]:
-    old, new = (_errors(model, frame) for frame in (before, after))
+def _safety(old: pl.DataFrame, new: pl.DataFrame) -> list[Shift]:
     found = [_shift("everywhere", _by_execution(old), _by_execution(new), LEAST_SCALING)]
     for column in ("robot_task", "human_task"):
         for name in sorted(set(new[column].drop_nulls()) & set(old[column].drop_nulls())):
@@ -145,10 +145,10 @@ def _safety(model: TrainedModel, before: pl.DataFrame, after: pl.DataFrame) -> l
     return found
 
 
-def _errors(model: TrainedModel, frame: pl.DataFrame) -> pl.DataFrame:
+def _errors(model: TrainedModel, frame: pl.DataFrame, rate_hz: float) -> pl.DataFrame:
     """One row per sample that can be judged: execution, tasks, absolute error."""
     known = frame.filter(pl.all_horizontal(pl.col(name).is_not_null() for name in (*model.inputs, "scaling")))
-    rows = build_samples(known, model.problem, model.horizon_s, model.levels)
+    rows = build_samples(known, model.problem, model.horizon_s, model.levels, rate_hz=rate_hz)
     error = np.abs(model.predict(rows.X) - rows.scaling) if len(rows) else np.zeros(0)
     return known.select("execution", "robot_task", "human_task").with_columns(error=pl.Series(error))
 

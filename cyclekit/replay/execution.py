@@ -1,6 +1,6 @@
 """One execution as arrays: what the replay draws, and what of it is unknown.
 
-Every array is on the 10 Hz samples, NaN where unknown; a hole in the log is filled with one unknown row on either side,
+Every array is on the samples, NaN where unknown; a hole in the log is filled with one unknown row on either side,
 so that whatever is drawn from the arrays stops there. How it looks is the business of `scene`, `curves` and `words`.
 """
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cyclekit.config import Furniture
     from cyclekit.dataset import Dataset, Place
 
-GAP_S = 0.35
+GAP_SAMPLES = 3.5
 """A longer time without a 10 Hz sample is a gap: nothing is drawn across it."""
 
 FINEST_S = 1 / 30
@@ -67,11 +67,11 @@ class Joints:
 
 @dataclass(frozen=True)
 class Execution:
-    """What is known of one execution; T instants at 10 Hz plus the edges of gaps.
+    """What is known of one execution; T samples plus the edges of gaps.
 
     Attributes:
         name, cell: Names of the execution and of the dataset.
-        start_s, duration_s: Start in session time, and length.
+        start_s, duration_s, period_s: Start in session time, length, and from one sample to the next.
         t_s: Seconds of the execution, shape (T,).
         robot_m, human_m, robot_goal_m, human_goal_m: Positions, shape (T, 3), metres, base frame.
         scaling: Speed scaling in force, shape (T,), logged or inferred.
@@ -93,6 +93,7 @@ class Execution:
     cell: str
     start_s: float
     duration_s: float
+    period_s: float
     t_s: NDArray[np.float64]
     robot_m: NDArray[np.float64]
     human_m: NDArray[np.float64]
@@ -135,7 +136,7 @@ def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None
     entry = dataset.executions.row(by_predicate=pl.col("execution") == name, named=True)
     start_s, session = float(entry["start_s"]), str(entry["session"])
     raw = dataset.samples([name]).sort("t_s").filter(pl.col("t_s").is_not_null())
-    rows, gaps = _with_gaps(raw.with_columns(pl.col("t_s") - start_s))
+    rows, gaps = _with_gaps(raw.with_columns(pl.col("t_s") - start_s), 1.0 / dataset.rate_hz)
     t_s = _floats(rows, "t_s")
     robot_m, human_m = _points(rows, "robot"), _points(rows, "human")
     joints = _joints(dataset.native_robot(name), start_s)
@@ -146,6 +147,7 @@ def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None
         cell=str(dataset.card.get("name") or dataset.path.name),
         start_s=start_s,
         duration_s=float(entry["duration_s"]),
+        period_s=1.0 / dataset.rate_hz,
         t_s=t_s,
         robot_m=robot_m,
         human_m=human_m,
@@ -197,14 +199,14 @@ def _points(rows: pl.DataFrame, stem: str) -> NDArray[np.float64]:
     return points
 
 
-def _with_gaps(rows: pl.DataFrame) -> tuple[pl.DataFrame, tuple[tuple[float, float], ...]]:
+def _with_gaps(rows: pl.DataFrame, period_s: float) -> tuple[pl.DataFrame, tuple[tuple[float, float], ...]]:
     """Put one row of nulls into every gap, so that nothing is carried or drawn across it."""
     times = rows["t_s"].to_numpy()
-    before = np.flatnonzero(np.diff(times) > GAP_S)
+    before = np.flatnonzero(np.diff(times) > GAP_SAMPLES * period_s)
     gaps = tuple((float(times[i]), float(times[i + 1])) for i in before)
     if not gaps:
         return rows, ()
-    edges = pl.DataFrame({"t_s": [start + 0.1 for start, _ in gaps]}, schema={"t_s": pl.Float64})
+    edges = pl.DataFrame({"t_s": [start + period_s for start, _ in gaps]}, schema={"t_s": pl.Float64})
     return pl.concat([rows, edges], how="diagonal").sort("t_s"), gaps
 
 

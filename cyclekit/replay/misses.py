@@ -47,7 +47,7 @@ def misses(run: Execution, most: int = 10) -> list[Miss]:
         return []
     off = np.abs(run.predicted - run.scaling)
     off[np.isnan(off) | np.array([moving is False for moving in run.moving], dtype=np.bool_)] = 0.0
-    step_s = np.minimum(np.diff(run.t_s, append=run.t_s[-1] + 0.1), 0.2)
+    step_s = np.minimum(np.diff(run.t_s, append=run.t_s[-1] + run.period_s), 2 * run.period_s)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], off > LEAST, [False]]).astype(int)))
     found = []
     for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):

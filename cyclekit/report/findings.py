@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset import Dataset
 
-SAMPLE_S = 0.1
 FULL = 0.98
 """Scaling from here on counts as full speed."""
 
@@ -255,6 +254,12 @@ class Loss:
     worst_s: float
 
 
+def sample_s(samples: pl.DataFrame) -> float:
+    """Return how much time a sample stands for, s: the usual step from one to the next of its execution."""
+    step = samples.select(pl.col("t_s").diff().over("execution").median()).item()
+    return float(step) if step else 0.0
+
+
 def losses(samples: pl.DataFrame, executions: int) -> list[Loss]:
     """Return what the operator did when time was lost, the costliest first.
 
@@ -265,7 +270,8 @@ def losses(samples: pl.DataFrame, executions: int) -> list[Loss]:
     slow = samples.filter(pl.col("robot_moving") & (pl.col("scaling") < FULL) & pl.col("robot_task").is_not_null())
     if slow.is_empty() or not executions:
         return []
-    pairs = slow.group_by("human_task", "robot_task").agg(lost=(1 - pl.col("scaling")).sum() * SAMPLE_S / executions)
+    per = sample_s(samples) / executions
+    pairs = slow.group_by("human_task", "robot_task").agg(lost=(1 - pl.col("scaling")).sum() * per)
     pairs = pairs.sort("lost", "robot_task", descending=[True, False])
     sums = pairs.group_by("human_task", maintain_order=True).agg(
         pl.col("lost").sum().alias("all"), pl.col("robot_task").first(), pl.col("lost").first()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.report.findings import FULL, SAMPLE_S
+from cyclekit.report.findings import FULL, sample_s
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -72,13 +72,13 @@ def floor_plan(dataset: Dataset, samples: pl.DataFrame, model: Predicts | None =
         return None
     column, row = ((pl.col(f"human_{axis}_m") / CELL_M).floor() for axis in "xy")
     seen = seen.with_columns(column=column, row=row)
-    executions = max(1, dataset.executions.height)
+    per = sample_s(samples) / max(1, dataset.executions.height)
     lost = seen.filter(pl.col("robot_moving") & (pl.col("scaling") < FULL))
     usable = model if model is not None and model.problem == "now" else None
     first = samples.filter(pl.col("execution") == samples["execution"][0])
     return FloorPlan(
-        seen=_squares(seen, (pl.len() * SAMPLE_S / executions).alias("s")),
-        lost=_squares(lost, ((1 - pl.col("scaling")).sum() * SAMPLE_S / executions).alias("s"), pl.mean("scaling")),
+        seen=_squares(seen, (pl.len() * per).alias("s")),
+        lost=_squares(lost, ((1 - pl.col("scaling")).sum() * per).alias("s"), pl.mean("scaling")),
         zones=_of_model(usable, seen) if usable else _of_log(seen),
         zones_of_model=usable is not None,
         robot_m=first.sort("t_s").select("robot_x_m", "robot_y_m").to_numpy().astype(np.float64),

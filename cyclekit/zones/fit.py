@@ -120,8 +120,9 @@ def hysteresis(rows: Rows, levels: Sequence[float], distance: str) -> float | No
     """
     gamma = DISTANCES[distance](rows.robot_m, rows.human_m)
     step = np.diff(gamma, prepend=np.nan)
-    broken = (np.diff(rows.execution, prepend=-1) != 0) | (np.diff(rows.t_s, prepend=-np.inf) > 0.15)
-    speed = np.where(broken, np.nan, step) / 0.1
+    took_s = np.where(np.diff(rows.execution, prepend=-1) != 0, np.nan, np.diff(rows.t_s, prepend=np.nan))
+    broken = ~(took_s <= 1.5 * np.nanmedian(took_s)) if np.isfinite(took_s).any() else np.ones(len(step), np.bool_)
+    speed = np.where(broken, np.nan, step) / took_s
     leaving, coming = speed > MOVING_M_S, speed < -MOVING_M_S
     if min(leaving.sum(), coming.sum()) < 500:
         return None

@@ -199,9 +199,9 @@ def cell(tmp_path_factory) -> Dataset:
 
 def test_executions_and_gaps_divide_the_samples_of_a_dataset(cell):
     frame = cell.samples()
-    assert stretches(frame).max() == 4
+    assert stretches(frame, 10.0).max() == 4
     holed = frame.filter(pl.int_range(pl.len()) != 50)
-    assert stretches(holed).max() == 5
+    assert stretches(holed, 10.0).max() == 5
 
 
 def test_levels_fixed_in_the_cell_file_are_used(cell, tmp_path):

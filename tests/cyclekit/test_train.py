@@ -117,7 +117,7 @@ def test_every_other_network_beats_the_constant_mean(cell, problem, network):
     horizon_s = None if problem == "now" else 2.0
     model = train(cell, ModelSpec.of(problem, network, horizon_s, batch=256, epochs=15))
     assert model.card["history"][-1]["loss"] < model.card["history"][0]["loss"]
-    held_out = build_samples(cell.samples(model.card["split"]["test"]), problem, model.horizon_s, LEVELS)
+    held_out = build_samples(cell.samples(model.card["split"]["test"]), problem, model.horizon_s, LEVELS, rate_hz=10.0)
     assert model.card["metrics"]["mse_mean"] < 0.9 * held_out.scaling.var()
     assert (model.card["metrics"]["accuracy"] is None) == (problem == "average")
 
@@ -194,7 +194,9 @@ def test_without_torch_the_message_names_the_extra(cell, monkeypatch):
 @pytest.mark.parametrize("network", ["lstm-1", "lstm-2"])
 def test_a_recurrent_network_learns_from_the_history_of_each_execution(cell, network):
     model = train(cell, ModelSpec.of("ahead", network, 1.0, batch=256, epochs=4, history=(3, 3)))
-    held_out = build_samples(cell.samples(model.card["split"]["test"]), "ahead", 1.0, LEVELS, allow=model.weights.known)
+    held_out = build_samples(
+        cell.samples(model.card["split"]["test"]), "ahead", 1.0, LEVELS, allow=model.weights.known, rate_hz=10.0
+    )
     assert model.card["metrics"]["mse_mean"] < 0.7 * held_out.scaling.var()
     assert model.history == (3, 3)
 
@@ -217,7 +219,7 @@ def test_rows_that_are_less_sure_count_less(cell, tmp_path):
     spec = ModelSpec.of("now", "regressor", batch=256, epochs=6)
     blind = train(changed(cell, tmp_path / "a", wrong.alias("scaling")), spec)
     told = train(changed(cell, tmp_path / "b", wrong.alias("scaling"), sure.alias("scaling_sd")), spec)
-    rows = build_samples(cell.samples(told.card["split"]["test"]), "now", 0.0, LEVELS)
+    rows = build_samples(cell.samples(told.card["split"]["test"]), "now", 0.0, LEVELS, rate_hz=10.0)
     errors = [float(np.mean((m.predict(rows.X) - rows.scaling) ** 2)) for m in (blind, told)]
     assert errors[1] < errors[0] / 2
 
@@ -226,7 +228,7 @@ def test_training_with_noise_suits_a_tracker_that_is_noisier_than_the_logs(cell)
     clean, aware = (
         train(cell, ModelSpec.of("now", "regressor", batch=256, epochs=10, noise_m=noise)) for noise in (0.0, 0.3)
     )
-    rows = build_samples(cell.samples(clean.card["split"]["test"]), "now", 0.0, LEVELS)
+    rows = build_samples(cell.samples(clean.card["split"]["test"]), "now", 0.0, LEVELS, rate_hz=10.0)
     noisy = rows.X.copy()
     noisy[:, 3:6] += np.random.default_rng(0).normal(0, 0.3, (len(rows), 3))
     errors = [float(np.mean((m.predict(noisy) - rows.scaling) ** 2)) for m in (clean, aware)]
@@ -242,7 +244,7 @@ def test_a_rare_level_is_found_more_often_when_all_levels_weigh_alike(cell, tmp_
         train(few, ModelSpec.of(batch=256, epochs=6, noise_m=0.3, balance=how)) for how in ("none", "classes")
     )
     assert plain.levels == balanced.levels == LEVELS
-    rows = build_samples(cell.samples(plain.card["split"]["test"]), "now", 0.0, LEVELS)
+    rows = build_samples(cell.samples(plain.card["split"]["test"]), "now", 0.0, LEVELS, rate_hz=10.0)
     found = [float(np.mean(m.steps(rows.X)[rows.step == 1] == 1)) for m in (plain, balanced)]
     assert found[1] > found[0] + 0.2
 
@@ -260,7 +262,9 @@ def test_the_mean_error_over_the_rows_learned_from_is_zero(cell, problem, networ
         spec = ModelSpec.of(problem, network, horizon_s, batch=256, epochs=2, centre=centre)
         model = train(cell, spec)
         build = {"allow": model.weights.known, "history": model.history}
-        rows = build_samples(cell.samples(model.card["split"]["train"]), problem, model.horizon_s, LEVELS, **build)
+        rows = build_samples(
+            cell.samples(model.card["split"]["train"]), problem, model.horizon_s, LEVELS, **build, rate_hz=10.0
+        )
         bias.append(abs(float((model.predict(rows.model_inputs) - rows.scaling).mean())))
     assert bias[1] < 1e-3
     assert bias[1] < bias[0] / 3
@@ -289,7 +293,7 @@ def test_what_differs_from_the_paper_learns_as_well_and_survives_the_disk(cell, 
     model = train(cell, ModelSpec.of(batch=256, epochs=5, **settings))
     assert model.card["metrics"]["mse_mean"] < 0.03
     save_model(tmp_path / "model", model)
-    rows = build_samples(cell.samples(model.card["split"]["test"]), "now", 0.0, LEVELS, allow=("human",))
+    rows = build_samples(cell.samples(model.card["split"]["test"]), "now", 0.0, LEVELS, allow=("human",), rate_hz=10.0)
     assert np.array_equal(load_model(tmp_path / "model").predict(rows.X), model.predict(rows.X))
     assert (model.weights.distance is not None) == ("features" in settings)
     assert model.card["spec"]["optimiser"] == settings.get("optimiser", "adamw")  # of the default: what it came to

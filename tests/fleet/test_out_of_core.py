@@ -37,7 +37,7 @@ def test_rows_in_files_are_the_rows_in_memory(logs: Dataset, network: tuple[str,
     levels = (0.0, 0.25, 0.5, 0.75, 1.0)
 
     def build(frame):
-        return build_samples(frame, spec.problem, spec.horizon_s, levels, history=spec.history)
+        return build_samples(frame, spec.problem, spec.horizon_s, levels, history=spec.history, rate_hz=10.0)
 
     whole = build(logs.samples(names))
     kept = in_files((build(frame) for frame in frames(logs, names, rows=1000)), tmp_path)

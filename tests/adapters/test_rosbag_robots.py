@@ -124,3 +124,29 @@ def test_people_on_two_topics_may_be_the_same_people(tmp_path, bag):
     assert any("/poses, /humans" in said and "`body`" in said for said in log.warnings)
     one = read(tmp_path / "run", body="/humans")
     assert not any("same people" in said for said in one.warnings)
+
+
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    [
+        ({"map": {"tcp": "/poses"}}, "PoseArray"),
+        ({"map": {"joints": "/tcp_pose_broadcaster/pose"}}, "PoseStamped"),
+        ({"map": {"scaling": "/joint_states", "scaling_max": 1}}, "JointState"),
+        ({"map": {"running": "/level"}}, "Float64"),
+        ({"map": {"people": ["/poses", "/level"]}}, "Float64"),
+        ({"map": {"events": "/level"}}, "Float64"),
+        ({"body": "/joint_states"}, "JointState"),
+    ],
+)
+def test_a_topic_that_is_named_for_what_it_cannot_tell_is_refused_and_not_read_as_nobody(tmp_path, bag, options, kind):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.tcp(T0, 1.0)
+    writer.joints(T0, ARM, [0.0] * 3)
+    writer.poses(T0, [(1.0, 0.0, 1.0)])
+    writer.number("/level", "Float64", T0, 0.5)
+    writer.close()
+    with pytest.raises(LogError, match=f"{kind}, of which no") as refusal:
+        read(tmp_path / "run", **options)
+    assert "it must be" in str(refusal.value)
+    scaled = read(tmp_path / "run", map={"scaling": "/level", "scaling_max": 1})
+    assert scaled.robot["scaling"].to_list() == [0.5]

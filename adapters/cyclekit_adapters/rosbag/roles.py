@@ -26,6 +26,17 @@ TRANSFORMS, TEXT, FLAG = "tf2_msgs/msg/TFMessage", "std_msgs/msg/String", "std_m
 _TF1 = "tf/msg/tfMessage"
 CONTROLLER, CLOCK = "control_msgs/msg/JointTrajectoryControllerState", "rosgraph_msgs/msg/Clock"
 _NUMBERS = {f"std_msgs/msg/{kind}" for kind in ("Float64", "Float32", "Int64", "Int32", "Int16", "UInt8")}
+_SCALES = {*_NUMBERS, *(f"std_msgs/msg/{kind}" for kind in ("Int8", "UInt16", "UInt32", "UInt64")), FLAG, CONTROLLER}
+_FACTOR = "control_msgs/msg/SpeedScalingFactor"
+_TYPES = {
+    "tcp": {POSE, POINT},
+    "joints": {JOINTS, CONTROLLER},
+    "scaling": {*_SCALES, _FACTOR},
+    "running": {FLAG},
+    "people": {POSES, POSE, POINT, MARKERS, *TRACKERS, TRANSFORMS, _TF1},
+    "events": {TEXT, FLAG, ROBOT_MODE, SAFETY_MODE},
+}
+"""What a topic that the cell file names for something must be; of any other nothing would be read."""
 _PEOPLE_WORDS = {"poses", "people", "persons", "humans", "bodies", "human", "person", "operator"}
 _TOPICS = ("tcp", "joints", "scaling", "running", "people", "events")
 _TCP, _RUNNING = ("tcp_pose_broadcaster/pose", "tcp_pose"), "robot_program_running"
@@ -98,9 +109,9 @@ def roles_in(
     for key in chosen:
         if key not in _KEYS:
             raise UnknownName(_WHERE, "key", key, _KEYS)
-    named = {key: _named(path, types, chosen[key]) for key in _TOPICS if key in chosen}
+    named = {key: _named(path, types, chosen[key], key) for key in _TOPICS if key in chosen}
     live = {topic: kind for topic, kind in types.items() if counts.get(topic, 0) > 0}
-    people = _named(path, types, body) if body else named.get("people", _people(live))
+    people = _named(path, types, body, "people") if body else named.get("people", _people(live))
     if robot:
         live = _of_robot(path, live, named)
     transforms = tuple(topic for topic, kind in live.items() if kind in (TRANSFORMS, _TF1))
@@ -161,8 +172,12 @@ def _times(path: Path, types: Mapping[str, str], asked: object) -> dict[str, How
     return found
 
 
-def _named(path: Path, types: Mapping[str, str], value: object) -> list[str]:
-    """Return the topics that a value of the cell file names; a leading slash may be left out."""
+def _named(path: Path, types: Mapping[str, str], value: object, key: str = "") -> list[str]:
+    """Return the topics that a value of the cell file names; a leading slash may be left out.
+
+    Raises:
+        LogError: There is no such topic, or it is of a type that tells nothing of what `key` is for.
+    """
     names = (
         [str(item) for item in value] if isinstance(value, Sequence) and not isinstance(value, str) else [str(value)]
     )
@@ -172,6 +187,9 @@ def _named(path: Path, types: Mapping[str, str], value: object) -> list[str]:
         if match is None:
             cure = f"In the bag: {', '.join(sorted(types))}."
             raise LogError(path, f"no topic {name!r}", nearest=nearest(name, types), cure=cure)
+        if key and types[match] not in _TYPES[key]:
+            cure = f"For {key} it must be {', '.join(sorted(_TYPES[key]))}."
+            raise LogError(path, f"topic {match!r} is a {types[match]}, of which no {key} can be read", cure=cure)
         found.append(match)
     return found
 
@@ -242,7 +260,7 @@ def _factor(topic: str, kind: str) -> Factor | None:
         return Factor(topic, "command", full=100.0)
     if _ends(topic, "collaborative_speed_scaling") and kind in {FLAG, *_NUMBERS}:
         return Factor(topic, "clamp", full=1.0)
-    if kind == "control_msgs/msg/SpeedScalingFactor":
+    if kind == _FACTOR:
         return Factor(topic, "command", full=1.0, attribute="factor")
     if kind == CONTROLLER:
         return Factor(topic, "controller", full=1.0, attribute="speed_scaling_factor")

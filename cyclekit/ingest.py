@@ -26,7 +26,7 @@ from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, find_all, matches
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import ConfigError, DatasetError, LogError
-from cyclekit.intake import How, check_shared, read_all
+from cyclekit.intake import Digests, How, check_shared, read_all
 from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.privacy import dated_names, without_wall_clock, without_what_names
@@ -128,9 +128,10 @@ def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -
         if card := _up_to_date(out, wanted):
             shelf.clear()
             return _report(out, card, new=0, kept=count, unchanged=True)
-        with built(out) as staging:
+        with built(out) as staging, Digests(wanted=how.checksums) as digests:
             explicit = {path for path in roots if path.is_file()}
-            card, kept = _build(wanted, staging, _old(out), explicit, None if how.pseudonymise else shelf, tell)
+            shelved = None if how.pseudonymise else shelf
+            card, kept = _build(wanted, staging, digests, _old(out), explicit, shelved, tell)
         shelf.clear()
     return _report(out, card, new=len(card["recordings"]) - kept, kept=kept, unchanged=False)
 
@@ -160,13 +161,20 @@ def _up_to_date(out: Path, wanted: _Wanted) -> dict[str, Any] | None:
 
 
 def _build(
-    wanted: _Wanted, staging: Path, old: Dataset | None, explicit: set[Path], shelf: Shelf | None, tell: Progress
+    wanted: _Wanted,
+    staging: Path,
+    digests: Digests,
+    old: Dataset | None,
+    explicit: set[Path],
+    shelf: Shelf | None,
+    tell: Progress,
 ) -> tuple[dict[str, Any], int]:
     """Build the dataset in `staging`; return its card and how many recordings were taken over."""
     alike = old is not None and old.card.get("skeletons") == wanted.how.skeletons
     intake = read_all(
         wanted.logs,
         staging,
+        digests,
         old=None if wanted.how.pseudonymise or not alike else old,
         shelf=shelf,
         engine=wanted.engine,
@@ -190,7 +198,7 @@ def _build(
         sessions, sources, native, stored, cell, staging / "samples", later, engine=wanted.engine, coarse=coarse
     )
     derived.warnings.extend(_unmatched(cell, wanted.logs))
-    intake.digests.settle(entries)
+    digests.settle(entries)
     if wanted.how.pseudonymise:
         without_wall_clock(entries, staging)
         derived.warnings.extend(dated_names(entries))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
     from cyclekit.discover import Log
 
-__all__ = ["How", "Intake", "check_shared", "read_all"]
+__all__ = ["Digests", "How", "Intake", "check_shared", "read_all"]
 
 
 @dataclass(frozen=True)
@@ -37,18 +37,17 @@ class Intake:
         entries: Entries of the recordings, in order of the logs.
         failed: Why the others could not be read.
         kept: How many recordings were taken over without reading.
-        digests: Checksums of the files, some of them still being computed.
     """
 
     entries: list[dict[str, Any]]
     failed: list[LogError]
     kept: int
-    digests: Digests
 
 
 def read_all(
     logs: Sequence[Log],
     staging: Path,
+    digests: Digests,
     *,
     old: Dataset | None = None,
     shelf: Shelf | None = None,
@@ -61,6 +60,7 @@ def read_all(
     Args:
         logs: What to read.
         staging: Folder of the dataset in the making.
+        digests: Computes the checksums of the files; some are still to come when all is read.
         old: Dataset to take unchanged recordings over from.
         shelf: Where recordings are put as soon as they are read, and found again after a kill.
         engine: Who reads. Its workers must see the logs and `staging` under the same paths.
@@ -70,7 +70,7 @@ def read_all(
     how = how or How()
     known = {entry["key"]: entry for entry in old.card["recordings"]} if old else {}
     entries: dict[str, dict[str, Any]] = {}
-    todo, digests = [], Digests(wanted=how.checksums)
+    todo = []
     for log in logs:
         before = known.get(log.key)
         if old is not None and before is not None and is_whole(before, old.path):
@@ -99,7 +99,7 @@ def read_all(
     for left in staging.glob(f"recordings/{MAKING}*"):
         shutil.rmtree(left, ignore_errors=True)  # of a worker that was killed; its log was read again
     failed = [failures[log.id] for log in todo if log.id in failures]
-    return Intake([entries[log.id] for log in logs if log.id in entries], failed, kept, digests)
+    return Intake([entries[log.id] for log in logs if log.id in entries], failed, kept)
 
 
 def check_shared(staging: Path) -> None:

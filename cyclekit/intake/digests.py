@@ -7,6 +7,7 @@ the reading itself, so nothing waits for it before the card of the dataset is wr
 from __future__ import annotations
 
 import hashlib
+import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Self
 
@@ -22,7 +23,7 @@ CHANGED = "the log changed while it was read: is it still being written? ingest 
 
 
 class Digests:
-    """Computes the SHA-256 of files in the background, one after the other.
+    """Computes the SHA-256 of files in the background, one after the other, until its `with` block is left.
 
     Attributes:
         wanted: Whether it does.
@@ -36,6 +37,7 @@ class Digests:
         """
         self.wanted = wanted
         self._worker: ThreadPoolExecutor | None = None
+        self._given_up = threading.Event()
         self._pending: dict[str, tuple[Log, list[Future[str]]]] = {}
 
     def sources(self, log: Log) -> list[dict[str, Any]]:
@@ -48,7 +50,7 @@ class Digests:
         for file in files_of(log.path):
             if self.wanted:
                 self._worker = self._worker or ThreadPoolExecutor(1)
-                digests.append(self._worker.submit(_sha256, file))
+                digests.append(self._worker.submit(_sha256, file, self._given_up))
             shown = log.shown if file == log.path else f"{log.shown}/{file.relative_to(log.path).as_posix()}"
             found.append({"path": shown, "sha256": None, "size": file.stat().st_size})
         self._pending[log.id] = (log, digests)
@@ -86,16 +88,19 @@ class Digests:
         return self
 
     def __exit__(self, *about: object) -> None:
+        self._given_up.set()
         if self._worker is not None:
             self._worker.shutdown(wait=False, cancel_futures=True)
 
 
-def _sha256(file: Path) -> str:
+def _sha256(file: Path, given_up: threading.Event) -> str:
     digest, buffer = hashlib.sha256(), bytearray(_STEP)
     view = memoryview(buffer)
     with file.open("rb", buffering=0) as handle:
         while count := handle.readinto(buffer):
             digest.update(view[:count])
+            if given_up.is_set():  # else who interrupts the reading of a large log would wait for the rest of this
+                break
     return digest.hexdigest()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,8 +10,10 @@ import pytest
 from ingested import ROUND_TRIP, only_bytes
 
 from cyclekit.config import Cell, Executions
+from cyclekit.discover import Log
 from cyclekit.errors import UnknownName
 from cyclekit.ingest import ingest
+from cyclekit.intake import Digests
 from cyclekit.registry import Registered
 
 if TYPE_CHECKING:
@@ -132,3 +135,20 @@ def test_a_recording_that_lost_a_table_while_it_was_removed_is_never_used(
     rmtree(out)
     ingest([three_runs], out)
     assert only_bytes(out) == first
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="a file without an end is a thing of Unix")
+def test_one_who_interrupts_does_not_wait_for_the_checksum_of_a_large_log():
+    endless = Log("a", Path("/dev/zero"), "zero", "csv", "cyclekit", "1", None, "")
+
+    def interrupted() -> None:
+        with Digests() as digests:
+            digests.sources(endless)
+            raise KeyboardInterrupt
+
+    before = set(threading.enumerate())
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    for thread in set(threading.enumerate()) - before:
+        thread.join(20.0)
+        assert not thread.is_alive()

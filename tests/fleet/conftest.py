@@ -54,7 +54,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Engine]:
 
 
 def _wait_for(head: subprocess.Popen[bytes], log: Path) -> None:
-    for _ in range(600):
+    for _ in range(1800):  # three minutes: on a busy machine Ray takes one
         said = log.read_text(encoding="utf-8")
         if "Ray runtime started" in said:
             return

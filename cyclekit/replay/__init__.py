@@ -1,7 +1,7 @@
 """A replay of one or several executions in Rerun: the scene, the plots and the words that say why the robot was slow.
 
     facts = write_replay(dataset, "run-001", Path("x.rrd"), model=model)
-    open_viewer(facts.path)
+    open_viewer(facts.path, facts.first)
 
 The file holds its own layout and opens in any Rerun viewer of the same minor version. What is missing from the log is
 missing from the replay, and the replay says so. The only room that knows rerun.

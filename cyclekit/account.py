@@ -11,33 +11,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.motion import Part, moving_slider
+from cyclekit.motion import moving_slider
+from cyclekit.process import Dwell
 from cyclekit.stand import fill_nearest
-from cyclekit.steps import find_staircase
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
     from cyclekit.motion import Run
     from cyclekit.segment import Execution
-    from cyclekit.stand import Stand, Stands
+    from cyclekit.stand import Stands
 
     Vector = NDArray[np.float64]
-
-LEAVING_S = 2.0
-"""How soon after a departure the scaling must be known to say whether the robot left slowed."""
-
-VARIES, BLUR_S = 6.0, 0.05
-"""A stand is process while it is longer than usual by no more than so many times what short ones differ by, plus
-what a stand's length is known to."""
-SPARSE = 10
-"""Levels are looked for in every tenth row: they are held for seconds."""
 
 
 @dataclass(frozen=True)
@@ -62,80 +53,6 @@ class Leg:
     arrival_row: int
 
 
-class Dwell(NamedTuple):
-    """The process at a place, seconds: how long it takes, and how long at most before the rest is waiting."""
-
-    usual_s: float
-    most_s: float
-
-
-def usual_dwells(executions: Sequence[Execution], stands: Stands) -> dict[str, Dwell]:
-    """Return the usual dwell per place: short (the lowest tenth) among the stands that no halt prolonged.
-
-    A stand is process and then, at times, waiting; so the process shows in the short ones, and how much it varies in
-    how far they differ. The first and last stand of an execution are not counted: there the robot waits for the next
-    cycle.
-    """
-    seen: dict[str, list[Stand]] = {}
-    for execution in executions:
-        for visit in execution.visits[1:-1]:
-            seen.setdefault(visit.place, []).append(stands[execution.run, visit.first, visit.last])
-    dwells = {}
-    for place, mine in seen.items():
-        unhindered = [stand.lasts_s for stand in mine if not stand.halted]
-        shortest = [min(stand.lasts_s for stand in mine)]
-        low, middle = np.quantile(unhindered or shortest, (0.1, 0.3)).tolist()
-        dwells[place] = Dwell(low, min(low + VARIES * (middle - low) + BLUR_S, 1.5 * low + 0.2))
-    return dwells
-
-
-def halts_at_places(
-    runs: Sequence[Run], executions: Sequence[Execution], stands: Stands, slowest: float
-) -> list[list[Part]]:
-    """Return where the inferred scaling of each run is 0, since a stand was prolonged by a halt and not by waiting.
-
-    From motion alone both look alike. But who halted the robot is still near when it may leave, so it leaves at the
-    lowest speed there is; a robot that waited for a part leaves at whatever speed is allowed. A cell that knows only
-    halt and full speed cannot be told apart so: there the excess stays waiting.
-
-    Args:
-        runs: Runs of inferred scaling.
-        executions: Their executions.
-        stands: Their stands.
-        slowest: Speeds below this are the lowest there is, from `slowest_speed`.
-
-    Returns:
-        Of each run, the rows at which it was halted so.
-    """
-    usual = usual_dwells(executions, stands)
-    halts: list[list[Part]] = [[] for _ in runs]
-    for execution in executions:
-        run = runs[execution.run]
-        for visit in execution.visits[1:-1]:
-            stand = stands[execution.run, visit.first, visit.last]
-            if stand.lasts_s <= usual[visit.place].most_s:
-                continue
-            times = [stand.arrived_s + usual[visit.place].usual_s, stand.left_s, run.time_at(visit.last) + LEAVING_S]
-            begin, left, end = run.row_at(np.array(times)).tolist()
-            leaving = run.window(visit.last, end).scaling
-            known = leaving[np.isfinite(leaving)]
-            if len(known) and float(known[0]) < slowest and begin <= left:
-                none = np.zeros(left + 1 - begin)
-                halts[execution.run].append(Part(begin, none, none, none.astype(np.int8)))
-    return halts
-
-
-def slowest_speed(scaling: Sequence[NDArray[np.floating[Any]]]) -> float:
-    """Return a bound between the lowest and the next level above halt; 0 where there are not two of them.
-
-    Args:
-        scaling: Scaling of stretches of motion, in the order of time.
-    """
-    levels = find_staircase(np.concatenate([values[::SPARSE] for values in scaling] or [np.empty(0)])).levels
-    moving = [float(level) for level in levels if level > 0.02]
-    return 0.5 * (moving[0] + moving[1]) if len(moving) > 1 else 0.0
-
-
 def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str, Dwell]) -> list[Leg]:
     """Return the tasks of one execution, in order; they follow each other without a gap."""
     visits = execution.visits
@@ -144,8 +61,10 @@ def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str,
     departure, home = mine[0].left_s, visits[0].place
     for number, (before, visit) in enumerate(pairwise(visits), 1):
         final, stand = visit is visits[-1], mine[number]
-        usual, most = dwells.get(visit.place, (0.0, 0.0) if final else (stand.lasts_s, stand.lasts_s))
-        arrival, left = stand.process(0.0 if final else usual)
+        lasts_s = 0.0 if final else stand.lasts_s
+        process = dwells.get(visit.place, Dwell(lasts_s, lasts_s))
+        usual, most = process.usual_s, process.most_s
+        arrival, left = stand.process(0.0) if final else stand.process(usual, process.ready_s(stand))
         arrival = max(departure, arrival)
         stood = max(left - arrival, 0.0)
         dwell, wait = (stood, 0.0) if stood <= most else (usual, stood - usual)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from cyclekit import schema
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.motion import COLUMNS
-from cyclekit.signals import OUTPUT, REGISTER, event_times
+from cyclekit.signals import OUTPUT, REGISTER, event_times, every_change
 from cyclekit.stored_run import runs_of
 
 if TYPE_CHECKING:
@@ -53,7 +54,23 @@ def load_runs(session: Session, read: Read, stored: Stored, cell: Cell) -> tuple
     runs = runs_of(table, entry["clock"]["offset_s"], gap_s=gap_s, more=more, states=states)
     ends = [(run.time_at(0), run.time_at(run.rows - 1)) for run in runs]
     marks = [marked[(marked > first) & (marked <= last)] - LATE_S for first, last in ends]
+    changes = _changes(session, read, stored)
+    runs = [
+        replace(run, changes={name: t[(t >= first) & (t <= last)] for name, t in changes.items()})
+        for run, (first, last) in zip(runs, ends, strict=True)
+    ]
     return runs, [run.row_at(mine) for run, mine in zip(runs, marks, strict=True)]
+
+
+def _changes(session: Session, read: Read, stored: Stored) -> dict[str, Vector]:
+    """Return when each signal of the session's recordings changes, session time."""
+    found: dict[str, Vector] = {}
+    for entry in session.entries:
+        clock = entry["clock"]
+        for name, times in every_change(entry, read, stored).items():
+            both = np.concatenate([found.get(name, times[:0]), times * clock["rate"] + clock["offset_s"]])
+            found[name] = np.sort(both)
+    return found
 
 
 def _more(stored: Stored, recording: str, names: Sequence[str]) -> StoredTable | None:

@@ -8,13 +8,13 @@ never for all of them, so a log of any length takes the memory of its longest ta
 from __future__ import annotations
 
 from bisect import bisect_left
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -99,6 +99,11 @@ class Run(Protocol):
         """Whether its scaling was inferred and not logged."""
         ...
 
+    @property
+    def changes(self) -> Mapping[str, Vector]:
+        """When each logged signal (an output, the register, an event) changed, session seconds, ascending."""
+        ...
+
     def posture(self, first: int, last: int) -> tuple[Points, Vector]:
         """Return joint angles (else TCP) of rows `first` to `last`, (T, D), and the slider, (T,), 1 if not logged."""
         ...
@@ -127,6 +132,7 @@ class RobotRun:
         slider: The operator's speed slider, shape (T,); None = not logged.
         halts: When the program was paused or stopped.
         is_inferred: The scaling was inferred and not logged.
+        changes: When each logged signal changed, session seconds, ascending; a window has none.
     """
 
     t_s: Vector
@@ -139,6 +145,7 @@ class RobotRun:
     slider: Vector | None = None
     halts: tuple[Halt, ...] = ()
     is_inferred: bool = False
+    changes: Mapping[str, Vector] = field(default_factory=dict)
 
     @property
     def rows(self) -> int:

@@ -1,11 +1,13 @@
 """The places of a cell, out of the standstills of its robot.
 
 A place is a spot where the robot stands although it was allowed to move; where the scaling is not logged, a spot that
-the robot never passes without standing.
+the robot never passes without standing. Motion is asked first; signals (an output, a register, an event) that change
+while the robot stands at places found so, and hardly ever else, tell of places that motion does not show.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +30,9 @@ if TYPE_CHECKING:
 
 MERGE_M = 0.01
 """Stops nearer than this to each other are one place (robots repeat to 0.1 mm; two fixtures are never this near)."""
+WORKS, WORKS_AT = 0.9, 0.8
+"""A signal tells of work if so much of its changes happen while the robot stands, and it changes in so many stands at
+some place: one that says that the robot is halted, or moves, changes at the ends of stands and at no place in most."""
 
 
 def find_places(runs: Sequence[Run], stops: Sequence[Stop], named: Mapping[str, NamedPlace]) -> dict[str, Place]:
@@ -36,6 +41,7 @@ def find_places(runs: Sequence[Run], stops: Sequence[Stop], named: Mapping[str, 
     A spot is a place when the cell file names it, or the robot stood there while it was free to move (in at least
     a tenth of its stops), or, where no scaling is known, when it hardly ever passes without standing. The spot at
     which most recordings begin and end is a place too: a recorder that runs from home to home never sees it stand.
+    So is one in half of whose stops a signal changes that tells of work at the others.
     """
     places: dict[str, Place] = {}
     xyz = np.array([stop.xyz_m for stop in stops]).reshape(-1, 3)
@@ -43,9 +49,11 @@ def find_places(runs: Sequence[Run], stops: Sequence[Stop], named: Mapping[str, 
     able = np.array([stop.free is not False and not stop.edge for stop in stops], bool)
     able[common] = True
     left = able.copy()
+    members: list[Rows] = []
     for name, place in named.items():
         near = np.linalg.norm(xyz - np.asarray(place.xyz_m), axis=1) <= place.radius_m
         near &= able
+        members.append(np.flatnonzero(near))
         centre = np.median(xyz[near], axis=0) if near.any() else np.asarray(place.xyz_m)
         places[name] = Place(name, _triple(centre), _radius(xyz[near], centre), inferred=False)
         left &= np.linalg.norm(xyz - centre, axis=1) > MERGE_M
@@ -54,10 +62,40 @@ def find_places(runs: Sequence[Run], stops: Sequence[Stop], named: Mapping[str, 
     others = [group for group, edge in zip(groups, edges, strict=True) if not edge]
     answers = iter(_are_places(runs, stops, xyz, others))
     found = [group for group, edge in zip(groups, edges, strict=True) if edge or next(answers)]
+    found += _by_signals(runs, stops, xyz, [*members, *found])
     for number, group in enumerate(sorted(found, key=lambda g: int(g.min())), 1):
         centre = np.median(xyz[group], axis=0)
         places[f"place_{number}"] = Place(f"place_{number}", _triple(centre), _radius(xyz[group], centre), True)
     return places
+
+
+def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: Sequence[Rows]) -> list[Rows]:
+    """Return groups of stops that are places since a signal changes there that tells of work at `known` ones."""
+    telling = _of_work(runs, stops, known)
+    if not telling:
+        return []
+    rests = np.array([not stop.edge for stop in stops], bool)
+    for group in known:
+        if len(group):
+            rests &= np.linalg.norm(xyz - np.median(xyz[group], axis=0), axis=1) > MERGE_M
+    works = rests & np.array([bool(telling & stop.changes.keys()) for stop in stops], bool)
+    groups = cluster(xyz, np.flatnonzero(works), MERGE_M)
+    near = [np.linalg.norm(xyz[rests] - np.median(xyz[group], axis=0), axis=1) <= MERGE_M for group in groups]
+    return [group for group, here in zip(groups, near, strict=True) if 2 * len(group) >= np.count_nonzero(here)]
+
+
+def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Rows]) -> set[str]:
+    """Return the signals that tell of work: see WORKS."""
+    total, inside = Counter[str](), Counter[str]()
+    for run in runs:
+        total.update({name: len(times) for name, times in run.changes.items()})
+    for stop in stops:
+        inside.update(stop.changes)
+    steady: set[str] = set()
+    for group in known:
+        seen = Counter(name for i in group.tolist() for name in stops[i].changes)
+        steady |= {name for name, many in seen.items() if len(group) >= 3 and many >= WORKS_AT * len(group)}
+    return {name for name in steady if inside[name] >= WORKS * total[name]}
 
 
 def _common_edge(stops: Sequence[Stop], xyz: Points) -> NDArray[np.int64]:

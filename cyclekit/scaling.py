@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from cyclekit.account import halts_at_places, slowest_speed
+import numpy as np
+
+from cyclekit.motion import Part
 from cyclekit.override import infer_overrides
+from cyclekit.process import usual_dwells
 from cyclekit.stand import stands_of
+from cyclekit.steps import find_staircase
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from cyclekit.dataset import Place
     from cyclekit.engine import Engine
@@ -17,6 +23,12 @@ if TYPE_CHECKING:
     from cyclekit.override import Reference
     from cyclekit.segment import Execution
     from cyclekit.session import Session
+    from cyclekit.stand import Stands
+
+LEAVING_S = 2.0
+"""How soon after a departure the scaling must be known to say whether the robot left slowed."""
+SPARSE = 10
+"""Levels are looked for in every tenth row: they are held for seconds."""
 
 
 def with_scaling(
@@ -66,3 +78,51 @@ def _how(references: Mapping[str, Sequence[Reference]]) -> str:
         how = f"runs without the operator ({alone} motions) and the fastest repetitions ({len(flat) - alone} motions)"
     seen = f"; never seen at full speed, so unknown: {', '.join(slowed)}" if slowed else ""
     return how + seen
+
+
+def halts_at_places(
+    runs: Sequence[Run], executions: Sequence[Execution], stands: Stands, slowest: float
+) -> list[list[Part]]:
+    """Return where the inferred scaling of each run is 0, since a stand was prolonged by a halt and not by waiting.
+
+    Both look alike. But who halted the robot is still near when it may leave, so it leaves at the
+    lowest speed there is; a robot that waited for a part leaves at whatever speed is allowed. A cell that knows only
+    halt and full speed cannot be told apart so: there the excess stays waiting.
+
+    Args:
+        runs: Runs of inferred scaling.
+        executions: Their executions.
+        stands: Their stands.
+        slowest: Speeds below this are the lowest there is, from `slowest_speed`.
+
+    Returns:
+        Of each run, the rows at which it was halted so.
+    """
+    usual = usual_dwells(executions, stands)
+    halts: list[list[Part]] = [[] for _ in runs]
+    for execution in executions:
+        run = runs[execution.run]
+        for visit in execution.visits[1:-1]:
+            stand = stands[execution.run, visit.first, visit.last]
+            since_s = usual[visit.place].overdue_s(stand)
+            if since_s is None:
+                continue
+            times = [since_s, stand.left_s, run.time_at(visit.last) + LEAVING_S]
+            begin, left, end = run.row_at(np.array(times)).tolist()
+            leaving = run.window(visit.last, end).scaling
+            known = leaving[np.isfinite(leaving)]
+            if len(known) and float(known[0]) < slowest and begin <= left:
+                none = np.zeros(left + 1 - begin)
+                halts[execution.run].append(Part(begin, none, none, none.astype(np.int8)))
+    return halts
+
+
+def slowest_speed(scaling: Sequence[NDArray[np.floating[Any]]]) -> float:
+    """Return a bound between the lowest and the next level above halt; 0 where there are not two of them.
+
+    Args:
+        scaling: Scaling of stretches of motion, in the order of time.
+    """
+    levels = find_staircase(np.concatenate([values[::SPARSE] for values in scaling] or [np.empty(0)])).levels
+    moving = [float(level) for level in levels if level > 0.02]
+    return 0.5 * (moving[0] + moving[1]) if len(moving) > 1 else 0.0

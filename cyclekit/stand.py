@@ -55,12 +55,14 @@ class Stand(NamedTuple):
     Attributes:
         stopped_s, arrived_s: Between these the robot arrived; they differ where safety halted it just there.
         free_s, left_s: Between these it left, likewise.
+        changes: When each logged signal last changed while it stood, of those that did.
     """
 
     stopped_s: float
     arrived_s: float
     free_s: float
     left_s: float
+    changes: tuple[tuple[str, float], ...] = ()
 
     @property
     def halted(self) -> bool:
@@ -72,11 +74,18 @@ class Stand(NamedTuple):
         """How long it stood at most."""
         return self.left_s - self.stopped_s
 
-    def process(self, usual_s: float) -> tuple[float, float]:
-        """Return when it arrived and when it left; in doubt it stood as long as the process usually takes."""
+    def process(self, usual_s: float, ready_s: float | None = None) -> tuple[float, float]:
+        """Return when it arrived and when it left; in doubt it stood as long as the process usually takes.
+
+        Args:
+            usual_s: How long that is.
+            ready_s: When the process was over, where a signal tells.
+        """
         if self.left_s > self.free_s:
-            return self.stopped_s, min(max(self.stopped_s + usual_s, self.free_s), self.left_s)
-        return min(max(self.left_s - usual_s, self.stopped_s), self.arrived_s), self.left_s
+            over_s = self.stopped_s + usual_s if ready_s is None else ready_s
+            return self.stopped_s, min(max(over_s, self.free_s), self.left_s)
+        over_s = self.left_s if ready_s is None else min(ready_s, self.left_s)
+        return min(max(over_s - usual_s, self.stopped_s), self.arrived_s), self.left_s
 
 
 Stands = dict[tuple[int, int, int], Stand]
@@ -113,7 +122,16 @@ def stand_of(run: Run, visit: Visit, place_m: Vector) -> Stand:
     back = RobotRun(-head.t_s[::-1], head.xyz_m[::-1], head.speed_m_s[::-1], head.scaling[::-1])
     arrived, stopped = _left(back, head.rows - 1 - (first - before), place_m, vague_s)
     free, left = _left(tail, last - max(first, last - _LONG_ROWS // 2), place_m, vague_s)
-    return Stand(-stopped, min(-arrived, max(left, -stopped)), max(free, -stopped), max(left, -stopped))
+    stopped, left = -stopped, max(left, -stopped)
+    changes = ((name, _last(when, stopped, left)) for name, when in run.changes.items())
+    told = tuple((name, at_s) for name, at_s in changes if at_s is not None)
+    return Stand(stopped, min(-arrived, left), max(free, stopped), left, told)
+
+
+def _last(when: Vector, first_s: float, last_s: float) -> float | None:
+    """Return the last of some times (ascending) that is between two others, None if there is none."""
+    before = int(np.searchsorted(when, last_s, side="right"))
+    return float(when[before - 1]) if before and when[before - 1] >= first_s else None
 
 
 def _left(part: RobotRun, at: int, place_m: Vector, vague_s: float) -> tuple[float, float]:

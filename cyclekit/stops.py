@@ -7,7 +7,7 @@ somewhere along the way, and only while the scaling is zero. Which standstills a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +15,8 @@ import numpy as np
 from cyclekit.motion import pieces
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from cyclekit.motion import Run
@@ -41,6 +43,7 @@ class Stop:
         free: Scaling was above zero while it stood; None = scaling unknown.
         edge: The run begins or ends here without a standstill: the recorder was switched while the robot just left
             or just arrived. It can be a visit to a place, it cannot make one.
+        changes: How often logged signals changed while it stood, those that did.
     """
 
     run: int
@@ -49,6 +52,7 @@ class Stop:
     xyz_m: tuple[float, float, float]
     free: bool | None
     edge: bool = False
+    changes: Mapping[str, int] = field(default_factory=dict)
 
 
 def standing(run: Run) -> float:
@@ -66,14 +70,25 @@ def standing(run: Run) -> float:
 
 def find_stops(run: Run, number: int) -> list[Stop]:
     """Return the standstills of a run of at least MIN_STOP_S and its two edges, in order."""
-    stops = []
+    stops, times = [], []
     for stand in _stands(run, standing(run)):
         short = stand.last_s - stand.first_s < MIN_STOP_S
         if short and stand.first != 0 and stand.last != run.rows - 1:
             continue
         x, y, z = _resting_place(run, stand.first, stand.last)
         stops.append(Stop(number, stand.first, stand.last, (x, y, z), _free(run, stand), short))
-    return stops
+        times.append((stand.first_s, stand.last_s))
+    return _with_changes(run, stops, np.array(times).reshape(-1, 2))
+
+
+def _with_changes(run: Run, stops: list[Stop], times_s: NDArray[np.float64]) -> list[Stop]:
+    """Return the stops with how often each signal changed from the first to the last time (N, 2) of each."""
+    found: list[dict[str, int]] = [{} for _ in stops]
+    for name, when in run.changes.items():
+        many = np.searchsorted(when, times_s[:, 1], side="right") - np.searchsorted(when, times_s[:, 0])
+        for i in np.flatnonzero(many).tolist():
+            found[i][name] = int(many[i])
+    return [replace(stop, changes=mine) if mine else stop for stop, mine in zip(stops, found, strict=True)]
 
 
 @dataclass

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import numpy as np
 from cyclekit.motion import PAUSED, STOPPED, Halt, Overlay, Part, RobotRun, half_window, moving_slider, slope
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -37,6 +37,7 @@ class StoredRun:
         more: Joint angles and slider of the same rows, as far as they are known; None = neither is.
         halts: When the program was paused or stopped.
         inferred: Scaling in place of the logged one; None = as logged.
+        changes: When each logged signal changed, session seconds, ascending.
     """
 
     table: StoredTable
@@ -50,6 +51,7 @@ class StoredRun:
     more: StoredTable | None = None
     halts: tuple[Halt, ...] = ()
     inferred: Overlay | None = None
+    changes: Mapping[str, Vector] = field(default_factory=dict)
 
     @property
     def rows(self) -> int:

@@ -17,7 +17,6 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.account import usual_dwells
 from cyclekit.activity import operator_places
 from cyclekit.derive.finish import Left, finish
 from cyclekit.derive.look import look_at
@@ -25,6 +24,7 @@ from cyclekit.derive.sample import Work, samples_of
 from cyclekit.dynamics import MOST, Dynamics, read_dynamics
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.places import find_places
+from cyclekit.process import usual_dwells
 from cyclekit.samples import stretches
 from cyclekit.scaling import with_scaling
 from cyclekit.segment import Execution, find_executions, find_visits
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from cyclekit.account import Dwell
     from cyclekit.config import Cell, Source
     from cyclekit.dataset import Place
     from cyclekit.derive.look import Look
     from cyclekit.derive.sample import Made
     from cyclekit.motion import Run
+    from cyclekit.process import Dwell
     from cyclekit.session import Session
     from cyclekit.signals import Read, Stored
     from cyclekit.stand import Stands

@@ -25,11 +25,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.account import Dwell, Leg
+    from cyclekit.account import Leg
     from cyclekit.activity import Stays
     from cyclekit.config import Cell, Source
     from cyclekit.dataset import Place
     from cyclekit.motion import Run, Sampled
+    from cyclekit.process import Dwell
     from cyclekit.segment import Execution
     from cyclekit.session import Session
     from cyclekit.signals import Read

@@ -15,6 +15,7 @@ import numpy as np
 from cyclekit_sim.arm import Array
 
 _KNOT_S = 0.02
+_ROOM = 4096
 _WALK_ACCELERATION_M_S2 = 1.5
 
 
@@ -67,19 +68,19 @@ class WalkedTrack:
 
     def __init__(self, legs: Iterator[Leg], *, skip_s: float = 0.0) -> None:
         self._legs, self._skip_s = legs, skip_s
-        self._times: list[Array] = []
-        self._places: list[Array] = []
         self._presses: list[Press] = []
         self._end_s = 0.0
         self._over = False
-        self._t_s = np.empty(0)
-        self._xyz_m = np.empty((0, 3))
+        self._points = 0
+        self._t_s = np.empty(_ROOM)
+        self._xyz_m = np.empty((_ROOM, 3))
 
     def at(self, t_s: Array) -> Array:
         """Return positions (M, 3) at times (M,); before 0 the first, after the last leg the last."""
         t_s = t_s + self._skip_s
         self._grow(float(np.max(t_s, initial=0.0)))
-        return np.stack([np.interp(t_s, self._t_s, self._xyz_m[:, axis]) for axis in range(3)], axis=1)
+        known_s, known_m = self._t_s[: self._points], self._xyz_m[: self._points]
+        return np.stack([np.interp(t_s, known_s, known_m[:, axis]) for axis in range(3)], axis=1)
 
     def presses(self, until_s: float) -> list[Press]:
         """Return the tasks begun up to `until_s`, in order."""
@@ -88,7 +89,6 @@ class WalkedTrack:
         return [press for press in begun if 0.0 <= press.t_s <= until_s]
 
     def _grow(self, until_s: float) -> None:
-        grown = False
         while not self._over and self._end_s <= until_s:
             leg = next(self._legs, None)
             if leg is None:
@@ -96,12 +96,17 @@ class WalkedTrack:
                 break
             if leg.press is not None:
                 self._presses.append(Press(self._end_s + leg.press.t_s, leg.press.goal, leg.press.goal_m))
-            self._times.append(self._end_s + leg.t_s)
-            self._places.append(leg.xyz_m)
+            self._put(self._end_s + leg.t_s, leg.xyz_m)
             self._end_s += float(leg.t_s[-1])
-            grown = True
-        if grown:
-            self._t_s, self._xyz_m = np.concatenate(self._times), np.concatenate(self._places)
+
+    def _put(self, t_s: Array, xyz_m: Array) -> None:
+        end = self._points + len(t_s)
+        if end > len(self._t_s):  # twice the room, so that an endless session costs no more a leg than a short one
+            room = max(2 * len(self._t_s), end)
+            self._t_s = np.concatenate([self._t_s, np.empty(room - len(self._t_s))])
+            self._xyz_m = np.concatenate([self._xyz_m, np.empty((room - len(self._xyz_m), 3))])
+        self._t_s[self._points : end], self._xyz_m[self._points : end] = t_s, xyz_m
+        self._points = end
 
 
 class RecordedTrack:

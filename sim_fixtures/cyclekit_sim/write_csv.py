@@ -29,14 +29,16 @@ def write_robot(path: Path, robot: RobotStates, options: SimulationOptions) -> N
     groups = zip(_GROUPS, (robot.q_rad, robot.qd_rad_s, pose, robot.twist), strict=True)
     columns: dict[str, pl.Series] = {"timestamp": pl.Series(UPTIME_S + robot.t_s)}
     columns |= {f"{name}_{i}": pl.Series(values[:, i]) for name, values in groups for i in range(6)}
-    columns["actual_digital_output_bits"] = pl.Series(robot.closed)
+    if options.log_outputs:
+        columns["actual_digital_output_bits"] = pl.Series(robot.closed)
     columns["robot_mode"] = pl.repeat(7, count, eager=True)
     columns["safety_status"] = pl.repeat(1, count, eager=True)
     if options.log_override:
         columns["speed_scaling"] = pl.Series(robot.scaling)
         columns["target_speed_fraction"] = pl.repeat(1.0, count, eager=True)
     columns["runtime_state"] = pl.repeat(2, count, eager=True)
-    columns["output_int_register_0"] = pl.Series(robot.execution)
+    if options.log_outputs:
+        columns["output_int_register_0"] = pl.Series(robot.execution)
     pl.DataFrame(columns).write_csv(path, separator=" ", line_terminator="\r\n", float_precision=7, quote_style="never")
 
 

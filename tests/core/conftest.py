@@ -89,25 +89,30 @@ def robot_log() -> Any:
     """Return a writer of UR logs: a robot that goes along the x axis, 125 rows a second.
 
     `robot_log(path, [("stand", s), ("move", x_m), ("halt", s), ...])`: stand so long free, go to x at 0.5 m/s, be
-    halted so long where it is. Speeds are those of the position.
+    halted so long where it is. `("flip", n)` turns output n. Speeds are those of the position.
     """
 
     def write(path: Path, doing: list[tuple[str, float]], *, scaling: bool = True, x_m: float = 0.0) -> Path:
-        rows, t = [], 10.0
+        rows, t, outputs = [], 10.0, 0
         for what, amount in doing:
+            if what == "flip":
+                outputs ^= 1 << int(amount)
+                continue
             steps = round((abs(amount - x_m) / 0.5 if what == "move" else amount) * 125)
             speed = (amount - x_m) / steps * 125 if what == "move" and steps else 0.0
             for _ in range(steps):
-                rows.append((t, x_m, speed, 0.0 if what == "halt" else 1.0))
+                rows.append((t, x_m, speed, 0.0 if what == "halt" else 1.0, outputs))
                 t, x_m = t + 0.008, x_m + speed * 0.008
-        rows.append((t, x_m, 0.0, rows[-1][3]))
-        t_s, x, v, s = (pl.Series(column) for column in zip(*rows, strict=True))
+        rows.append((t, x_m, 0.0, *rows[-1][3:]))
+        t_s, x, v, s, bits = (pl.Series(column) for column in zip(*rows, strict=True))
         columns = {"timestamp": t_s}
         columns |= {f"actual_TCP_pose_{i}": x if i == 0 else 0.0 * x for i in range(6)}
         columns |= {f"actual_TCP_speed_{i}": v if i == 0 else 0.0 * v for i in range(6)}
         columns |= {f"actual_q_{i}": x if i == 0 else 0.0 * x for i in range(6)}
         if scaling:
             columns |= {"speed_scaling": s, "target_speed_fraction": 0.0 * s + 1.0}
+        if bits.n_unique() > 1:
+            columns["actual_digital_output_bits"] = bits
         columns["runtime_state"] = pl.Series([2] * len(rows))
         path.parent.mkdir(parents=True, exist_ok=True)
         pl.DataFrame(columns).write_csv(path, separator=" ", line_terminator="\r\n", float_precision=7)

@@ -256,12 +256,18 @@ def groups_seen_both_ways(rows: Samples, least: int) -> tuple[str, ...]:
     return tuple(found)
 
 
+def nobody_there() -> pl.Expr:
+    """Tell of rows of SAMPLES whether no operator is there; one who is hidden, or whose log is over, may well be."""
+    unknown = pl.col("human_gap").is_in(["occluded", "outside"]).fill_null(value=False)
+    return pl.col("human_x_m").is_null() & ~unknown
+
+
 def scaling_without_operator(frame: pl.DataFrame) -> float | None:
-    """Return the scaling that holds while nobody is seen (median), None where the logs never show it.
+    """Return the scaling that holds while nobody is there (median), None where the logs never show it.
 
     The networks need a position of the operator; this is what holds when there is none.
     """
-    absent = frame.filter(pl.col("human_x_m").is_null() & pl.col("scaling").is_not_null())
+    absent = frame.filter(nobody_there() & pl.col("scaling").is_not_null())
     middle = absent["scaling"].median()
     return float(middle) if isinstance(middle, float) else None
 

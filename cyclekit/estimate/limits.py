@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.estimate.nominal import slider_losses
+from cyclekit.samples import nobody_there
 
 if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
@@ -40,10 +41,10 @@ def limits_of_cycles(cycles: Rolled, entry: CycleEstimate, check: Check | None) 
 def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     """Return what limits every number from these logs, one sentence each."""
     found = []
-    samples = dataset.samples(columns=["human_x_m", "scaling_origin"])
-    absent = samples["human_x_m"].null_count() / max(samples.height, 1)
+    samples = dataset.samples(columns=["human_x_m", "human_gap", "scaling_origin"])
+    absent = samples.filter(nobody_there()).height / max(samples.height, 1)
     if absent > 0.01 and model.card.get("scaling_without_operator") is None:
-        found.append(f"in {absent:.0%} of the samples nobody is seen; there the robot is taken to run free")
+        found.append(f"in {absent:.0%} of the samples nobody is there; then the robot is taken to run free")
     if samples.filter(pl.col("scaling_origin") == "inferred").height:
         found.append("the speed scaling was not logged but inferred from velocity ratios")
     slider = [part for part in slider_losses(dataset).values() if part > 0.0]

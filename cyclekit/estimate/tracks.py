@@ -7,6 +7,9 @@ Where a cycle takes longer than the logged one, the track goes on: with what
 the operator really did next, if the log runs on; else with the track of another execution that was still running at
 that time since its start, from where its operator was nearest and doing the same. Cycles that take long would
 otherwise be scored against an operator who stands still.
+
+Where the operator was hidden for a moment he was still there: his way is drawn straight from where he was last seen to
+where he was seen again. Only where he was away is nobody there.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import EstimateError
+from cyclekit.people import OCCLUDED_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -43,7 +47,7 @@ class OperatorTracks:
     """K tracks on one grid of time since the cycle began.
 
     Attributes:
-        xyz_m: x_h, shape (K, T, 3), base frame; NaN = nobody seen.
+        xyz_m: x_h, shape (K, T, 3), base frame; NaN = nobody there.
         activity: Index into `activities` of what the operator does, shape (K, T); -1 = unknown.
         activities: Names of the operator's tasks.
         logged: Samples of each track that are what its own operator really did, shape (K,).
@@ -65,18 +69,24 @@ class OperatorTracks:
 
 @dataclass(frozen=True)
 class _Track:
-    """What was logged of one execution: x_h and g_h, shape (T, 6), activity (T,), and the session times of its ends."""
+    """What was logged of one execution: x_h and g_h, shape (T, 6), activity (T,), and the session times of its ends.
+
+    `followed`: the tracker's log is never silent about it for longer than OCCLUDED_S.
+    """
 
     where: NDArray[np.float64]
     activity: NDArray[np.int64]
     begin_s: float
     end_s: float
+    followed: bool
 
 
 def operator_tracks(
     dataset: Dataset, *, horizon_s: float, operator: Sequence[str] | None = None, phases: int | None = None
 ) -> OperatorTracks:
     """Return the tracks of all complete executions with an operator, each at least `horizon_s` long.
+
+    An execution that the tracker's log covers in part only is none of them: where the operator was is not known.
 
     Args:
         dataset: Where they were logged.
@@ -91,9 +101,11 @@ def operator_tracks(
     step = 1.0 / dataset.rate_hz
     names, tracks = _logged(dataset)
     complete = set(dataset.executions.filter("complete")["execution"].to_list())
-    begins = [name for name in tracks if name in complete and np.isfinite(tracks[name].where[:, :3]).any()]
+    seen_in = [name for name in tracks if name in complete and np.isfinite(tracks[name].where[:, :3]).any()]
+    begins = [name for name in seen_in if tracks[name].followed]
     if not begins:
-        seen = f"{dataset.path}: no complete execution has an operator track"
+        partly = " that lasts as long as it does" if seen_in else ""
+        seen = f"{dataset.path}: no complete execution has an operator track{partly}"
         raise EstimateError(seen, cure="Ingest the tracker's log together with the robot's.")
     if operator is not None:
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
@@ -141,11 +153,13 @@ def _is_free(dataset: Dataset, tracks: dict[str, _Track]) -> bool:
 def _logged(dataset: Dataset) -> tuple[list[str], dict[str, _Track]]:
     """The operator's tasks, and what was logged of him in each execution."""
     columns = [f"human_{part}{axis}_m" for part in ("", "goal_") for axis in "xyz"]
-    samples = dataset.samples(columns=["execution", "t_s", "human_task", *columns])
+    samples = dataset.samples(columns=["execution", "t_s", "human_task", "human_gap", *columns])
     names = sorted(name for name in samples["human_task"].unique().to_list() if name is not None)
     where = samples.select(pl.col(columns).cast(pl.Float64).fill_null(np.nan)).to_numpy()
     code = pl.col("human_task").cast(pl.Enum(names)).to_physical().cast(pl.Int64).fill_null(-1)
     activity, t_s = samples.select(code).to_series().to_numpy(), samples["t_s"].to_numpy()
+    outside = (samples["human_gap"] == "outside").fill_null(value=False).to_numpy()
+    hidden = outside | (samples["human_gap"] == "occluded").fill_null(value=False).to_numpy()
     rows = samples.select("execution", row=pl.int_range(pl.len())).group_by("execution", maintain_order=True)
     tracks: dict[str, _Track] = {}
     for execution, first, last, count in rows.agg(
@@ -153,8 +167,26 @@ def _logged(dataset: Dataset) -> tuple[list[str], dict[str, _Track]]:
     ).iter_rows():
         assert count == last - first + 1  # samples come execution by execution
         mine = slice(first, last + 1)
-        tracks[str(execution)] = _Track(where[mine], activity[mine], float(t_s[first]), float(t_s[last]))
+        _bridge(t_s[mine], where[mine, :3], hidden[mine])
+        followed = not (outside[mine] & np.isnan(where[mine, 0])).any()
+        tracks[str(execution)] = _Track(where[mine], activity[mine], float(t_s[first]), float(t_s[last]), followed)
     return names, tracks
+
+
+def _bridge(t_s: NDArray[np.float64], xyz_m: NDArray[np.float64], hidden: NDArray[np.bool_]) -> None:
+    """Fill in where the operator was while he was `hidden` (T,), in place; xyz_m: (T, 3).
+
+    He is taken to have gone straight from where he was last seen; before the first sight and after the last one of an
+    execution to have stood there. What is farther than OCCLUDED_S from any sight stays unknown.
+    """
+    known = np.flatnonzero(np.isfinite(xyz_m[:, 0]))
+    rows = np.flatnonzero(hidden & np.isnan(xyz_m[:, 0]))
+    if len(known) and len(rows):
+        after = np.clip(np.searchsorted(known, rows), 1, len(known) - 1) if len(known) > 1 else np.zeros_like(rows)
+        apart = np.abs(t_s[known[[np.maximum(after - 1, 0), after]]] - t_s[rows]).min(axis=0)
+        rows = rows[apart <= OCCLUDED_S]
+        for axis in range(3):
+            xyz_m[rows, axis] = np.interp(t_s[rows], t_s[known], xyz_m[known, axis])
 
 
 def _matching(

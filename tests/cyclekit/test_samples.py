@@ -94,6 +94,12 @@ def test_the_scaling_without_operator_is_what_was_logged_while_nobody_was_seen()
     assert scaling_without_operator(log([0.5])) is None
 
 
+def test_an_operator_who_is_hidden_does_not_say_what_holds_without_one():
+    unseen = {"human_x_m": [None] * 4, "human_gap": ["occluded", "occluded", "outside", "absent"]}
+    assert scaling_without_operator(log([0.25, 0.25, 0.0, 1.0], **unseen)) == 1.0
+    assert scaling_without_operator(log([0.25], human_x_m=[None], human_gap=["occluded"])) is None
+
+
 def test_rows_of_chosen_executions_are_all_of_theirs_and_no_others():
     rows = build_samples(pl.concat([log([0.0] * 2), log([1.0] * 3, "b")]), "now", 0.0, LEVELS, rate_hz=10.0)
     assert_array_equal(rows.of(["b"]).scaling, [1, 1, 1])

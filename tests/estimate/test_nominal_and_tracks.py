@@ -106,6 +106,34 @@ def test_where_the_log_runs_on_the_track_is_what_the_operator_really_did_next(ha
     np.testing.assert_allclose(tracks.xyz_m[1, :80, 0], 2.0 + 5.0 * t_s[:80] / 25.0, atol=0.02)
 
 
+def test_an_operator_who_was_hidden_for_a_moment_went_straight_on_and_one_who_was_away_was_not_there(hand_made: Any):
+    nowhere = (float("nan"), float("nan"))
+    walk = {0.0: (2.0, 1.0), 3.0: (2.0, 1.0), 3.02: nowhere, 4.98: nowhere, 5.0: (4.0, 2.0), 6.0: (4.0, 2.0)}
+    away = {6.02: nowhere, 12.98: nowhere, 13.0: (4.0, 2.0), 20.0: (4.0, 2.0)}
+    found = hand_made({"a": ([10.0], walk | away)})
+    x, y, _ = operator_tracks(found, horizon_s=20.0).xyz_m[0, :140].T
+    t_s = found.executions["start_s"][0] + np.arange(140) / 10
+    hidden, gone = (t_s > 3.1) & (t_s < 4.9), (t_s > 6.1) & (t_s < 12.9)
+    assert hidden.sum() > 10
+    way = (t_s[hidden] - 3.0) / 2.0
+    np.testing.assert_allclose(x[hidden], 2.0 + 2.0 * way, atol=0.02)
+    np.testing.assert_allclose(y[hidden], 1.0 + way, atol=0.02)
+    assert gone.sum() > 60
+    assert np.isnan(x[gone]).all()
+
+
+def test_an_execution_that_the_tracker_left_off_in_is_no_track(hand_made: Any):
+    whole, cut = {0.0: (2.0, 0.0), 30.0: (2.0, 0.0)}, {0.0: (3.0, 0.0), 4.0: (3.0, 0.0)}
+    tracks = operator_tracks(hand_made({"whole": ([10.0], whole), "cut": ([10.0], cut)}), horizon_s=3.0)
+    assert [name.partition(".")[0] for name in tracks.executions] == ["whole"]
+
+
+def test_logs_in_which_the_tracker_always_left_off_are_refused(hand_made: Any):
+    found = hand_made({"cut": ([10.0], {0.0: (3.0, 0.0), 4.0: (3.0, 0.0)})})
+    with pytest.raises(EstimateError, match="no complete execution has an operator track that lasts as long"):
+        operator_tracks(found, horizon_s=3.0)
+
+
 def test_tracks_can_be_those_of_an_operator_who_begins_in_a_certain_order(logged: Dataset):
     every = operator_tracks(logged, horizon_s=50.0)
     orders = {}

@@ -3,10 +3,11 @@
     python benchmarks/segmentation.py [--executions 1000] [--scenes box-picking,...] [--rates 125,500] [--no-outputs]
 
 Each scene is simulated with ramps (2.5/s), a reaction time (0.1 s) and the encoder noise of a real UR5, logged in one
-long run; with the override in the log and without it; and both with dwells longer than any halt (`pick` 20 s). With
-`--no-outputs` the log holds neither the gripper's output nor the register, so that motion alone tells. Every
-task of the truth is looked for among the found ones: the same start and goal, under way at the same time. A true one
-that is not there is lost, a found one that is no true one is invented. Boundaries are departure and arrival.
+long run (`--per-log 100`: in one for every hundred executions); with the override in the log and without it; and both
+with dwells longer than any halt (`pick` 20 s). With `--no-outputs` the log holds neither the gripper's output nor the
+register, so that motion alone tells. Every task of the truth is looked for among the found ones: the same start and
+goal, under way at the same time. A true one that is not there is lost, a found one that is no true one is invented.
+Boundaries are departure and arrival.
 
 The second table ingests as many executions of box-picking as `--growth` names in one log each, without the override:
 processor time per row.
@@ -17,7 +18,9 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -26,17 +29,28 @@ from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
 from cyclekit_sim import SCENES, SimulationOptions, simulate
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 SEED = 31
 HALTS_S = 20.0
 
 
 def logs_of(
-    folder: Path, scene: str, count: int, rate: int, *, logged: bool, outputs: bool, dwell_s: float | None = None
+    folder: Path,
+    scene: str,
+    count: int,
+    rate: int,
+    *,
+    logged: bool,
+    outputs: bool = True,
+    dwell_s: float | None = None,
+    per_log: int | None = None,
 ) -> Path:
-    """Simulate a cell; one log holds all executions."""
+    """Simulate a cell; one log holds so many executions, or all."""
     options = SimulationOptions(
         robot_rate_hz=rate, ramp_down_per_s=2.5, ramp_up_per_s=2.5, latency_s=0.1, encoder_noise_rad=2e-5,
-        log_override=logged, log_outputs=outputs, executions_per_session=count, pick_s=dwell_s,
+        log_override=logged, log_outputs=outputs, executions_per_session=per_log or count, pick_s=dwell_s,
     )  # fmt: skip
     return simulate(scene, folder, executions=count, seed=SEED, options=options)
 
@@ -84,12 +98,10 @@ def measured(logs: Path, out: Path) -> tuple[Dataset, int, float]:
     return dataset, sum(entry["rows"].get("robot") or 0 for entry in dataset.recordings), time.process_time() - began
 
 
-def row_of(
-    name: str, scene: str, count: int, rate: int, *, logged: bool, outputs: bool, dwell_s: float | None = None
-) -> str:
+def row_of(name: str, scene: str, count: int, rate: int, simulated: Callable[[Path, str, int, int], Path]) -> str:
     """Simulate, ingest and compare one case; return its row of the table."""
     with tempfile.TemporaryDirectory() as scratch:
-        logs = logs_of(Path(scratch) / "logs", scene, count, rate, logged=logged, outputs=outputs, dwell_s=dwell_s)
+        logs = simulated(Path(scratch) / "logs", scene, count, rate)
         dataset, rows, seconds = measured(logs, Path(scratch) / "dataset")
         truth, cards = truth_of(logs), dataset.executions
         lost, invented, errors = compare(truth, dataset.tasks())
@@ -109,6 +121,7 @@ def main() -> None:
     ask.add_argument("--rates", default="125,500")
     ask.add_argument("--cases", default="logged,inferred,logged and long dwells,inferred and long dwells")
     ask.add_argument("--growth", default="10,100,1000", help="executions of the second table; empty = no such table")
+    ask.add_argument("--per-log", type=int, help="executions a log; all in one if not said")
     ask.add_argument("--no-outputs", action="store_true")
     given = ask.parse_args()
     print(
@@ -119,14 +132,19 @@ def main() -> None:
         for rate in map(int, given.rates.split(",")):
             for case in given.cases.split(","):
                 count = given.executions if rate == 125 else max(10, given.executions // 10)
-                dwell_s = HALTS_S if case.endswith("long dwells") else None
-                known = {"logged": case.startswith("logged"), "outputs": not given.no_outputs}
-                print(row_of(case, scene, count, rate, **known, dwell_s=dwell_s), flush=True)
+                simulated = partial(
+                    logs_of,
+                    logged=case.startswith("logged"),
+                    outputs=not given.no_outputs,
+                    dwell_s=HALTS_S if case.endswith("long dwells") else None,
+                    per_log=given.per_log,
+                )
+                print(row_of(case, scene, count, rate, simulated), flush=True)
     if given.growth:
         print("\n| scene | executions in one log | rows | cpu us a row |\n|---|---|---|---|")
         for count in map(int, given.growth.split(",")):
             with tempfile.TemporaryDirectory() as scratch:
-                logs = logs_of(Path(scratch) / "logs", "box-picking", count, 125, logged=False, outputs=True)
+                logs = logs_of(Path(scratch) / "logs", "box-picking", count, 125, logged=False)
                 _, rows, seconds = measured(logs, Path(scratch) / "dataset")
                 print(f"| box-picking | {count} | {rows} | {1e6 * seconds / rows:.1f} |", flush=True)
 

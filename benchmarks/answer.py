@@ -305,7 +305,7 @@ def speed(asked: argparse.Namespace) -> None:
     for count in (250, 500, 1000):
         rows = np.arange(count) % len(tracks.executions)
         many = dataclasses.replace(
-            tracks, **{n: getattr(tracks, n)[rows] for n in ("xyz_m", "activity", "logged", "goal_m")},
+            tracks, **{n: getattr(tracks, n)[rows] for n in ("xyz_m", "activity", "logged")},
             executions=tuple(f"{tracks.executions[k]} {i}" for i, k in enumerate(rows.tolist())),
         )  # fmt: skip
         _timed(f"1 sequence, {count} tracks", lambda many=many: roll_out(cell.model, program, many, None))

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 CARD = "dataset.json"
+_NEAR_S = 1e-3
+"""Rows so far outside of a span are read too, since its ends in a log's own clock are rounded."""
 
 
 @dataclass(frozen=True)
@@ -214,9 +216,12 @@ class Dataset:
         for record in self.recordings:
             if record["session"] == entry["session"] and "robot" in record["tables"]:
                 file = self.path / "recordings" / record["id"] / "robot.parquet"
-                session_time = pl.col("t_s") * record["clock"]["rate"] + record["clock"]["offset_s"]
+                rate, offset_s = record["clock"]["rate"], record["clock"]["offset_s"]
+                first, last = ((entry[key] - offset_s) / rate for key in ("start_s", "end_s"))
+                near = pl.col("t_s").is_between(first - _NEAR_S, last + _NEAR_S)  # as stored: others are not unpacked
                 inside = pl.col("t_s").is_between(entry["start_s"], entry["end_s"])
-                rows = pl.scan_parquet(file, glob=False).with_columns(t_s=session_time).filter(inside)
+                rows = pl.scan_parquet(file, glob=False).filter(near).with_columns(t_s=pl.col("t_s") * rate + offset_s)
+                rows = rows.filter(inside)
                 return (rows if columns is None else rows.select(columns)).collect()
         return None
 

@@ -16,6 +16,8 @@ import polars as pl
 from cyclekit.stand import fill_nearest
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from numpy.typing import NDArray
 
     from cyclekit.dataset import Dataset
@@ -47,11 +49,16 @@ class NominalTask:
     repetitions: int
 
 
-def nominal_tasks(dataset: Dataset) -> dict[str, NominalTask]:
-    """Return the nominal motion of every task that was logged with known scaling, by task name."""
+def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> dict[str, NominalTask]:
+    """Return the nominal motion of every task that was logged with known scaling, by task name.
+
+    `wanted`: no others are looked for, if all of these were logged so.
+    """
     tasks = dataset.tasks().filter(pl.col("nominal_s").is_not_null())
     if tasks.height == 0:
         return {}
+    if wanted is not None and set(tasks["task"]).issuperset(wanted):
+        tasks = tasks.filter(pl.col("task").is_in(list(wanted)))
     means = tasks.group_by("task").agg(
         nominal_s=pl.col("nominal_s").median(),
         dwell_s=pl.col("dwell_s").mean(),

@@ -35,9 +35,9 @@ def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> NDA
     blocks = -(-len(names) // together)
     starts = rng.integers(0, len(names), (RESAMPLES, blocks))
     drawn = (starts[:, :, None] + np.arange(together)).reshape(RESAMPLES, -1) % len(names)
-    times = np.zeros((RESAMPLES, len(names)))
-    np.add.at(times, (np.arange(RESAMPLES)[:, None], drawn), 1.0)
-    weight = times[:, which]
+    drawn += len(names) * np.arange(RESAMPLES)[:, None]
+    times = np.bincount(drawn.ravel(), minlength=RESAMPLES * len(names)).reshape(RESAMPLES, -1)
+    weight = times[:, which].astype(np.float64)
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 

@@ -122,7 +122,8 @@ def estimate(
     tell = progress or (lambda fraction, text: None)
     chosen = _chosen(model, estimator)
     dataset, left_out = in_memory(dataset)
-    nominal: Mapping[str, NominalTask] = nominal_tasks(dataset)
+    wanted = None if altered else {task for sequence in sequences for task in sequence.tasks}
+    nominal: Mapping[str, NominalTask] = nominal_tasks(dataset, wanted)
     nominal = altered.tasks(nominal) if altered else nominal
     programs = {sequence: lay_out(sequence, nominal, dataset) for sequence in sequences}
     if chosen != "rollout":
@@ -167,7 +168,8 @@ def _cycles(
         return [by_nominal(program) for program in programs], None
     horizon = 2.5 * max(program.length_s for program in programs)
     for _ in range(4):  # tracks must be long enough for the slowest cycle; a cell that halts for long needs more
-        tracks = operator_tracks(ask.dataset, horizon_s=horizon, operator=sequences[0].operator)
+        operator, goals = sequences[0].operator, ask.estimator == "average"
+        tracks = operator_tracks(ask.dataset, horizon_s=horizon, operator=operator, goals=goals)
         if ask.altered is not None:
             tracks = ask.altered.tracks(tracks, {task.task: task for program in programs for task in program.tasks})
         rolled = []

@@ -24,8 +24,9 @@ class Support:
 
     def __init__(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> None:
         """Remember the cells of logged positions, shapes (N, 3) and (N, 3), metres; rows with NaN are left out."""
-        known = np.isfinite(robot_m).all(axis=1) & np.isfinite(human_m).all(axis=1)
-        self._filled = np.unique(_cells(robot_m[known], human_m[known]))
+        known = np.isfinite(robot_m.sum(axis=1) + human_m.sum(axis=1))
+        cells = _cells(robot_m, human_m) if known.all() else _cells(robot_m[known], human_m[known])
+        self._filled = np.unique(cells[np.diff(cells, prepend=-1) != 0])  # most samples lie where the last one did
 
     def near_logged(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Tell which pairs of positions, shapes (N, 3) and (N, 3), lie in cells that were logged, shape (N,).
@@ -42,8 +43,9 @@ class Support:
 
 def _cells(robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> NDArray[np.int64]:
     """Pack six cell indices of 10 bits each: a cell is unique within +-77 m (robot) and +-153 m (operator)."""
-    index = np.concatenate([np.floor(robot_m / ROBOT_M), np.floor(human_m / HUMAN_M)], axis=1).astype(np.int64)
-    packed = np.zeros(len(index), dtype=np.int64)
-    for column in range(6):
-        packed = (packed << 10) | ((index[:, column] + 512) & 1023)
+    packed = np.zeros(len(robot_m), dtype=np.int64)
+    for positions, edge_m in ((robot_m, ROBOT_M), (human_m, HUMAN_M)):
+        for axis in range(3):
+            index = np.floor(positions[:, axis] / edge_m).astype(np.int64)
+            packed = (packed << 10) | ((index + 512) & 1023)
     return packed

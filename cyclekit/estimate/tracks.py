@@ -15,6 +15,7 @@ where he was seen again. Only where he was away is nobody there.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,6 +35,8 @@ RUN_ON_S = 5.0
 """The next execution of a session goes on with the same operator if it begins within this time."""
 OTHER_TASK_M = 2.0
 """An operator who does something else counts as being this much farther away."""
+DONORS_AT_ONCE = 256
+"""Short tracks whose distances to all longer ones are in memory together."""
 PHASES = 4
 """Phases of each execution at which a track is entered, where the operator's habits do not begin with it."""
 SAME_SPREAD = (0.6, 1.6)
@@ -53,7 +56,7 @@ class OperatorTracks:
         logged: Samples of each track that are what its own operator really did, shape (K,).
         executions: Name of the execution behind each track; several tracks can be of one.
         step_s: Time between samples.
-        goal_m: g_h, shape (K, T, 3); NaN = unknown.
+        goal_m: g_h, shape (K, T, 3); NaN = unknown; None where it was not asked for.
         phase_free: What `phase_is_free` says of these logs.
     """
 
@@ -69,20 +72,26 @@ class OperatorTracks:
 
 @dataclass(frozen=True)
 class _Track:
-    """What was logged of one execution: x_h and g_h, shape (T, 6), activity (T,), and the session times of its ends.
+    """What was logged of one execution: x_h (and g_h if asked for), shape (T, 3 or 6), activity (T,), its two ends, s.
 
-    `followed`: the tracker's log is never silent about it for longer than OCCLUDED_S.
+    `seen`: somebody is, at some time. `followed`: the tracker's log is never silent for longer than OCCLUDED_S.
     """
 
     where: NDArray[np.float64]
     activity: NDArray[np.int64]
     begin_s: float
     end_s: float
+    seen: bool
     followed: bool
 
 
 def operator_tracks(
-    dataset: Dataset, *, horizon_s: float, operator: Sequence[str] | None = None, phases: int | None = None
+    dataset: Dataset,
+    *,
+    horizon_s: float,
+    operator: Sequence[str] | None = None,
+    phases: int | None = None,
+    goals: bool = False,
 ) -> OperatorTracks:
     """Return the tracks of all complete executions with an operator, each at least `horizon_s` long.
 
@@ -94,14 +103,15 @@ def operator_tracks(
         operator: Only executions in which the operator's tasks begin in this order.
         phases: Entries per execution; None: PHASES where `phase_is_free` and no order is asked for, else 1. The first
             entry of each execution is its beginning, and those come first, in the order of the executions.
+        goals: Also return g_h.
 
     Raises:
         EstimateError: No execution has an operator track, or none matches `operator`.
     """
     step = 1.0 / dataset.rate_hz
-    names, tracks = _logged(dataset)
+    names, tracks = _logged(dataset, goals=goals)
     complete = set(dataset.executions.filter("complete")["execution"].to_list())
-    seen_in = [name for name in tracks if name in complete and np.isfinite(tracks[name].where[:, :3]).any()]
+    seen_in = [name for name in tracks if name in complete and tracks[name].seen]
     begins = [name for name in seen_in if tracks[name].followed]
     if not begins:
         partly = " that lasts as long as it does" if seen_in else ""
@@ -120,7 +130,8 @@ def operator_tracks(
     where, activity = _extended(streams, length)
     logged = np.array([len(stream) for stream, _ in streams])
     executions = tuple(name for name, _ in entries)
-    return OperatorTracks(where[..., :3], activity, tuple(names), logged, executions, step, where[..., 3:], free)
+    goal_m = where[..., 3:] if goals else None
+    return OperatorTracks(where[..., :3], activity, tuple(names), logged, executions, step, goal_m, free)
 
 
 def phase_is_free(dataset: Dataset) -> bool:
@@ -129,7 +140,7 @@ def phase_is_free(dataset: Dataset) -> bool:
     So where the log runs on from execution to execution, and where the operator stands when one begins is no different
     from where he stands at any time: its mean within SAME_MEAN standard errors, its spread within SAME_SPREAD.
     """
-    return _is_free(dataset, _logged(dataset)[1])
+    return _is_free(dataset, _logged(dataset, goals=False)[1])
 
 
 def _is_free(dataset: Dataset, tracks: dict[str, _Track]) -> bool:
@@ -150,9 +161,9 @@ def _is_free(dataset: Dataset, tracks: dict[str, _Track]) -> bool:
     return bool((off < SAME_MEAN).all() and (ratio > SAME_SPREAD[0]).all() and (ratio < SAME_SPREAD[1]).all())
 
 
-def _logged(dataset: Dataset) -> tuple[list[str], dict[str, _Track]]:
+def _logged(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, _Track]]:
     """The operator's tasks, and what was logged of him in each execution."""
-    columns = [f"human_{part}{axis}_m" for part in ("", "goal_") for axis in "xyz"]
+    columns = [f"human_{part}{axis}_m" for part in (("", "goal_") if goals else ("",)) for axis in "xyz"]
     samples = dataset.samples(columns=["execution", "t_s", "human_task", "human_gap", *columns])
     names = sorted(name for name in samples["human_task"].unique().to_list() if name is not None)
     where = samples.select(pl.col(columns).cast(pl.Float64).fill_null(np.nan)).to_numpy()
@@ -167,9 +178,12 @@ def _logged(dataset: Dataset) -> tuple[list[str], dict[str, _Track]]:
     ).iter_rows():
         assert count == last - first + 1  # samples come execution by execution
         mine = slice(first, last + 1)
-        _bridge(t_s[mine], where[mine, :3], hidden[mine])
-        followed = not (outside[mine] & np.isnan(where[mine, 0])).any()
-        tracks[str(execution)] = _Track(where[mine], activity[mine], float(t_s[first]), float(t_s[last]), followed)
+        if hidden[mine].any():
+            _bridge(t_s[mine], where[mine, :3], hidden[mine])
+        seen = np.isfinite(where[mine, 0])
+        followed = bool(seen.all()) or not (outside[mine] & ~seen).any()
+        ends = float(t_s[first]), float(t_s[last])
+        tracks[str(execution)] = _Track(where[mine], activity[mine], *ends, bool(seen.any()), followed)
     return names, tracks
 
 
@@ -236,37 +250,48 @@ def _extended(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Lay the tracks on one grid of `length` samples, short ones continued by donors (see the module's text)."""
     count = len(tracks)
-    xyz = np.full((count, length, tracks[0][0].shape[1]), np.nan)
-    activity = np.full((count, length), -1, dtype=np.int64)
+    where = np.full((length, count, tracks[0][0].shape[1]), np.nan)  # where all are at an instant lies together
+    activity = np.full((length, count), -1, dtype=np.int64)
     own = np.array([min(len(track), length) for track, _ in tracks])
     for k, (track, doing) in enumerate(tracks):
-        xyz[k, : own[k]], activity[k, : own[k]] = track[:length], doing[:length]
-    order = [k for k in np.argsort(-own, kind="stable").tolist() if own[k] < length]
-    by_time = xyz[..., :3].transpose(1, 0, 2).copy() if order else xyz  # where all are at an instant lies together
-    for k in order:
-        end = int(own[k])
-        donor = _donor(by_time[end - 1], activity[:, end - 1], own > end, k)
-        if donor is None:
-            xyz[k, end:], activity[k, end:] = xyz[k, end - 1], activity[k, end - 1]
-        else:  # longer tracks were continued before, so the donor is complete
-            xyz[k, end:], activity[k, end:] = xyz[donor, end:], activity[donor, end:]
-    return xyz, activity
+        where[: own[k], k], activity[: own[k], k] = track[:length], doing[:length]
+    ends = np.unique(own[own < length])
+    then = np.arange(count)  # whose track follows on each; its own: nobody's
+    for end in ends.tolist():
+        running, short = np.flatnonzero(own > end), np.flatnonzero(own == end)
+        for some in np.array_split(short, -(-len(short) // DONORS_AT_ONCE)):
+            then[some] = _donors(where[end - 1], activity[end - 1], running, some)
+    source = np.arange(count)
+    for first, last in pairwise([*ends.tolist(), length]):
+        source = np.where(own[source] <= first, then[source], source)
+        stopped = own[source] <= first
+        led, left = np.flatnonzero((own <= first) & ~stopped), np.flatnonzero(stopped)
+        for stream in (where, activity):
+            stream[first:last, led] = stream[first:last, source[led]]
+            stream[first:last, left] = stream[first - 1, left]
+    return where.transpose(1, 0, 2), activity.T
 
 
-def _donor(xyz_m: NDArray[np.float64], activity: NDArray[np.int64], running: NDArray[np.bool_], k: int) -> int | None:
-    """Return the running track whose operator is nearest at this instant and does the same, None if there is none.
+def _donors(
+    where_m: NDArray[np.float64], activity: NDArray[np.int64], running: NDArray[np.int64], short: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return for each of N short tracks the running one whose operator is nearest at this instant and does the same.
 
     Args:
-        xyz_m: Where all are, shape (K, 3).
+        where_m: Where all are, shape (K, 3 or more).
         activity: What all do, shape (K,).
-        running: Whose own log goes on, shape (K,).
-        k: Whose track is to be continued.
+        running: Those whose own log goes on.
+        short: Those that are to be continued, shape (N,).
+
+    Returns:
+        The donors, shape (N,); a track's own number where there is none.
     """
-    absent = np.isnan(xyz_m[:, 0])
-    if absent[k]:
-        distance = np.where(absent, 0.0, np.inf)
-    else:
-        distance = np.where(absent, np.inf, np.linalg.norm(xyz_m - xyz_m[k], axis=1))
-    distance = np.where(running, distance + OTHER_TASK_M * (activity != activity[k]), np.inf)
-    best = int(distance.argmin())
-    return best if np.isfinite(distance[best]) else None
+    if not len(running):
+        return short
+    theirs, mine = where_m[running], where_m[short, None]
+    absent, gone = np.isnan(theirs[:, 0]), np.isnan(mine[..., 0])
+    apart = np.sqrt(sum((theirs[:, axis] - mine[..., axis]) ** 2 for axis in range(3)))
+    distance = np.where(gone, np.where(absent, 0.0, np.inf), np.where(absent, np.inf, apart))
+    distance += OTHER_TASK_M * (activity[running] != activity[short, None])
+    best = distance.argmin(axis=1)
+    return np.where(np.isfinite(distance[np.arange(len(short)), best]), running[best], short)

@@ -41,6 +41,25 @@ def test_a_nominal_motion_leads_from_place_to_place_at_the_speed_of_the_program(
         assert speed[len(speed) // 3 : -len(speed) // 3].min() > 0.1  # no halt is left in the middle of it
 
 
+def test_only_the_wanted_nominal_motions_are_looked_for_if_all_of_them_were_logged(logged: Dataset):
+    every = nominal_tasks(logged)
+    some = sorted(every)[:3]
+    found = nominal_tasks(logged, some)
+    assert sorted(found) == some
+    for name in some:
+        np.testing.assert_array_equal(found[name].xyz_m, every[name].xyz_m)
+    assert set(nominal_tasks(logged, [*some, "home->nowhere"])) == set(every)
+
+
+def test_tracks_hold_goals_where_these_are_asked_for(logged: Dataset):
+    plain, told = operator_tracks(logged, horizon_s=50.0), operator_tracks(logged, horizon_s=50.0, goals=True)
+    assert plain.goal_m is None
+    assert told.goal_m is not None
+    assert told.goal_m.shape == told.xyz_m.shape
+    assert np.isfinite(told.goal_m).any()
+    np.testing.assert_array_equal(plain.xyz_m, told.xyz_m)
+
+
 def test_a_task_logged_without_scaling_has_no_nominal_motion(hand_made: Any):
     found = hand_made({"a": ([0.0, 0.0], {0.0: (3.0, 0.0), 15.0: (3.0, 0.0)})})
     assert set(nominal_tasks(found)) == {"place_1->place_2", "place_2->place_1"}

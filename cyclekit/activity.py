@@ -23,7 +23,6 @@ from cyclekit.people import (
     find_stays,
     gap_reasons,
     goals_from_events,
-    goals_from_stays,
     ids_are_real,
     link_by_motion,
     nearest_person,
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Cell, Source
-    from cyclekit.session import Grid, Session
+    from cyclekit.session import Session
 
     Vector = NDArray[np.float64]
     Points = NDArray[np.float64]
@@ -67,48 +66,89 @@ class Stays:
     """Where the operator stayed in one execution.
 
     Attributes:
+        samples: How many samples the execution has.
         spans: First and last sample of each stay.
         at_m: Where it was, shape (M, 3), metres.
         goals: The goal that events tell in the middle of each; empty where no event tells goals in this session.
         told: Events tell the goals of this session.
     """
 
+    samples: int
     spans: list[tuple[int, int]]
     at_m: Points
     goals: list[str | None]
     told: bool
 
 
-def watch(
-    session: Session, grids: Sequence[Grid], sources: Mapping[str, Source | None], read: Read, cell: Cell
-) -> tuple[list[pl.DataFrame], list[Stays]]:
-    """Return the samples of each execution with x_h, and where the operator stayed; events tell the goals at once.
+@dataclass(frozen=True)
+class Seen:
+    """The operator at the samples of one execution.
 
-    What was seen of the operator is noted in the entries of the session.
-
-    Args:
-        session: The session.
-        grids: Its executions, at least one.
-        sources: What the cell file says about each recording, by id.
-        read: Returns a native table of a recording (id, table), None if it has none.
-        cell: How long gaps are bridged, and the rate.
+    Attributes:
+        human_m: x_h, shape (T, 3), NaN = unknown.
+        reasons: Whether any log of the session sees somebody, and why not, shape (T,), indices into REASONS; None =
+            nobody was to be tracked.
+        goals: The goal that events tell, T of them; empty where none tells goals in this session.
+        stays: Where the operator stayed.
     """
-    logs, events = _operator_logs(session, sources, read)
-    tracks = [track for log in logs for track in log.tracks]
-    found = [_seen_by(log, np.concatenate([grid.t_s for grid in grids]), cell) for log in logs]
-    cuts = np.cumsum([len(grid.t_s) for grid in grids])[:-1]
-    why = np.split(np.min(found, axis=0), cuts) if found else [None] * len(grids)
-    frames, stays = [], []
-    for grid, reasons in zip(grids, why, strict=True):
-        human_m = _human(grid, tracks, cell)
-        goals = goals_from_events(*events, grid.t_s) if len(events[0]) else []
-        spans = find_stays(grid.t_s, human_m)
+
+    human_m: Points
+    reasons: NDArray[np.int8] | None
+    goals: list[str | None]
+    stays: Stays
+
+    def columns(self, rows: slice) -> dict[str, pl.Series]:
+        """Return the columns of table SAMPLES that tell of the operator, at some of the samples."""
+        human_m = self.human_m[rows]
+        columns = {name: pl.Series(name, human_m[:, k], nan_to_null=True) for k, name in enumerate(_HUMAN)}
+        reasons = None if self.reasons is None else self.reasons[rows]
+        columns["human_gap"] = pl.Series(_why_unseen(human_m, reasons), dtype=pl.String)
+        if self.goals:
+            columns["human_task"] = pl.Series(self.goals[rows], dtype=pl.String)
+        return columns
+
+
+class Watch:
+    """The people of one session, looked at execution by execution."""
+
+    def __init__(self, session: Session, sources: Mapping[str, Source | None], read: Read, cell: Cell) -> None:
+        """Bring the tracks into session time and base frame.
+
+        Args:
+            session: The session.
+            sources: What the cell file says about each recording, by id.
+            read: Returns a native table of a recording (id, table), None if it has none.
+            cell: How long gaps are bridged, and the rate.
+        """
+        self._logs, self._events = _operator_logs(session, sources, read)
+        self._tracks = [track for log in self._logs for track in log.tracks]
+        self._counts = [np.zeros(len(REASONS), np.int64) for _ in self._logs]
+        self._cell = cell
+
+    def during(self, t_s: Vector, tcp_m: Points) -> Seen:
+        """Return the operator in one execution.
+
+        Args:
+            t_s: Times of its samples, shape (T,).
+            tcp_m: The TCP there, shape (T, 3), NaN = unknown.
+        """
+        found = [_seen_by(log, t_s, self._cell) for log in self._logs]
+        for counts, reasons in zip(self._counts, found, strict=True):
+            counts += np.bincount(reasons, minlength=len(REASONS))
+        bridge_s, width_s = self._cell.bridge_s, 1.0 / self._cell.rate_hz
+        human_m = nearest_person(self._tracks, t_s, tcp_m, bridge_s=bridge_s, width_s=width_s)
+        goals = goals_from_events(*self._events, t_s) if len(self._events[0]) else []
+        spans = find_stays(t_s, human_m)
         at_m = np.array([np.median(human_m[a : b + 1], axis=0) for a, b in spans]).reshape(-1, 3)
         # The middle decides: at the end of a stay the next button is pressed before the operator is seen to walk.
         middles = [goals[(a + b) // 2] for a, b in spans] if goals else []
-        frames.append(_with_human(grid.frame, human_m, reasons, goals))
-        stays.append(Stays(spans, at_m, middles, told=bool(goals)))
-    return frames, stays
+        stays = Stays(len(t_s), spans, at_m, middles, told=bool(goals))
+        return Seen(human_m, np.min(found, axis=0) if found else None, goals, stays)
+
+    def note(self) -> None:
+        """Note in the entries of the session how many samples saw the operator, and why the others did not."""
+        for log, counts in zip(self._logs, self._counts, strict=True):
+            log.entry["operator"] |= dict(zip(REASONS, counts.tolist(), strict=True))
 
 
 def operator_places(stays: Sequence[Stays], cell: Cell) -> dict[str, Place]:
@@ -131,18 +171,14 @@ def operator_places(stays: Sequence[Stays], cell: Cell) -> dict[str, Place]:
     return spots | {name: _spot(name, np.array(points)) for name, points in sorted(at.items())}
 
 
-def with_goals(samples: pl.DataFrame, stays: Sequence[Stays], spots: Mapping[str, Place]) -> pl.DataFrame:
-    """Return the samples of a session with the operator's task and g_h.
+def with_goals(samples: pl.DataFrame, goals: Sequence[str | None], spots: Mapping[str, Place]) -> pl.DataFrame:
+    """Return samples with the operator's task and g_h.
 
     Args:
-        samples: Table SAMPLES, from `watch`.
-        stays: Of each execution, in the order of the samples.
+        samples: Rows of table SAMPLES, from `Seen`.
+        goals: The goal at each of them, by name.
         spots: All places of the operator.
     """
-    goals: list[str | None] = []
-    for (_, frame), mine in zip(samples.group_by("execution", maintain_order=True), stays, strict=True):
-        human_m = frame.select(_HUMAN).to_numpy()
-        goals += frame["human_task"].to_list() if mine.told else goals_from_stays(mine.spans, human_m, spots)
     nowhere = (np.nan, np.nan, np.nan)
     at = np.array([spots[name].xyz_m if name and name in spots else nowhere for name in goals]).reshape(-1, 3)
     columns = (pl.Series(f"human_goal_{axis}_m", at[:, k], nan_to_null=True) for k, axis in enumerate("xyz"))
@@ -230,33 +266,15 @@ def _rows_of_each(numbers: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 
 def _seen_by(log: _Log, times: Vector, cell: Cell) -> NDArray[np.int8]:
-    """Return whether the recording saw somebody at each sample, and why not; note the counts."""
+    """Return whether the recording saw somebody at each sample, and why not."""
     clock = log.entry["clock"]
     first, last = (log.entry[key] * clock["rate"] + clock["offset_s"] for key in ("first_s", "last_s"))
-    found = gap_reasons(log.tracks, times, (first, last), bridge_s=cell.bridge_s)
-    counts = np.bincount(found, minlength=len(REASONS)).tolist()
-    log.entry["operator"] |= dict(zip(REASONS, counts, strict=True))
-    return found
-
-
-def _human(grid: Grid, tracks: Sequence[Track], cell: Cell) -> Points:
-    tcp = grid.frame.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()
-    return nearest_person(tracks, grid.t_s, tcp, bridge_s=cell.bridge_s, width_s=1.0 / cell.rate_hz)
+    return gap_reasons(log.tracks, times, (first, last), bridge_s=cell.bridge_s)
 
 
 def _spot(name: str, points: Points) -> Place:
     x, y, z = (round(float(v), 4) for v in np.nanmedian(points, axis=0))
     return Place(name, (x, y, z), 0.4, inferred=True)
-
-
-def _with_human(
-    frame: pl.DataFrame, human_m: Points, reasons: NDArray[np.int8] | None, goals: Sequence[str | None]
-) -> pl.DataFrame:
-    columns = [pl.Series(name, human_m[:, k], nan_to_null=True) for k, name in enumerate(_HUMAN)]
-    columns.append(pl.Series("human_gap", _why_unseen(human_m, reasons), dtype=pl.String))
-    if goals:
-        columns.append(pl.Series("human_task", goals, dtype=pl.String))
-    return frame.with_columns(columns)
 
 
 def _why_unseen(human_m: Points, reasons: NDArray[np.int8] | None) -> list[str | None]:

@@ -83,8 +83,8 @@ def at_times(track: Track, t_s: Vector, *, bridge_s: float, width_s: float = 0.0
     part = track.around(float(t_s.min()) - limit - width_s, float(t_s.max()) + limit + width_s)
     seen = np.isfinite(part.xyz_m[:, :2]).all(axis=1)
     t, xyz = part.t_s[seen], part.xyz_m[seen]
-    if len(t) < 2:
-        return np.full((len(t_s), 3), np.nan)
+    if len(t) < 2:  # alone in a gap: it was seen just then, and not around it
+        return np.where(t_s[:, None] == t, xyz, np.nan) if len(t) else np.full((len(t_s), 3), np.nan)
     right = np.clip(np.searchsorted(t, t_s), 1, len(t) - 1)
     inside = (t_s >= t[0]) & (t_s <= t[-1]) & (t[right] - t[right - 1] <= limit)
     inside |= (t[right] == t_s) | (t[right - 1] == t_s)  # just then it was seen, whatever was before
@@ -289,14 +289,19 @@ def find_spots(stays: Points) -> dict[str, Place]:
     return spots
 
 
-def goals_from_stays(stays: Sequence[tuple[int, int]], human_m: Points, spots: Mapping[str, Place]) -> list[str | None]:
-    """Return the goal per sample: the spot of the stay that is running or comes next, None when none follows."""
-    goals: list[str | None] = [None] * len(human_m)
+def goals_from_stays(
+    stays: Sequence[tuple[int, int]], at_m: Points, samples: int, spots: Mapping[str, Place]
+) -> list[str | None]:
+    """Return the goal per sample: the spot of the stay that is running or comes next, None when none follows.
+
+    `stays` are from `find_stays`, `at_m` is where the operator was in each, shape (M, 3), metres.
+    """
+    goals: list[str | None] = [None] * samples
     names = list(spots)
     centres = np.array([spots[name].xyz_m[:2] for name in names]).reshape(-1, 2)
     begin = 0
-    for first, last in stays:
-        far = np.linalg.norm(centres - np.median(human_m[first : last + 1, :2], axis=0), axis=1)
+    for (_, last), xyz_m in zip(stays, at_m, strict=True):
+        far = np.linalg.norm(centres - xyz_m[:2], axis=1)
         if len(far) and far.min() <= SPOT_M:
             goals[begin : last + 1] = [names[int(far.argmin())]] * (last + 1 - begin)
         begin = last + 1

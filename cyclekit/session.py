@@ -1,4 +1,4 @@
-"""A session: recordings that share a time, and the sample times of its executions.
+"""A session: recordings that share a time.
 
 Only the data that pass between `ingest`, `derive` and `activity`; which recordings belong together is decided here,
 folder by folder.
@@ -14,12 +14,6 @@ from cyclekit.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    import numpy as np
-    import polars as pl
-    from numpy.typing import NDArray
-
-    Vector = NDArray[np.float64]
 
 
 @dataclass
@@ -37,15 +31,6 @@ class Session:
     reference: bool = False
     runs: list[int] = field(default_factory=list)
     span_s: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Grid:
-    """The sample times of one execution, what the robot did then, and where the operator was."""
-
-    execution: str
-    t_s: Vector
-    frame: pl.DataFrame
 
 
 def group_sessions(entries: list[dict[str, Any]], is_reference: Callable[[str], bool]) -> list[Session]:

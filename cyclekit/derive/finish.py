@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from io import BytesIO
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,12 +11,14 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.activity import with_goals
-from cyclekit.atomic import write_parquet
+from cyclekit.derive.sample_file import write_samples
 from cyclekit.dynamics import Changes, changes_of
 from cyclekit.motion import pieces
+from cyclekit.people import goals_from_stays
+from cyclekit.tables import parts_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from cyclekit.activity import Stays
     from cyclekit.dataset import Place
     from cyclekit.motion import Run
+
+    Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -56,15 +60,32 @@ def finish(
         folder: Where the files of samples lie.
     """
     file = folder / f"{left.session}.parquet"
-    samples = pl.read_parquet(BytesIO(file.read_bytes()))  # a file that is mapped cannot be replaced on Windows
-    step = pl.Series("step", left.label, dtype=pl.Int32)
-    samples = with_goals(samples, left.stays, spots).with_columns(step=pl.when(step >= 0).then(step))
     made = file.with_suffix(".part")
-    write_parquet(schema.conform(samples, schema.SAMPLES), made)
+    times: list[Vector] = []
+    apart: list[Vector] = []
+    write_samples(_completed(file, left, spots, times, apart), made)
     made.replace(file)  # whoever does this again finds the one or the other
     changes = [
         change for run in left.runs for _, part in pieces(run) for change in changes_of(part.t_s, part.scaling, levels)
     ]
-    robot, human = ([f"{who}_{axis}_m" for axis in "xyz"] for who in ("robot", "human"))
-    apart = samples.select(robot).to_numpy() - samples.select(human).to_numpy()
-    return Changes.seen(changes, samples["t_s"].to_numpy(), np.linalg.norm(apart, axis=1), most_changes)
+    return Changes.seen(changes, np.concatenate(times), np.concatenate(apart), most_changes)
+
+
+def _completed(
+    file: Path, left: Left, spots: Mapping[str, Place], times: list[Vector], apart: list[Vector]
+) -> Iterator[pl.DataFrame]:
+    """Yield the samples with goals and levels, in parts; add their times and how far operator and TCP are apart."""
+    told = any(mine.told for mine in left.stays)
+    stays = [] if told else left.stays
+    goals = list(chain.from_iterable(goals_from_stays(s.spans, s.at_m, s.samples, spots) for s in stays))
+    first = 0
+    for samples in parts_of(file):
+        rows = slice(first, first + samples.height)
+        first += samples.height
+        step = pl.Series("step", left.label[rows], dtype=pl.Int32)
+        done = with_goals(samples, samples["human_task"].to_list() if told else goals[rows], spots)
+        done = schema.conform(done.with_columns(step=pl.when(step >= 0).then(step)), schema.SAMPLES)
+        robot, human = (done.select(f"{who}_{axis}_m" for axis in "xyz").to_numpy() for who in ("robot", "human"))
+        times.append(done["t_s"].to_numpy())
+        apart.append(np.linalg.norm(robot - human, axis=1))
+        yield done

@@ -5,7 +5,8 @@ What needs all sessions (the levels of the scaling, where the operator's places 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,20 +14,19 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.account import account
-from cyclekit.activity import watch
-from cyclekit.atomic import write_parquet
+from cyclekit.activity import Watch
+from cyclekit.derive.sample_file import write_samples
 from cyclekit.errors import EstimateError
 from cyclekit.motion import sampled
-from cyclekit.session import Grid
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from cyclekit.account import Leg
-    from cyclekit.activity import Stays
+    from cyclekit.activity import Seen, Stays
     from cyclekit.config import Cell, Source
     from cyclekit.dataset import Place
     from cyclekit.motion import Run, Sampled
@@ -37,7 +37,10 @@ if TYPE_CHECKING:
     from cyclekit.stand import Stands
 
     Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
 
+_AT_ONCE = 1 << 14
+"""Samples that become a table at once; a sample has four times the bytes there that its numbers have."""
 _MOST_SAMPLES = 10_000_000
 """Of one execution: eleven days at 10 Hz. A time that cannot be would ask for more memory than there is."""
 
@@ -107,78 +110,113 @@ def samples_of(
         EstimateError: An execution cannot be so long.
     """
     session = work.session
-    grids, tasks, cards = [], list[tuple[object, ...]](), []
-    for number, (execution, legs) in enumerate(_executions(work, dwells), 1):
+    made = Made(session.name, session.entries, 0, [], [], [], set())
+    courses = _courses(work, dwells, places, cell)
+    if (first := next(courses, None)) is None:
+        return made
+    watch = Watch(session, sources, read, cell)
+    frames = _frames(session, chain([first], courses), watch, made)
+    samples = write_samples(frames, folder / f"{session.name}.parquet")
+    watch.note()
+    return replace(made, samples=samples)
+
+
+def _frames(session: Session, courses: Iterable[_Course], watch: Watch, made: Made) -> Iterator[pl.DataFrame]:
+    """Yield the samples of a session, in parts, since an execution may last as long as its log; fill in the rest."""
+    for course in courses:
+        seen = watch.during(course.t_s, course.tcp_m)
+        for first in range(0, len(course.t_s), _AT_ONCE):
+            frame = _frame(course, seen, slice(first, first + _AT_ONCE))
+            made.origins.update(frame["scaling_origin"].drop_nulls().unique())
+            yield frame
+        made.tasks.extend(_task_rows(course.name, course.legs))
+        made.cards.append(_card(session, course))
+        made.stays.append(seen.stays)
+
+
+@dataclass(frozen=True)
+class _Course:
+    """What the robot did in one execution.
+
+    Attributes:
+        name: Of the execution.
+        complete: The log shows all of it.
+        t_s: Times of its samples, shape (T,).
+        robot: The robot there; None without a robot log.
+        inferred: Its scaling was inferred and not logged.
+        legs: Its tasks.
+        goals_m: Where each of them ends, shape (L, 3), metres.
+    """
+
+    name: str
+    complete: bool
+    t_s: Vector
+    robot: Sampled | None
+    inferred: bool
+    legs: Sequence[Leg]
+    goals_m: Points
+
+    @property
+    def tcp_m(self) -> Points:
+        """The TCP at each sample, shape (T, 3), NaN = unknown."""
+        return np.full((len(self.t_s), 3), np.nan) if self.robot is None else self.robot.xyz_m
+
+
+def _courses(work: Work, dwells: Mapping[str, Dwell], places: Mapping[str, Place], cell: Cell) -> Iterator[_Course]:
+    """Yield the executions that last long enough for a sample, one at a time: all of them may be large."""
+    session = work.session
+    for number, execution in enumerate(work.executions if work.runs else [None], 1):
         name = f"{session.name}.{number:03d}"
-        grid = _grid(session, name, execution, legs, work.runs, places, cell)
-        if len(grid.t_s):
-            grids.append(grid)
-            tasks += _task_rows(name, legs)
-            cards.append(_card(name, session, execution, legs, grid))
-    if not grids:
-        return Made(session.name, session.entries, 0, [], [], [], set())
-    frames, stays = watch(session, grids, sources, read, cell)
-    samples = schema.conform(pl.concat(frames), schema.SAMPLES)
-    write_parquet(samples, folder / f"{session.name}.parquet")
-    origins = set(samples["scaling_origin"].drop_nulls().unique().to_list())
-    return Made(session.name, session.entries, samples.height, cards, tasks, stays, origins)
+        if execution is None:
+            course = _Course(name, False, _times(name, *session.span_s, cell), None, False, [], np.empty((0, 3)))
+        else:
+            run = work.runs[execution.run]
+            legs = account(run, execution, work.stands, dwells) if execution.visits else []
+            ends = (legs[0].start_s, legs[-1].end_s) if legs else (run.time_at(0), run.time_at(run.rows - 1))
+            robot = sampled(run, _times(name, *ends, cell))
+            goals_m = np.array([places[leg.goal_place].xyz_m for leg in legs]).reshape(-1, 3)
+            course = _Course(name, execution.complete, robot.t_s, robot, run.is_inferred, legs, goals_m)
+        if len(course.t_s):
+            yield course
 
 
-def _executions(work: Work, dwells: Mapping[str, Dwell]) -> list[tuple[Execution | None, list[Leg]]]:
-    if not work.runs:
-        return [(None, [])]
-    return [(e, account(work.runs[e.run], e, work.stands, dwells) if e.visits else []) for e in work.executions]
-
-
-def _grid(
-    session: Session,
-    name: str,
-    execution: Execution | None,
-    legs: list[Leg],
-    runs: Mapping[int, Run],
-    places: Mapping[str, Place],
-    cell: Cell,
-) -> Grid:
-    if execution is None:
-        start, end = session.span_s
-    elif legs:
-        start, end = legs[0].start_s, legs[-1].end_s
-    else:
-        run = runs[execution.run]
-        start, end = run.time_at(0), run.time_at(run.rows - 1)
+def _times(name: str, start: float, end: float, cell: Cell) -> Vector:
     if (end - start) * cell.rate_hz > _MOST_SAMPLES:
         msg = f"{name}: lasts {(end - start) / 86400:.0f} days, more than {_MOST_SAMPLES:,} samples"
         raise EstimateError(msg, cure="Look for a time that jumps ahead with `cyclekit inspect`, or cut the log.")
-    t = start + np.arange(int((end - start) * cell.rate_hz + 1e-6) + 1) / cell.rate_hz
-    columns: dict[str, Any] = {}
-    if execution is not None:
-        found = sampled(runs[execution.run], t)
-        t = found.t_s
-        columns |= {f"robot_{axis}_m": found.xyz_m[:, k] for k, axis in enumerate("xyz")}
-        columns |= _scaling_columns(found, inferred=runs[execution.run].is_inferred)
-    columns |= {"execution": [name] * len(t), "t_s": t, **_task_columns(t, legs, places)}
-    return Grid(name, t, schema.conform(pl.DataFrame(columns, nan_to_null=True, strict=False), schema.SAMPLES))
+    return np.asarray(start + np.arange(int((end - start) * cell.rate_hz + 1e-6) + 1) / cell.rate_hz)
 
 
-def _scaling_columns(found: Sampled, *, inferred: bool) -> dict[str, Any]:
-    known = np.isfinite(found.scaling)
+def _frame(course: _Course, seen: Seen, rows: slice) -> pl.DataFrame:
+    t = course.t_s[rows]
+    columns: dict[str, Any] = {"execution": [course.name] * len(t), "t_s": t}
+    if course.robot is not None:
+        columns |= {f"robot_{axis}_m": course.robot.xyz_m[rows, k] for k, axis in enumerate("xyz")}
+        columns |= _scaling_columns(course.robot, rows, inferred=course.inferred)
+    columns |= _task_columns(t, course) | seen.columns(rows)
+    return schema.conform(pl.DataFrame(columns, nan_to_null=True, strict=False), schema.SAMPLES)
+
+
+def _scaling_columns(found: Sampled, rows: slice, *, inferred: bool) -> dict[str, Any]:
+    known = np.isfinite(found.scaling[rows])
     whence = pl.lit("inferred" if inferred else "logged")
-    why = pl.Series(found.gap, dtype=pl.Int8)
+    why = pl.Series(found.gap[rows], dtype=pl.Int8)
     names = dict(enumerate(schema.SCALING_GAPS))
     said = pl.DataFrame({"known": known, "why": why}).select(
         scaling_origin=pl.when("known").then(whence),
         scaling_gap=pl.when(~pl.col("known")).then(pl.col("why").replace_strict(names, return_dtype=pl.String)),
     )
-    columns = {"scaling": found.scaling, "scaling_sd": found.deviation, "slider": found.slider}
+    columns = {"scaling": found.scaling[rows], "scaling_sd": found.deviation[rows], "slider": found.slider[rows]}
     return columns | {name: said[name] for name in said.columns}
 
 
-def _task_columns(t: Vector, legs: Sequence[Leg], places: Mapping[str, Place]) -> dict[str, Any]:
+def _task_columns(t: Vector, course: _Course) -> dict[str, Any]:
+    legs = course.legs
     if not legs:
         return {}
     starts = np.array([leg.start_s for leg in legs])
     index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(legs) - 1)
-    goals = np.array([places[leg.goal_place].xyz_m for leg in legs])[index]
+    goals = course.goals_m[index]
     arrivals = np.array([leg.arrival_s for leg in legs])[index]
     names = [f"{leg.start_place}->{leg.goal_place}" for leg in legs]
     return {
@@ -198,14 +236,14 @@ def _task_rows(name: str, legs: Sequence[Leg]) -> list[tuple[object, ...]]:
     ]  # fmt: skip
 
 
-def _card(name: str, session: Session, execution: Execution | None, legs: Sequence[Leg], grid: Grid) -> dict[str, Any]:
-    end = legs[-1].end_s if legs else float(grid.t_s[-1])
+def _card(session: Session, course: _Course) -> dict[str, Any]:
+    legs = course.legs
     return {
-        "execution": name,
+        "execution": course.name,
         "session": session.name,
-        "start_s": float(grid.t_s[0]),
-        "end_s": float(end),
-        "complete": bool(execution is not None and execution.complete),
+        "start_s": float(course.t_s[0]),
+        "end_s": float(legs[-1].end_s if legs else course.t_s[-1]),
+        "complete": course.complete,
         "reference": session.reference,
         "places": [legs[0].start_place, *(leg.goal_place for leg in legs)] if legs else [],
     }

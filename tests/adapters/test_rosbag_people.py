@@ -7,6 +7,8 @@ import pytest
 from rosbags.typesys import get_types_from_msg
 
 from cyclekit.adapter import ReadOptions
+from cyclekit.dataset import Dataset
+from cyclekit.ingest import ingest
 from cyclekit_adapters.rosbag import ADAPTER
 
 T0 = 1_700_000_000.0
@@ -137,6 +139,37 @@ def test_a_tracker_that_saw_nobody_all_day_gives_an_empty_table(tmp_path, bag):
     log = read(tmp_path / "run")
     assert log.people.is_empty()
     assert log.facts["time"] == "header stamp"
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+@pytest.mark.parametrize(
+    "say",
+    [
+        lambda writer, t_s: writer.poses(t_s, []),
+        lambda writer, t_s: Markers(writer).say(t_s, {}),
+    ],
+    ids=["PoseArray", "MarkerArray"],
+)
+def test_a_log_of_people_in_which_nobody_ever_is_says_so_of_the_whole_time(tmp_path, bag, kind, say):
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for name in ("robot", "people"):
+        writer = bag(logs / (f"{name}.bag" if kind == "bag" else name), kind)
+        for i in range(101):
+            if name == "robot":
+                writer.tcp(T0 + 0.1 * i, x=0.01 * i)
+            elif i >= 50:
+                say(writer, T0 + 0.1 * i)
+        writer.close()
+    people = read(logs / ("people.bag" if kind == "bag" else "people")).people
+    assert people.height == 51
+    assert people["x_m"].null_count() == 51
+    assert people["source_row"].to_list() == list(range(51))
+    found = Dataset.open(ingest([logs], tmp_path / "dataset").dataset)
+    assert found.card["not_read"] == []
+    gaps = dict(found.samples()["human_gap"].value_counts().rows())
+    assert set(gaps) == {"outside", "absent"}  # the log of people began later
+    assert gaps["absent"] == pytest.approx(51, abs=2)
 
 
 def test_markers_are_read_alike_alone_and_in_bulk_and_a_deleted_one_is_nobody(tmp_path, bag):

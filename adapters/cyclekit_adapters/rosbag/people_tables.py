@@ -67,10 +67,10 @@ def _named(contents: Contents, topic: str) -> Iterator[tuple[Part, Persons]]:
 
 
 def _add_numbered(contents: Contents, frames: Frames, topic: str, prefix: str, columns: Columns) -> None:
-    """Add the people of a topic of places: by their index in the array."""
+    """Add the people of a topic of places: by their index in the array; nobody ever is one person never seen."""
     track, times = contents.tracks[topic], contents.at(topic)
     seen = [(part, _several(part.value)) for part in track.parts if isinstance(part.value, np.ndarray)]
-    most = max((places.shape[1] for _, places in seen), default=1)
+    most = max([1, *(places.shape[1] for _, places in seen)])
     if most > 1:
         contents.warnings.append(f"{topic} holds up to {most} places without identity: each index is one person")
     place: Array = np.full((track.index.size, most, 3), np.nan)
@@ -90,6 +90,9 @@ def _add_numbered(contents: Contents, frames: Frames, topic: str, prefix: str, c
 def _add_named(contents: Contents, frames: Frames, topic: str, prefix: str, columns: Columns) -> None:
     """Add the people of a topic whose messages name them; who is not named is not there."""
     hidden, why, lost = 0, "", 0
+    if all(not value.names.shape[1] for _, value in _named(contents, topic)):
+        _add_nobody(contents, topic, columns)
+        return
     for part, value in _named(contents, topic):
         before, after = _add(contents, frames, topic, prefix, part, value, columns)
         lost += after - before
@@ -98,6 +101,15 @@ def _add_named(contents: Contents, frames: Frames, topic: str, prefix: str, colu
     _say_lost(contents, topic, lost)
     if hidden:
         contents.warnings.append(f"{hidden} places on {topic} are left unknown: {why}")
+
+
+def _add_nobody(contents: Contents, topic: str, columns: Columns) -> None:
+    """Add a topic that saw nobody in any message: when that was, and no place."""
+    track = contents.tracks[topic]
+    _append(columns, "t_s", contents.at(topic))
+    _append(columns, "person", np.full(track.index.size, ""))
+    _append(columns, "source_row", track.index)
+    _append(columns, "place", np.full((track.index.size, 3), np.nan))
 
 
 def _add(

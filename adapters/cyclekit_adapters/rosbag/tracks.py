@@ -141,6 +141,7 @@ def collect(bag: Bag, roles: Roles, *, skeletons: bool = False) -> Contents:
     contents = Contents({}, Transforms(), kinds=dict(bag.topics))
     factors = {factor.topic: factor for factor in roles.scaling}
     pieces: dict[str, list[_Piece]] = {}
+    nobody: dict[str, list[_Piece]] = {}
     for arrived in bag.messages(roles.topics()):
         topic, group = arrived.topic, arrived.group
         try:
@@ -153,11 +154,11 @@ def collect(bag: Bag, roles: Roles, *, skeletons: bool = False) -> Contents:
             said = f"{topic}: message has other fields ({error})"
             bag.undecodable += [(topic, number, said) for number in arrived.number.tolist()]
             continue
-        if isinstance(value, Persons) and not value.places.shape[1]:
-            continue  # nobody there, and with nobody there may be no header either
-        if value is not None:
-            pieces.setdefault(topic, []).append(_Piece(arrived.number, group.receive_ns, stamp_s, value, frame))
-    contents.tracks = {topic: _track(parts, bag.order(topic)) for topic, parts in pieces.items()}
+        if value is not None:  # with nobody there may be no header either, and its time would be of another clock
+            is_empty = isinstance(value, Persons) and not value.places.shape[1]
+            into = nobody if is_empty else pieces
+            into.setdefault(topic, []).append(_Piece(arrived.number, group.receive_ns, stamp_s, value, frame))
+    contents.tracks = {topic: _track(parts, bag.order(topic)) for topic, parts in (pieces or nobody).items()}
     contents.transforms.finish(bag.order)
     contents.warnings += bag.warnings
     if lost := bag.set_aside():

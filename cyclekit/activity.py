@@ -251,11 +251,15 @@ def _positions(
         people = people.filter(~rides)
     if not people["t_s"].is_sorted():
         people = people.sort("t_s", maintain_order=True)
-    names = people["person"].unique().sort().to_list()
-    numbers = people["person"].rank("dense").cast(pl.Int64).to_numpy() - 1
+    t_s, xyz = people["t_s"].to_numpy(), people.select("x_m", "y_m", "z_m").to_numpy()
+    whose = people["person"]
+    del people  # of many hours: what is left of it is copied several times
+    names = whose.unique().sort().to_list()
+    one = len(names) == 1
+    numbers = np.zeros(len(whose), np.int64) if one else whose.rank("dense").cast(pl.Int64).to_numpy() - 1
     clock = entry["clock"]
-    xyz = to_base(people.select("x_m", "y_m", "z_m").to_numpy(), source.frame if source else None, up=entry["up"])
-    return people["t_s"].to_numpy() * clock["rate"] + clock["offset_s"], xyz, numbers, names
+    xyz = to_base(xyz, source.frame if source else None, up=entry["up"])
+    return t_s * clock["rate"] + clock["offset_s"], xyz, numbers, names
 
 
 def _rows_of_each(numbers: NDArray[np.int64]) -> list[NDArray[np.int64]]:

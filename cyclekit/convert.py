@@ -20,7 +20,6 @@ from cyclekit.discover import find_all, options_of
 from cyclekit.errors import ConfigError, LogError, UnknownName
 from cyclekit.plausible import examined_parts
 from cyclekit.registry import adapter_named
-from cyclekit.tables import TableWriter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -165,6 +164,8 @@ class _Output:
     """A file in the making."""
 
     def __init__(self, file: Path, suffix: str, first: pl.DataFrame, table: str) -> None:
+        from cyclekit.tables import TableWriter  # Arrow is imported while the next blocks are parsed
+
         self.rows = 0
         known = TABLES[table]
         columns = {name: known[name] for name in first.columns if name in known}

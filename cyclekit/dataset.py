@@ -25,7 +25,6 @@ from cyclekit.atomic import recover
 from cyclekit.config import Furniture
 from cyclekit.errors import DatasetError, UnknownName
 from cyclekit.storage import local
-from cyclekit.tables import StoredTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -203,6 +202,8 @@ class Dataset:
 
     def times(self, recording: str, table: str) -> Iterator[pl.DataFrame]:
         """Yield the times of one native-rate table (`t_s`), in parts: it may be larger than memory."""
+        from cyclekit.tables import StoredTable  # whoever reads a log needs no Arrow to begin
+
         stored = StoredTable(self.path / "recordings" / recording / f"{table}.parquet", ("t_s",))
         for begin, end in stored.groups:
             yield pl.DataFrame({"t_s": stored.column("t_s", begin, end)})

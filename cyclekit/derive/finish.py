@@ -11,7 +11,7 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.activity import with_goals
-from cyclekit.derive.sample_file import write_samples
+from cyclekit.derive.sample_file import AT_ONCE, write_samples
 from cyclekit.dynamics import Changes, changes_of
 from cyclekit.motion import pieces
 from cyclekit.people import goals_from_stays
@@ -79,7 +79,7 @@ def _completed(
     stays = [] if told else left.stays
     goals = list(chain.from_iterable(goals_from_stays(s.spans, s.at_m, s.samples, spots) for s in stays))
     first = 0
-    for samples in parts_of(file):
+    for samples in (some for part in parts_of(file) for some in part.iter_slices(AT_ONCE)):
         rows = slice(first, first + samples.height)
         first += samples.height
         step = pl.Series("step", left.label[rows], dtype=pl.Int32)

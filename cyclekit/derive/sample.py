@@ -15,7 +15,7 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.account import account
 from cyclekit.activity import Watch
-from cyclekit.derive.sample_file import write_samples
+from cyclekit.derive.sample_file import AT_ONCE, write_samples
 from cyclekit.errors import EstimateError
 from cyclekit.motion import sampled
 
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     Vector = NDArray[np.float64]
     Points = NDArray[np.float64]
 
-_AT_ONCE = 1 << 14
-"""Samples that become a table at once; a sample has four times the bytes there that its numbers have."""
 _MOST_SAMPLES = 10_000_000
 """Of one execution: eleven days at 10 Hz. A time that cannot be would ask for more memory than there is."""
 
@@ -125,8 +123,8 @@ def _frames(session: Session, courses: Iterable[_Course], watch: Watch, made: Ma
     """Yield the samples of a session, in parts, since an execution may last as long as its log; fill in the rest."""
     for course in courses:
         seen = watch.during(course.t_s, course.tcp_m)
-        for first in range(0, len(course.t_s), _AT_ONCE):
-            frame = _frame(course, seen, slice(first, first + _AT_ONCE))
+        for first in range(0, len(course.t_s), AT_ONCE):
+            frame = _frame(course, seen, slice(first, first + AT_ONCE))
             made.origins.update(frame["scaling_origin"].drop_nulls().unique())
             yield frame
         made.tasks.extend(_task_rows(course.name, course.legs))

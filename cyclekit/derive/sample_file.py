@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+AT_ONCE = 1 << 14
+"""Samples that become a table at once; a sample has four times the bytes there that its numbers have."""
+
 
 def write_samples(frames: Iterator[pl.DataFrame], file: Path) -> int:
     """Write samples that come in parts, few of them at once, which takes less time; return how many there are.
@@ -32,7 +35,7 @@ def write_samples(frames: Iterator[pl.DataFrame], file: Path) -> int:
         if rows > GROUP_ROWS:
             break
     else:
-        write_parquet(pl.concat(first), file)
+        write_parquet(pl.concat(first, rechunk=True), file)
         return rows
     with TableWriter(file, schema.SAMPLES) as writer:
         while first:

@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-import pyarrow as pa
-
 from cyclekit.errors import StorageError
 
 if TYPE_CHECKING:
@@ -23,7 +21,6 @@ URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)  # two letters at least
 AT_ONCE = 8
 """Objects fetched or sent at the same time."""
 _STEP = 8 << 20
-_FAILED = (OSError, pa.ArrowException)
 _OBJECTS = ("s3", "gcs", "abfs")
 """File systems without folders, where an object is put as a whole."""
 
@@ -35,6 +32,7 @@ def opened(url: str) -> tuple[fs.FileSystem, str]:
     Raises:
         StorageError: Nobody knows that kind of URL.
     """
+    import pyarrow as pa
     from pyarrow import fs  # brings the web along, and hardly anything is at a URL
 
     try:
@@ -51,12 +49,18 @@ def opened(url: str) -> tuple[fs.FileSystem, str]:
     return system, path.rstrip("/")
 
 
+def _failures() -> tuple[type[Exception], ...]:
+    import pyarrow as pa
+
+    return OSError, pa.ArrowException
+
+
 @contextmanager
 def said(url: str, what: str) -> Iterator[None]:
     """Turn what Arrow raises meanwhile into a `StorageError` that names the URL."""
     try:
         yield
-    except _FAILED as error:
+    except _failures() as error:
         why = str(error).strip().partition("\n")[0] or type(error).__name__
         cure = "Check address and credentials (of s3: AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_ENDPOINTURL)."
         raise StorageError(url, f"cannot be {what} ({why})", cure=cure) from error

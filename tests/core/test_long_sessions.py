@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from typing import TYPE_CHECKING
 
 import pyarrow.parquet as pq
@@ -11,7 +12,6 @@ from polars.testing import assert_frame_equal
 
 from cyclekit import tables
 from cyclekit.dataset import CARD, Dataset
-from cyclekit.derive import sample, sample_file
 from cyclekit.ingest import ingest
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from conftest import SimulatedCell
 
 AT_ONCE, GROUP = 70, 300
+sample, sample_file, finish = (sys.modules[f"cyclekit.derive.{name}"] for name in ("sample", "sample_file", "finish"))
 
 
 @pytest.fixture
@@ -33,7 +34,8 @@ def heights(monkeypatch: pytest.MonkeyPatch) -> list[int]:
             seen.append(frame.height)
             super().write(frame)
 
-    monkeypatch.setattr(sample, "_AT_ONCE", AT_ONCE)
+    for module in (sample, finish):
+        monkeypatch.setattr(module, "AT_ONCE", AT_ONCE)
     monkeypatch.setattr(tables, "GROUP_ROWS", GROUP)
     monkeypatch.setattr(sample_file, "GROUP_ROWS", GROUP)
     monkeypatch.setattr(sample_file, "TableWriter", Watched)
@@ -52,7 +54,7 @@ def test_samples_made_in_parts_are_those_made_at_once(boxes: SimulatedCell, tmp_
     ]
     for file in (tmp_path / "parts" / "samples").iterdir():
         assert pq.ParquetFile(file).num_row_groups > 2
-    assert 0 < max(heights) <= GROUP
+    assert 0 < max(heights) <= AT_ONCE
 
 
 def test_one_execution_that_lasts_as_long_as_its_log_is_made_in_parts_too(
@@ -65,4 +67,4 @@ def test_one_execution_that_lasts_as_long_as_its_log_is_made_in_parts_too(
     assert found["execution"].n_unique() == 1
     assert found["t_s"].diff().drop_nulls().is_between(0.0999, 0.1001).all()
     assert found["human_x_m"].is_not_null().mean() > 0.9
-    assert 0 < max(heights) <= GROUP
+    assert 0 < max(heights) <= AT_ONCE

@@ -41,10 +41,18 @@ def limits_of_cycles(cycles: Rolled, entry: CycleEstimate, check: Check | None) 
 def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     """Return what limits every number from these logs, one sentence each."""
     found = []
-    samples = dataset.samples(columns=["human_x_m", "human_gap", "scaling_origin"])
+    samples = dataset.samples(columns=["execution", "human_x_m", "human_gap", "scaling_origin"])
     absent = samples.filter(nobody_there()).height / max(samples.height, 1)
     if absent > 0.01 and model.card.get("scaling_without_operator") is None:
         found.append(f"in {absent:.0%} of the samples nobody is there; then the robot is taken to run free")
+    ran = {
+        entry["execution"] for entry in dataset.card["executions"] if entry["complete"] and not entry.get("reference")
+    }
+    away = samples.group_by("execution").agg(away=(pl.col("human_gap") == "absent").fill_null(value=False).all())
+    alone = ran & set(away.filter("away")["execution"].to_list())
+    if alone:
+        counted = f"in {len(alone)} of {len(ran)} executions nobody came: they count as cycles without an operator"
+        found.append(f"{counted} (runs meant to be without one are named by reference in the cell file)")
     if samples.filter(pl.col("scaling_origin") == "inferred").height:
         found.append("the speed scaling was not logged but inferred from velocity ratios")
     slider = [part for part in slider_losses(dataset).values() if part > 0.0]

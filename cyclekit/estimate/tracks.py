@@ -74,7 +74,8 @@ class OperatorTracks:
 class _Track:
     """What was logged of one execution: x_h (and g_h if asked for), shape (T, 3 or 6), activity (T,), its two ends, s.
 
-    `seen`: somebody is, at some time. `followed`: the tracker's log is never silent for longer than OCCLUDED_S.
+    `seen`: somebody is, at some time. `away`: the tracker saw all along that nobody is. `followed`: its log is
+    never silent for longer than OCCLUDED_S.
     """
 
     where: NDArray[np.float64]
@@ -82,6 +83,7 @@ class _Track:
     begin_s: float
     end_s: float
     seen: bool
+    away: bool
     followed: bool
 
 
@@ -93,9 +95,10 @@ def operator_tracks(
     phases: int | None = None,
     goals: bool = False,
 ) -> OperatorTracks:
-    """Return the tracks of all complete executions with an operator, each at least `horizon_s` long.
+    """Return the tracks of all complete executions, each at least `horizon_s` long.
 
-    An execution that the tracker's log covers in part only is none of them: where the operator was is not known.
+    An execution that the tracker's log covers in part only is none of them: where the operator was is not known. One in
+    which he was away from begin to end is one, unless it was recorded as a run without operator.
 
     Args:
         dataset: Where they were logged.
@@ -113,7 +116,11 @@ def operator_tracks(
     complete = set(dataset.executions.filter("complete")["execution"].to_list())
     seen_in = [name for name in tracks if name in complete and tracks[name].seen]
     begins = [name for name in seen_in if tracks[name].followed]
-    if not begins:
+    if begins:
+        meant = {entry["execution"] for entry in dataset.card["executions"] if entry.get("reference")}
+        away = {name for name in complete - meant if name in tracks and tracks[name].away}
+        begins = [name for name in tracks if name in away or name in begins]
+    else:
         partly = " that lasts as long as it does" if seen_in else ""
         seen = f"{dataset.path}: no complete execution has an operator track{partly}"
         raise EstimateError(seen, cure="Ingest the tracker's log together with the robot's.")
@@ -169,8 +176,10 @@ def _logged(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, _Tra
     where = samples.select(pl.col(columns).cast(pl.Float64).fill_null(np.nan)).to_numpy()
     code = pl.col("human_task").cast(pl.Enum(names)).to_physical().cast(pl.Int64).fill_null(-1)
     activity, t_s = samples.select(code).to_series().to_numpy(), samples["t_s"].to_numpy()
-    outside = (samples["human_gap"] == "outside").fill_null(value=False).to_numpy()
-    hidden = outside | (samples["human_gap"] == "occluded").fill_null(value=False).to_numpy()
+    outside, occluded, absent = (
+        (samples["human_gap"] == why).fill_null(value=False).to_numpy() for why in ("outside", "occluded", "absent")
+    )
+    hidden = outside | occluded
     rows = samples.select("execution", row=pl.int_range(pl.len())).group_by("execution", maintain_order=True)
     tracks: dict[str, _Track] = {}
     for execution, first, last, count in rows.agg(
@@ -183,7 +192,8 @@ def _logged(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, _Tra
         seen = np.isfinite(where[mine, 0])
         followed = bool(seen.all()) or not (outside[mine] & ~seen).any()
         ends = float(t_s[first]), float(t_s[last])
-        tracks[str(execution)] = _Track(where[mine], activity[mine], *ends, bool(seen.any()), followed)
+        away = bool(absent[mine].all())
+        tracks[str(execution)] = _Track(where[mine], activity[mine], *ends, bool(seen.any()), away, followed)
     return names, tracks
 
 

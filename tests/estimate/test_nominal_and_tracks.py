@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import polars as pl
 import pytest
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.limits import limits_of_logs
 from cyclekit.estimate.nominal import STEP_S, nominal_tasks, slider_losses
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import operator_tracks
@@ -181,3 +183,35 @@ def test_support_knows_the_pairs_of_positions_that_were_logged_and_no_others():
     assert not support.near_logged(robot + 2.0, human).any()
     assert support.near_logged(robot, human * np.nan).all()  # nobody there: the robot runs free
     assert not Support(robot * np.nan, human).near_logged(robot, human).any()
+
+
+def one_who_stays_away(hand_made: Any) -> Dataset:
+    nowhere = (float("nan"), float("nan"))
+    left = {0.0: (4.0, 2.0), 0.5: (4.0, 2.0), 0.52: nowhere, 60.0: nowhere}
+    return hand_made({"there": ([10.0], {0.0: (2.0, 0.0), 60.0: (2.0, 0.0)}), "away": ([10.0], left)})
+
+
+def test_a_cycle_to_which_the_operator_never_came_counts_as_one_without_him(hand_made: Any):
+    tracks = operator_tracks(one_who_stays_away(hand_made), horizon_s=20.0)
+    found = {name.partition(".")[0]: xyz for name, xyz in zip(tracks.executions, tracks.xyz_m, strict=True)}
+    assert sorted(found) == ["away", "there"]
+    assert np.isnan(found["away"]).all()
+    assert np.isfinite(found["there"]).all()
+
+
+def test_a_run_recorded_without_operator_on_purpose_is_no_track(hand_made: Any):
+    found = one_who_stays_away(hand_made)
+    for entry in found.card["executions"]:
+        entry["reference"] = entry["execution"].startswith("away")
+    tracks = operator_tracks(found, horizon_s=20.0)
+    assert [name.partition(".")[0] for name in tracks.executions] == ["there"]
+
+
+@pytest.mark.parametrize("meant", [False, True])
+def test_the_estimate_says_how_many_cycles_had_no_operator(hand_made: Any, meant: bool):
+    found = one_who_stays_away(hand_made)
+    for entry in found.card["executions"]:
+        entry["reference"] = meant and entry["execution"].startswith("away")
+    model: Any = SimpleNamespace(card={"scaling_without_operator": 1.0})
+    said = [each for each in limits_of_logs(found, model) if "nobody came" in each]
+    assert [each.partition(":")[0] for each in said] == ([] if meant else ["in 1 of 2 executions nobody came"])

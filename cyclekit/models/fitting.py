@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,6 +41,10 @@ _STEPS, _EPOCHS = 12_000, (8, 100)
 _CENTRE_ROWS = 200_000
 _DECAY_ROWS, _MOST_DECAY = 3000, 0.1
 """Where no weight decay is asked for: this many divided by the training rows. Few rows need it, many hardly any."""
+
+
+class CutOff(ConfigError):
+    """A network answers 0, or 1, whatever it is asked: outputs are cut there and have no slope to learn by."""
 
 
 @dataclass(frozen=True)
@@ -92,19 +96,31 @@ def fit(
         levels: Staircase levels, ascending.
         progress: Told the fraction done and the validation error after each epoch.
         known: Groups of inputs that may be unknown.
+
+    Raises:
+        ConfigError: Training diverged.
+        CutOff: All outputs were cut off at some time. Where the optimiser was left to the rows, AdamW is tried first:
+            beside Muon recurrent weights take large steps, and one of those may throw a whole network.
     """
     standard = standardisation(rows.X)
     device = torch.device("cuda" if torch.cuda.is_available() and not rows.in_files else "cpu")
     names_steps = spec.network == "classifier"
     if names_steps and not rows.in_files:  # what is in files has been left out before
         rows = rows.where(rows.step >= 0)
-    spec = spec.for_rows(len(rows))
+    asked, spec = spec, spec.for_rows(len(rows))
     learn = rows_on(device, rows, spec, standard, known)
     check = rows_on(device, validation, spec, standard, known)
     with torch.random.fork_rng(devices=[]), one_fast_thread():
-        torch.manual_seed(spec.seed)
-        network = build(spec, rows.X.shape[1], levels, known, standard[1]).to(device)
-        history = _run(network, spec, learn, check, torch.tensor(levels, device=device), progress)
+        steps = torch.tensor(levels, device=device)
+        network = _fresh(spec, rows, levels, known, standard[1]).to(device)
+        try:
+            history = _run(network, spec, learn, check, steps, progress)
+        except CutOff:
+            if (asked.optimiser, spec.optimiser) != ("auto", "muon"):
+                raise
+            spec = replace(asked, optimiser="adamw").for_rows(len(rows))
+            network = _fresh(spec, rows, levels, known, standard[1]).to(device)
+            history = _run(network, spec, learn, check, steps, progress)
         if spec.centre and not names_steps:
             _centre(network, spec, learn)
         on_level = validation.step >= 0
@@ -114,6 +130,13 @@ def fit(
     distance = (DISTANCE_M, DISTANCE_1_M) if spec.features == "distance" else None
     folded = fold(network, *standard, known, temperature=temperature, distance=distance)
     return Fitted(spec, folded, history, *standard, temperature)
+
+
+def _fresh(
+    spec: ModelSpec, rows: Samples, levels: Sequence[float], known: Sequence[str], scale: NDArray[np.float64]
+) -> nn.Module:
+    torch.manual_seed(spec.seed)
+    return build(spec, rows.X.shape[1], levels, known, scale)
 
 
 @contextmanager
@@ -149,6 +172,7 @@ def _run(
     steps = Steps(network, spec, decay, max(batches * epochs, 20))  # fewer cannot rise and fall
     balance = _balance(learn, len(levels)) if spec.balance == "classes" and spec.network == "classifier" else None
     history: list[Epoch] = []
+    spread = _spread(check)
     best, best_state, since = float("inf"), copy.deepcopy(network.state_dict()), 0
     for number in range(1, epochs + 1):
         network.train()
@@ -161,6 +185,9 @@ def _run(
             total += loss.detach()
         mse = _validation_mse(network, check, levels if spec.network == "classifier" else None)
         history.append(Epoch(number, float(total) / batches, mse))
+        if mse > spread and spec.network != "classifier" and (value := _cut_off(network, check)) is not None:
+            msg = f"training failed in epoch {number}: the network answers {value:g} whatever it is asked"
+            raise CutOff(msg, cure="Choose another --seed, --optimiser adamw or --norm none.")
         since += 1
         if mse < best:
             best, best_state, since = mse, copy.deepcopy(network.state_dict()), 0
@@ -224,6 +251,19 @@ def _centre(network: nn.Module, spec: ModelSpec, learn: Rows) -> None:
     if moved > 0:
         with torch.no_grad():
             last.bias.sub_(off / moved)
+
+
+def _cut_off(network: nn.Module, check: Rows) -> float | None:
+    """Return the bound that all outputs on the validation part are at or beyond, None if they are not."""
+    out = _outputs(network, check)
+    return 1.0 if bool((out >= 1.0).all()) else 0.0 if bool((out <= 0.0).all()) else None
+
+
+def _spread(check: Rows) -> float:
+    """Return the weighted variance of the scaling in the validation part: the error of its mean."""
+    weight = check.weight / check.weight.sum()
+    off = check.scaling[:, 0] - (check.scaling[:, 0] * weight).sum()
+    return float((off**2 * weight).sum())
 
 
 def _outputs(network: nn.Module, rows: Rows) -> torch.Tensor:

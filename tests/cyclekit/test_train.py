@@ -8,12 +8,14 @@ import sys
 import numpy as np
 import polars as pl
 import pytest
+import torch
 from fabricated import LEVELS, THRESHOLDS_M, fabricate_dataset
 
 from cyclekit.atomic import write_parquet
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, MissingExtra
 from cyclekit.models import fitting
+from cyclekit.models.fitting import CutOff
 from cyclekit.models.saved import load_model, save_model
 from cyclekit.models.spec import ModelSpec
 from cyclekit.samples import build_samples
@@ -297,3 +299,38 @@ def test_what_differs_from_the_paper_learns_as_well_and_survives_the_disk(cell, 
     assert np.array_equal(load_model(tmp_path / "model").predict(rows.X), model.predict(rows.X))
     assert (model.weights.distance is not None) == ("features" in settings)
     assert model.card["spec"]["optimiser"] == settings.get("optimiser", "adamw")  # of the default: what it came to
+
+
+@pytest.fixture
+def thrown(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Let Muon throw every network out of its range; return the optimisers of the runs begun since."""
+    begun: list[str] = []
+
+    class Throwing(fitting.Steps):
+        def __init__(self, network: torch.nn.Module, spec: ModelSpec, decay: float, total: int) -> None:
+            super().__init__(network, spec, decay, total)
+            begun.append(spec.optimiser)
+            self._bias = [module for module in network.modules() if isinstance(module, torch.nn.Linear)][-1].bias
+            self._throws = spec.optimiser == "muon"
+
+        def take(self, loss: torch.Tensor) -> None:
+            super().take(loss)
+            if self._throws:
+                self._bias.data += 100.0
+
+    monkeypatch.setattr(fitting, "Steps", Throwing)
+    return begun
+
+
+def test_a_network_that_answers_one_whatever_it_is_asked_is_learned_again_by_adamw(cell, thrown, monkeypatch):
+    monkeypatch.setattr("cyclekit.models.spec.MUON_ROWS", 1)
+    model = train(cell, ModelSpec.of(network="regressor", epochs=12, batch=256))
+    assert thrown == ["muon", "adamw"]
+    assert model.card["spec"]["optimiser"] == "adamw"
+    assert model.card["metrics"]["mse_mean"] < 0.1
+
+
+def test_where_muon_was_asked_for_such_a_network_is_refused(cell, thrown):
+    with pytest.raises(CutOff, match=r"answers 1 whatever it is asked[\s\S]*--optimiser adamw"):
+        train(cell, ModelSpec.of(network="regressor", epochs=2, batch=256, optimiser="muon"))
+    assert thrown == ["muon"]

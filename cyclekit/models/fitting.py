@@ -100,7 +100,7 @@ def fit(
     Raises:
         ConfigError: Training diverged.
         CutOff: All outputs were cut off at some time. Where the optimiser was left to the rows, AdamW is tried first:
-            beside Muon recurrent weights take large steps, and one of those may throw a whole network.
+            beside Muon the other weights take larger steps, and one of those may throw a whole network.
     """
     standard = standardisation(rows.X)
     device = torch.device("cuda" if torch.cuda.is_available() and not rows.in_files else "cpu")

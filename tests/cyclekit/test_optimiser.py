@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from torch import nn
 
 from cyclekit.models.fitting import one_fast_thread
-from cyclekit.models.optimiser import Muon, orthogonal
+from cyclekit.models.optimiser import MOST_NORM, Muon, Steps, orthogonal
+from cyclekit.models.spec import ModelSpec
 
 
 def test_an_orthogonal_step_keeps_the_singular_vectors_and_evens_out_the_values():
@@ -38,3 +40,12 @@ def test_a_run_on_one_fast_thread_leaves_torch_as_it_was():
         assert float(torch.tensor(1e-40) * 0.5) == 0.0
     assert torch.get_num_threads() == threads
     assert float(torch.tensor(1e-40) * 0.5) > 0.0
+
+
+@pytest.mark.parametrize("network", ["lstm-1", "lstm-2", "regressor"])
+def test_only_recurrent_networks_have_their_gradients_shortened(network: str):
+    layer = nn.Linear(4, 1)
+    spec = ModelSpec.of("ahead", network, 2.0, optimiser="adamw")
+    Steps(layer, spec, 0.0, 20).take(1e3 * layer(torch.ones(1, 4)).sum())
+    norm = float(torch.cat([p.grad.ravel() for p in layer.parameters() if p.grad is not None]).norm())
+    assert norm == pytest.approx(1e3 * 5**0.5 if network == "regressor" else MOST_NORM, rel=1e-4)

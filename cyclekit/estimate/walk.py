@@ -25,10 +25,11 @@ if TYPE_CHECKING:
     Vector = NDArray[np.float64]
     Whole = NDArray[np.int64]
 
-TIME_STEP_S = 0.1
-"""Step of the walk; positions are taken at its middle."""
-SUPPORT_EVERY = 4
-"""Support is looked up at every so many steps."""
+TIME_STEP_S, FOLLOWED_STEP_S = 0.2, 0.1
+"""Step of the walk, and where s follows the safety function late, in ramps or with hysteresis; positions are taken at
+its middle."""
+SUPPORT_EVERY_S = 0.4
+"""Support is looked up this often."""
 ROWS = 4096
 """Cycles walked at once: a step and its layers stay in the cache."""
 AT_ONCE = Dynamics()
@@ -96,7 +97,7 @@ def roll_all(
 class Walked:
     """N rows, each one program beside one track: duration (N,), loss per task (N, tasks) and activity, looks, splices.
 
-    `known` counts the looks into logged cells, `looked` all looks, `spliced` the steps on continued tracks.
+    `known` counts the looks into logged cells, `looked` all looks; `spliced` is the time on continued tracks, s.
     """
 
     duration_s: Vector
@@ -129,26 +130,28 @@ def walk(
         support: Where logged positions lie; None leaves `known` and `looked` empty.
         dynamics: How s follows the safety function.
     """
-    lines, people = _Lines(programs, which, stands_s), _People(tracks)
+    step_s = TIME_STEP_S if dynamics.none else FOLLOWED_STEP_S
+    lines, people = _Lines(programs, which, stands_s, step_s), _People(tracks)
     count, samples, kinds = len(which), tracks.activity.shape[1], len(tracks.activities) + 1
     duration, activity_s = np.full(count, np.inf), np.zeros(count * kinds)
     known, looked, spliced = np.zeros(count), np.zeros(count), np.zeros(count)
-    follower = None if dynamics.none else Follower(model, dynamics, TIME_STEP_S)
+    follower = None if dynamics.none else Follower(model, dynamics, step_s)
+    looks_after = round(SUPPORT_EVERY_S / step_s)
     rows, mine, scaling = np.arange(count), track, np.ones(count)  # of the rows that are not at their end
-    for number in range(int((samples - 2) * tracks.step_s / TIME_STEP_S)):
-        robot = lines.robot_at(scaling * TIME_STEP_S / 2)
-        where, doing, sample = people.at((number + 0.5) * TIME_STEP_S)
+    for number in range(int((samples - 2) * tracks.step_s / step_s)):
+        robot = lines.robot_at(scaling * step_s / 2)
+        where, doing, sample = people.at((number + 0.5) * step_s)
         human = where.take(mine, axis=0)
         scaling = _follow(model, follower, lines, robot, human)
         lost, left = lines.advance(scaling)
         activity_s[rows * kinds + doing[mine]] += lost
-        spliced[rows] += sample >= tracks.logged[mine]
-        if support is not None and number % SUPPORT_EVERY == 0:
+        spliced[rows] += step_s * (sample >= tracks.logged[mine])
+        if support is not None and number % looks_after == 0:
             known[rows] += support.near_logged(robot, human)
             looked[rows] += 1
         arrives = lines.arrived
         if arrives.any():
-            duration[rows[arrives]] = (number + 1) * TIME_STEP_S - left[arrives]
+            duration[rows[arrives]] = (number + 1) * step_s - left[arrives]
             rows, mine, scaling = rows[~arrives], mine[~arrives], scaling[~arrives]
             lines.keep(~arrives)
             if follower is not None:
@@ -179,7 +182,10 @@ class _Lines:
     What is kept of the losses has a row per cycle; everything else has one per cycle that is not at its end.
     """
 
-    def __init__(self, programs: Sequence[Program], which: Whole, stands_s: Sequence[NDArray[np.float64]]) -> None:
+    def __init__(
+        self, programs: Sequence[Program], which: Whole, stands_s: Sequence[NDArray[np.float64]], step_s: float
+    ) -> None:
+        self._step_s = step_s
         legs = max(len(program.tasks) for program in programs)
         ends, rates = np.full((len(programs), 2 * legs + 1), np.inf), np.ones((len(which), legs + 1))
         for number, program in enumerate(programs):
@@ -208,7 +214,7 @@ class _Lines:
     def may_move(self) -> NDArray[np.bool_]:
         """Which rows are in motion at some time of the next step."""
         rest = (self._end - self._at) / np.maximum(self._rate, 1e-12)
-        return np.asarray(self._moving | (rest < TIME_STEP_S))
+        return np.asarray(self._moving | (rest < self._step_s))
 
     def keep(self, going: NDArray[np.bool_]) -> None:
         """Leave the other rows out from now on."""
@@ -222,11 +228,11 @@ class _Lines:
         return np.asarray(self._xyz.take(self._first + cell, axis=0))
 
     def advance(self, scaling: Vector) -> tuple[Vector, Vector]:
-        """Go on by TIME_STEP_S; return the safety loss in it and what is left of it at the end, shape (N,) each.
+        """Go on by a step; return the safety loss in it and what is left of it at the end, shape (N,) each.
 
         The step is divided where a motion or a stand ends in it: each has a rate of its own.
         """
-        lost, left = np.zeros(len(scaling)), np.full(len(scaling), TIME_STEP_S)
+        lost, left = np.zeros(len(scaling)), np.full(len(scaling), self._step_s)
         rows: slice | Whole = slice(None)  # first all of them, then those with time left
         while True:
             end, at, moving = self._end[rows], self._at[rows], self._moving[rows]
@@ -281,7 +287,7 @@ def _of_one(
     walked: Walked, mine: slice, program: Program, stands_s: NDArray[np.float64], tracks: OperatorTracks
 ) -> Rolled:
     duration = walked.duration_s[mine]
-    steps = max(float(np.where(np.isfinite(duration), duration, 0.0).sum()) / TIME_STEP_S, 1.0)
+    time_s = max(float(np.where(np.isfinite(duration), duration, 0.0).sum()), 1e-9)
     looked = float(walked.looked[mine].sum())
     return Rolled(
         duration,
@@ -289,5 +295,5 @@ def _of_one(
         walked.safety_s[mine, : len(program.tasks)],
         walked.activity_s[mine].mean(axis=0),
         float(walked.known[mine].sum()) / looked if looked else float("nan"),
-        float(walked.spliced[mine].sum()) / steps,
+        float(walked.spliced[mine].sum()) / time_s,
     )

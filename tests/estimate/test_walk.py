@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from cyclekit.estimate import walk as walking
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import draw_stands, lay_out
 from cyclekit.estimate.safety import Dynamics, scaling_of
 from cyclekit.estimate.spread import logged_support
 from cyclekit.estimate.support import HUMAN_M, ROBOT_M
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
-from cyclekit.estimate.walk import SUPPORT_EVERY, TIME_STEP_S, Walked, roll_out, walk
+from cyclekit.estimate.walk import FOLLOWED_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S, Walked, roll_out, walk
 from cyclekit.sequences import TaskSequence
 
 if TYPE_CHECKING:
@@ -33,30 +34,33 @@ class Smooth:
         return np.clip(0.45 * apart - 0.35 + 0.05 * np.sin(9 * X[:, 0]), 0.0, 1.0)
 
 
-def by_hand(model: Any, program: Program, tracks: OperatorTracks, k: int, stands_s: np.ndarray) -> dict[str, Any]:
+def by_hand(
+    model: Any, program: Program, tracks: OperatorTracks, k: int, stands_s: np.ndarray, step_s: float
+) -> dict[str, Any]:
     """Walk one program beside one track, a step at a time; the step is shared out where a motion or a stand ends."""
     ends, xyz = program.edges_s, program.xyz_m()
     part, at, last, clock = 0, 0.0, 1.0, 0.0
     lost, activity_s = np.zeros(len(program.tasks)), np.zeros(len(tracks.activities) + 1)
     looks: list[tuple[np.ndarray, np.ndarray]] = []
-    spliced, steps = 0, 0
+    spliced, steps = 0.0, 0
 
     def rate_of(part: int, scaling: float) -> float:
         task = program.tasks[part // 2]
         return scaling if part % 2 == 0 else (task.dwell_s + task.wait_s) / stands_s[part // 2]
 
     while part < len(ends):
-        sample = steps  # the tracks have a sample per step, and the middle of a step lies between two
+        between, sample = np.modf(round((steps + 0.5) * step_s / tracks.step_s, 6))
+        sample = int(sample)
         here, after = tracks.xyz_m[k, sample], tracks.xyz_m[k, sample + 1]
-        human = here if np.isnan(here + after).any() else here + (after - here) * 0.5
-        place = min(at + last * TIME_STEP_S / 2, ends[part])
+        human = here if np.isnan(here + after).any() else here + (after - here) * between
+        place = min(at + last * step_s / 2, ends[part])
         robot = xyz[min(int(place * (len(xyz) / program.length_s)), len(xyz) - 1)]
-        stands_on = part % 2 == 1 and (ends[part] - at) / rate_of(part, 1.0) >= TIME_STEP_S
+        stands_on = part % 2 == 1 and (ends[part] - at) / rate_of(part, 1.0) >= step_s
         last = 1.0 if stands_on else float(scaling_of(model, robot[None], human[None])[0])
-        if steps % SUPPORT_EVERY == 0:
+        if steps % round(SUPPORT_EVERY_S / step_s) == 0:
             looks.append((robot, human))
-        spliced += sample >= tracks.logged[k]
-        left = TIME_STEP_S
+        spliced += step_s * (sample >= tracks.logged[k])
+        left = step_s
         while left > 0 and part < len(ends):
             rate = rate_of(part, last)
             needs = (ends[part] - at) / rate if rate > 0 else np.inf
@@ -66,7 +70,7 @@ def by_hand(model: Any, program: Program, tracks: OperatorTracks, k: int, stands
                 activity_s[tracks.activity[k, sample]] += (1 - rate) * spent
             at, left = (ends[part], left - spent) if needs <= left else (at + rate * spent, 0.0)
             part += needs <= spent
-        steps, clock = steps + 1, (steps + 1) * TIME_STEP_S - left
+        steps, clock = steps + 1, (steps + 1) * step_s - left
     return {"duration": clock, "lost": lost, "activity": activity_s, "looks": looks, "spliced": spliced}
 
 
@@ -84,9 +88,11 @@ def asked(logged: Dataset) -> tuple[list[Program], OperatorTracks]:
     )
 
 
+@pytest.mark.parametrize("step_s", [TIME_STEP_S, FOLLOWED_STEP_S])  # the middle of a step: a sample, between two
 def test_many_rows_at_once_are_each_walked_as_one_would_by_hand(
-    logged: Dataset, asked: tuple[list[Program], OperatorTracks]
+    logged: Dataset, asked: tuple[list[Program], OperatorTracks], step_s: float, monkeypatch: pytest.MonkeyPatch
 ):
+    monkeypatch.setattr(walking, "TIME_STEP_S", step_s)
     programs, tracks = asked
     support = logged_support(logged)
     stands = [draw_stands(program, TRACKS, 3) for program in programs]
@@ -101,11 +107,12 @@ def test_many_rows_at_once_are_each_walked_as_one_would_by_hand(
 
     for row in range(2 * TRACKS):
         program, k = programs[which[row]], track[row]
-        wanted = by_hand(Smooth(), program, tracks, k, stands[which[row]][k])
+        wanted = by_hand(Smooth(), program, tracks, k, stands[which[row]][k], step_s)
         assert found.duration_s[row] == pytest.approx(wanted["duration"], abs=1e-9)
         np.testing.assert_allclose(found.safety_s[row, : len(program.tasks)], wanted["lost"], atol=1e-9)
         np.testing.assert_allclose(found.activity_s[row], wanted["activity"], atol=1e-9)
-        assert found.spliced[row] == wanted["spliced"] > 0
+        assert found.spliced[row] == pytest.approx(wanted["spliced"])
+        assert wanted["spliced"] > 0
         assert found.looked[row] == len(wanted["looks"])
         assert found.known[row] == sum(near(r, h) for r, h in wanted["looks"])
     assert 0 < found.known.sum() < found.looked.sum()

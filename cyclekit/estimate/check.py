@@ -291,5 +291,6 @@ def beside_own(
     stands = {str(name): (rows["dwell_s"] + rows["wait_s"]).to_numpy() for (name,), rows in by_execution}
     own = [np.maximum(stands[sequence.name][: len(sequence.tasks)], 1e-3)[None, :] for sequence in sequences]
     track = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
-    walked = walk(model, programs, np.arange(len(programs)), track, own, tracks, dynamics=Dynamics.of(dataset.card))
+    dynamics = Dynamics.of(dataset.card)
+    walked = walk(model, programs, np.arange(len(programs)), track, own, tracks, dynamics=dynamics, fine=True)
     return walked.duration_s

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     Vector = NDArray[np.float64]
     Whole = NDArray[np.int64]
 
-TIME_STEP_S, FOLLOWED_STEP_S = 0.2, 0.1
-"""Step of the walk, and where s follows the safety function late, in ramps or with hysteresis; positions are taken at
-its middle."""
+TIME_STEP_S, FINE_STEP_S = 0.2, 0.1
+"""Step of the walk, and of one in which s follows the safety function late, in ramps or with hysteresis, or in which
+single cycles count more than their mean; positions are taken at its middle."""
 SUPPORT_EVERY_S = 0.4
 """Support is looked up this often."""
 ROWS = 4096
@@ -117,6 +117,8 @@ def walk(
     tracks: OperatorTracks,
     support: Support | None = None,
     dynamics: Dynamics = AT_ONCE,
+    *,
+    fine: bool = False,
 ) -> Walked:
     """Walk N rows to their ends.
 
@@ -129,8 +131,9 @@ def walk(
         tracks: The operators.
         support: Where logged positions lie; None leaves `known` and `looked` empty.
         dynamics: How s follows the safety function.
+        fine: Walk in steps of FINE_STEP_S in any case.
     """
-    step_s = TIME_STEP_S if dynamics.none else FOLLOWED_STEP_S
+    step_s = TIME_STEP_S if dynamics.none and not fine else FINE_STEP_S
     lines, people = _Lines(programs, which, stands_s, step_s), _People(tracks)
     count, samples, kinds = len(which), tracks.activity.shape[1], len(tracks.activities) + 1
     duration, activity_s = np.full(count, np.inf), np.zeros(count * kinds)

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.errors import UnknownName
+from cyclekit.estimate import walk as walking
 from cyclekit.estimate.check import Check, check_rollout, compare, conformal
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
@@ -134,6 +135,14 @@ def test_logged_executions_come_out_right_beside_their_own_operators(logged: Dat
     assert found.coverage > 0.6
     assert found.doubts == ()
     assert found.to_json()["levels"] == [0.05, 0.95]
+
+
+def test_the_check_of_single_executions_takes_small_steps_whatever_an_estimate_takes(
+    logged: Dataset, staircase: Any, monkeypatch: pytest.MonkeyPatch
+):
+    found = check_rollout(staircase, logged, most=4)
+    monkeypatch.setattr(walking, "TIME_STEP_S", 2.0)
+    assert check_rollout(staircase, logged, most=4) == found
 
 
 def test_fewer_executions_than_were_logged_judge_the_rollout_alike(logged: Dataset, staircase: Any):

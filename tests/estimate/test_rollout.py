@@ -18,7 +18,7 @@ from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.rollout import estimate, lay_out, roll_out
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import operator_tracks
-from cyclekit.estimate.walk import FOLLOWED_STEP_S, TIME_STEP_S
+from cyclekit.estimate.walk import FINE_STEP_S, TIME_STEP_S
 from cyclekit.sequences import TaskSequence
 from cyclekit_sim import random_sequence, simulate_sequence
 
@@ -40,7 +40,7 @@ def some_route(routes: Sequence[tuple[str, ...]], length: int) -> TaskSequence:
     return TaskSequence("some", (*head, *last))
 
 
-@pytest.mark.parametrize(("step_s", "within_s"), [(FOLLOWED_STEP_S, 0.1), (TIME_STEP_S, 0.2)])
+@pytest.mark.parametrize(("step_s", "within_s"), [(FINE_STEP_S, 0.1), (TIME_STEP_S, 0.2)])
 def test_rolled_along_its_own_track_an_execution_takes_as_long_as_it_did(
     logged: Dataset, staircase: Any, step_s: float, within_s: float, monkeypatch: pytest.MonkeyPatch
 ):

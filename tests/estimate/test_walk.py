@@ -14,7 +14,7 @@ from cyclekit.estimate.safety import Dynamics, scaling_of
 from cyclekit.estimate.spread import logged_support
 from cyclekit.estimate.support import HUMAN_M, ROBOT_M
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
-from cyclekit.estimate.walk import FOLLOWED_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S, Walked, roll_out, walk
+from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S, Walked, roll_out, walk
 from cyclekit.sequences import TaskSequence
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def asked(logged: Dataset) -> tuple[list[Program], OperatorTracks]:
     )
 
 
-@pytest.mark.parametrize("step_s", [TIME_STEP_S, FOLLOWED_STEP_S])  # the middle of a step: a sample, between two
+@pytest.mark.parametrize("step_s", [TIME_STEP_S, FINE_STEP_S])  # the middle of a step: a sample, between two
 def test_many_rows_at_once_are_each_walked_as_one_would_by_hand(
     logged: Dataset, asked: tuple[list[Program], OperatorTracks], step_s: float, monkeypatch: pytest.MonkeyPatch
 ):

@@ -131,6 +131,17 @@ def test_of_azure_kinect_markers_the_pelvis_counts_and_the_hundreds_are_the_pers
     assert log.facts["frames"].endswith("depth_camera_link")
 
 
+def of_nobody(kind, text, field, *, header=True):
+    """How a tracker with a message of its own says that nobody is there."""
+
+    def say(writer, t_s):
+        define(writer, kind, text)
+        stamped = {"header": writer.header(t_s)} if header else {}
+        writer.say("/people", kind, t_s, **stamped, **{field: []})
+
+    return say
+
+
 def test_a_tracker_that_saw_nobody_all_day_gives_an_empty_table(tmp_path, bag):
     writer = bag(tmp_path / "run", "mcap")
     Markers(writer).say(T0, {})
@@ -147,8 +158,12 @@ def test_a_tracker_that_saw_nobody_all_day_gives_an_empty_table(tmp_path, bag):
     [
         lambda writer, t_s: writer.poses(t_s, []),
         lambda writer, t_s: Markers(writer).say(t_s, {}),
+        of_nobody("spencer_tracking_msgs/msg/TrackedPersons", TRACKED_PERSONS, "tracks"),
+        of_nobody("people_msgs/msg/People", PEOPLE, "people"),
+        of_nobody("people_msgs/msg/PositionMeasurementArray", MEASUREMENTS, "people", header=False),
+        of_nobody("zed_msgs/msg/ObjectsStamped", OBJECTS.replace("PACKAGE", "zed_msgs"), "objects"),
     ],
-    ids=["PoseArray", "MarkerArray"],
+    ids=["PoseArray", "MarkerArray", "TrackedPersons", "People", "PositionMeasurementArray", "ObjectsStamped"],
 )
 def test_a_log_of_people_in_which_nobody_ever_is_says_so_of_the_whole_time(tmp_path, bag, kind, say):
     logs = tmp_path / "logs"

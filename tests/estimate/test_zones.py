@@ -13,7 +13,7 @@ import pytest
 from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError
 from cyclekit.zones import read_zones, zones_svg
-from cyclekit.zones.fit import Rows, by_distance, by_place, hysteresis, thresholds
+from cyclekit.zones.fit import Rows, by_distance, by_place, crossings, hysteresis, thresholds
 
 from .conftest import LEVELS, THRESHOLDS_M
 
@@ -42,6 +42,54 @@ def test_thresholds_are_found_with_and_without_noise(noise_m: float, within_m: f
     assert [entry.metres for entry in found] == pytest.approx(THRESHOLDS_M, abs=within_m)
     assert all(entry.low <= entry.metres <= entry.high for entry in found)
     assert [(entry.slower, entry.faster) for entry in found] == list(pairwise(LEVELS))
+
+
+def passing(noise_m: float, late_s: float = 0.0) -> Rows:
+    """Somebody who comes and goes along a line and is near for most of the time; s has a threshold at 1.2 m."""
+    t_s = np.arange(0.0, 3000.0, 0.1)
+
+    def apart_m(t_s: np.ndarray) -> np.ndarray:
+        return 1.13 + ((1 - np.cos(t_s)) / 2) ** (2 + np.sin(t_s))  # leaves faster than he comes
+
+    rng = np.random.default_rng(0)
+    human = np.column_stack([apart_m(t_s), 0 * t_s, 0 * t_s]) + rng.normal(0, noise_m, (len(t_s), 3))
+    scaling = np.where(apart_m(t_s - late_s) < 1.2, 0.0, 1.0)
+    return Rows(np.zeros((len(t_s), 3)), human, scaling, np.arange(len(t_s)) // 1000, t_s)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.08])
+def test_noise_moves_the_staircase_of_least_error_and_not_the_crossings(late_s: float):
+    made = passing(0.04, late_s)
+    (fitted,), _ = by_distance(made, (0.0, 1.0), NAME)
+    assert abs(fitted - 1.2) > 0.015
+    (found,) = thresholds(made, (0.0, 1.0), NAME)
+    assert found.metres == pytest.approx(1.2, abs=0.006)
+    assert found.low <= 1.2 <= found.high
+    assert found.high - found.low < 0.02
+
+
+def test_without_noise_the_staircase_of_least_error_stays():
+    (fitted,), _ = by_distance(passing(0.0), (0.0, 1.0), NAME)
+    (found,) = thresholds(passing(0.0), (0.0, 1.0), NAME)
+    assert found.metres == fitted == pytest.approx(1.2, abs=0.002)
+    assert found.high - found.low < 0.003
+
+
+def test_crossings_are_taken_within_one_execution_where_no_sample_is_missing():
+    made = passing(0.0)
+    every = crossings(made, (0.0, 1.0), NAME)
+    assert len(every.metres) > 900
+    at = np.flatnonzero(np.diff(made.scaling) != 0)
+    assert len(crossings(made.of(np.delete(np.arange(30_000), at)), (0.0, 1.0), NAME).metres) == 0
+    alone = Rows(made.robot_m, made.human_m, made.scaling, np.arange(30_000), made.t_s)
+    assert len(crossings(alone, (0.0, 1.0), NAME).metres) == 0
+
+
+def test_too_few_crossings_say_nothing():
+    few = passing(0.04).of(np.arange(1200))
+    assert 0 < len(crossings(few, (0.0, 1.0), NAME).metres) < 60
+    (found,) = thresholds(few, (0.0, 1.0), NAME)
+    assert found.metres == by_distance(few, (0.0, 1.0), NAME)[0][0]
 
 
 def test_zones_on_the_floor_are_explained_by_the_floor_and_not_by_a_distance():

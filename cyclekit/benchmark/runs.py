@@ -17,7 +17,7 @@ from cyclekit.benchmark.plan import FLOORS, SCENES, Entry, entries
 from cyclekit.benchmark.rivals import predict_by
 from cyclekit.dataset import Dataset
 from cyclekit.engine import LOCAL, Engine
-from cyclekit.errors import DatasetError
+from cyclekit.errors import ConfigError, DatasetError
 from cyclekit.models.calibration import reliability
 from cyclekit.models.spec import ModelSpec
 from cyclekit.samples import Samples, build_samples
@@ -82,8 +82,10 @@ class NoisyDataset(Dataset):
 
 def benchmark_paper(
     settings: Settings, out: Path, prepare: Prepare, progress: Progress, engine: Engine = LOCAL
-) -> list[dict[str, Any]]:
-    """Run what is missing and return every result.
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Run what is missing; return every result, and what was refused and why.
+
+    A training that fails keeps nothing else from being done, and is tried again the next time.
 
     Args:
         settings: What to run.
@@ -111,11 +113,16 @@ def benchmark_paper(
         made.get()
         done += 1
         progress(done / steps, "{}, seed {}: dataset".format(*made.item))
+    refused = []
     for judged in engine.map(partial(_judge, settings, out), missing):
-        judged.get()
+        which = f"{judged.item.scene}, seed {judged.item.seed}: {judged.item.entry.key}"
+        try:
+            judged.get()
+        except ConfigError as error:
+            refused.append(f"{which}: {error.seen}")
         done += 1
-        progress(done / steps, f"{judged.item.scene}, seed {judged.item.seed}: {judged.item.entry.key}")
-    return [json.loads(file.read_text(encoding="utf-8")) for file in files]
+        progress(done / steps, which)
+    return [json.loads(file.read_text(encoding="utf-8")) for file in files if file.is_file()], refused
 
 
 @dataclass(frozen=True)

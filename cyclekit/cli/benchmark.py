@@ -42,18 +42,22 @@ def benchmark(
     from cyclekit.atomic import write_text
     from cyclekit.benchmark import Settings, benchmark_paper
     from cyclekit.benchmark.tables import markdown, put_into, write_figures
+    from cyclekit.errors import ConfigError
 
     del what
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     settings = Settings(executions, whole_numbers(seeds), _names(scenes), steps, only, done)
     with terminal.progress("benchmark") as progress:
-        results = benchmark_paper(settings, out, partial(_prepared, executions), progress, work)
+        results, refused = benchmark_paper(settings, out, partial(_prepared, executions), progress, work)
         text = markdown(results)
         write_text(out / "tables.md", text)
         write_figures(results, out / "figures")
         if page is not None:
             put_into(page, text)
-    terminal.answer({"out": str(out), "results": results}, text)
+    terminal.answer({"out": str(out), "results": results, "refused": refused}, text)
+    if refused:
+        some = "; ".join(refused[:3]) + (f"; and {len(refused) - 3} more" if len(refused) > 3 else "")
+        raise ConfigError(f"not all could be trained: {some}", cure="The same command tries them again.")
 
 
 def _prepared(executions: int, scene: str, seed: int, folder: Path) -> None:

@@ -99,7 +99,7 @@ def fit(
 
     Raises:
         ConfigError: Training diverged.
-        CutOff: All outputs were cut off at some time. Where the optimiser was left to the rows, AdamW is tried first:
+        CutOff: All outputs were cut off at the end. Where the optimiser was left to the rows, AdamW is tried first:
             beside Muon the other weights take larger steps, and one of those may throw a whole network.
     """
     standard = standardisation(rows.X)
@@ -185,9 +185,6 @@ def _run(
             total += loss.detach()
         mse = _validation_mse(network, check, levels if spec.network == "classifier" else None)
         history.append(Epoch(number, float(total) / batches, mse))
-        if mse > spread and spec.network != "classifier" and (value := _cut_off(network, check)) is not None:
-            msg = f"training failed in epoch {number}: the network answers {value:g} whatever it is asked"
-            raise CutOff(msg, cure="Choose another --seed, --optimiser adamw or --norm none.")
         since += 1
         if mse < best:
             best, best_state, since = mse, copy.deepcopy(network.state_dict()), 0
@@ -195,6 +192,9 @@ def _run(
             progress(number / epochs, f"epoch {number} of {epochs}, validation MSE {mse:.2e}")
         if spec.patience is not None and since >= spec.patience:
             break
+    if mse > spread and spec.network != "classifier" and (value := _cut_off(network, check)) is not None:
+        msg = f"training failed: after {number} epochs the network answers {value:g} whatever it is asked"
+        raise CutOff(msg, cure="Choose another --seed, --optimiser adamw or --norm none.")
     if not math.isfinite(best):
         msg = f"training diverged: the validation error is {mse} after {epochs} epochs"
         raise ConfigError(msg, cure="Choose a lower learning rate.")

@@ -5,7 +5,7 @@
            lstm-2         one LSTM layer over the operator's history forecasts where he will be; the feed-forward layers
                           see that in place of where he is
     head   classifier     P logits
-           regressor      one value, Hardtanh into [0, 1]
+           regressor      one value, Hardtanh into [0, 1] (`Bounded`)
            mixed          softmax over P, then one linear value
 
 Inputs are standardised. For each group of inputs that may be unknown (`samples.GROUPS`) there is one more, which says
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from cyclekit.models.spec import ModelSpec
 
 _HUMAN = GROUPS["human"]
+_LEAK = 0.01
 
 
 def build(
@@ -119,6 +120,23 @@ class Forecasting(nn.Module):
         return out
 
 
+class Bounded(nn.Hardtanh):
+    """Hardtanh into [0, 1] that lets a network back in: in training a hundredth of what lies beyond comes through.
+
+    Outside of its bounds a Hardtanh has no slope. The networks of the paper, with batch normalisation, can be thrown
+    there with every row at once, and would stay for good.
+    """
+
+    def __init__(self) -> None:
+        """Take no setting."""
+        super().__init__(0.0, 1.0)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return values (B, 1) in [0, 1], in training about so."""
+        inside = super().forward(x)
+        return inside + _LEAK * (x - inside) if self.training else inside
+
+
 def feed_forward(widths: Sequence[int], norm: str) -> list[nn.Module]:
     """Return the hidden layers between these widths, the first of which is that of the input."""
     layers: list[nn.Module] = []
@@ -141,5 +159,5 @@ def _head(spec: ModelSpec, levels: Sequence[float]) -> list[nn.Module]:
             out.bias.zero_()
         return [nn.Linear(width, count), nn.Softmax(dim=1), out]
     out = nn.Linear(width, 1)
-    nn.init.constant_(out.bias, 0.5)  # Hardtanh passes no gradient outside [0, 1], so start inside
-    return [out, nn.Hardtanh(0.0, 1.0)]
+    nn.init.constant_(out.bias, 0.5)  # start inside of [0, 1], where the slope is
+    return [out, Bounded()]

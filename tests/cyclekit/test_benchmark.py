@@ -106,8 +106,33 @@ def test_a_result_that_is_missing_is_made_again_and_equal(out, table):
     old = json.loads(file.read_text())
     file.unlink()
     settings = Settings(10, (1,), ("box-picking",), 10, "now_0s_0.02m_classifier_norm")
-    (new,) = benchmark_paper(settings, out, lambda _scene, _seed, folder: folder / "dataset", lambda _a, _b: None)
+    (new,), refused = benchmark_paper(
+        settings, out, lambda _scene, _seed, folder: folder / "dataset", lambda _a, _b: None
+    )
     assert new["mse"] == old["mse"]
+    assert refused == []
+
+
+def test_a_training_that_fails_is_named_and_keeps_nothing_else_from_being_done(out, table, monkeypatch, capsys):
+    wanted = [e for e in entries() if e.key in ("now_0s_0.02m_classifier_norm-none", "ahead_2s_0m_persistence")]
+    network, rival = (out / "results" / f"box-picking_10_1_10_{entry.key}.json" for entry in wanted)
+    kept = {file: file.read_bytes() for file in (network, rival)}
+    network.unlink()
+    rival.unlink()
+
+    def fails(*_: object) -> None:
+        raise ConfigError("it diverged", cure="Choose another --seed.")
+
+    monkeypatch.setattr("cyclekit.benchmark.runs.train", fails)
+    monkeypatch.setattr("cyclekit.benchmark.runs.entries", lambda: wanted)
+    assert run([*COMMAND, "--out", str(out), "--quiet"]) != 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "box-picking, seed 1: now_0s_0.02m_classifier_norm-none: it diverged" in said
+    assert rival.is_file()
+    assert not network.exists()
+    assert "| persistence |" in (out / "tables.md").read_text()
+    for file, content in kept.items():
+        file.write_bytes(content)
 
 
 def test_the_table_takes_its_place_in_a_page_and_nothing_else(tmp_path):

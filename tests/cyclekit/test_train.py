@@ -16,6 +16,7 @@ from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, MissingExtra
 from cyclekit.models import fitting
 from cyclekit.models.fitting import CutOff
+from cyclekit.models.network import Bounded
 from cyclekit.models.saved import load_model, save_model
 from cyclekit.models.spec import ModelSpec
 from cyclekit.samples import build_samples
@@ -334,3 +335,30 @@ def test_where_muon_was_asked_for_such_a_network_is_refused(cell, thrown):
     with pytest.raises(CutOff, match=r"answers 1 whatever it is asked[\s\S]*--optimiser adamw"):
         train(cell, ModelSpec.of(network="regressor", epochs=2, batch=256, optimiser="muon"))
     assert thrown == ["muon"]
+
+
+def test_a_network_thrown_out_of_its_range_once_comes_back(cell, monkeypatch):
+    class ThrowingOnce(fitting.Steps):
+        def __init__(self, network: torch.nn.Module, spec: ModelSpec, decay: float, total: int) -> None:
+            super().__init__(network, spec, decay, total)
+            self._bias = [module for module in network.modules() if isinstance(module, torch.nn.Linear)][-1].bias
+            self._taken = 0
+
+        def take(self, loss: torch.Tensor) -> None:
+            super().take(loss)
+            self._taken += 1
+            if self._taken == 20:
+                self._bias.data += 1.0 - self._bias.data + 0.5
+
+    monkeypatch.setattr(fitting, "Steps", ThrowingOnce)
+    model = train(cell, ModelSpec.of(network="regressor", epochs=30, batch=256, norm="none"))
+    assert model.card["metrics"]["mse_mean"] < 0.03
+
+
+@pytest.mark.parametrize(("value", "given", "slope"), [(0.4, 0.4, 1.0), (3.0, 1.02, 0.01), (-2.0, -0.02, 0.01)])
+def test_what_lies_beyond_the_bounds_comes_through_a_little_in_training_and_never_after(value, given, slope):
+    bounded, x = Bounded(), torch.tensor([[value]], requires_grad=True)
+    bounded(x).sum().backward()
+    assert bounded(x).item() == pytest.approx(given)
+    assert x.grad.item() == pytest.approx(slope)
+    assert bounded.eval()(x).item() == pytest.approx(min(max(value, 0.0), 1.0))

@@ -6,7 +6,8 @@ The log has 500 rows a second and 71 columns, full-precision doubles, space-deli
 Each way runs in a process of its own, in turn (A B C, A B C), with the bytecode that an installed package has, and the
 first round does not count: polars reading the file; the bare pipeline (scan, means
 of 0.1 s, Parquet) of ten columns and of the 22 that `cyclekit convert` knows, each beside `convert` of the same;
-`cyclekit ingest` without and with checksums.
+`cyclekit ingest` without and with checksums. Each once as it is, from the start of the process to its end, and once
+with what it imports imported before the clock starts: the work alone.
 """
 
 from __future__ import annotations
@@ -24,17 +25,31 @@ import numpy as np
 import polars as pl
 
 HZ, BLOCK = 500, 50_000
-READ = "import polars as pl; pl.read_csv({log!r}, separator=' ')"
+READ = "pl.read_csv({log!r}, separator=' ')"
 TEN = ["timestamp", *(f"actual_TCP_{kind}_{i}" for kind in ("pose", "speed") for i in range(3))]
 TEN += ["speed_scaling", "target_speed_fraction", "runtime_state"]
 KNOWN = [*TEN, *(f"actual_{kind}_{i}" for kind in ("q", "qd") for i in range(6))]
 SAMPLED = "tcp_x_m,tcp_y_m,tcp_z_m,tcp_speed_m_s,scaling,slider,state"
 """What is made of those ten: all that a sample needs to know of the robot."""
 BARE = """
-import polars as pl
 names = {names!r}
 log = pl.scan_csv({log!r}, separator=' ').select(names)
 log.group_by((pl.col('timestamp') * 10).floor().alias('bin')).mean().sink_parquet({out!r}, compression='zstd')
+"""
+POLARS_IMPORTS = "import polars as pl"
+CYCLEKIT_IMPORTS = """
+import sys, numpy.ma, pyarrow.parquet, typer._adapters
+from cyclekit.cli import app, run
+import cyclekit.convert, cyclekit.ingest, cyclekit.tables
+from cyclekit.registry import adapters
+adapters(), app()
+"""
+"""All that the commands import on their way, which is what a program that calls them a second time has there."""
+TIMED = """
+import time
+began, used = time.perf_counter(), time.process_time()
+{work}
+print(time.perf_counter() - began, time.process_time() - used)
 """
 
 
@@ -59,15 +74,42 @@ def write(file: Path, rows: int) -> None:
             table.write_csv(log, include_header=begin == 0, separator=" ")
 
 
-def run(words: list[str], bytecode: Path) -> tuple[float, float, float]:
-    """Return wall seconds, processor seconds (children included) and peak MiB of a process."""
+def run(words: list[str], bytecode: Path) -> tuple[tuple[float, float, float], str]:
+    """Return wall seconds, processor seconds (children included) and peak MiB of a process, and what it printed."""
     around = {**os.environ, "PYTHONPYCACHEPREFIX": str(bytecode), "PYTHONDONTWRITEBYTECODE": ""}
     began = time.perf_counter()
-    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, env=around)
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, env=around, text=True)
+    said = process.stdout.read() if process.stdout else ""
     _, status, used = os.wait4(process.pid, 0)
     if status:
         raise SystemExit(f"failed: {words}")
-    return time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+    return (time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024), said
+
+
+def ways_of(log: str, out: str) -> dict[str, tuple[list[str], str]]:
+    """Return by name the words of each way from start to end, and the program that times its work alone."""
+    thin = ["convert", log, "--rate", "10", "--quiet", "--out"]
+    into = ["ingest", log, "--quiet", "--out"]
+    return {
+        "polars reads the whole file": by_polars(READ.format(log=log)),
+        "bare polars pipeline, 10 Hz, ten columns": by_polars(BARE.format(names=TEN, log=log, out=out + "1")),
+        "`cyclekit convert`, 10 Hz, the same ten": by_cyclekit([*thin, out + "2.parquet", "--columns", SAMPLED]),
+        "bare polars pipeline, 10 Hz, 22 columns": by_polars(BARE.format(names=KNOWN, log=log, out=out + "3")),
+        "`cyclekit convert`, 10 Hz, every column it knows": by_cyclekit([*thin, out + "4.parquet"]),
+        "`cyclekit ingest`, no checksums": by_cyclekit([*into, out + "5", "--no-checksums"]),
+        "`cyclekit ingest`": by_cyclekit([*into, out + "6"]),
+    }
+
+
+def by_polars(work: str) -> tuple[list[str], str]:
+    """Return both ways to have some lines of polars run."""
+    return [sys.executable, "-c", f"{POLARS_IMPORTS}\n{work}"], POLARS_IMPORTS + TIMED.format(work=work)
+
+
+def by_cyclekit(words: list[str]) -> tuple[list[str], str]:
+    """Return both ways to have a command run."""
+    work = f"run({words!r}) and sys.exit('failed')"
+    return [sys.executable, "-m", "cyclekit", *words], CYCLEKIT_IMPORTS + TIMED.format(work=work)
 
 
 def main() -> None:
@@ -79,32 +121,31 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         log, out = str(Path(scratch) / "robot.csv"), str(Path(scratch) / "out")
         write(Path(log), given.rows)
-        python, cyclekit = [sys.executable, "-c"], [sys.executable, "-m", "cyclekit"]
-        thin = [*cyclekit, "convert", log, "--rate", "10", "--quiet", "--out"]
-        into = [*cyclekit, "ingest", log, "--quiet", "--out"]
-        ways = {
-            "polars reads the whole file": [*python, READ.format(log=log)],
-            "bare polars pipeline, 10 Hz, ten columns": [*python, BARE.format(names=TEN, log=log, out=out + "1")],
-            "`cyclekit convert`, 10 Hz, the same ten": [*thin, out + "2.parquet", "--columns", SAMPLED],
-            "bare polars pipeline, 10 Hz, 22 columns": [*python, BARE.format(names=KNOWN, log=log, out=out + "3")],
-            "`cyclekit convert`, 10 Hz, every column it knows": [*thin, out + "4.parquet"],
-            "`cyclekit ingest`, no checksums": [*into, out + "5", "--no-checksums"],
-            "`cyclekit ingest`": [*into, out + "6"],
-        }
-        found: dict[str, list[tuple[float, float, float]]] = {name: [] for name in ways}
+        ways = ways_of(log, out)
+        found: dict[str, list[tuple[float, ...]]] = {name: [] for name in ways}
         for turn in range(given.repeats + 1):
-            for name, words in ways.items():
-                seen = run(words, Path(scratch) / "bytecode")
-                found[name] += [seen] if turn else []
-                for dataset in (out + "5", out + "6"):  # what is up to date would not be read again
-                    shutil.rmtree(dataset, ignore_errors=True)
+            for name, (words, timed) in ways.items():
+                whole, _ = run(words, Path(scratch) / "bytecode")
+                clear(out)
+                _, said = run([sys.executable, "-c", timed], Path(scratch) / "bytecode")
+                clear(out)
+                found[name] += [(*whole, *map(float, said.split()[-2:]))] if turn else []
         load = f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "unknown"
         about = f"{given.rows} rows, median of {given.repeats}, load at the end {load}"
         print(f"{Path(log).stat().st_size / 1e9:.2f} GB, {about}\n")
-        print("| way | s | least s | cpu s | peak MiB |\n|---|---|---|---|---|")
+        print("| way | s | least s | cpu s | peak MiB | work alone, s | least s | cpu s |")
+        print("|---|---|---|---|---|---|---|---|")
         for name, each in found.items():
-            seconds, cpu, peak = np.median(np.array(each), axis=0)
-            print(f"| {name} | {seconds:.2f} | {min(each)[0]:.2f} | {cpu:.2f} | {peak:.0f} |")
+            seconds, cpu, peak, alone, alone_cpu = np.median(np.array(each), axis=0)
+            least, least_alone = min(one[0] for one in each), min(one[3] for one in each)
+            work = f"{alone:.2f} | {least_alone:.2f} | {alone_cpu:.2f}"
+            print(f"| {name} | {seconds:.2f} | {least:.2f} | {cpu:.2f} | {peak:.0f} | {work} |")
+
+
+def clear(out: str) -> None:
+    """Remove what was written: a dataset that is up to date would not be made again."""
+    for dataset in (out + "5", out + "6"):
+        shutil.rmtree(dataset, ignore_errors=True)
 
 
 if __name__ == "__main__":

@@ -219,7 +219,9 @@ def _tracks(entry: dict[str, Any], read: Read, source: Source | None) -> list[Tr
     tracks: list[Track] = []
     disbelieved = 0
     for rows in _rows_of_each(numbers):
-        parts, dropped = without_jumps(Track(names[numbers[rows[0]]], t[rows], xyz[rows]))
+        alone = len(rows) == len(t)  # of many hours a copy is much
+        own = (t, xyz) if alone else (t[rows], xyz[rows])
+        parts, dropped = without_jumps(Track(names[numbers[rows[0]]], *own))
         tracks += parts
         disbelieved += dropped
     if disbelieved:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -180,11 +181,12 @@ def without_jumps(track: Track) -> tuple[list[Track], int]:
     rows = seen
     while len(rows) > 1 and (stray := _strays(track, rows)).any():
         rows = rows[~stray]
-    dropped = np.setdiff1d(seen, rows)
-    xyz = track.xyz_m.copy()
-    xyz[dropped] = np.nan
-    starts = rows[_jumps(track, rows)] if len(rows) > 1 else rows[:0]
-    parts = np.split(np.arange(len(xyz)), starts)
+    xyz, dropped = track.xyz_m, np.setdiff1d(seen, rows)
+    if len(dropped):
+        xyz = xyz.copy()
+        xyz[dropped] = np.nan
+    starts = rows[_jumps(track, rows)].tolist() if len(rows) > 1 else []
+    parts = [slice(begin, end) for begin, end in pairwise([0, *starts, len(xyz)])]  # views: of many hours there is much
     return [Track(track.person, track.t_s[part], xyz[part]) for part in parts], len(dropped)
 
 

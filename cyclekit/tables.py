@@ -257,6 +257,7 @@ def keeping(most_bytes: int) -> Iterator[None]:
 def forget() -> None:
     """Give back the memory of what was read last: for one who has other use for it now."""
     _decoded.clear()
+    pa.default_memory_pool().release_unused()  # else Arrow keeps it for the next table
 
 
 @lru_cache(maxsize=16)  # whoever opens a table opens it several times, for other columns

@@ -1,8 +1,8 @@
 """A text log as consecutive parts, for adapters whose logs may be larger than memory.
 
-Each block of rows becomes a part as soon as it is read. What is known only at the end (how often a clock stepped back)
-goes into the last one, and a log of which no row was usable is refused then. What the columns mean is the adapter's
-business.
+A few blocks of rows become a part as soon as they are read. What is known only at the end (how often a clock stepped
+back) goes into the last one, and a log of which no row was usable is refused then. What the columns mean is the
+adapter's business.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.errors import DamagedLog
-from cyclekit_adapters.delimited import nothing_usable
+from cyclekit_adapters import text_blocks
+from cyclekit_adapters.delimited import joined, nothing_usable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 MANY, HARDLY_ANY = 1_000_000, 0.01
 """A log of which less than this share of so many rows can be used is something else, however long one goes on."""
+_PARTS_IN_A_BLOCK = 4
 
 
 def in_parts(
@@ -37,7 +39,7 @@ def in_parts(
     Args:
         path: The log, for the message.
         blocks: Its rows.
-        make: Turns a block into a part; called in order.
+        make: Turns some blocks, put together, into a part; called in order.
         finish: Adds to the last part what is known now.
 
     Raises:
@@ -46,7 +48,7 @@ def in_parts(
     last: Recording | None = None
     rows_read, usable, unknown = 0, 0, 0
     aside: pl.DataFrame | None = None
-    for rows in blocks:
+    for rows in _together(blocks):
         part = make(rows)
         refused = rows.set_aside if part.set_aside is None else part.set_aside  # `make` may set rows aside, too
         rows_read += rows.rows_read
@@ -66,6 +68,23 @@ def in_parts(
         said = f"{unknown} values are written as NaN or infinity: unknown there"
         done = replace(done, warnings=(*done.warnings, said))
     yield done
+
+
+def _together(blocks: Iterable[Rows]) -> Iterator[Rows]:
+    """Put consecutive blocks together until their tables are a quarter as large as a block of text.
+
+    To check a part of few rows takes about as long as one of many, and few columns make small tables of large blocks.
+    """
+    waiting: list[Rows] = []
+    size = 0.0
+    for rows in blocks:
+        waiting.append(rows)
+        size += rows.frame.estimated_size() + rows.set_aside.estimated_size()
+        if size * _PARTS_IN_A_BLOCK >= text_blocks.BLOCK_BYTES:
+            yield joined(waiting)
+            waiting, size = [], 0.0
+    if waiting:
+        yield joined(waiting)
 
 
 def _hardly_any(path: Path, rows_read: int, usable: int, aside: pl.DataFrame) -> DamagedLog:

@@ -12,6 +12,7 @@ here can be done from Python in one line, the call in the middle of each command
 
 from __future__ import annotations
 
+import gc
 import sys
 from io import TextIOWrapper
 from typing import TYPE_CHECKING
@@ -35,11 +36,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: Words after `cyclekit`; None takes them from the process.
     """
+    gc.disable()  # nothing that is imported is garbage; it is looked for as soon as a command works (`Terminal`)
     words = list(sys.argv[1:] if arguments is None else arguments)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # a place called Kühlregal must not end in a traceback on an old terminal
             stream.reconfigure(errors="backslashreplace")
-    sys.exit(run(words))
+    code = run(words)
+    gc.freeze()  # nor need it be looked for at the end: with all that was imported that takes a tenth of a second
+    sys.exit(code)
 
 
 def run(words: list[str]) -> int:

@@ -1,14 +1,16 @@
-"""A log of which hardly any row can be used is refused before all of it was gone through."""
+"""Blocks of rows become parts of a log; one of which hardly any row can be used is refused before its end."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import polars as pl
 import pytest
 
-from cyclekit.adapter import ReadOptions
+from cyclekit.adapter import ReadOptions, Recording
 from cyclekit.errors import DamagedLog
 from cyclekit_adapters import in_parts, text_blocks
+from cyclekit_adapters.text_rows import INDEX, SET_ASIDE, Rows
 from cyclekit_adapters.ur_rtde import ADAPTER
 
 if TYPE_CHECKING:
@@ -42,3 +44,20 @@ def test_a_log_with_some_sound_rows_is_read_to_its_end(tmp_path: Path, ur: Any):
     assert read.robot is not None
     assert read.set_aside is not None
     assert (read.robot.height, read.set_aside.height, read.rows_read) == (199, 5001, 5200)
+
+
+@pytest.mark.usefixtures("small_blocks")
+def test_small_tables_are_put_together_until_they_are_a_quarter_of_a_block_of_text(tmp_path: Path):
+    columns = {"source_row": pl.Int64(), INDEX: pl.Int64(), "t_s": pl.Float64()}  # 24 bytes a row
+    aside = pl.DataFrame([(7, "torn")], schema=SET_ASIDE, orient="row")
+    tables = [pl.DataFrame([[10 * n + i] * 3 for i in range(10)], schema=columns, orient="row") for n in range(12)]
+    blocks = [Rows(table, 11, aside, 2) for table in tables]
+
+    def make(rows: Rows) -> Recording:
+        return Recording(robot=rows.frame, rows_read=rows.rows_read, set_aside=rows.set_aside)
+
+    parts = list(in_parts.in_parts(tmp_path / "log.csv", blocks, make, lambda last: last))
+    assert [part.rows_read for part in parts] == [55, 55, 22]  # four blocks are 960 bytes, and a little
+    assert [part.set_aside.height for part in parts if part.set_aside is not None] == [5, 5, 2]
+    assert pl.concat([part.robot for part in parts if part.robot is not None]).equals(pl.concat(tables))
+    assert parts[-1].warnings == ("24 values are written as NaN or infinity: unknown there",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import signal
@@ -12,6 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+
+from cyclekit.cli import main
+from cyclekit.cli.terminal import Terminal
 
 if TYPE_CHECKING:
     from .conftest import Shell
@@ -104,6 +108,27 @@ def test_a_terminal_that_cannot_write_a_name_gets_no_traceback(tmp_path: Path) -
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, env=environment, check=False)
     assert done.returncode == 1
     assert b"K\\xfchlregal: no such file or folder" in done.stderr
+
+
+def test_garbage_is_looked_for_while_a_command_works_and_not_before_or_after(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+
+    def run(_: list[str]) -> int:
+        seen.append((gc.isenabled(), gc.get_freeze_count() > 0))
+        Terminal(json=False, quiet=True)
+        seen.append((gc.isenabled(), gc.get_freeze_count() > 0))
+        gc.unfreeze()
+        return 3
+
+    monkeypatch.setattr("cyclekit.cli.run", run)
+    try:
+        with pytest.raises(SystemExit, match="3"):
+            main([])
+        assert seen == [(False, False), (True, True)]
+        assert gc.get_freeze_count() > 0
+    finally:
+        gc.enable()
+        gc.unfreeze()
 
 
 def test_nothing_is_said_beside_the_document_with_quiet_and_json(cyclekit: Shell, dataset: Path) -> None:

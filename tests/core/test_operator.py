@@ -158,6 +158,18 @@ def test_a_false_start_does_not_cost_the_track():
     assert (len(parts), dropped) == (1, 1)
 
 
+def test_a_track_is_taken_out_of_many_hours_without_a_copy_and_is_never_written_to():
+    track = walk(np.arange(0, 10, 0.02))
+    track.xyz_m[300:, 0] += 20.0
+    parts, _ = without_jumps(track)
+    assert [len(part.t_s) for part in parts] == [300, 200]
+    assert all(np.shares_memory(part.xyz_m, track.xyz_m) and np.shares_memory(part.t_s, track.t_s) for part in parts)
+    track.xyz_m[200:205, 1] += 12.0
+    before = track.xyz_m.copy()
+    assert without_jumps(track)[1] == 5
+    np.testing.assert_array_equal(track.xyz_m, before)
+
+
 def test_nothing_is_interpolated_across_a_lasting_jump():
     track = walk(np.arange(0, 10, 0.1))
     track.xyz_m[50:, 0] += 20.0

@@ -17,11 +17,11 @@ from threadpoolctl import threadpool_limits
 
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import EstimateError, ModelError, UnknownName
+from cyclekit.estimate.entry import ESTIMATORS, LEAST_SUPPORT, Question, entry_of
 from cyclekit.estimate.limits import limits_of_cycles, limits_of_logs
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
-from cyclekit.estimate.resample import TOGETHER, interval_of_mean, means_below, resampled, share_within
-from cyclekit.estimate.result import CycleEstimate, TaskShare
+from cyclekit.estimate.resample import TOGETHER, means_below, resampled
 from cyclekit.estimate.rivals import by_average, by_history, by_nominal
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.spread import Asked, logged_support, roll_spread
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.sequences import TaskSequence
 
@@ -45,17 +46,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ESTIMATORS", "estimate", "lay_out", "roll_out"]
 
-ESTIMATORS: Mapping[str, str] = {
-    "rollout": "the learned safety function is walked beside every logged operator track",
-    "average": "the model predicts mean scalings, which give each task's duration",
-    "history": "logged durations of the same tasks were asked for",
-    "nominal": "the time without an operator was asked for",
-}
-"""Estimators by name, and why one is used."""
 MANY = 50
 """More sequences than this are looked up in the table of arrivals; so many of the best are walked."""
-LEAST_SUPPORT = 0.5
-"""Below this part of the cycle in logged cells the question is refused."""
 
 
 @dataclass(frozen=True)
@@ -64,22 +56,6 @@ class Altered:
 
     tasks: Callable[[Mapping[str, NominalTask]], Mapping[str, NominalTask]]
     tracks: Callable[[OperatorTracks, Mapping[str, NominalTask]], OperatorTracks]
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """Everything that one call asks with."""
-
-    model: SafetyModel
-    dataset: Dataset
-    estimator: str
-    quantiles: tuple[float, ...]
-    takt_s: float | None
-    seed: int
-    extrapolate: bool
-    check: Check | None
-    altered: Altered | None
-    engine: Engine
 
 
 def estimate(
@@ -129,7 +105,7 @@ def estimate(
     if chosen != "rollout":
         check = None
     checked = check() if callable(check) else check
-    ask = _Asked(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, checked, altered, engine)
+    ask = Question(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, checked, altered, engine)
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, model)]
     found: list[CycleEstimate] = []
     means: list[Vector] = []
@@ -138,7 +114,7 @@ def estimate(
         rolled, tracks = _cycles(ask, mine, [programs[sequence] for sequence in mine], tell)
         weights = _weights(ask, rolled[0], tracks)
         for sequence, cycles in zip(mine, rolled, strict=True):
-            entry = _estimate(ask, sequence, programs[sequence], cycles, tracks, weights)
+            entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights)
             found.append(replace(entry, warnings=(*limits_of_cycles(cycles, entry, checked), *limits)))
             means.append(weights @ cycles.duration_s)
     tell(1.0, "done")
@@ -159,7 +135,7 @@ def _chosen(model: SafetyModel, estimator: str | None) -> str:
 
 
 def _cycles(
-    ask: _Asked, sequences: Sequence[TaskSequence], programs: Sequence[Program], tell: Callable[[float, str], None]
+    ask: Question, sequences: Sequence[TaskSequence], programs: Sequence[Program], tell: Callable[[float, str], None]
 ) -> tuple[list[Rolled], OperatorTracks | None]:
     """Return the cycles of every sequence, and the tracks they rest on (None where they rest on none)."""
     if ask.estimator == "history":
@@ -198,7 +174,7 @@ class _Round:
     horizon_s: float
 
 
-def _rolled(ask: _Asked, turn: _Round) -> Iterator[Rolled]:
+def _rolled(ask: Question, turn: _Round) -> Iterator[Rolled]:
     programs, tracks = turn.programs, turn.tracks
     if ask.estimator == "average":
         return (by_average(ask.model, program, tracks, seed=ask.seed) for program in programs)  # type: ignore[arg-type]
@@ -208,7 +184,7 @@ def _rolled(ask: _Asked, turn: _Round) -> Iterator[Rolled]:
     return _looked_up(ask, turn)
 
 
-def _walked(ask: _Asked, turn: _Round) -> Iterator[Rolled]:
+def _walked(ask: Question, turn: _Round) -> Iterator[Rolled]:
     programs, tracks = turn.programs, turn.tracks
     if ask.altered is None and not ask.engine.stays_here(len(programs)):
         operator = turn.sequences[0].operator
@@ -219,7 +195,7 @@ def _walked(ask: _Asked, turn: _Round) -> Iterator[Rolled]:
     return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=Dynamics.of(ask.dataset.card))
 
 
-def _looked_up(ask: _Asked, turn: _Round) -> Iterator[Rolled]:
+def _looked_up(ask: Question, turn: _Round) -> Iterator[Rolled]:
     """Look very many sequences up in the table of arrivals, and walk the best of them."""
     programs, tracks = turn.programs, turn.tracks
     tasks = {task.task: task for program in programs for task in program.tasks}
@@ -233,7 +209,7 @@ def _looked_up(ask: _Asked, turn: _Round) -> Iterator[Rolled]:
     return iter(found)
 
 
-def _supported(ask: _Asked, sequence: TaskSequence, cycles: Rolled) -> Rolled:
+def _supported(ask: Question, sequence: TaskSequence, cycles: Rolled) -> Rolled:
     """Refuse what lies outside of the logs, unless it was asked for."""
     if cycles.support < LEAST_SUPPORT and not ask.extrapolate:
         seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through positions ever logged"
@@ -241,66 +217,12 @@ def _supported(ask: _Asked, sequence: TaskSequence, cycles: Rolled) -> Rolled:
     return cycles
 
 
-def _weights(ask: _Asked, cycles: Rolled, tracks: OperatorTracks | None) -> NDArray[np.float64]:
+def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> NDArray[np.float64]:
     """Weights of the cycles in each resample of the logs, shape (resamples, K)."""
     if tracks is None:  # cycles put together of tasks: each draw is one
         return resampled([str(k) for k in range(len(cycles.duration_s))], ask.seed)
     runs_on = len(set(tracks.executions)) < len(tracks.executions) or tracks.phase_free
     return resampled(tracks.executions, ask.seed, together=TOGETHER if runs_on else 1)
-
-
-def _estimate(
-    ask: _Asked,
-    sequence: TaskSequence,
-    program: Program,
-    cycles: Rolled,
-    tracks: OperatorTracks | None,
-    weights: NDArray[np.float64],
-) -> CycleEstimate:
-    check = ask.check
-    cycles, slower = (cycles, 1.0) if check is None else _corrected(cycles, check.factor)
-    durations = cycles.duration_s
-    shares = tuple(_shares(program, cycles))
-    expected = float(durations.mean())
-    low, high = interval_of_mean(durations, weights, model_error=check.model_error if check else 0.0, seed=ask.seed)
-    activities = [*tracks.activities, "unknown"] if tracks else []
-    by_activity = zip(activities, (cycles.by_activity_s * slower).tolist(), strict=False)
-    logged = tracks.executions if tracks else tuple(ask.dataset.executions["execution"])
-    return CycleEstimate(
-        name=sequence.name,
-        places=sequence.places,
-        expected_s=expected,
-        expected_low_s=low,
-        expected_high_s=high,
-        quantiles_s={
-            p: check.quantile(durations, p) if check else float(np.quantile(durations, p)) for p in ask.quantiles
-        },
-        nominal_s=sum(share.nominal_s for share in shares),
-        safety_loss_s=sum(share.safety_loss_s for share in shares),
-        dwell_s=sum(share.dwell_s for share in shares),
-        wait_s=sum(share.wait_s for share in shares),
-        support=cycles.support,
-        tracks=len(durations) if tracks else 0,
-        warnings=(),
-        tasks=shares,
-        safety_by_activity_s={name: lost for name, lost in by_activity if lost > 0.0},
-        durations_s=tuple(durations.tolist()),
-        estimator=ask.estimator,
-        why=ESTIMATORS[ask.estimator],
-        executions=len(set(logged)),
-        calibrated=check is not None and check.coverage is not None,
-        takt_s=ask.takt_s,
-        takt_probability=None if ask.takt_s is None else share_within(durations, ask.takt_s, weights),
-        extrapolated=cycles.support < LEAST_SUPPORT,
-    )
-
-
-def _corrected(cycles: Rolled, factor: float) -> tuple[Rolled, float]:
-    """Multiply the durations; the difference is safety loss, as that is what was learned. Also its factor."""
-    lost = float(cycles.safety_s.mean(axis=0).sum())
-    more = (factor - 1) * float(cycles.duration_s.mean())
-    slower = max(1 + more / lost, 0.0) if lost > 0 else 1.0
-    return replace(cycles, duration_s=cycles.duration_s * factor, safety_s=cycles.safety_s * slower), slower
 
 
 def _ranked(found: list[CycleEstimate], means: list[Vector]) -> list[CycleEstimate]:
@@ -314,15 +236,3 @@ def _ranked(found: list[CycleEstimate], means: list[Vector]) -> list[CycleEstima
         pairs = zip(against, below.tolist(), strict=True)
         ranked.append(replace(entry, beats={names[i]: value for i, value in pairs if i != index}))
     return ranked
-
-
-def _shares(program: Program, cycles: Rolled) -> Iterator[TaskShare]:
-    """Split the mean duration over the tasks; a step that crosses from one part to the next is shared out with it."""
-    safety, stands = cycles.safety_s.mean(axis=0), cycles.stands_s.mean(axis=0)
-    motion = sum(task.nominal_s for task in program.tasks) + float(safety.sum())
-    stands *= (float(cycles.duration_s.mean()) - motion) / float(stands.sum())
-    for task, lost, stand in zip(program.tasks, safety.tolist(), stands.tolist(), strict=True):
-        usual = task.dwell_s + task.wait_s
-        dwell = stand * task.dwell_s / usual if usual > 0.0 else stand
-        wait = stand - dwell
-        yield TaskShare(task.task, task.nominal_s + lost + stand, task.nominal_s, lost, dwell, wait)

@@ -1,0 +1,129 @@
+"""What one sequence's cycles say, as a `CycleEstimate`: mean, quantiles, takt, and where the time goes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.estimate.resample import interval_of_mean, share_within
+from cyclekit.estimate.result import CycleEstimate, TaskShare
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset import Dataset
+    from cyclekit.engine import Engine
+    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.program import Program
+    from cyclekit.estimate.rollout import Altered
+    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.estimate.walk import Rolled
+    from cyclekit.sequences import TaskSequence
+
+ESTIMATORS: Mapping[str, str] = {
+    "rollout": "the learned safety function is walked beside every logged operator track",
+    "average": "the model predicts mean scalings, which give each task's duration",
+    "history": "logged durations of the same tasks were asked for",
+    "nominal": "the time without an operator was asked for",
+}
+"""Estimators by name, and why one is used."""
+LEAST_SUPPORT = 0.5
+"""Below this part of the cycle in logged cells the question is refused."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """Everything that one call asks with."""
+
+    model: SafetyModel
+    dataset: Dataset
+    estimator: str
+    quantiles: tuple[float, ...]
+    takt_s: float | None
+    seed: int
+    extrapolate: bool
+    check: Check | None
+    altered: Altered | None
+    engine: Engine
+
+
+def entry_of(
+    ask: Question,
+    sequence: TaskSequence,
+    program: Program,
+    cycles: Rolled,
+    tracks: OperatorTracks | None,
+    weights: NDArray[np.float64],
+) -> CycleEstimate:
+    """Return what the cycles of one sequence say.
+
+    Args:
+        ask: The question.
+        sequence: What was asked for.
+        program: It, laid out.
+        cycles: K cycles of it.
+        tracks: What they rest on; None where they rest on none.
+        weights: Of the cycles in each resample of the logs, shape (resamples, K).
+    """
+    check = ask.check
+    cycles, slower = (cycles, 1.0) if check is None else _corrected(cycles, check.factor)
+    durations = cycles.duration_s
+    shares = tuple(_shares(program, cycles))
+    expected = float(durations.mean())
+    low, high = interval_of_mean(durations, weights, model_error=check.model_error if check else 0.0, seed=ask.seed)
+    activities = [*tracks.activities, "unknown"] if tracks else []
+    by_activity = zip(activities, (cycles.by_activity_s * slower).tolist(), strict=False)
+    logged = tracks.executions if tracks else tuple(ask.dataset.executions["execution"])
+    return CycleEstimate(
+        name=sequence.name,
+        places=sequence.places,
+        expected_s=expected,
+        expected_low_s=low,
+        expected_high_s=high,
+        quantiles_s={
+            p: check.quantile(durations, p) if check else float(np.quantile(durations, p)) for p in ask.quantiles
+        },
+        nominal_s=sum(share.nominal_s for share in shares),
+        safety_loss_s=sum(share.safety_loss_s for share in shares),
+        dwell_s=sum(share.dwell_s for share in shares),
+        wait_s=sum(share.wait_s for share in shares),
+        support=cycles.support,
+        tracks=len(durations) if tracks else 0,
+        warnings=(),
+        tasks=shares,
+        safety_by_activity_s={name: lost for name, lost in by_activity if lost > 0.0},
+        durations_s=tuple(durations.tolist()),
+        estimator=ask.estimator,
+        why=ESTIMATORS[ask.estimator],
+        executions=len(set(logged)),
+        calibrated=check is not None and check.coverage is not None,
+        takt_s=ask.takt_s,
+        takt_probability=None if ask.takt_s is None else share_within(durations, ask.takt_s, weights),
+        extrapolated=cycles.support < LEAST_SUPPORT,
+    )
+
+
+def _corrected(cycles: Rolled, factor: float) -> tuple[Rolled, float]:
+    """Multiply the durations; the difference is safety loss, as that is what was learned. Also its factor."""
+    lost = float(cycles.safety_s.mean(axis=0).sum())
+    more = (factor - 1) * float(cycles.duration_s.mean())
+    slower = max(1 + more / lost, 0.0) if lost > 0 else 1.0
+    return replace(cycles, duration_s=cycles.duration_s * factor, safety_s=cycles.safety_s * slower), slower
+
+
+def _shares(program: Program, cycles: Rolled) -> Iterator[TaskShare]:
+    """Split the mean duration over the tasks; a step that crosses from one part to the next is shared out with it."""
+    safety, stands = cycles.safety_s.mean(axis=0), cycles.stands_s.mean(axis=0)
+    motion = sum(task.nominal_s for task in program.tasks) + float(safety.sum())
+    stands *= (float(cycles.duration_s.mean()) - motion) / float(stands.sum())
+    for task, lost, stand in zip(program.tasks, safety.tolist(), stands.tolist(), strict=True):
+        usual = task.dwell_s + task.wait_s
+        dwell = stand * task.dwell_s / usual if usual > 0.0 else stand
+        wait = stand - dwell
+        yield TaskShare(task.task, task.nominal_s + lost + stand, task.nominal_s, lost, dwell, wait)

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MAX_DRIFT = 5e-3
 """Clocks were seen to run 0.3 % off; what climbs faster is growing delays."""
+_SAME_S = 1e-9
+"""No clock tells stamps apart that are nearer to each other; between those there is no slope."""
 _EXACT, _PARTS = 50_000, 4096
 """Beyond so many stamps the hull is taken over the least delay of each of so many consecutive parts."""
 
@@ -64,7 +66,7 @@ def _slope_under(x: Vector, y: Vector) -> float:
     """Return the slope of the hull's edge below the mean of the cloud: there the sum of the delays is least."""
     hull: list[tuple[float, float]] = []
     for px, py in zip(x.tolist(), y.tolist(), strict=True):
-        if hull and px == hull[-1][0]:
+        if hull and px - hull[-1][0] <= _SAME_S:
             continue  # same device time: the first one is the lowest
         while len(hull) > 1:
             (ax, ay), (bx, by) = hull[-2], hull[-1]

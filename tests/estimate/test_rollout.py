@@ -15,6 +15,7 @@ from cyclekit.dataset import Dataset
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate import walk as walking
 from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.program import draw_stands
 from cyclekit.estimate.rollout import estimate, lay_out, roll_out
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import operator_tracks
@@ -46,17 +47,13 @@ def test_rolled_along_its_own_track_an_execution_takes_as_long_as_it_did(
 ):
     """The true safety function, every logged route against its own operator: nothing is left to chance."""
     monkeypatch.setattr(walking, "TIME_STEP_S", step_s)
-    nominal, nowhere = nominal_tasks(logged), Support(np.zeros((1, 3)), np.zeros((1, 3)))
+    nominal, entries = nominal_tasks(logged), logged.card["executions"]
     tracks = operator_tracks(logged, horizon_s=200.0)
-    late = []
-    for k, (name, entry) in enumerate(zip(tracks.executions, logged.card["executions"], strict=True)):
-        assert name == entry["execution"]
-        own = replace(
-            tracks, **{n: getattr(tracks, n)[k : k + 1] for n in ("xyz_m", "activity", "logged", "executions")}
-        )
-        program = lay_out(TaskSequence("own", tuple(entry["places"])), nominal, logged)
-        rolled = roll_out(staircase, program, own, nowhere)
-        late.append(rolled.duration_s[0] - (entry["end_s"] - entry["start_s"]))
+    assert list(tracks.executions) == [entry["execution"] for entry in entries]
+    programs = [lay_out(TaskSequence("own", tuple(entry["places"])), nominal, logged) for entry in entries]
+    stands, every = [draw_stands(program, 1, 0) for program in programs], np.arange(len(programs))
+    rolled = walking.walk(staircase, programs, every, every, stands, tracks)
+    late = rolled.duration_s - [entry["end_s"] - entry["start_s"] for entry in entries]
     assert abs(np.mean(late)) < within_s  # of about 95 s
     assert np.quantile(np.abs(late), 0.8) < within_s
     assert np.max(np.abs(late)) < 10 * within_s  # on the edge of a threshold a cycle can take another turn

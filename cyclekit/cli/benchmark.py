@@ -57,7 +57,7 @@ def benchmark(
     terminal.answer({"out": str(out), "results": results, "refused": refused}, text)
     if refused:
         some = "; ".join(refused[:3]) + (f"; and {len(refused) - 3} more" if len(refused) > 3 else "")
-        raise ConfigError(f"not all could be trained: {some}", cure="The same command tries them again.")
+        raise ConfigError(f"not all could be trained: {some}", cure="Try other --seeds or --steps.")
 
 
 def _prepared(executions: int, scene: str, seed: int, folder: Path) -> None:

@@ -85,7 +85,7 @@ def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[Ch
     if len(levels) < 2 or len(t_s) < 3:
         return []
     values = np.asarray(levels)
-    nearest = np.abs(scaling[:, None] - values[None]).argmin(axis=1)
+    nearest = np.searchsorted((values[1:] + values[:-1]) / 2, scaling).clip(max=len(values) - 1)
     on = np.abs(scaling - values[nearest]) < ON_LEVEL
     label = np.where(on, nearest, -1)
     edges = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [len(label)]])

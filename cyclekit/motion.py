@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
+from cyclekit.ahead import ahead
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
@@ -222,7 +224,7 @@ class Overlay:
 
 
 def pieces(run: Run, first: int = 0, last: int | None = None, *, overlap: int = 0) -> Iterator[tuple[int, RobotRun]]:
-    """Yield rows `first` to `last` of a run, a block at a time, each with its first row.
+    """Return rows `first` to `last` of a run, a block at a time, each with its first row; the next is read meanwhile.
 
     Args:
         run: The run.
@@ -231,6 +233,11 @@ def pieces(run: Run, first: int = 0, last: int | None = None, *, overlap: int = 
         overlap: Rows that a block has in common with the one before it.
     """
     last = run.rows - 1 if last is None else last
+    blocks = _pieces(run, first, last, overlap)
+    return ahead(blocks) if last - first >= BLOCK_ROWS else blocks
+
+
+def _pieces(run: Run, first: int, last: int, overlap: int) -> Iterator[tuple[int, RobotRun]]:
     begin = first
     while begin <= last:
         after = min(begin + BLOCK_ROWS - 1, last)

@@ -8,6 +8,7 @@ smaller. What the tables mean is the business of `schema`.
 from __future__ import annotations
 
 import errno
+import threading
 from collections import OrderedDict
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
@@ -188,20 +189,31 @@ class StoredTable:
     def states(self, column: str) -> Iterator[tuple[int, int, str]]:
         """Yield each stretch of equal texts in a column of texts: first and last row, and the text; not the unknown."""
         pending: tuple[int, int, str] | None = None
-        for number, (begin, _) in enumerate(self.groups):
-            with pq.ParquetFile(self._file) as parquet:
-                values = pl.DataFrame(parquet.read_row_group(number, columns=[column], use_threads=False))[column]
-            at = begin
-            for length, text in values.rle().struct.unnest().iter_rows():
-                if pending is not None and pending[2] == text:
-                    pending = (pending[0], at + length - 1, text)
-                else:
-                    if pending is not None:
-                        yield pending
-                    pending = None if text is None else (at, at + length - 1, text)
-                at += length
+        for first, last, text in self._stretches(column):
+            if pending is not None and pending[2] == text:
+                pending = (pending[0], last, text)
+                continue
+            if pending is not None:
+                yield pending
+            pending = None if text is None else (first, last, text)
         if pending is not None:
             yield pending
+
+    def _stretches(self, column: str) -> Iterator[tuple[int, int, str | None]]:
+        """Yield stretches of equal texts in one piece of the table each; the texts themselves are looked at once."""
+        begin = 0
+        with pq.ParquetFile(self._file, read_dictionary=[column]) as parquet:
+            for number in range(len(self.groups)):
+                table = parquet.read_row_group(number, columns=[column], use_threads=False)
+                for piece in table.column(0).chunks:
+                    texts = piece.dictionary.to_pylist()
+                    coded = pl.DataFrame(pa.table({"code": piece.indices}))  # a Series of it would import half of Arrow
+                    index = coded["code"].fill_null(-1).to_numpy()
+                    edges = np.flatnonzero(np.diff(index, prepend=index[:1] - 1, append=index[-1:] - 1))
+                    for first, end in pairwise(edges.tolist()):
+                        at = int(index[first])
+                        yield begin + first, begin + end - 1, texts[at] if at >= 0 else None
+                    begin += len(index)
 
     def _group(self, number: int, names: Sequence[str]) -> Columns:
         known = {name: _decoded.get((self._file, name, number)) for name in names}
@@ -217,27 +229,32 @@ class StoredTable:
 
 
 class _Decoded:
-    """The columns that were decoded last, up to a limit; the latest stays however large it is."""
+    """The columns that were decoded last, up to a limit; the latest stays however large it is. For several threads."""
 
     def __init__(self) -> None:
         self.most_bytes = _KEPT_BYTES
         self._parts: OrderedDict[tuple[Path, str, int], NDArray[np.float64]] = OrderedDict()
         self._bytes = 0
+        self._lock = threading.Lock()
 
     def get(self, key: tuple[Path, str, int]) -> NDArray[np.float64] | None:
-        if key in self._parts:
-            self._parts.move_to_end(key)
-        return self._parts.get(key)
+        with self._lock:
+            if key in self._parts:
+                self._parts.move_to_end(key)
+            return self._parts.get(key)
 
     def keep(self, key: tuple[Path, str, int], values: NDArray[np.float64]) -> None:
-        self._parts[key] = values
-        self._bytes += values.nbytes
-        while len(self._parts) > 1 and self._bytes > self.most_bytes:
-            self._bytes -= self._parts.popitem(last=False)[1].nbytes
+        with self._lock:
+            before = self._parts.pop(key, None)  # another thread may have read it meanwhile
+            self._parts[key] = values
+            self._bytes += values.nbytes - (0 if before is None else before.nbytes)
+            while len(self._parts) > 1 and self._bytes > self.most_bytes:
+                self._bytes -= self._parts.popitem(last=False)[1].nbytes
 
     def clear(self) -> None:
-        self._parts.clear()
-        self._bytes = 0
+        with self._lock:
+            self._parts.clear()
+            self._bytes = 0
 
 
 _decoded = _Decoded()

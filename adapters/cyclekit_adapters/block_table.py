@@ -7,6 +7,7 @@ doubt is left to `row_parser`, which goes line by line.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -16,11 +17,13 @@ import polars as pl
 from cyclekit_adapters.text_rows import CELL, INDEX, UNDECODED, Wanted, finite, not_finite, number_in, stripped
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from cyclekit_adapters.text_layout import Layout
 
-_BEYOND, _DOUBT, _COUNT = "\x1fbeyond", "\x1fdoubt", "\x1fnot finite"  # names that no column of a log has
+_BEYOND, _DOUBT, _SUM = "\x1fbeyond", "\x1fdoubt", "\x1fsum"  # names that no column of a log has
 _LOOKED_AT = 1 << 17
 _NEWLINE, _RETURN, _QUOTE, _BLANK = b'\n\r" '
 _WHITE = np.frombuffer(b" \t\n\v\f\r", np.uint8)
@@ -87,12 +90,17 @@ def _may_be_garbled(block: bytes, layout: Layout, wanted: Wanted) -> bool:
 def _has_nul_or_two_blanks(block: bytes) -> bool:
     """Tell whether there is a NUL byte, or two blanks side by side: so many blanks that to search for two is slow.
 
-    Piece by piece, so that what is looked at twice is fetched from memory once.
+    Two bytes are both blanks, or a blank and NUL, if the bits that are set in either are those of a blank; the bits of
+    two neighbours in a log are mostly more, so that the least of many tells at once. Piece by piece, so that what is
+    looked at twice is fetched from memory once.
     """
     raw = np.frombuffer(block, np.uint8)
     for begin in range(0, len(raw), _LOOKED_AT):
-        blank = raw[begin : begin + _LOOKED_AT + 1] == _BLANK
-        if (blank[:-1] & blank[1:]).any() or block.find(b"\0", begin, begin + _LOOKED_AT) >= 0:
+        piece = raw[begin : begin + _LOOKED_AT + 1]
+        either = piece[:-1] | piece[1:]
+        if len(either) and either.min() <= _BLANK and (either == _BLANK).any():
+            return True
+        if block.find(b"\0", begin, begin + _LOOKED_AT) >= 0:
             return True
     return False
 
@@ -182,7 +190,7 @@ def _parsed(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
         table = (
             _scanned(block, layout, types, quoted=quoted)
             .with_columns(doubt.alias(_DOUBT), *numbers)
-            .select(*wanted.numbers, *stripped(wanted), not_finite(wanted).alias(_COUNT), _DOUBT)
+            .select(*wanted.numbers, *stripped(wanted), _sum_of(wanted.numbers).alias(_SUM), _DOUBT)
             .collect(engine="in-memory")
         )
     except pl.exceptions.PolarsError:
@@ -192,9 +200,16 @@ def _parsed(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
         return None
     if quoted and table.height != block.count(b"\n"):
         return None  # a quote that was never closed spans lines
-    unknown = int(table[_COUNT][0] or 0) if table.height else 0
     frame = pl.DataFrame(table.get_columns()[:-2])
+    if table.height == 0 or math.isfinite(table[_SUM][0]):
+        return Table(frame, table.height, 0)
+    unknown = int(frame.select(not_finite(wanted)).item())
     return Table(frame.with_columns(finite(wanted)) if unknown else frame, table.height, unknown)
+
+
+def _sum_of(numbers: Sequence[str]) -> pl.Expr:
+    """Return the sum of all numbers: finite only if each is, and sooner found than whether each is."""
+    return pl.sum_horizontal(pl.lit(0.0), *(pl.col(name).sum() for name in numbers), ignore_nulls=False)
 
 
 def _scanned(block: bytes, layout: Layout, types: dict[str, pl.DataType], *, quoted: bool) -> pl.LazyFrame:

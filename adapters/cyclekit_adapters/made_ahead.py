@@ -19,6 +19,8 @@ Made = TypeVar("Made")
 
 AT_ONCE = 2
 """Enough for one to compute while another waits for memory or for Python; more would hold more blocks in memory."""
+BEGUN = AT_ONCE + 1
+"""One waits for its turn, so that nobody does while the caller hands one on and fetches the next."""
 
 
 def made_ahead(items: Iterable[Item], make: Callable[[Item], Made]) -> Iterator[tuple[Item, Made]]:
@@ -37,7 +39,7 @@ def made_ahead(items: Iterable[Item], make: Callable[[Item], Made]) -> Iterator[
         try:
             for item in chain((item for _, item in first), coming):
                 waiting.append((item, workers.submit(make, item)))
-                if len(waiting) == AT_ONCE:
+                if len(waiting) == BEGUN:
                     begun, made = waiting.popleft()
                     yield begun, made.result()
             while waiting:

@@ -30,7 +30,7 @@ from cyclekit.scaling import with_scaling
 from cyclekit.segment import Execution, find_executions, find_visits
 from cyclekit.stand import stands_of
 from cyclekit.steps import Staircase, find_staircase
-from cyclekit.tables import forget, keeping
+from cyclekit.tables import forget
 from cyclekit.turns import with_turns
 
 if TYPE_CHECKING:
@@ -55,8 +55,6 @@ __all__ = ["Derived", "derive"]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-KEPT_BYTES = 160 << 20
-"""Of decoded rows while the scaling is inferred: the fastest repetitions of each motion lie all over the log."""
 SHARED_ROWS = 2_000_000
 """Of the robot, below which a pass takes less time than workers need to start."""
 SESSION_ROWS = 1000
@@ -124,7 +122,8 @@ def derive(
     made = passes.over(sample, works, 0.6, 0.85, "samples")
     for session, one in zip(sessions, made, strict=True):
         _note(session, one.entries)
-    forget()  # the scaling of many hours takes that memory
+    if any(run.is_inferred for run in robot.runs):
+        forget()  # the scaling of many hours takes that memory
     runs = {work.session.name: list(work.runs.values()) for work in works}
     return _finished(passes, [one for one in made if one.samples], runs, robot, cell, folder)
 
@@ -189,8 +188,7 @@ def _robot(
         visits = find_visits(stops, places, runs)
     executions = find_executions(visits, places, cell.executions, [marks for look in looks for marks in look.marks])
     executions += _whole_runs(runs, executions)
-    with keeping(KEPT_BYTES):
-        runs, warnings = with_scaling(runs, executions, places, sessions, progress, engine)
+    runs, warnings = with_scaling(runs, executions, places, sessions, progress, engine)
     by_run: list[list[Execution]] = [[] for _ in runs]
     for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
         by_run[found.run].append(found)

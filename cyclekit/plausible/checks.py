@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.plausible.motion import PERSON, TCP, Kind, Places
-from cyclekit.plausible.window import HERE, PLACE
+from cyclekit.plausible.window import HERE, PLACE, judged_rows
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -239,7 +239,7 @@ def placed(checks: _Checks, frame: pl.DataFrame, places: Places, groups: Sequenc
         groups = tracks(frame)
         times, xyz = times[~beyond], xyz[:, ~beyond]
     stray = places.strays(times, xyz, groups, is_here(frame))
-    places.look_still(xyz[:, is_here(frame)])
+    places.look_still(xyz[:, judged_rows(frame)])
     jumped = f"{kind.whose} cannot have jumped there and back (faster than {kind.speed_m_s:.0f} m/s)"
     return checks.drop(frame, stray, jumped)
 

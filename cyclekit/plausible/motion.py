@@ -64,10 +64,9 @@ class Places:
 
         As a whole such a table is consistent, and only a person knows what it is.
         """
-        far = _length(np.nan_to_num(np.clip(xyz, -NOWHERE_M, NOWHERE_M)))
+        far = _length(_without_nan(np.clip(xyz, -NOWHERE_M, NOWHERE_M)))
         beyond = far > self.kind.reach_m
-        known = int(np.isfinite(xyz[0]).sum())
-        if self._scale_off is None and known:
+        if self._scale_off is None and (known := int(np.isfinite(xyz[0]).sum())):
             self._scale_off = bool(beyond.sum() > 0.5 * known)
             self._far_m = float(np.median(far[beyond])) if self._scale_off else 0.0
         if self._scale_off:
@@ -92,7 +91,10 @@ class Places:
         seen = np.flatnonzero(np.isfinite(xyz[0]) & np.isfinite(xyz[1]))
         if len(seen) < 2:
             return bad, 0
-        t, p = times[seen], np.nan_to_num(xyz[:, seen])
+        t, p = times, xyz
+        if len(seen) < len(times):
+            t, p = times[seen], xyz[:, seen]
+        p = _without_nan(p)
         steps = np.diff(t)
         if self._usual_s is None and (steps > 0).any():
             self._usual_s = float(np.median(steps[steps > 0]))
@@ -115,15 +117,16 @@ class Places:
     def look_still(self, xyz: Vector) -> None:
         """Note how far away it was and whether it ever changed; a sensor has noise, even of who stands still."""
         known = np.isfinite(xyz[0]) & np.isfinite(xyz[1])
-        if not known.any():
+        if not known.all():
+            xyz = xyz[:, known]
+        if not xyz.shape[1]:
             return
-        first = int(np.argmax(known))
         if self._same is None:
-            self._same = xyz[:2, first]
-        self._seen += int(known.sum())
-        self._most_m = max(self._most_m, float(np.nan_to_num(np.abs(xyz[:, known])).max()))
+            self._same = xyz[:2, 0].copy()  # else all the others are kept with it
+        self._seen += xyz.shape[1]
+        self._most_m = max(self._most_m, -float(np.nanmin(xyz)), float(np.nanmax(xyz)))
         x, y = self._same
-        self._still = self._still and bool(((xyz[0] == x) & (xyz[1] == y))[known].all())
+        self._still = self._still and bool(((xyz[0] == x) & (xyz[1] == y)).all())
 
     def warnings(self) -> tuple[list[str], list[str]]:
         """Say whether the position never changed, and all else."""
@@ -146,6 +149,11 @@ class Places:
         return [
             f"{kind.whose} stays at exactly ({x:g}, {y:g}) m in all {self._seen} rows: is the right signal logged?"
         ], said
+
+
+def _without_nan(values: Vector) -> Vector:
+    """Return values with 0 for what is unknown; themselves where nothing is."""
+    return np.asarray(np.where(np.isnan(values), 0.0, values)) if np.isnan(values.sum()) else values
 
 
 def _length(vectors: Vector) -> Vector:

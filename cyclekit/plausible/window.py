@@ -46,9 +46,13 @@ class Sliding:
         return seen.hstack([pl.Series(PLACE, place)])
 
 
+def judged_rows(window: pl.DataFrame) -> slice:
+    """Return which rows of a window are judged and still there: they stand one behind the other."""
+    first, end = np.searchsorted(window[PLACE].to_numpy(), [HERE, AHEAD]).tolist()
+    return slice(first, end)
+
+
 def let_through(window: pl.DataFrame) -> pl.DataFrame:
     """Return the rows of a window that were judged and are still there."""
-    place = window[PLACE].to_numpy()
-    first, end = np.searchsorted(place, HERE), np.searchsorted(place, AHEAD)  # they stand in this order
-    rows = window[int(first) : int(end)]
+    rows = window[judged_rows(window)]
     return pl.DataFrame([column for column in rows.get_columns() if column.name != PLACE])

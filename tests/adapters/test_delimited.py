@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cyclekit.errors import DamagedLog
-from cyclekit_adapters import delimited, row_parser, text_blocks
+from cyclekit_adapters import block_table, delimited, row_parser, text_blocks
 from cyclekit_adapters.delimited import Layout, header_names, read_blocks, read_rows
 from cyclekit_adapters.header_line import layout_below
 from cyclekit_adapters.text_blocks import encoding_of
@@ -215,3 +215,19 @@ def test_columns_of_one_name_or_none_do_not_hide_each_other():
 )
 def test_the_first_bytes_tell_the_encoding(first, encoding):
     assert encoding_of(first) == encoding
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.sampled_from([b"1.5", b" ", b"-", b"\r\n", b"\n", b"\t", b"\0"]), max_size=12), st.integers(1, 9))
+def test_two_blanks_and_nul_are_found_wherever_a_block_is_looked_at_in_pieces(pieces, looked_at):
+    block = b"".join(pieces)
+    with mock.patch.object(block_table, "_LOOKED_AT", looked_at):
+        assert block_table._has_nul_or_two_blanks(block) == (b"\0" in block or b"  " in block)
+
+
+def test_numbers_too_large_to_be_added_are_numbers():
+    rows = rows_of("a,b,c\n1,1e308,2\n2,1.7e308,nan\n3,1e308,1\n")
+    assert rows.frame["b"].to_list() == [1e308, 1.7e308, 1e308]
+    assert rows.frame["c"].to_list() == [2.0, None, 1.0]
+    assert rows.not_finite == 1
+    assert rows_of("a,b,c\n1,1e308,2\n2,1.7e308,3\n").not_finite == 0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cyclekit_adapters.delimited import Layout, rows_of
-from cyclekit_adapters.made_ahead import AT_ONCE, made_ahead
+from cyclekit_adapters.made_ahead import AT_ONCE, BEGUN, made_ahead
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,6 +34,18 @@ def test_two_are_in_the_making_at_the_same_time():
     assert len(list(made_ahead(range(2 * AT_ONCE), lambda _: together.wait()))) == 2 * AT_ONCE  # else it would break
 
 
+def test_two_are_in_the_making_while_the_caller_has_a_third():
+    together = threading.Barrier(AT_ONCE + 1, timeout=10.0)
+
+    def make(item: int) -> None:
+        if item in (1, 2):
+            together.wait()
+
+    for item, _ in made_ahead(range(5), make):
+        if item == 0:
+            together.wait()  # else it would break
+
+
 def test_no_more_items_are_taken_than_are_worked_on():
     taken: list[int] = []
 
@@ -43,7 +55,7 @@ def test_no_more_items_are_taken_than_are_worked_on():
             yield item
 
     for item, _ in made_ahead(items(), str):
-        assert len(taken) - item <= AT_ONCE  # the rest of a log larger than memory is not in memory
+        assert len(taken) - item <= BEGUN  # the rest of a log larger than memory is not in memory
 
 
 def test_an_error_comes_at_its_item_and_one_who_stops_leaves_no_thread():

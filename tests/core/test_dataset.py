@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 import random
 import shutil
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import duckdb
-import numpy as np
 import pandas as pd
 import polars as pl
 import pytest
 
-from cyclekit import schema, tables
+from cyclekit import schema
 from cyclekit.atomic import settle, staged, write_text
 from cyclekit.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, UnknownName
@@ -282,53 +279,3 @@ def test_an_ingest_killed_at_any_moment_leaves_the_old_dataset_or_the_new_one(tm
     seen.append(Dataset.open(tmp_path / "dataset").card["name"])
     assert set(seen) == {"a", "b"}  # every child found a whole dataset, of the one kind or the other
     assert caught_at_work >= 3  # and the kills did hit ingests that were under way
-
-
-def test_a_table_that_is_given_up_makes_no_noise_when_it_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    complaints: list[object] = []
-    monkeypatch.setattr(sys, "unraisablehook", complaints.append)
-    monkeypatch.setattr(tables, "GROUP_ROWS", 2)
-    writer = tables.TableWriter(tmp_path / "a.parquet", schema.EVENTS)
-    writer.write(pl.concat([schema.empty(schema.EVENTS), pl.DataFrame({"t_s": [1.0, 2.0, 3.0]})], how="diagonal"))
-    writer.abandon()
-    del writer
-    gc.collect()
-    assert complaints == []
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a disk that is always full is a thing of Linux")
-@pytest.mark.parametrize("pieces", [1, 40])
-def test_a_full_disk_is_said_of_a_table_written_behind_too(pieces: int, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(tables, "GROUP_ROWS", 20_000)
-    rows = schema.conform(pl.DataFrame({"t_s": np.random.default_rng(0).normal(size=10_000)}), schema.EVENTS)
-    before = threading.active_count()
-
-    def write_all() -> None:
-        with tables.TableWriter(Path("/dev/full"), schema.EVENTS) as writer:
-            for _ in range(pieces):
-                writer.write(rows)
-
-    with pytest.raises(OSError, match="No space left") as told:
-        write_all()
-    assert told.value.filename == "/dev/full"
-    assert threading.active_count() == before
-
-
-def test_what_was_decoded_is_kept_up_to_its_limit_and_the_oldest_goes_first(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(tables, "_KEPT_BYTES", 100)
-    kept = tables._Decoded()
-    monkeypatch.setattr(tables, "_decoded", kept)
-    keys = [(Path("a"), "x", number) for number in range(5)]
-    for key in keys[:3]:
-        kept.keep(key, np.zeros(5))  # 40 bytes each
-    assert [kept.get(key) is not None for key in keys[:3]] == [False, True, True]
-    kept.get(keys[1])
-    kept.keep(keys[3], np.zeros(5))  # the one looked at last stays
-    assert [kept.get(key) is not None for key in keys[:4]] == [False, True, False, True]
-    kept.keep(keys[4], np.zeros(500))
-    assert [kept.get(key) is not None for key in keys] == [False] * 4 + [True]
-    with tables.keeping(1000):
-        for key in keys[:2]:
-            kept.keep(key, np.zeros(5))
-        assert all(kept.get(key) is not None for key in keys[:2])
-    assert kept.get(keys[1]) is None

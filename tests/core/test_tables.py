@@ -1,0 +1,117 @@
+"""Parquet tables written piece by piece and read by ranges of rows: what is kept, what is said, full disks."""
+
+from __future__ import annotations
+
+import gc
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cyclekit import schema, tables
+
+
+def test_a_table_that_is_given_up_makes_no_noise_when_it_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    complaints: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", complaints.append)
+    monkeypatch.setattr(tables, "GROUP_ROWS", 2)
+    writer = tables.TableWriter(tmp_path / "a.parquet", schema.EVENTS)
+    writer.write(pl.concat([schema.empty(schema.EVENTS), pl.DataFrame({"t_s": [1.0, 2.0, 3.0]})], how="diagonal"))
+    writer.abandon()
+    del writer
+    gc.collect()
+    assert complaints == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a disk that is always full is a thing of Linux")
+@pytest.mark.parametrize("pieces", [1, 40])
+def test_a_full_disk_is_said_of_a_table_written_behind_too(pieces: int, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(tables, "GROUP_ROWS", 20_000)
+    rows = schema.conform(pl.DataFrame({"t_s": np.random.default_rng(0).normal(size=10_000)}), schema.EVENTS)
+    before = threading.active_count()
+
+    def write_all() -> None:
+        with tables.TableWriter(Path("/dev/full"), schema.EVENTS) as writer:
+            for _ in range(pieces):
+                writer.write(rows)
+
+    with pytest.raises(OSError, match="No space left") as told:
+        write_all()
+    assert told.value.filename == "/dev/full"
+    assert threading.active_count() == before
+
+
+def test_what_was_decoded_is_kept_up_to_its_limit_and_the_oldest_goes_first(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(tables, "_KEPT_BYTES", 100)
+    kept = tables._Decoded()
+    monkeypatch.setattr(tables, "_decoded", kept)
+    keys = [(Path("a"), "x", number) for number in range(5)]
+    for key in keys[:3]:
+        kept.keep(key, np.zeros(5))  # 40 bytes each
+    assert [kept.get(key) is not None for key in keys[:3]] == [False, True, True]
+    kept.get(keys[1])
+    kept.keep(keys[3], np.zeros(5))  # the one looked at last stays
+    assert [kept.get(key) is not None for key in keys[:4]] == [False, True, False, True]
+    kept.keep(keys[4], np.zeros(500))
+    assert [kept.get(key) is not None for key in keys] == [False] * 4 + [True]
+    with tables.keeping(1000):
+        for key in keys[:2]:
+            kept.keep(key, np.zeros(5))
+        assert all(kept.get(key) is not None for key in keys[:2])
+    assert kept.get(keys[1]) is None
+
+
+def test_what_two_threads_decoded_is_counted_once(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(tables, "_KEPT_BYTES", 100)
+    kept = tables._Decoded()
+    for _ in range(5):  # as many threads may read the same columns at the same time
+        kept.keep((Path("a"), "x", 0), np.zeros(5))
+    kept.keep((Path("a"), "x", 1), np.zeros(5))
+    assert kept.get((Path("a"), "x", 0)) is not None
+
+
+def test_several_threads_read_one_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(tables, "GROUP_ROWS", 10)
+    monkeypatch.setattr(tables, "_KEPT_BYTES", 400)
+    monkeypatch.setattr(tables, "_decoded", tables._Decoded())
+    t = np.arange(200.0)
+    with tables.TableWriter(tmp_path / "a.parquet", schema.EVENTS) as writer:
+        writer.write(schema.conform(pl.DataFrame({"t_s": t}), schema.EVENTS))
+    table = tables.StoredTable(tmp_path / "a.parquet", ("t_s",))
+
+    def read(seed: int) -> bool:
+        spans = np.sort(np.random.default_rng(seed).integers(0, 200, (100, 2)), axis=1)
+        return all((table.read(a, b)["t_s"] == t[a:b]).all() for a, b in spans.tolist())
+
+    with ThreadPoolExecutor(4) as workers:
+        assert all(workers.map(read, range(4)))
+
+
+texts = st.lists(st.tuples(st.sampled_from(["playing", "paused", "", None]), st.integers(1, 6)), max_size=8)
+
+
+@given(runs=texts, group_rows=st.integers(1, 9))
+@settings(deadline=None, max_examples=60)
+def test_stretches_of_equal_texts_do_not_depend_on_the_pieces_of_a_table(
+    runs: list[tuple[str | None, int]], group_rows: int, tmp_path_factory: pytest.TempPathFactory
+):
+    values = [text for text, many in runs for _ in range(many)]
+    frame = pl.DataFrame({"signal": pl.Series(values, dtype=pl.String)})
+    file = tmp_path_factory.mktemp("states") / "a.parquet"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tables, "GROUP_ROWS", group_rows)
+        with tables.TableWriter(file, schema.EVENTS) as writer:
+            writer.write(schema.conform(frame, schema.EVENTS))
+    expected, at = [], 0
+    for text, rows in groupby(values):
+        many = len(list(rows))
+        expected += [] if text is None else [(at, at + many - 1, text)]
+        at += many
+    assert list(tables.StoredTable(file, ()).states("signal")) == expected

@@ -190,7 +190,7 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3) -> Iterator[
     """Make a small cell under `root` and yield every command that writes, each with a folder of its own."""
     from cyclekit.dataset import Dataset
 
-    logs, others, data, model = root / "logs", root / "others", root / "dataset", root / "model"
+    logs, others, data, model, another = (root / name for name in ("logs", "others", "dataset", "model", "another"))
     quiet = "--quiet"
     simulate = ["simulate", "box-picking", "--executions", str(executions), quiet]
     terminal.run([*simulate, "--out", str(logs)])
@@ -198,10 +198,13 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3) -> Iterator[
     terminal.run(["ingest", str(logs), "--out", str(data), quiet])
     train = ["train", str(data), "--problem", "now", quiet]
     terminal.run([*train, "--out", str(model)])
+    terminal.run([*train, "--seed", "3", "--out", str(another)])
     tasks = Dataset.open(data).tasks()["task"].to_list()
     there = next(task for task in tasks if task.startswith("conveyor->")).partition("->")[2]
-    sequence = root / "sequences.toml"
+    sequence, jobs, changes = (root / f"{name}.toml" for name in ("sequences", "jobs", "changes"))
     sequence.write_text(f'[[sequence]]\nname = "one"\nplaces = ["conveyor", "{there}"]\n', encoding="utf-8")
+    jobs.write_text(f'start = "conveyor"\nvisit = ["{there}"]\n', encoding="utf-8")
+    changes.write_text('[[change]]\nname = "fewer visits"\nfrequency = 0.5\n', encoding="utf-8")
     names = Dataset.open(data).executions["execution"].to_list()
 
     def place(name: str) -> Path:
@@ -213,7 +216,9 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3) -> Iterator[
         out = ["--out", str(target), quiet]
         return Victim(name, ([command, *one, *out], [command, *two, *out]), target)
 
-    estimate = [str(model), str(sequence), "--dataset", str(data), "--extrapolate"]
+    known = ["--dataset", str(data), "--extrapolate"]
+    estimate, plan = [str(model), str(sequence), *known], [str(model), str(jobs), *known]
+    whatif, zones = [str(model), str(sequence), str(changes), *known], [str(model), str(data)]
     robot = str(logs / "session_000" / "robot.csv")
     report = [str(data), "--model", str(model)]
     yield [
@@ -224,6 +229,10 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3) -> Iterator[
         victim("convert to parquet", [robot], [robot, "--rate", "50"], ".parquet"),
         victim("train", train[1:-1], [*train[1:-1], "--seed", "1"]),
         victim("estimate", estimate, [*estimate, "--seed", "1"], ".json"),
+        victim("plan", plan, [*plan, "--seed", "1"], ".toml"),
+        victim("whatif", whatif, [*whatif, "--seed", "1"], ".json"),
+        victim("zones", zones, [*zones, "--seed", "1"], ".svg"),
+        victim("export", [str(model)], [str(another)], ".onnx"),
         victim("replay", [str(data), "--execution", names[0]], [str(data), "--execution", names[1]], ".rrd"),
         victim("report", report, [*report, "--sequences", str(sequence)], ".html"),
     ]

@@ -122,8 +122,8 @@ def derive(
     made = passes.over(sample, works, 0.6, 0.85, "samples")
     for session, one in zip(sessions, made, strict=True):
         _note(session, one.entries)
-    if any(run.is_inferred for run in robot.runs):
-        forget()  # the scaling of many hours takes that memory
+    if _is_much(sessions) or any(run.is_inferred for run in robot.runs):
+        forget()  # samples and scaling of many hours take that memory
     runs = {work.session.name: list(work.runs.values()) for work in works}
     return _finished(passes, [one for one in made if one.samples], runs, robot, cell, folder)
 

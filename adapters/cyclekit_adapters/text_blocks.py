@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from typing import BinaryIO
 
 HEAD_BYTES = 16384
-BLOCK_BYTES = 16 << 20
+BLOCK_BYTES = 12 << 20
 """What is parsed at once: large enough for polars to use both cores, small enough for any machine."""
 LONGEST_LINE = 16 << 20
 """No logger writes a line of more bytes, headers of 17,000 columns included."""

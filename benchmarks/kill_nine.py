@@ -154,6 +154,8 @@ def kill(victim: Victim, times: int, terminal: Terminal, settle: Callable[[Path]
     other = state_of(victim.target)
     took_s = terminal.run(victim.words[0])
     first = state_of(victim.target)
+    if first == other:
+        raise RuntimeError(f"{victim.name}: both results are the same, so which one is there cannot be told")
     whole = {first: victim.words[0], other: victim.words[1]}
     count = Count(victim.name, took_s)
     now = first
@@ -186,11 +188,19 @@ def kill(victim: Victim, times: int, terminal: Terminal, settle: Callable[[Path]
 
 
 @contextlib.contextmanager
-def victims(root: Path, terminal: Terminal, *, executions: int = 3) -> Iterator[list[Victim]]:
-    """Make a small cell under `root` and yield every command that writes, each with a folder of its own."""
+def victims(root: Path, terminal: Terminal, *, executions: int = 3, few: bool = False) -> Iterator[list[Victim]]:
+    """Make a small cell under `root` and yield every command that writes, each with a folder of its own.
+
+    Args:
+        root: An empty folder.
+        terminal: Where to type.
+        executions: Of the cell.
+        few: Leave out the commands that need a second model or dataset.
+    """
     from cyclekit.dataset import Dataset
 
-    logs, others, data, model, another = (root / name for name in ("logs", "others", "dataset", "model", "another"))
+    logs, others, data, elsewhere = (root / name for name in ("logs", "others", "dataset", "elsewhere"))
+    model, another = root / "model", root / "another"
     quiet = "--quiet"
     simulate = ["simulate", "box-picking", "--executions", str(executions), quiet]
     terminal.run([*simulate, "--out", str(logs)])
@@ -198,12 +208,15 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3) -> Iterator[
     terminal.run(["ingest", str(logs), "--out", str(data), quiet])
     train = ["train", str(data), "--problem", "now", quiet]
     terminal.run([*train, "--out", str(model)])
-    terminal.run([*train, "--seed", "3", "--out", str(another)])
+    if not few:
+        terminal.run([*train, "--seed", "3", "--out", str(another)])
+        terminal.run(["ingest", str(others), "--out", str(elsewhere), quiet])
     tasks = Dataset.open(data).tasks()["task"].to_list()
     there = next(task for task in tasks if task.startswith("conveyor->")).partition("->")[2]
-    sequence, jobs, changes = (root / f"{name}.toml" for name in ("sequences", "jobs", "changes"))
+    sequence, jobs, back, changes = (root / f"{name}.toml" for name in ("sequences", "jobs", "back", "changes"))
     sequence.write_text(f'[[sequence]]\nname = "one"\nplaces = ["conveyor", "{there}"]\n', encoding="utf-8")
     jobs.write_text(f'start = "conveyor"\nvisit = ["{there}"]\n', encoding="utf-8")
+    back.write_text(f'start = "{there}"\nvisit = ["conveyor"]\n', encoding="utf-8")
     changes.write_text('[[change]]\nname = "fewer visits"\nfrequency = 0.5\n', encoding="utf-8")
     names = Dataset.open(data).executions["execution"].to_list()
 
@@ -217,8 +230,8 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3) -> Iterator[
         return Victim(name, ([command, *one, *out], [command, *two, *out]), target)
 
     known = ["--dataset", str(data), "--extrapolate"]
-    estimate, plan = [str(model), str(sequence), *known], [str(model), str(jobs), *known]
-    whatif, zones = [str(model), str(sequence), str(changes), *known], [str(model), str(data)]
+    estimate = [str(model), str(sequence), *known]
+    whatif = [str(model), str(sequence), str(changes), *known]
     robot = str(logs / "session_000" / "robot.csv")
     report = [str(data), "--model", str(model)]
     yield [
@@ -229,10 +242,16 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3) -> Iterator[
         victim("convert to parquet", [robot], [robot, "--rate", "50"], ".parquet"),
         victim("train", train[1:-1], [*train[1:-1], "--seed", "1"]),
         victim("estimate", estimate, [*estimate, "--seed", "1"], ".json"),
-        victim("plan", plan, [*plan, "--seed", "1"], ".toml"),
+        victim("plan", [str(model), str(jobs), *known], [str(model), str(back), *known], ".toml"),
         victim("whatif", whatif, [*whatif, "--seed", "1"], ".json"),
-        victim("zones", zones, [*zones, "--seed", "1"], ".svg"),
-        victim("export", [str(model)], [str(another)], ".onnx"),
+        *(
+            []
+            if few
+            else [
+                victim("zones", [str(model), str(data)], [str(model), str(elsewhere)], ".svg"),
+                victim("export", [str(model)], [str(another)], ".onnx"),
+            ]
+        ),
         victim("replay", [str(data), "--execution", names[0]], [str(data), "--execution", names[1]], ".rrd"),
         victim("report", report, [*report, "--sequences", str(sequence)], ".html"),
     ]

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from cyclekit.adapter import Adapter, ReadOptions, Recording
 
 GROUP = "cyclekit.adapters"
+SMALL_BYTES = 1 << 20
 _LFS = b"version https://git-lfs.github.com/spec/"
 
 
@@ -41,13 +42,16 @@ class Registered:
     def parts(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         """Yield a log in consecutive parts, each read while the one before it is worked on; one part if need be.
 
+        Of a small file no thread reads ahead: to begin one takes a while, and there may be ten thousand of them.
+
         Raises:
             LogError, ConfigError: As the adapter's `read`.
         """
-        if isinstance(self.adapter, StreamingAdapter):
-            yield from ahead(self.adapter.stream(path, options))
-        else:
+        if not isinstance(self.adapter, StreamingAdapter):
             yield self.adapter.read(path, options)
+            return
+        parts = self.adapter.stream(path, options)
+        yield from parts if path.is_file() and path.stat().st_size < SMALL_BYTES else ahead(parts)
 
 
 @cache

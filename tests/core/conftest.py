@@ -61,16 +61,24 @@ class Cells:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._made: dict[Any, SimulatedCell] = {}
+        self._logs: dict[Any, Path] = {}
 
     def __call__(self, scene: str, executions: int | None = None, *, seed: int = 3, **options: Any) -> SimulatedCell:
         key = (scene, executions, seed, *sorted(options.items()))
         if key not in self._made:
-            root = self._folder / f"cell_{len(self._made)}"
-            count = executions or EXECUTIONS[scene]
-            logs = simulate(scene, root / "logs", executions=count, seed=seed, options=SimulationOptions(**options))
-            ingest([logs], root / "dataset")
-            self._made[key] = SimulatedCell(scene, logs, Dataset.open(root / "dataset"))
+            logs = self.logs(scene, executions, seed=seed, **options)
+            ingest([logs], logs.with_name("dataset"))
+            self._made[key] = SimulatedCell(scene, logs, Dataset.open(logs.with_name("dataset")))
         return self._made[key]
+
+    def logs(self, scene: str, executions: int | None = None, *, seed: int = 3, **options: Any) -> Path:
+        """Return the logs of a cell, without a dataset made of them."""
+        key = (scene, executions, seed, *sorted(options.items()))
+        if key not in self._logs:
+            place = self._folder / f"cell_{len(self._logs)}" / "logs"
+            count = executions or EXECUTIONS[scene]
+            self._logs[key] = simulate(scene, place, executions=count, seed=seed, options=SimulationOptions(**options))
+        return self._logs[key]
 
 
 @pytest.fixture(scope="session")

@@ -268,7 +268,7 @@ def test_an_ingest_killed_at_any_moment_leaves_the_old_dataset_or_the_new_one(tm
     ingest([tmp_path / "a"], tmp_path / "dataset")
     longest_s = max(0.3, 2 * (time.perf_counter() - begin))
     when, seen, caught_at_work, most_s = random.Random(7), [], 0, 8 * longest_s
-    while len(seen) < 20 or ((caught_at_work < 3 or len(set(seen)) < 2) and len(seen) < 150):
+    while len(seen) < 10 or ((caught_at_work < 3 or len(set(seen)) < 2) and len(seen) < 150):
         longest_s = min(1.05 * longest_s, most_s)  # on a busy machine too some ingest comes to its end
         with subprocess.Popen([sys.executable, "-c", INGEST_FOREVER, str(tmp_path)], stdout=subprocess.PIPE) as child:
             assert child.stdout is not None

@@ -132,9 +132,9 @@ def test_samples_do_not_depend_on_how_a_log_is_stored(tmp_path_factory, times: l
 def test_a_dataset_does_not_depend_on_how_much_is_read_at_once(
     cells: Cells, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, override: bool
 ):
-    cell = cells("pick-and-package", 3, log_override=override)
-    monkeypatch.setattr(tables, "GROUP_ROWS", 1000)
-    monkeypatch.setattr(motion, "BLOCK_ROWS", 640)
+    cell = cells("pick-and-package", 2, log_override=override)
+    monkeypatch.setattr(tables, "GROUP_ROWS", 3000)
+    monkeypatch.setattr(motion, "BLOCK_ROWS", 2000)
     monkeypatch.setattr("cyclekit_adapters.text_blocks.BLOCK_BYTES", 1 << 18)
     in_pieces = Dataset.open(ingest([cell.logs], tmp_path / "dataset").dataset)
     assert in_pieces.tasks().equals(cell.dataset.tasks())

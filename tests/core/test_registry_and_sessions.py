@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from cyclekit.adapter import ReadOptions
 from cyclekit.config import Cell, Source
 from cyclekit.discover import find_all, matches
 from cyclekit.errors import ConfigError, LogError, UnknownName
-from cyclekit.registry import adapter_named, adapters, find_adapter, find_logs, why_unknown
+from cyclekit.registry import (
+    SMALL_BYTES,
+    Registered,
+    adapter_named,
+    adapters,
+    find_adapter,
+    find_logs,
+    why_unknown,
+)
 from cyclekit.session import group_sessions
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 TRIP = [("stand", 0.5), ("move", 0.3), ("stand", 0.5)]
 
@@ -34,6 +47,27 @@ def test_logs_are_known_by_their_content_whatever_they_are_called(tmp_path: Path
     robot = robot_log(tmp_path / "monday.txt", TRIP)
     people = motive_log(tmp_path / "monday.dat", [(0.0, 0.0, 0.0)] * 3)
     assert [found.name for found in map(find_adapter, (robot, people)) if found] == ["ur-rtde", "motive"]
+
+
+class _Telling:
+    """An adapter whose parts say which thread made them."""
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Any]:
+        yield threading.get_ident()
+
+    def read(self, path: Path, options: ReadOptions) -> Any:
+        return None
+
+    def recognises(self, path: Path) -> bool:
+        return True
+
+
+def test_large_logs_alone_are_read_ahead_in_a_thread(tmp_path: Path):
+    telling = Registered("telling", "other", "1", "says who reads", _Telling())  # type: ignore[arg-type]
+    for name, size in (("small", 10), ("large", SMALL_BYTES)):
+        (tmp_path / name).write_bytes(b"0" * size)
+    here = [list(telling.parts(tmp_path / n, ReadOptions())) == [threading.get_ident()] for n in ("small", "large")]
+    assert here == [True, False]
 
 
 def test_hidden_files_below_a_folder_are_passed_over_and_a_hidden_folder_named_by_hand_is_not(

@@ -211,13 +211,16 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3, few: bool = 
     if not few:
         terminal.run([*train, "--seed", "3", "--out", str(another)])
         terminal.run(["ingest", str(others), "--out", str(elsewhere), quiet])
-    tasks = Dataset.open(data).tasks()["task"].to_list()
-    there = next(task for task in tasks if task.startswith("conveyor->")).partition("->")[2]
-    sequence, jobs, back, changes = (root / f"{name}.toml" for name in ("sequences", "jobs", "back", "changes"))
-    sequence.write_text(f'[[sequence]]\nname = "one"\nplaces = ["conveyor", "{there}"]\n', encoding="utf-8")
-    jobs.write_text(f'start = "conveyor"\nvisit = ["{there}"]\n', encoding="utf-8")
-    back.write_text(f'start = "{there}"\nvisit = ["conveyor"]\n', encoding="utf-8")
-    changes.write_text('[[change]]\nname = "fewer visits"\nfrequency = 0.5\n', encoding="utf-8")
+    tasks = Dataset.open(data).tasks()["task"].unique(maintain_order=True).to_list()
+    one, two, three = [task.partition("->")[2] for task in tasks if task.startswith("conveyor->")][:3]
+    sequence, jobs, other_jobs, changes, other_changes = (root / f"{name}.toml" for name in ("s", "j", "k", "c", "d"))
+    sequence.write_text(f'[[sequence]]\nname = "one"\nplaces = ["conveyor", "{one}"]\n', encoding="utf-8")
+    for file, other in ((jobs, two), (other_jobs, three)):
+        work = f'start = "conveyor"\nvia = "conveyor"\nvisit = ["{one}", "{other}"]\n'
+        file.write_text(work, encoding="utf-8")
+    for file, far_m in ((changes, 1.6), (other_changes, 1.4)):
+        rule = f"levels = [0.0, 0.25, 0.5, 0.75, 1.0]\nthresholds_m = [0.6, 0.8, 1.2, {far_m}]\n"
+        file.write_text(f'[[change]]\nname = "to {far_m} m"\n{rule}', encoding="utf-8")
     names = Dataset.open(data).executions["execution"].to_list()
 
     def place(name: str) -> Path:
@@ -229,11 +232,11 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3, few: bool = 
         out = ["--out", str(target), quiet]
         return Victim(name, ([command, *one, *out], [command, *two, *out]), target)
 
-    known = ["--dataset", str(data), "--extrapolate"]
-    estimate = [str(model), str(sequence), *known]
-    whatif = [str(model), str(sequence), str(changes), *known]
+    known = ["--dataset", str(data)]
+    asked, anyhow = [str(model), str(sequence)], [*known, "--extrapolate"]
+    estimate = [*asked, *anyhow]
     robot = str(logs / "session_000" / "robot.csv")
-    report = [str(data), "--model", str(model)]
+    report = [str(data), "--model", str(model), *(["--no-check"] if few else [])]
     yield [
         victim("simulate", ["box-picking", "--executions", "2"], ["box-picking", "--executions", "2", "--seed", "5"]),
         victim("ingest", [str(logs)], [robot]),
@@ -242,8 +245,8 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3, few: bool = 
         victim("convert to parquet", [robot], [robot, "--rate", "50"], ".parquet"),
         victim("train", train[1:-1], [*train[1:-1], "--seed", "1"]),
         victim("estimate", estimate, [*estimate, "--seed", "1"], ".json"),
-        victim("plan", [str(model), str(jobs), *known], [str(model), str(back), *known], ".toml"),
-        victim("whatif", whatif, [*whatif, "--seed", "1"], ".json"),
+        victim("plan", [str(model), str(jobs), *known], [str(model), str(other_jobs), *known], ".toml"),
+        victim("whatif", [*asked, str(changes), *anyhow], [*asked, str(other_changes), *anyhow], ".json"),
         *(
             []
             if few

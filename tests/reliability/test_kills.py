@@ -19,8 +19,8 @@ from cyclekit.atomic import recover
         ("convert to csv", 2),
         ("convert to parquet", 2),
         ("replay", 3),
-        ("train", 2),
-        ("report", 2),
+        ("train", 1),
+        ("report", 1),
     ],
 )
 def test_a_command_killed_at_any_moment_leaves_the_old_result_or_the_new_one(

@@ -64,7 +64,7 @@ class Cells:
         self._logs: dict[Any, Path] = {}
 
     def __call__(self, scene: str, executions: int | None = None, *, seed: int = 3, **options: Any) -> SimulatedCell:
-        key = (scene, executions, seed, *sorted(options.items()))
+        key = (scene, executions or EXECUTIONS[scene], seed, *sorted(options.items()))
         if key not in self._made:
             logs = self.logs(scene, executions, seed=seed, **options)
             ingest([logs], logs.with_name("dataset"))
@@ -73,10 +73,10 @@ class Cells:
 
     def logs(self, scene: str, executions: int | None = None, *, seed: int = 3, **options: Any) -> Path:
         """Return the logs of a cell, without a dataset made of them."""
-        key = (scene, executions, seed, *sorted(options.items()))
+        count = executions or EXECUTIONS[scene]
+        key = (scene, count, seed, *sorted(options.items()))
         if key not in self._logs:
             place = self._folder / f"cell_{len(self._logs)}" / "logs"
-            count = executions or EXECUTIONS[scene]
             self._logs[key] = simulate(scene, place, executions=count, seed=seed, options=SimulationOptions(**options))
         return self._logs[key]
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import polars as pl
     from conftest import SimulatedCell
 
-AT_ONCE, GROUP = 150, 1200
+AT_ONCE, GROUP = 150, 800
 sample, sample_file, finish = (sys.modules[f"cyclekit.derive.{name}"] for name in ("sample", "sample_file", "finish"))
 
 

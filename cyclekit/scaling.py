@@ -11,7 +11,6 @@ from cyclekit.override import infer_overrides
 from cyclekit.process import usual_dwells
 from cyclekit.stand import stands_of
 from cyclekit.steps import find_staircase
-from cyclekit.tables import keeping
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
     from cyclekit.session import Session
     from cyclekit.stand import Stands
 
-KEPT_BYTES = 160 << 20
-"""Of decoded rows while the scaling is inferred: the fastest repetitions of each motion lie all over the log."""
 LEAVING_S = 2.0
 """How soon after a departure the scaling must be known to say whether the robot left slowed."""
 SPARSE = 10
@@ -55,20 +52,6 @@ def with_scaling(
     silent = [number for number, run in enumerate(runs) if not run.knows_scaling]
     if not silent:
         return list(runs), []
-    with keeping(KEPT_BYTES):
-        return _inferred(runs, silent, executions, places, sessions, progress, engine)
-
-
-def _inferred(
-    runs: Sequence[Run],
-    silent: Sequence[int],
-    executions: Sequence[Execution],
-    places: Mapping[str, Place],
-    sessions: Sequence[Session],
-    progress: Callable[[float, str], None],
-    engine: Engine,
-) -> tuple[list[Run], list[str]]:
-    """Return what `with_scaling` does, given the numbers of the runs without a scaling."""
     alone = [number for session in sessions if session.reference for number in session.runs]
     parts, references = infer_overrides(runs, executions, alone, lambda done: progress(done, "speed override"), engine)
     said = "no log holds a" if len(silent) == len(runs) else f"{len(silent)} of {len(runs)} runs hold no"

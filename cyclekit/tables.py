@@ -234,7 +234,7 @@ class _Decoded:
     def __init__(self) -> None:
         self.most_bytes = _KEPT_BYTES
         self._parts: OrderedDict[tuple[Path, str, int], NDArray[np.float64]] = OrderedDict()
-        self._bytes = 0
+        self.bytes = 0
         self._lock = threading.Lock()
 
     def get(self, key: tuple[Path, str, int]) -> NDArray[np.float64] | None:
@@ -247,14 +247,14 @@ class _Decoded:
         with self._lock:
             before = self._parts.pop(key, None)  # another thread may have read it meanwhile
             self._parts[key] = values
-            self._bytes += values.nbytes - (0 if before is None else before.nbytes)
-            while len(self._parts) > 1 and self._bytes > self.most_bytes:
-                self._bytes -= self._parts.popitem(last=False)[1].nbytes
+            self.bytes += values.nbytes - (0 if before is None else before.nbytes)
+            while len(self._parts) > 1 and self.bytes > self.most_bytes:
+                self.bytes -= self._parts.popitem(last=False)[1].nbytes
 
     def clear(self) -> None:
         with self._lock:
             self._parts.clear()
-            self._bytes = 0
+            self.bytes = 0
 
 
 _decoded = _Decoded()
@@ -262,13 +262,17 @@ _decoded = _Decoded()
 
 @contextmanager
 def keeping(most_bytes: int) -> Iterator[None]:
-    """Keep so much of what is decoded, for one who reads the same rows again and again; nothing of it afterwards."""
+    """Keep so much of what is decoded, for one who reads the same rows again and again; afterwards what is usual.
+
+    If it is more than that, nothing stays.
+    """
     _decoded.most_bytes = most_bytes
     try:
         yield
     finally:
         _decoded.most_bytes = _KEPT_BYTES
-        forget()
+        if _decoded.bytes > _KEPT_BYTES:
+            forget()
 
 
 def forget() -> None:

@@ -30,7 +30,7 @@ from cyclekit.scaling import with_scaling
 from cyclekit.segment import Execution, find_executions, find_visits
 from cyclekit.stand import stands_of
 from cyclekit.steps import Staircase, find_staircase
-from cyclekit.tables import forget
+from cyclekit.tables import forget, keeping
 from cyclekit.turns import with_turns
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ __all__ = ["Derived", "derive"]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+KEPT_BYTES = 160 << 20
+"""Of decoded rows while the scaling is inferred: the fastest repetitions of each motion lie all over the log."""
 SHARED_ROWS = 2_000_000
 """Of the robot, below which a pass takes less time than workers need to start."""
 SESSION_ROWS = 1000
@@ -188,7 +190,8 @@ def _robot(
         visits = find_visits(stops, places, runs)
     executions = find_executions(visits, places, cell.executions, [marks for look in looks for marks in look.marks])
     executions += _whole_runs(runs, executions)
-    runs, warnings = with_scaling(runs, executions, places, sessions, progress, engine)
+    with keeping(KEPT_BYTES):
+        runs, warnings = with_scaling(runs, executions, places, sessions, progress, engine)
     by_run: list[list[Execution]] = [[] for _ in runs]
     for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
         by_run[found.run].append(found)

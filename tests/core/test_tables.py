@@ -62,10 +62,13 @@ def test_what_was_decoded_is_kept_up_to_its_limit_and_the_oldest_goes_first(monk
     kept.keep(keys[4], np.zeros(500))
     assert [kept.get(key) is not None for key in keys] == [False] * 4 + [True]
     with tables.keeping(1000):
-        for key in keys[:2]:
+        for key in keys[:3]:
             kept.keep(key, np.zeros(5))
-        assert all(kept.get(key) is not None for key in keys[:2])
+        assert all(kept.get(key) is not None for key in keys[:3])
     assert kept.get(keys[1]) is None
+    with tables.keeping(1000):
+        kept.keep(keys[1], np.zeros(5))
+    assert kept.get(keys[1]) is not None  # no more than is kept anyway
 
 
 def test_what_two_threads_decoded_is_counted_once(monkeypatch: pytest.MonkeyPatch):

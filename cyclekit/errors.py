@@ -4,7 +4,8 @@
     ├── LogError            a log cannot be used: which file, why, what to do
     │   ├── UnknownFormat       no adapter recognises it
     │   ├── DamagedLog          recognised, but broken where it is read
-    │   └── MissingColumns      recognised, but a needed column is absent
+    │   ├── MissingColumns      recognised, but a needed column is absent
+    │   └── BrokenAdapter       the adapter itself failed
     ├── ConfigError         cell.toml or a sequence file says something we cannot follow
     │   └── UnknownName         a name (place, key, task, topic) that does not exist; the nearest one is shown
     ├── DatasetError        the dataset folder is not one, is older or newer, or lacks what is needed
@@ -84,6 +85,15 @@ class MissingColumns(LogError):
         named = ", ".join(repr(name) for name in absent)
         word = "column" if len(absent) == 1 else "columns"
         super().__init__(path, f"no {word} {named}", nearest=nearest(absent[0], present), cure=cure)
+
+
+class BrokenAdapter(LogError):
+    """An adapter raised what no adapter should; a bug of its package."""
+
+    def __init__(self, path: Path, adapter: str, package: str, told: str) -> None:
+        """Name the log, then whose fault it is."""
+        cause = f"adapter {adapter!r} of package {package!r} failed on it ({told})"
+        super().__init__(path, cause, cure=f"Leave the log out, or ask the makers of package {package}.")
 
 
 class ConfigError(CyclekitError):

@@ -1,7 +1,7 @@
 """Which adapters exist, and which one reads this file.
 
 Adapters are found through the entry-point group `cyclekit.adapters`, ours and third parties' alike; cyclekit imports
-none by name. What a file contains is the adapters' business.
+none by name. What a file contains is the adapters' business. An adapter that fails costs its own logs and no others.
 """
 
 from __future__ import annotations
@@ -13,19 +13,21 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, cast
 
-from cyclekit.adapter import StreamingAdapter
+from cyclekit import schema
+from cyclekit.adapter import Recording, StreamingAdapter
 from cyclekit.ahead import ahead
 from cyclekit.dataset import CARD
-from cyclekit.errors import CyclekitError, UnknownFormat, UnknownName
+from cyclekit.errors import BrokenAdapter, CyclekitError, LogError, UnknownFormat, UnknownName
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from cyclekit.adapter import Adapter, ReadOptions, Recording
+    from cyclekit.adapter import Adapter, ReadOptions
 
 GROUP = "cyclekit.adapters"
 SMALL_BYTES = 1 << 20
+_CURE = "Check the file."
 _LFS = b"version https://git-lfs.github.com/spec/"
 
 
@@ -46,7 +48,21 @@ class Registered:
 
         Raises:
             LogError, ConfigError: As the adapter's `read`.
+            BrokenAdapter: The adapter raised something else, or returned no recording.
         """
+        try:
+            for part in self._parts(path, options):
+                yield _proven(part)
+        except CyclekitError:
+            raise
+        except MemoryError as error:
+            raise LogError(path, "too large for the memory", cure=_CURE) from error
+        except Exception as error:
+            if isinstance(error, OSError) and _is_about(error, path):
+                raise LogError(path, f"cannot be read ({error.strerror or error})", cure=_CURE) from error
+            raise BrokenAdapter(path, self.name, self.package, _told(error)) from error
+
+    def _parts(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         if not isinstance(self.adapter, StreamingAdapter):
             yield self.adapter.read(path, options)
             return
@@ -54,26 +70,91 @@ class Registered:
         yield from parts if path.is_file() and path.stat().st_size < SMALL_BYTES else ahead(parts)
 
 
-@cache
-def adapters() -> dict[str, Registered]:
-    """Return all adapters by name, in order of name.
+def _proven(part: object) -> Recording:
+    if not isinstance(part, Recording):
+        msg = f"returned {type(part).__name__}, not a Recording"
+        raise TypeError(msg)
+    for name, frame in part.tables().items():
+        known, have = getattr(schema, name.upper()), getattr(frame, "columns", ())
+        if unknown := [column for column in have if column not in known and not schema.is_joint(column)]:
+            msg = f"returned a table {name!r} with unknown columns {', '.join(unknown)}"
+            raise ValueError(msg)
+        if "t_s" in known and "t_s" not in have:
+            msg = f"returned a table {name!r} without column t_s"
+            raise ValueError(msg)
+    return part
 
-    Raises:
-        CyclekitError: An installed adapter cannot be imported; the message names its package.
-    """
-    return {point.name: _load(point) for point in sorted(entry_points(group=GROUP), key=lambda p: p.name)}
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An adapter that is installed and not used, and why."""
+
+    name: str
+    package: str
+    reason: str
+
+    def __str__(self) -> str:
+        """Return the warning that a person reads."""
+        return f"adapter {self.name!r} of package {self.package!r} is left out: {self.reason}"
+
+
+_broken: dict[str, LeftOut] = {}
+"""Adapters that raised when they were asked whether a file is theirs, by name; not asked again in this process."""
+
+
+def adapters() -> dict[str, Registered]:
+    """Return the adapters that can be used, by name, in order of name; `left_out` has the others."""
+    return {name: entry for name, entry in _loaded()[0].items() if name not in _broken}
+
+
+def left_out() -> tuple[LeftOut, ...]:
+    """Return the adapters that are installed and cannot be used: not imported, or failed when asked about a file."""
+    return (*_loaded()[1], *_broken.values())
+
+
+def noticed() -> tuple[LeftOut, ...]:
+    """Return what `left_out` does if this process has looked for adapters at all, else nothing; loads none."""
+    return left_out() if _loaded.cache_info().currsize else ()
+
+
+@cache
+def _loaded() -> tuple[dict[str, Registered], tuple[LeftOut, ...]]:
+    found, failed = dict[str, Registered](), list[LeftOut]()
+    for point in sorted(entry_points(group=GROUP), key=lambda point: (point.name, _package(point))):
+        if point.name in found:
+            failed.append(LeftOut(point.name, _package(point), f"{found[point.name].package!r} has one of that name"))
+            continue
+        try:
+            found[point.name] = _load(point)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # an import may even leave the process
+            failed.append(LeftOut(point.name, _package(point), f"it cannot be loaded ({_told(error)})"))
+    return found, tuple(failed)
 
 
 def _load(point: EntryPoint) -> Registered:
-    package = point.dist.name if point.dist else point.module
-    try:
-        adapter = cast("Adapter", point.load())
-    except Exception as error:
-        msg = f"adapter {point.name!r} of package {package!r} cannot be loaded: {error}"
-        raise CyclekitError(msg, cure="Install that package again, or uninstall it.") from error
-    doc = inspect.getdoc(sys.modules[point.module]) or ""
+    adapter = cast("Adapter", point.load())
+    if isinstance(adapter, type) or not all(callable(getattr(adapter, name, None)) for name in ("recognises", "read")):
+        msg = f"{point.value} is no adapter: an object with recognises and read"
+        raise TypeError(msg)
+    doc = inspect.getdoc(sys.modules.get(point.module)) or ""
     version = point.dist.version if point.dist else "unknown"
-    return Registered(point.name, package, version, doc.partition("\n")[0].rstrip("."), adapter)
+    return Registered(point.name, _package(point), version, doc.partition("\n")[0].rstrip("."), adapter)
+
+
+def _package(point: EntryPoint) -> str:
+    return point.dist.name if point.dist else point.module
+
+
+def _told(error: BaseException) -> str:
+    """Say an exception in one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
+
+
+def _is_about(error: OSError, path: Path) -> bool:
+    """Tell whether it is the log that cannot be read, and not something else that the adapter wants."""
+    return error.filename is None or str(error.filename).startswith(str(path))
 
 
 def adapter_named(name: str) -> Registered:
@@ -81,8 +162,12 @@ def adapter_named(name: str) -> Registered:
 
     Raises:
         UnknownName: There is none.
+        CyclekitError: It is left out.
     """
     known = adapters()
+    for broken in left_out():
+        if broken.name == name and name not in known:
+            raise CyclekitError(str(broken), cure=f"Mend or update package {broken.package}.")
     if name not in known:
         raise UnknownName("adapters", "adapter", name, known)
     return known[name]
@@ -90,7 +175,18 @@ def adapter_named(name: str) -> Registered:
 
 def find_adapter(path: Path) -> Registered | None:
     """Return the adapter that recognises `path` (file or folder) by its content, or None."""
-    return next((entry for entry in adapters().values() if entry.adapter.recognises(path)), None)
+    return next((entry for entry in adapters().values() if _recognises(entry, path)), None)
+
+
+def _recognises(entry: Registered, path: Path) -> bool:
+    try:
+        return bool(entry.adapter.recognises(path))
+    except Exception as error:
+        if not (isinstance(error, OSError) and _is_about(error, path)):
+            _broken[entry.name] = LeftOut(
+                entry.name, entry.package, f"it failed when asked about {path} ({_told(error)})"
+            )
+        return False
 
 
 def find_logs(path: Path) -> Iterator[tuple[Path, Registered | None]]:

@@ -67,9 +67,21 @@ def run(words: list[str]) -> int:
         return say_usage(error, as_json=as_json)
     except (KeyboardInterrupt, typer.Abort):
         return say_failure("interrupted", kind="Interrupted", as_json=as_json, code=130)
+    finally:
+        if not {"--quiet", "-q"}.intersection(words):
+            _say_left_out()
     if code == 130:  # typer has seen the interruption first
         return say_failure("interrupted", kind="Interrupted", as_json=as_json, code=130)
     return code if isinstance(code, int) else 0
+
+
+def _say_left_out() -> None:
+    """Name the adapters that could not be used, once, whatever command looked for adapters and however it ended."""
+    if (registry := sys.modules.get("cyclekit.registry")) is None:
+        return
+    from cyclekit.cli.terminal import Terminal
+
+    Terminal(json=False, quiet=False).warnings([str(adapter) for adapter in registry.noticed()])
 
 
 def app(wanted: Sequence[str] = ORDER) -> typer.Typer:

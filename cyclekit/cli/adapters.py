@@ -11,6 +11,7 @@ EXAMPLE = "cyclekit adapters"
 def adapters(json: Json = False, quiet: Quiet = False) -> None:
     """List the log formats that can be read."""
     from cyclekit.registry import adapters as registered
+    from cyclekit.registry import left_out
 
     terminal = Terminal(json=json, quiet=quiet)
     found = list(registered().values())
@@ -18,7 +19,8 @@ def adapters(json: Json = False, quiet: Quiet = False) -> None:
         "adapters": [
             {"name": entry.name, "package": entry.package, "version": entry.version, "reads": entry.summary}
             for entry in found
-        ]
+        ],
+        "left_out": [vars(entry) for entry in left_out()],
     }
     rows = [[entry.name, entry.summary, f"{entry.package} {entry.version}"] for entry in found]
     terminal.answer(document, table(["adapter ", "reads ", "from "], rows))

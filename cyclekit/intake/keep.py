@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import secrets
 import shutil
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -78,7 +79,7 @@ def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How) -> Kep
         kept = _keep(log, digests, folder, how)
         _put(folder, place)
     except LogError as error:
-        problem = LogError(error.path, error.cause, nearest=error.nearest, cure=error.cure)
+        problem = copy(error)  # without what hangs on it: frames, tables, the error that it came from
     except (OSError, MemoryError) as error:
         if _is_ours(error, folder):
             raise

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from cyclekit.adapter import ReadOptions
+from cyclekit.adapter import ReadOptions, Recording
 from cyclekit.config import Cell, Source
 from cyclekit.discover import find_all, matches
 from cyclekit.errors import ConfigError, LogError, UnknownName
@@ -53,7 +53,7 @@ class _Telling:
     """An adapter whose parts say which thread made them."""
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Any]:
-        yield threading.get_ident()
+        yield Recording(rows_read=threading.get_ident())
 
     def read(self, path: Path, options: ReadOptions) -> Any:
         return None
@@ -66,8 +66,8 @@ def test_large_logs_alone_are_read_ahead_in_a_thread(tmp_path: Path):
     telling = Registered("telling", "other", "1", "says who reads", _Telling())  # type: ignore[arg-type]
     for name, size in (("small", 10), ("large", SMALL_BYTES)):
         (tmp_path / name).write_bytes(b"0" * size)
-    here = [list(telling.parts(tmp_path / n, ReadOptions())) == [threading.get_ident()] for n in ("small", "large")]
-    assert here == [True, False]
+    read = {name: list(telling.parts(tmp_path / name, ReadOptions())) for name in ("small", "large")}
+    assert [part.rows_read == threading.get_ident() for parts in read.values() for part in parts] == [True, False]
 
 
 def test_hidden_files_below_a_folder_are_passed_over_and_a_hidden_folder_named_by_hand_is_not(

@@ -85,7 +85,7 @@ def convert(
         CyclekitError: The output cannot be written.
     """
     log, out = Path(log), Path(out)
-    if out.suffix not in (".parquet", ".csv"):
+    if out.suffix.lower() not in (".parquet", ".csv"):
         raise ConfigError(f"{out}: neither .parquet nor .csv", cure="Give --out a name that ends in one of them.")
     if table is not None and table not in TABLES:
         raise UnknownName("convert", "table", table, TABLES)
@@ -138,7 +138,7 @@ def _write(
         for frame in parts.of(table):
             frame = pl.DataFrame([frame[name] for name in _chosen(frame, columns, parts.table)])
             ready = thin.add(frame) if thin else frame
-            writer = writer or _Output(temporary, out.suffix, ready, parts.table)
+            writer = writer or _Output(temporary, out.suffix.lower(), ready, parts.table)
             writer.write(ready)
             if progress:
                 progress(0.5, f"{writer.rows} rows")

@@ -24,7 +24,7 @@ from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, MissingExtra
 from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
 from cyclekit.models.metrics import measure
-from cyclekit.models.saved import MODEL_VERSION, TrainedModel, save_model
+from cyclekit.models.saved import MODEL_VERSION, TrainedModel, check_model_output, save_model
 from cyclekit.out_of_core import PART_ROWS, frames, in_files, memory_rows, rows_of, some_executions
 from cyclekit.samples import (
     GROUPS,
@@ -81,7 +81,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
         DatasetError: The dataset lacks what training needs; the message says what.
         MissingExtra: torch is not installed.
     """
-    _need_torch()
+    need_torch()
     from cyclekit.models.fitting import fit  # here, so that this module can be imported without torch
 
     with tempfile.TemporaryDirectory(prefix="cyclekit-") as folder:
@@ -216,6 +216,7 @@ def train_at(what: Training, *, progress: Progress | None = None) -> dict[str, A
     Raises:
         CyclekitError: As `train`, or the model cannot be written.
     """
+    check_model_output(what.out)
     model = train(Dataset.open(what.dataset), what.spec, progress=progress)
     save_model(what.out, model)
     return model.card
@@ -227,7 +228,12 @@ def fingerprint(dataset: Dataset) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _need_torch() -> None:
+def need_torch() -> None:
+    """Refuse to begin what ends in a training that cannot be.
+
+    Raises:
+        MissingExtra: torch is not installed.
+    """
     try:
         import torch  # noqa: F401
     except ImportError as error:

@@ -26,7 +26,7 @@ FLOORS = [
     {"places", "stops"},
     {"stored_run"},
     {"motion"},
-    {"adapter", "clock", "dataset", "frames"},
+    {"adapter", "clock", "dataset", "frames", "outputs"},
     {"storage"},
     {"atomic", "tables"},
     {"engine"},

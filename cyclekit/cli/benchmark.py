@@ -43,9 +43,15 @@ def benchmark(
     from cyclekit.benchmark import Settings, benchmark_paper
     from cyclekit.benchmark.tables import markdown, put_into, write_figures
     from cyclekit.errors import ConfigError
+    from cyclekit.outputs import check_output, check_output_folder
+    from cyclekit.train import need_torch
 
     del what
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
+    if not done:
+        need_torch()
+    check_output_folder(out)
+    check_output(page, (".md",))
     settings = Settings(executions, whole_numbers(seeds), _names(scenes), steps, only, done)
     with terminal.progress("benchmark") as progress:
         results, refused = benchmark_paper(settings, out, partial(_prepared, executions), progress, work)

@@ -63,6 +63,7 @@ def demo(
     if operator_xyz is not None:
         settings["operator_xyz_m"] = vector(operator_xyz)
     run = _Run(Terminal(json=json, quiet=quiet), out)
+    _check(out)
     dataset = _dataset(run, executions, seed, settings)
     model = _model(run, dataset, seed)
     estimates = _estimates(run, dataset, model, seed)
@@ -73,6 +74,20 @@ def demo(
         "seconds": run.spent_s,
     }
     run.terminal.answer(document, _closing(estimates, run))
+
+
+def _check(out: Path) -> None:
+    """Refuse before anything is simulated what would fail at a later step."""
+    from cyclekit.models.saved import check_model_output
+    from cyclekit.outputs import check_output, check_output_folder
+    from cyclekit.train import need_torch
+
+    need_torch()
+    check_output_folder(out)
+    check_output_folder(out / "dataset")
+    check_model_output(out / "model")
+    for name in ("sequences.toml", "estimates.json", "replay.rrd", "report.html"):
+        check_output(out / name)
 
 
 @dataclass

@@ -66,9 +66,11 @@ def estimate(
     from cyclekit.estimate.check import check_rollout
     from cyclekit.estimate.rollout import estimate as estimate_cycles
     from cyclekit.models.saved import load_model
+    from cyclekit.outputs import check_output
     from cyclekit.sequences import load_sequences
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
+    check_output(out, (".json", ".csv"))
     wanted = load_sequences(sequences)
     asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
     opened, logs = load_model(model), Dataset.open(dataset)

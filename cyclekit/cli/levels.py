@@ -32,9 +32,11 @@ def levels(
     """
     from cyclekit.dataset import Dataset
     from cyclekit.labelling import scaling_in_time, staircase_of
+    from cyclekit.outputs import check_output
     from cyclekit.steps import second_opinion
 
     terminal = Terminal(json=json, quiet=quiet)
+    check_output(picture, (".svg", ".png", ".pdf"))
     with terminal.progress("looking for levels"):
         opened = Dataset.open(dataset)
         frame = opened.samples(columns=["execution", "t_s", "scaling"])

@@ -32,10 +32,12 @@ def plan(
     """
     from cyclekit.dataset import Dataset
     from cyclekit.models.saved import load_model
+    from cyclekit.outputs import check_output
     from cyclekit.plan import load_jobs
     from cyclekit.plan import plan as search
 
     terminal = Terminal(json=json, quiet=quiet)
+    check_output(out, (".toml",))
     wanted = load_jobs(jobs)
     with terminal.progress("planning") as progress:
         found = search(load_model(model), Dataset.open(dataset), wanted, seed=seed, progress=progress)

@@ -45,10 +45,12 @@ def replay(
     """
     from cyclekit.dataset import Dataset
     from cyclekit.models.saved import load_model
+    from cyclekit.outputs import check_output
     from cyclekit.replay import open_viewer, serve, write_replay
 
     terminal = Terminal(json=json, quiet=quiet)
     focus = _focus(at)
+    check_output(out, (".rrd",))
     opened = Dataset.open(dataset)
     trained = load_model(model) if model else None
     with terminal.progress("replaying") as progress:

@@ -69,12 +69,18 @@ def report(
     """
     from cyclekit.dataset import Dataset
     from cyclekit.models.saved import load_model
-    from cyclekit.report import write_pdf, write_report
+    from cyclekit.outputs import check_output
+    from cyclekit.report import Template, need_browser, write_pdf, write_report
 
     terminal = Terminal(json=json, quiet=quiet)
     takt_s = seconds(takt) if takt else None
     chosen, asked = _format(kind, out, pdf), _asked(sequences, what_if or [], plan, check, extrapolate)
     _refuse_without_model(asked, model)
+    check_output(out)
+    if pdf is not None:
+        check_output(pdf, (".pdf",))
+        need_browser()
+    Template(template)
     data, trained = Dataset.open(dataset), load_model(model) if model else None
     found = _found(terminal, data, trained, asked) if trained else _Found(tried=asked.tried)
     with terminal.progress("writing the page") as progress:

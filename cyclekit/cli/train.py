@@ -74,9 +74,10 @@ def train(
     chosen = None if seeds is None else whole_numbers(seeds)
     from functools import partial
 
+    from cyclekit.models.saved import check_model_output
     from cyclekit.models.spec import ModelSpec
     from cyclekit.storage import join
-    from cyclekit.train import Training, train_at
+    from cyclekit.train import Training, need_torch, train_at
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     settings: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}
@@ -84,6 +85,9 @@ def train(
     todo = [Training(dataset, spec(seed=seed), out)]
     if chosen is not None:
         todo = [Training(dataset, spec(seed=one), join(out, f"seed-{one}")) for one in chosen]
+    need_torch()
+    for each in todo:
+        check_model_output(each.out)
     with terminal.progress("training") as progress:
         here = work.stays_here(len(todo)) and len(todo) == 1
         cards: dict[str, dict[str, Any]] = {}

@@ -37,10 +37,12 @@ def whatif(
     """
     from cyclekit.dataset import Dataset
     from cyclekit.models.saved import load_model
+    from cyclekit.outputs import check_output
     from cyclekit.sequences import load_sequences
     from cyclekit.whatif import NO_PROOF, load_changes, what_if
 
     terminal = Terminal(json=json, quiet=quiet)
+    check_output(out, (".json",))
     wanted, changed = load_sequences(sequences), load_changes(changes)
     with terminal.progress("estimating") as progress:
         found = what_if(

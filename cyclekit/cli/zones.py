@@ -30,9 +30,11 @@ def zones(
     """
     from cyclekit.dataset import Dataset
     from cyclekit.models.saved import load_model
+    from cyclekit.outputs import check_output
     from cyclekit.zones import read_zones, zones_svg
 
     terminal = Terminal(json=json, quiet=quiet)
+    check_output(out, (".svg",))
     with terminal.progress("reading zones"):
         found = read_zones(load_model(model), Dataset.open(dataset), seed=seed)
     if out is not None:

@@ -23,6 +23,7 @@ from cyclekit.atomic import recover, staged
 from cyclekit.errors import ModelError, ShapeError
 from cyclekit.models.layout import Layout, NotAModel, parse_model
 from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
+from cyclekit.outputs import check_output_folder
 from cyclekit.samples import GROUPS, INPUTS
 from cyclekit.storage import is_url, local, published
 
@@ -130,6 +131,18 @@ class TrainedModel:
         return self.weights.run(X)
 
 
+def check_model_output(place: Path | str) -> None:
+    """Refuse a place at which `save_model` could not put a model, before one is trained.
+
+    Raises:
+        ModelError: The path is there already and is no model.
+        CyclekitError: The place cannot be written.
+    """
+    check_output_folder(place)
+    if not is_url(place):
+        _refuse_other(Path(place))
+
+
 def save_model(place: Path | str, model: TrainedModel) -> None:
     """Write `model` as a folder, at a path or a URL: the old model or the new one is there at any time, never half.
 
@@ -143,9 +156,7 @@ def save_model(place: Path | str, model: TrainedModel) -> None:
 
 def _save(path: Path, model: TrainedModel) -> None:
     recover(path)
-    if path.exists() and not (path.is_dir() and ((path / CARD).is_file() or not any(path.iterdir()))):
-        msg = f"{path}: is there already and is no model, so it is not replaced"
-        raise ModelError(msg, cure="Choose another folder with --out.")
+    _refuse_other(path)
     weights = to_safetensors(model.weights)
     about = {
         "format": FORMAT,
@@ -167,6 +178,12 @@ def _save(path: Path, model: TrainedModel) -> None:
                 handle.write(content)
                 handle.flush()
                 os.fsync(handle.fileno())
+
+
+def _refuse_other(path: Path) -> None:
+    if path.exists() and not (path.is_dir() and ((path / CARD).is_file() or not any(path.iterdir()))):
+        msg = f"{path}: is there already and is no model, so it is not replaced"
+        raise ModelError(msg, cure="Choose another folder with --out.")
 
 
 def load_model(place: Path | str) -> TrainedModel:

@@ -9,7 +9,8 @@ What is missing is said on the page, and is no error. The only room that knows j
 from __future__ import annotations
 
 from cyclekit.report.page import FORMATS, ReportFacts, write_report
-from cyclekit.report.pdf import write_pdf
+from cyclekit.report.pdf import need_browser, write_pdf
+from cyclekit.report.template import Template
 from cyclekit.report.tried import Tried, load_tried
 
-__all__ = ["FORMATS", "ReportFacts", "Tried", "load_tried", "write_pdf", "write_report"]
+__all__ = ["FORMATS", "ReportFacts", "Template", "Tried", "load_tried", "need_browser", "write_pdf", "write_report"]

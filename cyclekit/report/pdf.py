@@ -36,6 +36,19 @@ def find_browser() -> Path | None:
     return next((place for place in places if place.is_file()), None)
 
 
+def need_browser() -> Path:
+    """Return a browser that can print, before there is a page to be printed.
+
+    Raises:
+        CyclekitError: None is installed.
+    """
+    browser = find_browser()
+    if browser is None:
+        cure = "Install Chromium, Chrome or Edge; or open the page in any browser and print it to PDF (A4)."
+        raise CyclekitError("no browser is installed that can print the page", cure=cure)
+    return browser
+
+
 def browser_options(profile: Path) -> list[str]:
     """Return the options under which a browser works unseen, in a profile of its own, and calls nobody."""
     options = ["--headless", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
@@ -53,10 +66,7 @@ def write_pdf(page: Path, out: Path) -> int:
     Raises:
         CyclekitError: No browser is installed, or it fails, or the file cannot be written.
     """
-    browser = find_browser()
-    if browser is None:
-        cure = "Install Chromium, Chrome or Edge; or open the page in any browser and print it to PDF (A4)."
-        raise CyclekitError("no browser is installed that can print the page", cure=cure)
+    browser = need_browser()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, replaced(out) as temporary:
         printed = Path(folder) / "page.pdf"
         options = [*browser_options(Path(folder) / "profile"), "--no-pdf-header-footer", f"--print-to-pdf={printed}"]

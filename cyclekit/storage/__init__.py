@@ -63,6 +63,18 @@ def local(place: Path | str) -> Path:
     return folder
 
 
+def reach(url: str) -> None:
+    """Ask a file system once, so that a wrong address or key shows before the work whose result goes there.
+
+    Raises:
+        StorageError: The URL cannot be reached.
+    """
+    if of_file_url(url) is None:
+        with said(url, "reached"):
+            system, path = opened(url)
+            system.get_file_info(path)
+
+
 @contextmanager
 def published(place: Path | str) -> Iterator[Path]:
     """Give the path to write a folder at; for a URL it holds what is there now, and is published at the end.

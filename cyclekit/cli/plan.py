@@ -49,6 +49,8 @@ def plan(
 
 
 def _text(found: Plan) -> str:
+    from cyclekit.plan import some
+
     saved, low, high = found.saves_s
     lines = [
         f"order: {', '.join(found.order)}",
@@ -57,4 +59,9 @@ def _text(found: Plan) -> str:
         f"of that {found.saves_unseen_s:.1f} s with operators the order was not chosen by",
         f"{found.searched}: {found.tried} orders scored; {found.executions} logged executions",
     ]
+    if found.unlogged:
+        lines.append(
+            f"left out: orders that need a task that was never logged; log these to have them searched: "
+            f"{some(found.unlogged)}"
+        )
     return "\n".join(lines)

@@ -7,5 +7,6 @@ answer  the order found, what it saves against the logged ones, and how much of 
 
 from cyclekit.plan.answer import Plan, plan
 from cyclekit.plan.jobs import Jobs, load_jobs
+from cyclekit.plan.search import some
 
-__all__ = ["Jobs", "Plan", "load_jobs", "plan"]
+__all__ = ["Jobs", "Plan", "load_jobs", "plan", "some"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
@@ -14,10 +14,11 @@ from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
-from cyclekit.plan.search import Scorer, best_order, random_order, tasks_of
+from cyclekit.plan.jobs import tasks_of
+from cyclekit.plan.search import Scorer, best_order, first_order, random_order
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from cyclekit.dataset import Dataset
     from cyclekit.estimate.nominal import NominalTask
@@ -44,9 +45,10 @@ class Plan:
         saves_s: against_s - expected_s, and its 95 % interval from resampling executions.
         saves_unseen_s: What an order saves that is chosen by one half of the executions, on the other half (mean of
             both halves): the part of the saving that is no luck of these logs.
-        searched: `all orders` or `search`.
+        searched: `all orders`, `all orders of logged tasks` (others need what was never logged) or `search`.
         tried: How many orders were scored.
         executions: Logged executions it rests on.
+        unlogged: Tasks that were never logged with a known speed scaling; orders that need one were left out.
     """
 
     order: tuple[str, ...]
@@ -59,6 +61,7 @@ class Plan:
     searched: str
     tried: int
     executions: int
+    unlogged: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as plain JSON values."""
@@ -77,7 +80,8 @@ def plan(
 
     Args:
         model: A model of problem `now`.
-        dataset: Logs that hold every task an order may need, and the operator's tracks.
+        dataset: Logs that hold the tasks of at least one allowed order, and the operator's tracks. Orders that need
+            a task that was never logged are left out.
         jobs: What is to be visited.
         seed: Of random orders, stands and resampling.
         progress: Told fraction and text.
@@ -85,12 +89,14 @@ def plan(
     Raises:
         ModelError: The model predicts something else than the present scaling.
         UnknownName: A place does not exist.
-        EstimateError: A task that an order may need was never logged, or there is no operator track.
+        EstimateError: Every allowed order needs a task that was never logged, or there is no operator track.
     """
     if model.problem != "now":
         msg = f"the model predicts problem {model.problem!r}; a plan needs the scaling of the present instant"
         raise ModelError(msg, cure="Train one: cyclekit train DATASET --problem now --out MODEL")
-    tasks = _tasks(jobs, dataset)
+    tasks, unlogged = _tasks(jobs, dataset)
+    jobs = replace(jobs, unlogged=frozenset(unlogged))
+    first_order(jobs, lambda _, options: options)  # refused before the tracks are walked
     length = max(task.nominal_s + task.dwell_s + task.wait_s for task in tasks.values()) * (2 * len(jobs.visit) + 2)
     with threadpool_limits(limits=1, user_api="blas"):
         tracks = operator_tracks(dataset, horizon_s=3.0 * length)
@@ -119,11 +125,12 @@ def plan(
         searched=searched,
         tried=tried,
         executions=len(set(tracks.executions)),
+        unlogged=tuple(unlogged),
     )
 
 
-def _tasks(jobs: Jobs, dataset: Dataset) -> Mapping[str, NominalTask]:
-    """Return every task that an allowed order may need."""
+def _tasks(jobs: Jobs, dataset: Dataset) -> tuple[dict[str, NominalTask], list[str]]:
+    """Return every task that an allowed order may need, and those of them that were never logged."""
     known = nominal_tasks(dataset)
     for name in (*jobs.visit, jobs.start, jobs.end, jobs.via):
         if name is not None and name not in dataset.places:
@@ -138,11 +145,8 @@ def _tasks(jobs: Jobs, dataset: Dataset) -> Mapping[str, NominalTask]:
     impossible = {tasks_of(jobs.places((name,)))[0] for name in late} if jobs.via is None else set()
     if jobs.end is not None:
         impossible |= {f"{name}->{jobs.end}" for name in early}
-    if missing := sorted(task for task in wanted - impossible if task not in known):
-        seen = f"{jobs.shown}: task {missing[0]!r} was never logged with a known speed scaling"
-        more = f" ({len(missing)} such tasks in all)" if len(missing) > 1 else ""
-        raise EstimateError(seen + more, cure="Log it, leave the place out, or rule the task out with before.")
-    return {task: known[task] for task in wanted if task in known}
+    missing = sorted(task for task in wanted - impossible if task not in known)
+    return {task: known[task] for task in wanted if task in known}, missing
 
 
 def _basis(dataset: Dataset, jobs: Jobs, seed: int) -> tuple[str, list[Order]]:

@@ -10,6 +10,8 @@ before = [["left_1", "left_2"]]         # the first one before the second one
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import ConfigError, UnknownName
@@ -33,6 +35,7 @@ class Jobs:
         via: Place visited before each.
         before: Pairs of places; every visit to the first comes before every visit to the second.
         shown: How a message names it.
+        unlogged: Tasks that no order may need, since they were never logged.
     """
 
     visit: tuple[str, ...]
@@ -41,6 +44,7 @@ class Jobs:
     via: str | None = None
     before: tuple[tuple[str, str], ...] = ()
     shown: str = "the jobs"
+    unlogged: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Refuse jobs that no order can fulfil.
@@ -69,14 +73,63 @@ class Jobs:
         return tuple(name for i, name in enumerate(found) if i == 0 or name != found[i - 1])
 
     def allowed(self, order: Sequence[str]) -> bool:
-        """Tell whether an order keeps every constraint."""
+        """Tell whether an order keeps every constraint and needs no task that was never logged."""
         last = {name: i for i, name in enumerate(order)}
         first = {name: i for i, name in reversed(list(enumerate(order)))}
-        return all(last[a] < first[b] for a, b in self.before)
+        if not all(last[a] < first[b] for a, b in self.before):
+            return False
+        return not self.unlogged.intersection(tasks_of(self.places(order)))
 
-    def next_of(self, left: Sequence[str]) -> list[str]:
-        """Return which of the visits that are left may come next, each once."""
-        return [name for name in dict.fromkeys(left) if not any(b == name and a in left for a, b in self.before)]
+    def next_of(self, left: Sequence[str], last: str | None = None) -> list[str]:
+        """Return which of the visits that are left may come next, each once.
+
+        Args:
+            left: The visits that are left.
+            last: The visit before; None: the start.
+
+        Returns:
+            Where tasks are missing, those to which a logged way leads; that an order can be completed then is likely
+            but not sure.
+        """
+        free = [name for name in dict.fromkeys(left) if not any(b == name and a in left for a, b in self.before)]
+        return [name for name in free if _leads_on(self, last or self.start, name, left)] if self.unlogged else free
+
+
+def tasks_of(places: Sequence[str]) -> list[str]:
+    """Return the tasks `start->goal` between places."""
+    return [f"{a}->{b}" for a, b in pairwise(places)]
+
+
+@lru_cache(maxsize=8)
+def _ways(jobs: Jobs) -> dict[str, frozenset[str]]:
+    """Return the visits that the robot can go on to from each visit and from the start, by logged tasks alone."""
+
+    def is_logged(one: str, other: str) -> bool:
+        stops = (one, jobs.via, other) if jobs.via else (one, other)
+        went = [name for i, name in enumerate(stops) if name is not None and (i == 0 or name != stops[i - 1])]
+        return not jobs.unlogged.intersection(tasks_of(went))
+
+    return {one: frozenset(name for name in jobs.visit if is_logged(one, name)) for one in (jobs.start, *jobs.visit)}
+
+
+def _leads_on(jobs: Jobs, last: str, name: str, left: Sequence[str]) -> bool:
+    """Tell whether `name` can follow `last`, and no visit is cut off then: one that nothing leads to, two dead ends."""
+    ways = _ways(jobs)
+    if name not in ways[last]:
+        return False
+    rest = list(left)
+    rest.remove(name)
+    if not rest:
+        return _ends_after(jobs, name)
+    names = set(rest)
+    if names.difference(ways[name], *(ways[other] for other in names)):
+        return False
+    dead_ends = [other for other in names if not (ways[other] & names) - {other}] if len(names) > 1 else []
+    return len(dead_ends) <= 1 and all(_ends_after(jobs, other) for other in dead_ends)
+
+
+def _ends_after(jobs: Jobs, name: str) -> bool:
+    return jobs.end is None or name == jobs.end or f"{name}->{jobs.end}" not in jobs.unlogged
 
 
 def load_jobs(path: Path) -> Jobs:

@@ -8,14 +8,16 @@ one visit or swaps two until nothing gets better.
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from math import factorial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.errors import EstimateError
+from cyclekit.plan.jobs import tasks_of
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -83,11 +85,6 @@ class Scorer:
             return np.asarray(means + np.nan_to_num(found.std(axis=1)) / self._executions**0.5)
 
 
-def tasks_of(places: Sequence[str]) -> list[str]:
-    """Return the tasks `start->goal` between places."""
-    return [f"{a}->{b}" for a, b in pairwise(places)]
-
-
 def best_order(
     scorer: Scorer, *, seed: int = 0, progress: Callable[[float, str], None] | None = None
 ) -> tuple[Order, str, int]:
@@ -97,7 +94,8 @@ def best_order(
     if factorial(len(jobs.visit)) <= FEW_ORDERS:
         orders = list(every_order(jobs))
         tell(0.5, f"trying {len(orders)} orders")
-        return orders[int(scorer.scores(orders).argmin())], "all orders", len(orders)
+        searched = "all orders of logged tasks" if jobs.unlogged else "all orders"
+        return orders[int(scorer.scores(orders).argmin())], searched, len(orders)
     rng = np.random.default_rng(seed)
     greedy = greedy_order(scorer)
     random = [random_order(jobs, rng) for _ in range(RANDOM_ORDERS)]
@@ -117,7 +115,7 @@ def every_order(jobs: Jobs) -> Iterator[Order]:
     def following(done: Order, left: tuple[str, ...]) -> Iterator[Order]:
         if not left:
             yield done
-        for name in jobs.next_of(left):
+        for name in jobs.next_of(left, done[-1] if done else None):
             rest = list(left)
             rest.remove(name)
             yield from following((*done, name), tuple(rest))
@@ -126,29 +124,69 @@ def every_order(jobs: Jobs) -> Iterator[Order]:
 
 
 def greedy_order(scorer: Scorer) -> Order:
-    """Return the order in which each next visit is the one after which least was lost, as part of the nominal time."""
-    jobs, nominal = scorer.jobs, scorer.nominal_s
-    unfinished = Scorer.of_unfinished(scorer)
-    done: Order = ()
-    left = list(jobs.visit)
-    while left:
-        options = jobs.next_of(left)
+    """Return the order in which each next visit is the one after which least was lost, as part of the nominal time.
+
+    Raises:
+        EstimateError: As `first_order`.
+    """
+    nominal, unfinished = scorer.nominal_s, Scorer.of_unfinished(scorer)
+
+    def least_lost_first(done: Order, options: list[str]) -> list[str]:
         orders = [(*done, name) for name in options]
         free = np.array([sum(nominal[task] for task in tasks_of(unfinished.jobs.places(order))) for order in orders])
-        taken = unfinished.means(orders)
-        chosen = options[int((taken / free).argmin())]
-        done, left = (*done, chosen), _without(left, chosen)
-    return done
+        return [options[i] for i in np.argsort(unfinished.means(orders) / free, kind="stable")]
+
+    return first_order(scorer.jobs, least_lost_first)
 
 
 def random_order(jobs: Jobs, rng: np.random.Generator) -> Order:
-    """Return an allowed order; each next visit is drawn from those that may come."""
-    done: Order = ()
-    left = list(jobs.visit)
-    while left:
-        chosen = str(rng.choice(jobs.next_of(left)))
-        done, left = (*done, chosen), _without(left, chosen)
-    return done
+    """Return an allowed order; each next visit is drawn from those that may come.
+
+    Raises:
+        EstimateError: As `first_order`.
+    """
+
+    def drawn(_: Order, options: list[str]) -> Iterator[str]:
+        while options:
+            chosen = str(rng.choice(options))
+            options.remove(chosen)
+            yield chosen
+
+    return first_order(jobs, drawn)
+
+
+def first_order(jobs: Jobs, ranked: Callable[[Order, list[str]], Iterable[str]]) -> Order:
+    """Return the first allowed order that is come to by trying the next visits as they are ranked.
+
+    Raises:
+        EstimateError: Every allowed order needs a task that was never logged.
+    """
+    dead: set[tuple[str | None, Order]] = set()  # from where no order was found
+
+    def completed(done: Order, left: list[str]) -> Order | None:
+        last = done[-1] if done else None
+        if not left:
+            return done
+        if (state := (last, tuple(sorted(left)))) in dead:
+            return None
+        options = jobs.next_of(left, last)
+        for name in ranked(done, options) if options else ():
+            if (found := completed((*done, name), _without(left, name))) is not None:
+                return found
+        dead.add(state)
+        return None
+
+    if (order := completed((), list(jobs.visit))) is None:
+        names = sorted(jobs.unlogged)
+        seen = f"{jobs.shown}: every order needs a task that was never logged with a known speed scaling"
+        raise EstimateError(f"{seen}: {some(names)}", cure="Log these tasks, or leave their places out.")
+    return order
+
+
+def some(names: Sequence[str], most: int = 8) -> str:
+    """Return the first few of many names, and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def _improved(scorer: Scorer, order: Order) -> tuple[Order, float, int]:
@@ -156,9 +194,11 @@ def _improved(scorer: Scorer, order: Order) -> tuple[Order, float, int]:
     best, tried = float(scorer.scores([order])[0]), 1
     while True:
         around = [near for near in dict.fromkeys(_neighbours(order)) if scorer.jobs.allowed(near)]
+        if not around:
+            return order, best, tried
         scores = scorer.scores(around)
         tried += len(around)
-        if not len(around) or scores.min() >= best - 1e-9:
+        if scores.min() >= best - 1e-9:
             return order, best, tried
         order, best = around[int(scores.argmin())], float(scores.min())
 

@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
-from cyclekit.estimate.nominal import NominalTask
+from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.transit import TransitTable
 from cyclekit.plan import Jobs, load_jobs, plan, search
-from cyclekit.plan.search import Scorer, best_order, every_order, greedy_order, random_order, tasks_of
+from cyclekit.plan.jobs import tasks_of
+from cyclekit.plan.search import Scorer, best_order, every_order, greedy_order, random_order
 
 if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
@@ -135,6 +138,48 @@ def test_work_that_was_never_logged_is_refused_with_the_cure(logged: Dataset, st
     with pytest.raises(UnknownName) as caught:
         plan(staircase, logged, Jobs(("left_1", "left_9"), "home", None, "conveyor"))
     assert caught.value.nearest is not None
-    with pytest.raises(EstimateError, match="was never logged") as refused:
+    with pytest.raises(EstimateError, match="left_1->left_2, left_2->left_1") as refused:
         plan(staircase, logged, Jobs(("left_1", "left_2"), "home", None))
-    assert "before" in str(refused.value.cure)
+    assert "Log these tasks" in str(refused.value.cure)
+
+
+def test_orders_of_logged_tasks_are_searched_where_others_need_what_was_never_logged(
+    logged: Dataset, staircase: Any, monkeypatch: pytest.MonkeyPatch
+):
+    jobs = jobs_logged(logged, 3)
+    last, tasks = jobs.visit[0], nominal_tasks(logged)
+    del tasks[f"{last}->conveyor"]
+    monkeypatch.setattr("cyclekit.plan.answer.nominal_tasks", lambda _: tasks)
+    found = plan(staircase, logged, jobs)
+    assert found.order[-1] == last
+    assert (found.searched, found.tried) == ("all orders of logged tasks", 2)
+    assert found.unlogged == (f"{last}->conveyor",)
+
+
+PAIRS = [f"{a}->{b}" for a, b in permutations(("home", "via", *NAMES), 2)]
+
+
+@given(
+    st.frozensets(st.sampled_from(PAIRS), max_size=20),
+    st.sampled_from([None, "via"]),
+    st.sampled_from([None, "home"]),
+    st.lists(st.sampled_from(NAMES), min_size=2, max_size=5),
+)
+def test_the_orders_of_logged_tasks_are_those_among_all_that_need_no_other(
+    unlogged: frozenset[str], via: str | None, end: str | None, visit: list[str]
+):
+    jobs = Jobs(tuple(visit), "home", end, via, unlogged=unlogged)
+    every = {o for o in permutations(visit) if not unlogged.intersection(tasks_of(jobs.places(o)))}
+    assert set(every_order(jobs)) == every
+    assert {order for order in permutations(visit) if jobs.allowed(order)} == every
+    if every:
+        assert random_order(jobs, np.random.default_rng(1)) in every
+
+
+def test_one_place_from_which_nothing_leads_on_is_visited_last_and_two_are_refused_at_once():
+    names = tuple(f"slot_{number}" for number in range(24))
+    closed = frozenset(f"{name}->via" for name in names[:2])
+    with pytest.raises(EstimateError, match=r"every order needs a task .*: slot_0->via, slot_1->via"):
+        random_order(Jobs(names, "home", None, "via", unlogged=closed), np.random.default_rng(1))
+    one = Jobs(names, "home", None, "via", unlogged=frozenset({"slot_1->via"}))
+    assert random_order(one, np.random.default_rng(1))[-1] == "slot_1"

@@ -78,10 +78,13 @@ def trace(dataset: Dataset, execution: str, at_s: float, *, logs: Path | str | N
 
     Raises:
         UnknownName: There is no such execution.
-        DatasetError: It has no samples.
+        DatasetError: It has no samples, or `at_s` is after its end.
     """
     name = dataset.find_execution(execution)
     entry = next(entry for entry in dataset.card["executions"] if entry["execution"] == name)
+    if at_s > (length_s := float(entry["end_s"]) - float(entry["start_s"])):
+        seen = f"{dataset.path}: execution {name} lasts {length_s:.1f} s, so it holds no sample at {at_s:g} s"
+        raise DatasetError(seen, cure="Give --at a time since the execution began, such as 12.5s.")
     samples = dataset.samples([name])
     if samples.is_empty():
         raise DatasetError(f"{dataset.path}: execution {name} has no samples", cure="Choose another one.")

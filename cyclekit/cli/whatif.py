@@ -11,8 +11,9 @@ from cyclekit.cli.options import Extrapolate, Json, LoggedPlace, ModelPlace, Qui
 from cyclekit.cli.terminal import Terminal, bullet, table, write_out
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
+    from cyclekit.errors import EstimateError
     from cyclekit.whatif import WhatIf
 
 EXAMPLE = "cyclekit whatif model sequences.toml changes.toml --dataset dataset"
@@ -33,9 +34,11 @@ def whatif(
 ) -> None:
     """Estimate cycle times in a changed cell. No safety proof.
 
-    Another staircase or zones, a moved base or place, an operator who comes more or less often.
+    Another staircase or zones, a moved base or place, an operator who comes more or less often. A change that cannot be
+    answered from these logs is named with the reason, and the others are answered; if none can be, that is an error.
     """
     from cyclekit.dataset import Dataset
+    from cyclekit.errors import EstimateError
     from cyclekit.models.saved import load_model
     from cyclekit.outputs import check_output
     from cyclekit.sequences import load_sequences
@@ -44,6 +47,7 @@ def whatif(
     terminal = Terminal(json=json, quiet=quiet)
     check_output(out, (".json",))
     wanted, changed = load_sequences(sequences), load_changes(changes)
+    refused: dict[str, EstimateError] = {}
     with terminal.progress("estimating") as progress:
         found = what_if(
             load_model(model),
@@ -52,13 +56,20 @@ def whatif(
             changed,
             seed=seed,
             extrapolate=extrapolate,
+            refused=lambda change, error: refused.__setitem__(change.name, error),
             progress=progress,
         )
-    document = {"safety": NO_PROOF, "answers": [entry.to_json() for entry in found]}
+    if not found:
+        raise EstimateError("\n".join(map(str, refused.values())))
+    document = {
+        "safety": NO_PROOF,
+        "answers": [entry.to_json() for entry in found],
+        "refused": [{"change": name, "reason": str(error)} for name, error in refused.items()],
+    }
     if out is not None:
         write_out(out, document)
         terminal.remark(f"written: {out}")
-    terminal.answer(document, _table(found), _limits(found), NO_PROOF)
+    terminal.answer(document, _table(found), _refused(refused), _limits(found), NO_PROOF)
 
 
 def _table(found: Sequence[WhatIf]) -> str:
@@ -79,6 +90,17 @@ def _table(found: Sequence[WhatIf]) -> str:
     return table(["change ", "sequence ", "before, s", "after, s", "mean (95%)", "saves, s"], rows)
 
 
+def _refused(refused: Mapping[str, EstimateError]) -> str:
+    return "Not answered\n" + bullet([" ".join(str(error).split()) for error in refused.values()]) if refused else ""
+
+
 def _limits(found: Sequence[WhatIf]) -> str:
-    texts = [f"{entry.change}: {text}" for entry in found for text in entry.after.warnings if text != entry.safety]
-    return bullet(list(dict.fromkeys(texts)))
+    """Return every warning with its change and the sequences that it is about."""
+    about: dict[tuple[str, str], list[str]] = {}
+    for entry in found:
+        for text in entry.after.warnings:
+            if text != entry.safety:
+                about.setdefault((entry.change, text), []).append(entry.after.name)
+    every = len({entry.after.name for entry in found})
+    shown = {key: "all sequences" if len(names) == every > 1 else ", ".join(names) for key, names in about.items()}
+    return bullet([f"{change}, {shown[change, text]}: {text}" for change, text in about])

@@ -13,6 +13,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 import rerun.blueprint.encodings as rre
 
+from cyclekit.errors import CyclekitError
 from cyclekit.replay.bodies import floor_m
 from cyclekit.replay.compare import most_different
 from cyclekit.replay.misses import misses
@@ -115,6 +116,9 @@ def opening(runs: Sequence[Execution], order: Order, at: Focus) -> Opening | Non
 
 def _span(run: Execution, at: Focus) -> tuple[float, float] | None:
     if isinstance(at, float | int):
+        if at > run.duration_s:
+            seen = f"execution {run.name} lasts {run.duration_s:.1f} s, so nothing of it plays at {at:g} s"
+            raise CyclekitError(seen, cure="Give --at a time since the execution began, such as 12.5s.")
         return float(at), float(at)
     wrong = misses(run, 1)
     if at == "error" and wrong:

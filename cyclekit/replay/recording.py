@@ -85,7 +85,7 @@ def write_replay(
 
     Raises:
         UnknownName: The dataset has no such execution.
-        CyclekitError: Too many executions, or the file cannot be written.
+        CyclekitError: Too many executions, `at` is after the end, or the file cannot be written.
     """
     say = progress or (lambda _part, _text: None)
     wanted = [execution] if isinstance(execution, str) else list(execution)

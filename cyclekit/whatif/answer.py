@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cyclekit.errors import EstimateError
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.rollout import Altered, estimate
 from cyclekit.whatif.alter import altered_safety, altered_tasks, altered_tracks
@@ -63,6 +64,7 @@ def what_if(
     seed: int = 0,
     extrapolate: bool = False,
     check: Check | None = None,
+    refused: Callable[[Change, EstimateError], None] | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> list[WhatIf]:
     """Estimate every sequence as it is and under every change.
@@ -75,11 +77,14 @@ def what_if(
         seed: As of `estimate`.
         extrapolate: As of `estimate`.
         check: As of `estimate`; it corrects both sides.
+        refused: Told each change that cannot be answered from these logs, and why; the others are answered. None: the
+            first such change is raised.
         progress: Told fraction and text.
 
     Raises:
-        UnknownName: A place does not exist.
-        EstimateError: As of `estimate`; or an operator cannot come as often as asked for.
+        UnknownName: A place does not exist; a change that names it is named.
+        EstimateError: As of `estimate` for the sequences as they are; or a change cannot be answered, such as an
+            operator who cannot come as often as asked for.
     """
     tell = progress or (lambda fraction, text: None)
     names = [sequence.name for sequence in sequences]
@@ -93,9 +98,21 @@ def what_if(
     for number, change in enumerate(changes):
         tell(number / len(changes), change.name)
         safety = altered_safety(change, model)
-        after = estimates(safety, _altered(change, safety, dataset))
+        try:
+            after = estimates(safety, _altered(change, safety, dataset))
+        except EstimateError as error:
+            if refused is None:
+                raise _named(change, error) from error
+            refused(change, _named(change, error))
+            continue
         answers += [_compared(change, before[name], _marked(change, after[name]), seed) for name in names]
     return answers
+
+
+def _named(change: Change, error: EstimateError) -> EstimateError:
+    if change.name in error.seen:
+        return error
+    return EstimateError(f"change {change.name!r}: {error.seen}", nearest=error.nearest, cure=error.cure)
 
 
 def _altered(change: Change, safety: SafetyModel, dataset: Dataset) -> Altered:

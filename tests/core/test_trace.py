@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from cyclekit.dataset import Dataset
-from cyclekit.errors import UnknownName
+from cyclekit.errors import DatasetError, UnknownName
 from cyclekit.ingest import ingest
 from cyclekit.trace import trace
 
@@ -34,6 +34,13 @@ def test_the_line_that_is_named_holds_the_position_of_the_sample(boxes: Simulate
         frame = (boxes.logs / people[0].file).read_text(encoding="utf-8").splitlines()[people[0].source_row - 1]
         assert float(frame.split(",")[6]) == pytest.approx(people[0].values["x_m"], abs=1e-6)
     assert boxes.dataset.samples().height == rows
+
+
+def test_a_time_after_the_end_is_refused_with_the_length_of_the_execution(boxes: SimulatedCell):
+    length_s = boxes.dataset.executions["duration_s"][0]
+    trace(boxes.dataset, "1", length_s - 0.01)
+    with pytest.raises(DatasetError, match=f"lasts {length_s:.1f} s, so it holds no sample at 999 s"):
+        trace(boxes.dataset, "1", 999.0)
 
 
 def test_blank_lines_and_rows_set_aside_are_counted_as_an_editor_does(tmp_path: Path, robot_log: Any):

@@ -85,6 +85,12 @@ def test_both_timelines_differ_by_the_start_of_the_execution_in_its_session(tmp_
     assert apart == pytest.approx(np.full(len(apart), start_s), abs=3e-6)  # microseconds, rounded twice
 
 
+def test_a_time_after_the_end_is_refused(dataset, tmp_path):
+    with pytest.raises(CyclekitError, match=r"lasts \d+\.\d s, so nothing of it plays at 9999 s"):
+        write_replay(dataset, "1", tmp_path / "x.rrd", at=9999.0)
+    assert not (tmp_path / "x.rrd").exists()
+
+
 def test_rerun_itself_finds_nothing_wrong_with_the_file(dataset, tmp_path):
     facts = write_replay(dataset, "1", tmp_path / "x.rrd", model=DistanceModel())
     done = subprocess.run(

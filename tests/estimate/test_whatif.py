@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
+from cyclekit.cli import run
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.tracks import OperatorTracks
@@ -50,6 +52,58 @@ def test_the_same_staircase_changes_nothing_and_a_smaller_one_saves_time(logged:
     for entry in (same, small):
         assert NO_PROOF in entry.after.warnings
         assert entry.to_json()["safety"] == NO_PROOF
+
+
+def test_a_change_that_cannot_be_answered_is_named_and_the_others_are_answered(logged: Dataset, staircase: Any):
+    places = tuple(logged.card["executions"][0]["places"])
+    changes = [Change("too often", frequency=50.0), Change("same", levels=LEVELS, thresholds_m=THRESHOLDS_M)]
+    refused: list[tuple[str, str]] = []
+    (same,) = what_if(
+        staircase,
+        logged,
+        [TaskSequence("A", places)],
+        changes,
+        refused=lambda change, error: refused.append((change.name, str(error))),
+    )
+    assert same.change == "same"
+    ((name, reason),) = refused
+    assert name == "too often"
+    assert reason.startswith("change 'too often': ")
+    with pytest.raises(EstimateError, match="change 'too often'"):
+        what_if(staircase, logged, [TaskSequence("A", places)], changes)
+
+
+def test_a_refusal_of_the_estimate_itself_names_the_change_too(logged: Dataset, staircase: Any):
+    halted = Change("halted for ever", levels=(0.0, 1.0), thresholds_m=(1e6,))
+    with pytest.raises(EstimateError, match=r"change 'halted for ever': .* do not end"):
+        what_if(staircase, logged, [TaskSequence("A", ("home", "conveyor"))], [halted])
+
+
+def test_the_command_answers_what_it_can_and_fails_where_it_can_answer_nothing(
+    logged: Dataset, staircase: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr("cyclekit.models.saved.load_model", lambda _: staircase)
+    often = '[[change]]\nname = "too often"\nfrequency = 50.0\n'
+    smaller = f'[[change]]\nname = "small"\nlevels = {list(LEVELS)}\nthresholds_m = [0.6, 0.8, 1.2, 1.6]\n'
+    asked, out = tmp_path / "s.toml", tmp_path / "out.json"
+    asked.write_text('[[sequence]]\nname = "A"\nplaces = ["home", "conveyor"]\n', encoding="utf-8")
+    for name, text, code in (("both", often + smaller, 0), ("none", often, 1)):
+        file = tmp_path / f"{name}.toml"
+        file.write_text(text, encoding="utf-8")
+        words = ["whatif", "m", str(asked), str(file), "--dataset", str(logged.path), "--out", str(out)]
+        assert run([*words, "--json"]) == code
+        found = json.loads(capsys.readouterr().out)
+        if code == 0:
+            assert [entry["change"] for entry in found["answers"]] == ["small"]
+            assert [entry["change"] for entry in found["refused"]] == ["too often"]
+            assert run(words) == 0
+            shown = capsys.readouterr().out
+            assert "Not answered\n- change 'too often': " in shown
+            assert "- small, A: rests on 16 operator tracks only" in " ".join(shown.split())
+            out.unlink()
+        else:
+            assert "change 'too often'" in found["error"]["message"]
+            assert not out.exists()
 
 
 def test_a_moved_place_bends_the_motions_there_and_no_others(logged: Dataset):

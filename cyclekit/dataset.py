@@ -23,13 +23,14 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.atomic import recover
 from cyclekit.config import Furniture
-from cyclekit.errors import DatasetError, UnknownName
+from cyclekit.errors import DatasetError, UnknownName, command_line
+from cyclekit.mistaken import DATASET_CARD, toml_for, what_is
 from cyclekit.storage import local
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-CARD = "dataset.json"
+CARD = DATASET_CARD
 _NEAR_S = 1e-3
 """Rows so far outside of a span are read too, since its ends in a log's own clock are rounded."""
 
@@ -79,15 +80,14 @@ class Dataset:
         place, path = str(path), local(path)
         text = _card_text(path)
         if text is None:
-            seen = "no such folder" if not path.exists() else f"no {CARD} in it, so it is no cyclekit dataset"
-            msg = f"{path}: {seen}"
-            raise DatasetError(msg, cure=f"Make one: cyclekit ingest LOGS --out {path}")
+            raise _no_dataset(path)
         try:
             card = json.loads(text)
             version = card["schema_version"]
         except (ValueError, KeyError, TypeError) as error:
             msg = f"{path / CARD}: not a dataset card ({error})"
-            raise DatasetError(msg, cure="Ingest the logs again into a new folder.") from error
+            again = command_line("ingest", "LOGS", "--out", "DATASET")
+            raise DatasetError(msg, cure=f"Ingest the logs again into a new folder: {again}") from error
         if version != schema.SCHEMA_VERSION:
             msg = f"{path}: dataset of schema version {version}, this cyclekit reads version {schema.SCHEMA_VERSION}"
             raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
@@ -253,6 +253,22 @@ class Dataset:
             cure = f"Give one of {shown}, or a number from 1 to {len(names)}." if names else "It holds no execution."
             raise UnknownName(str(self.path), "execution", name, names, cure=cure)
         return dict(by_name[name])
+
+
+def _no_dataset(path: Path) -> DatasetError:
+    """Return the error for a place that holds no dataset, with what it is instead."""
+    found = what_is(path)
+    if found == "nothing":
+        make = command_line("ingest", "LOGS", "--out", path)
+        return DatasetError(f"{path}: no such folder", cure=f"Check the path, or make a dataset: {make}")
+    seen = f"{path}: {found}, and a dataset was expected (a folder with {CARD})"
+    if found == "another folder":
+        ingest = command_line("ingest", path, "--out", "DATASET")
+        return DatasetError(seen, cure=f"If it holds logs, make a dataset of them: {ingest}")
+    if found == "a TOML file":
+        name, taken_by = toml_for(path)
+        return DatasetError(seen, cure=f"It looks like {name}: {taken_by}")
+    return DatasetError(seen, cure=f"Make one: {command_line('ingest', 'LOGS', '--out', 'DATASET')}")
 
 
 def _card_text(path: Path) -> str | None:

@@ -24,6 +24,9 @@ are put together here so that every room says it alike. Printing is the command 
 from __future__ import annotations
 
 import difflib
+import os
+import shlex
+import subprocess
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -156,8 +159,19 @@ class MissingExtra(CyclekitError):
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         """Name the command that installs it."""
         super().__init__(
-            f"{purpose} needs {package}, which is not installed", cure=f"Install it: pip install 'cyclekit[{extra}]'"
+            f"{purpose} needs {package}, which is not installed", cure=f'Install it: pip install "cyclekit[{extra}]"'
         )
+
+
+def command_line(*words: object, program: str = "cyclekit") -> str:
+    """Return a command as it can be typed on this system, paths with blanks in quotes.
+
+    Args:
+        words: What follows the program.
+        program: Its name.
+    """
+    every = [program, *map(str, words)]
+    return subprocess.list2cmdline(every) if os.name == "nt" else shlex.join(every)
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

@@ -17,7 +17,8 @@ from cyclekit import schema
 from cyclekit.adapter import Recording, StreamingAdapter
 from cyclekit.ahead import ahead
 from cyclekit.dataset import CARD
-from cyclekit.errors import BrokenAdapter, CyclekitError, LogError, UnknownFormat, UnknownName
+from cyclekit.errors import BrokenAdapter, CyclekitError, LogError, UnknownFormat, UnknownName, command_line
+from cyclekit.mistaken import MODEL_CARD, toml_for
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -232,6 +233,12 @@ def why_unknown(path: Path) -> UnknownFormat:
         return UnknownFormat(
             path, "this is a Git LFS pointer, not the log itself", cure="Fetch the content first: git lfs pull"
         )
+    if path.suffix.lower() == ".toml":
+        name, taken_by = toml_for(path)
+        return UnknownFormat(path, f"a TOML file and no log; it looks like {name}", cure=f"Use it so: {taken_by}")
+    if path.name in (CARD, MODEL_CARD):
+        look = command_line("inspect", path.parent)
+        return UnknownFormat(path, "part of a dataset or model, and no log", cure=f"Look at it: {look}")
     if head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"{", b"[")):
         return UnknownFormat(path, "JSON of a kind that no adapter recognises", cure=cure)
     cells = max(head.count(separator) for separator in (b",", b";", b"\t")) + 1

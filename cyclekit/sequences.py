@@ -16,6 +16,11 @@ from cyclekit.toml_file import list_at, read_toml
 if TYPE_CHECKING:
     from pathlib import Path
 
+_EXAMPLE = """Add one:
+  [[sequence]]
+  name = "A"
+  places = ["home", "conveyor", "left_1", "home"]"""
+
 
 @dataclass(frozen=True)
 class TaskSequence:
@@ -53,7 +58,7 @@ def load_sequences(path: Path) -> list[TaskSequence]:
     entries = list_at(str(path), raw, "sequence")
     if not entries:
         msg = f"{path}: no [[sequence]] in it"
-        raise ConfigError(msg, cure='Add one: [[sequence]] name = "A" places = ["home", "conveyor", "left_1", "home"]')
+        raise ConfigError(msg, cure=_EXAMPLE)
     found = [_sequence(path, entry, i) for i, entry in enumerate(entries)]
     names = [sequence.name for sequence in found]
     if twice := sorted({name for name in names if names.count(name) > 1}):

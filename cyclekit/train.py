@@ -21,7 +21,7 @@ import numpy as np
 import cyclekit
 from cyclekit import schema
 from cyclekit.dataset import Dataset
-from cyclekit.errors import DatasetError, MissingExtra
+from cyclekit.errors import DatasetError, MissingExtra, command_line
 from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
 from cyclekit.models.metrics import measure
 from cyclekit.models.saved import MODEL_VERSION, TrainedModel, check_model_output, save_model
@@ -264,9 +264,8 @@ def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
     if len(rows) < MIN_ROWS:
         why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "the log is that short"
         msg = f"{dataset.path}: only {len(rows)} of {frame.height} samples can be learned from ({why})"
-        raise DatasetError(
-            msg, cure=f"At least {MIN_ROWS} are needed. See what the logs lack: cyclekit inspect DATASET"
-        )
+        look = command_line("inspect", dataset.place)
+        raise DatasetError(msg, cure=f"At least {MIN_ROWS} are needed. See what the logs lack: {look}")
     return rows
 
 

@@ -31,7 +31,7 @@ FLOORS = [
     {"atomic", "tables"},
     {"engine"},
     {"config", "schema", "sequences"},
-    {"toml_file"},
+    {"mistaken", "toml_file"},
     {"ahead", "behind", "colours", "errors", "labels", "plain_json"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""

@@ -19,6 +19,7 @@ from cyclekit.cli.options import Json, Quiet, vector
 from cyclekit.cli.simulate import simulated
 from cyclekit.cli.terminal import Terminal, duration, write_out
 from cyclekit.cli.train import summary
+from cyclekit.errors import command_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -181,15 +182,16 @@ def _report(run: _Run, dataset: Dataset, model: TrainedModel, estimates: list[Cy
 
 
 def _closing(estimates: list[CycleEstimate], run: _Run) -> str:
+    model, dataset = run.out / "model", run.out / "dataset"
     lines = ["How long does a cycle take? Three orders of the same ten boxes, quickest first:", ""]
     lines += [estimates_table(estimates), CAPTION, "", loses_most(estimates), "", rests_on(estimates), "", "Next"]
     lines += [
         "- the page for the customer, in any browser:",
         f"    {run.out / 'report.html'}",
         "- the first execution in 3-D, with the model's prediction:",
-        f"    rerun {run.out / 'replay.rrd'}",
+        f"    {command_line(run.out / 'replay.rrd', program='rerun')}",
         f"- your own sequences: change {run.out / 'sequences.toml'}, then",
-        f"    cyclekit estimate {run.out / 'model'} {run.out / 'sequences.toml'} --dataset {run.out / 'dataset'}",
+        f"    {command_line('estimate', model, run.out / 'sequences.toml', '--dataset', dataset)}",
         "",
         f"Done in {duration(sum(run.spent_s.values()))}.",
     ]

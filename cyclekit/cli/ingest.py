@@ -9,6 +9,7 @@ import typer
 
 from cyclekit.cli.options import EngineName, Jobs, Json, Quiet, RayAddress, engine_of
 from cyclekit.cli.terminal import Terminal
+from cyclekit.errors import command_line
 
 if TYPE_CHECKING:
     from cyclekit.ingest import IngestReport
@@ -76,5 +77,5 @@ def summary(report: IngestReport) -> str:
     return (
         f"{report.place}: {report.executions} executions, {report.tasks} robot tasks, {report.samples} samples\n"
         f"  recordings: {report.recordings_new} read{kept}; files not read: {len(report.not_read)}\n"
-        f"next: cyclekit inspect {report.place}, or cyclekit train {report.place} --out model"
+        f"next: {command_line('inspect', report.place)}, or {command_line('train', report.place, '--out', 'model')}"
     )

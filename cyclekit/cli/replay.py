@@ -9,6 +9,7 @@ import typer
 
 from cyclekit.cli.options import DatasetPlace, Json, Quiet, seconds
 from cyclekit.cli.terminal import Terminal, duration, megabytes, table
+from cyclekit.errors import command_line
 
 if TYPE_CHECKING:
     from cyclekit.replay import Miss, ReplayFacts
@@ -93,7 +94,7 @@ def _said(facts: ReplayFacts) -> str:
     names = " and ".join(facts.executions)
     many = "execution" if len(facts.executions) == 1 else "executions"
     head = f"{facts.path}: {many} {names}, {duration(facts.duration_s)}, {megabytes(facts.bytes)}"
-    parts = [head, _worst(facts.misses), f"next: rerun {facts.path}"]
+    parts = [head, _worst(facts.misses), f"next: {command_line(facts.path, program='rerun')}"]
     return "\n".join(part for part in parts if part)
 
 

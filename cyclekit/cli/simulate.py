@@ -9,6 +9,7 @@ import typer
 
 from cyclekit.cli.options import Json, Quiet, vector
 from cyclekit.cli.terminal import Terminal
+from cyclekit.errors import command_line
 
 if TYPE_CHECKING:
     from cyclekit.cli.terminal import Progress
@@ -84,7 +85,8 @@ def simulate(
     with terminal.progress(f"simulating {scene}") as progress:
         made = simulated(scene, out, executions, seed, settings, progress)
     document = {"logs": str(made), "scene": scene, "executions": executions, "seed": seed}
-    terminal.done(document, f"{made}: {executions} executions of {scene}\nnext: cyclekit ingest {made} --out dataset")
+    following = command_line("ingest", made, "--out", "dataset")
+    terminal.done(document, f"{made}: {executions} executions of {scene}\nnext: {following}")
 
 
 def simulated(scene: str, out: Path, executions: int, seed: int, settings: dict[str, Any], progress: Progress) -> Path:

@@ -74,6 +74,7 @@ def train(
     chosen = None if seeds is None else whole_numbers(seeds)
     from functools import partial
 
+    from cyclekit.errors import command_line
     from cyclekit.models.saved import check_model_output
     from cyclekit.models.spec import ModelSpec
     from cyclekit.storage import join
@@ -97,8 +98,9 @@ def train(
     terminal.warnings(list(dict.fromkeys(text for card in cards.values() for text in card["warnings"])))
     documents = [{"model": each.out, "metrics": cards[each.out]["metrics"], "card": cards[each.out]} for each in todo]
     told = "\n".join(f"{each.out}: {summary(cards[each.out])}" for each in todo)
-    usual = f"cyclekit estimate {out} SEQUENCES.toml --dataset {dataset}"
-    following = usual if chosen is None else f"cyclekit evaluate {out} {dataset}"
+    following = command_line("evaluate", out, dataset)
+    if chosen is None and problem != "ahead":  # no estimator works with a forecast
+        following = command_line("estimate", out, "SEQUENCES.toml", "--dataset", dataset)
     terminal.done(documents[0] if chosen is None else {"models": documents}, f"{told}\nnext: {following}")
 
 

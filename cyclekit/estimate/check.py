@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cyclekit.errors import EstimateError
+from cyclekit.errors import EstimateError, command_line
 from cyclekit.estimate.nominal import nominal_tasks, slider_losses
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.safety import Dynamics
@@ -164,7 +164,7 @@ def check_rollout(
     sequences = logged_sequences(dataset, nominal)
     if not sequences:
         msg = f"{dataset.path}: no complete execution of tasks with known scaling, so nothing can be checked"
-        raise EstimateError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
+        raise EstimateError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
     longest = max(sum(nominal[task].nominal_s + nominal[task].dwell_s for task in s.tasks) for s in sequences)
     with threadpool_limits(limits=1, user_api="blas"):
         tracks = operator_tracks(dataset, horizon_s=3.0 * longest, phases=1)

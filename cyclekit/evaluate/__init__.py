@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.dataset import Dataset
-from cyclekit.errors import DatasetError, ModelError
+from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.evaluate.baselines import Row, rivals
 from cyclekit.evaluate.drift import Drift, drift
 from cyclekit.labelling import without_slider
@@ -132,7 +132,7 @@ def evaluate(
     if not len(rows):
         why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "it is empty"
         msg = f"{dataset.path}: no sample can be judged ({why})"
-        raise DatasetError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
+        raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
     tell(0.2, f"judging {len(rows)} samples")
     metrics = measure(model, rows)
     table, notes = list(_read_outs(metrics)), list[str]()

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from cyclekit.errors import ModelError
+from cyclekit.errors import ModelError, command_line
 from cyclekit.samples import build_samples
 
 if TYPE_CHECKING:
@@ -99,7 +99,8 @@ def drift(model: TrainedModel, trained_on: Dataset, newer: Dataset) -> Drift:
     """
     if model.problem != "now":
         msg = f"the model predicts problem {model.problem!r}; drift is read from the scaling of the present instant"
-        raise ModelError(msg, cure="Train one: cyclekit train DATASET --problem now --out MODEL")
+        cure = f"Train one: {command_line('train', trained_on.place, '--problem', 'now', '--out', 'MODEL')}"
+        raise ModelError(msg, cure=cure)
     split = model.card.get("split") or {}
     names = set(trained_on.executions["execution"].to_list())
     if not split.get("test") or not names.issuperset(split["test"]):

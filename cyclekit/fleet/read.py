@@ -104,7 +104,7 @@ def load_fleet(path: Path) -> Fleet:
     out = _place(here, str(shared.get("out", path.stem)))
     entries = list_at(str(path), raw, "cell")
     if not entries:
-        cure = 'Add them: [[cell]] name = "press-1" sources = ["logs/press-1"]'
+        cure = 'Add them:\n  [[cell]]\n  name = "press-1"\n  sources = ["logs/press-1"]'
         raise ConfigError(f"{path}: no [[cell]] in it", cure=cure)
     common = {name: shared[name] for name in settings if name in shared}
     cells = [_cell(f"{path} cell[{number}]", {**common, **entry}, here) for number, entry in enumerate(entries)]

@@ -110,7 +110,8 @@ def check_shared(staging: Path) -> None:
     """
     if not staging.is_dir():
         seen = f"{staging}: not there on the machine of the worker"
-        raise EngineError(seen, cure="Put the dataset where all machines see it, or give each a cell: cyclekit fleet")
+        cure = "Put the dataset where all machines see it, or work cell by cell: cyclekit fleet all FLEET.toml"
+        raise EngineError(seen, cure=cure)
 
 
 def _read(log: Log, *, staging: Path, how: How) -> Kept | LogError:

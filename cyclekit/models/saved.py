@@ -20,7 +20,8 @@ import numpy as np
 
 from cyclekit import schema
 from cyclekit.atomic import recover, staged
-from cyclekit.errors import ModelError, ShapeError
+from cyclekit.errors import ModelError, ShapeError, command_line
+from cyclekit.mistaken import MODEL_CARD, toml_for, what_is
 from cyclekit.models.layout import Layout, NotAModel, parse_model
 from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
 from cyclekit.outputs import check_output_folder
@@ -33,8 +34,7 @@ if TYPE_CHECKING:
     from cyclekit.models.weights import Weights
 
 FORMAT, MODEL_VERSION = "cyclekit-model", 2
-CARD, WEIGHTS = "model.json", "weights.safetensors"
-_RETRAIN = "Train it again: cyclekit train DATASET --out MODEL"
+CARD, WEIGHTS = MODEL_CARD, "weights.safetensors"
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class TrainedModel:
         """
         if self.network != "classifier":
             msg = f"a {self.network} gives one value and no probabilities"
-            raise ModelError(msg, cure="Train a classifier: cyclekit train DATASET --out MODEL --network classifier")
+            raise ModelError(msg, cure="Train a classifier: cyclekit train DATASET --network classifier --out MODEL")
         return self._run(X).astype(np.float64)
 
     def steps(self, X: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
@@ -196,9 +196,7 @@ def load_model(place: Path | str) -> TrainedModel:
     path = local(place)
     recover(path)
     if not path.is_dir() or not (path / CARD).is_file():
-        seen = "no such folder" if not path.exists() else f"no {CARD} in it, so it is no cyclekit model"
-        msg = f"{path}: {seen if path.is_dir() or not path.exists() else 'a file, not a model folder'}"
-        raise ModelError(msg, cure=_RETRAIN)
+        raise _no_model(path)
     file = path / CARD
     try:
         about = parse_model(file)
@@ -208,9 +206,27 @@ def load_model(place: Path | str) -> TrainedModel:
         weights = parse_weights(file, layout, str(about.get("weights_sha256")))
     except NotAModel as cause:
         msg = f"{file}: {cause}"
-        raise ModelError(msg, cure=_RETRAIN) from cause
+        again = command_line("train", "DATASET", "--out", place)
+        raise ModelError(msg, cure=f"Train it again: {again}") from cause
     made = (layout.problem, layout.network, layout.horizon_s, layout.levels)
     return TrainedModel(*made, weights, dict(about["card"]), layout.history)
+
+
+def _no_model(path: Path) -> ModelError:
+    """Return the error for a place that holds no model, with what it is instead."""
+    found = what_is(path)
+    if found == "nothing":
+        train = command_line("train", "DATASET", "--out", path)
+        return ModelError(f"{path}: no such folder", cure=f"Check the path, or train a model: {train}")
+    seen = f"{path}: {found}, and a model was expected (a folder with {CARD})"
+    if found == "a folder of models":
+        return ModelError(seen, cure=f"Choose one of them: {', '.join(models_in(str(path)))}.")
+    if found == "a dataset":
+        return ModelError(seen, cure=f"Train a model on it: {command_line('train', path, '--out', 'MODEL')}")
+    if found == "a TOML file":
+        name, taken_by = toml_for(path)
+        return ModelError(seen, cure=f"It looks like {name}: {taken_by}")
+    return ModelError(seen, cure=f"Train one: {command_line('train', 'DATASET', '--out', 'MODEL')}")
 
 
 def models_in(place: str) -> list[str]:

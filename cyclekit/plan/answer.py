@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cyclekit.errors import EstimateError, ModelError, UnknownName
+from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.tracks import operator_tracks
@@ -93,7 +93,8 @@ def plan(
     """
     if model.problem != "now":
         msg = f"the model predicts problem {model.problem!r}; a plan needs the scaling of the present instant"
-        raise ModelError(msg, cure="Train one: cyclekit train DATASET --problem now --out MODEL")
+        cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
+        raise ModelError(msg, cure=cure)
     tasks, unlogged = _tasks(jobs, dataset)
     jobs = replace(jobs, unlogged=frozenset(unlogged))
     first_order(jobs, lambda _, options: options)  # refused before the tracks are walked

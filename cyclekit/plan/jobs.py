@@ -22,7 +22,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _KEYS = ("start", "end", "via", "visit", "before")
-_EXAMPLE = 'start = "home"  end = "home"  via = "conveyor"  visit = ["left_1", "right_1"]'
+_EXAMPLE = """For example:
+  start = "home"
+  end = "home"
+  via = "conveyor"
+  visit = ["left_1", "right_1"]"""
 
 
 @dataclass(frozen=True)

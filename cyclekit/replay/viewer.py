@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from rerun.experimental import ViewerClient
 
-from cyclekit.errors import CyclekitError
+from cyclekit.errors import CyclekitError, command_line
 from cyclekit.replay.sink import PHASE
 
 if TYPE_CHECKING:
@@ -100,7 +100,8 @@ def require_replay(path: Path) -> None:
     """
     if not path.is_file():
         msg = f"{path}: no such replay"
-        raise CyclekitError(msg, cure="Write it first: cyclekit replay DATASET --execution ID --out FILE.rrd")
+        write = command_line("replay", "DATASET", "--execution", "1", "--out", path)
+        raise CyclekitError(msg, cure=f"Write it first: {write}")
 
 
 def no_usage_counting() -> None:

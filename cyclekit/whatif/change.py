@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     Place = tuple[float, float, float]
 
 _KEYS = ("name", "levels", "thresholds_m", "zones", "base", "places", "frequency")
+_EXAMPLE = """Add one:
+  [[change]]
+  name = "fewer visits"
+  frequency = 0.5"""
 _CURE = "docs/commands.md shows every key of a change."
 
 
@@ -111,7 +115,7 @@ def load_changes(path: Path) -> list[Change]:
             raise UnknownName(str(path), "key", key, ["change"])
     entries = list_at(str(path), raw, "change")
     if not entries:
-        raise ConfigError(f"{path}: no [[change]] in it", cure=_CURE)
+        raise ConfigError(f"{path}: no [[change]] in it", cure=_EXAMPLE)
     return [_change(path, entry, number) for number, entry in enumerate(entries)]
 
 

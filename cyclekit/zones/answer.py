@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from cyclekit.errors import DatasetError, ModelError
+from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.zones.fit import (
     DISTANCES,
     FLOOR_M,
@@ -99,11 +99,12 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> Zones
     """
     if model.problem != "now" or len(model.levels) < 2:
         msg = f"the model (problem {model.problem!r}, {len(model.levels)} levels) shows no staircase"
-        raise ModelError(msg, cure="Train one: cyclekit train DATASET --problem now --out MODEL")
+        cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
+        raise ModelError(msg, cure=cure)
     rows = _rows(dataset)
     if len(rows.scaling) < LEAST_ROWS:
         msg = f"{dataset.path}: {len(rows.scaling)} samples have both positions and a scaling; {LEAST_ROWS} are needed"
-        raise DatasetError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
+        raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
     levels = model.levels
     predicted = _predicted(model, rows)
     fits = {name: by_distance(rows, levels, name)[1] for name in DISTANCES}

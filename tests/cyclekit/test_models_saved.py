@@ -308,7 +308,7 @@ def test_a_pickle_in_place_of_a_model_is_never_run(tmp_path):
 
 def test_what_is_no_model_folder_is_named_as_that(tmp_path):
     (tmp_path / "empty").mkdir()
-    for name, said in (("nowhere", "no such folder"), ("empty", r"no model\.json")):
+    for name, said in (("nowhere", "no such folder"), ("empty", r"a folder with model\.json")):
         with pytest.raises(ModelError, match=said):
             load_model(tmp_path / name)
 

@@ -81,7 +81,7 @@ def test_a_cluster_that_nobody_runs_is_said_to_be_out_of_reach() -> None:
 
 def test_without_ray_the_message_names_the_command_that_installs_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingExtra, match=r"pip install 'cyclekit\[ray\]'"):
+    with pytest.raises(MissingExtra, match=r'pip install "cyclekit\[ray\]"'):
         list(Engine("ray").map(square, [1]))
 
 

@@ -1,0 +1,44 @@
+"""What was given in place of something else, so that an error can say what it is and which command takes it."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import TYPE_CHECKING
+
+from cyclekit.errors import command_line
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+DATASET_CARD, MODEL_CARD = "dataset.json", "model.json"
+_TAKEN_BY = {
+    "sequence": ("a sequence file", ("estimate", "MODEL", "{}", "--dataset", "DATASET")),
+    "change": ("a file of changes", ("whatif", "MODEL", "SEQUENCES.toml", "{}", "--dataset", "DATASET")),
+    "visit": ("a jobs file", ("plan", "MODEL", "{}", "--dataset", "DATASET")),
+    "cell": ("a fleet file", ("fleet", "all", "{}")),
+}
+"""Of TOML files by a key that only they have: what they are, and the words of the command that takes one."""
+_CELL_FILE = ("a cell file", ("ingest", "LOGS", "--cell", "{}", "--out", "DATASET"))
+
+
+def what_is(path: Path) -> str:
+    """Return what is at a path, in a few words: `a dataset`, `a model`, `a folder of models`, `a TOML file`, ..."""
+    if path.is_dir():
+        if (path / DATASET_CARD).is_file():
+            return "a dataset"
+        if (path / MODEL_CARD).is_file():
+            return "a model"
+        return "a folder of models" if any(path.glob(f"*/{MODEL_CARD}")) else "another folder"
+    if not path.exists():
+        return "nothing"
+    return "a TOML file" if path.suffix.lower() == ".toml" else "a file"
+
+
+def toml_for(path: Path) -> tuple[str, str]:
+    """Return what a TOML file is, and the command that takes it."""
+    try:
+        keys = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError):
+        keys = {}
+    name, words = next((found for key, found in _TAKEN_BY.items() if key in keys), _CELL_FILE)
+    return name, command_line(*(path if word == "{}" else word for word in words))

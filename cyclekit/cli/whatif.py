@@ -91,7 +91,8 @@ def _table(found: Sequence[WhatIf]) -> str:
 
 
 def _refused(refused: Mapping[str, EstimateError]) -> str:
-    return "Not answered\n" + bullet([" ".join(str(error).split()) for error in refused.values()]) if refused else ""
+    texts = [". ".join(part for part in (error.seen, error.cure) if part) for error in refused.values()]
+    return f"Not answered\n{bullet(texts)}" if texts else ""
 
 
 def _limits(found: Sequence[WhatIf]) -> str:

@@ -25,6 +25,7 @@ from cyclekit.errors import DatasetError, MissingExtra
 from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
 from cyclekit.models.metrics import measure
 from cyclekit.models.saved import MODEL_VERSION, TrainedModel, save_model
+from cyclekit.one_thread import one_thread
 from cyclekit.out_of_core import PART_ROWS, frames, in_files, memory_rows, rows_of, some_executions
 from cyclekit.samples import (
     GROUPS,
@@ -62,6 +63,7 @@ class Split:
     test: tuple[str, ...]
 
 
+@one_thread()
 def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None) -> TrainedModel:
     """Train the network of `spec` on `dataset` and judge it on held-out executions.
 

@@ -7,13 +7,13 @@ from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
+from cyclekit.one_thread import one_thread
 from cyclekit.plan.search import Scorer, best_order, random_order, tasks_of
 
 if TYPE_CHECKING:
@@ -65,6 +65,7 @@ class Plan:
         return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
 
 
+@one_thread()
 def plan(
     model: SafetyModel,
     dataset: Dataset,
@@ -92,15 +93,14 @@ def plan(
         raise ModelError(msg, cure="Train one: cyclekit train DATASET --problem now --out MODEL")
     tasks = _tasks(jobs, dataset)
     length = max(task.nominal_s + task.dwell_s + task.wait_s for task in tasks.values()) * (2 * len(jobs.visit) + 2)
-    with threadpool_limits(limits=1, user_api="blas"):
-        tracks = operator_tracks(dataset, horizon_s=3.0 * length)
-        table = transit_table(model, tasks, tracks, progress=progress)
-        every = Scorer(table, jobs, seed=seed, executions=len(set(tracks.executions)))
-        order, searched, tried = best_order(every, seed=seed, progress=progress)
-        against, basis = _basis(dataset, jobs, seed)
-        weights = resampled(tracks.executions, seed)
-        saved = every.durations(basis).mean(axis=0) - every.durations([order])[0]
-        unseen = _unseen(table, jobs, basis, tracks.executions, seed)
+    tracks = operator_tracks(dataset, horizon_s=3.0 * length)
+    table = transit_table(model, tasks, tracks, progress=progress)
+    every = Scorer(table, jobs, seed=seed, executions=len(set(tracks.executions)))
+    order, searched, tried = best_order(every, seed=seed, progress=progress)
+    against, basis = _basis(dataset, jobs, seed)
+    weights = resampled(tracks.executions, seed)
+    saved = every.durations(basis).mean(axis=0) - every.durations([order])[0]
+    unseen = _unseen(table, jobs, basis, tracks.executions, seed)
     low, high = np.quantile(weights @ saved, (0.025, 0.975)).tolist()
     expected = float(every.means([order])[0])
     if not np.isfinite(expected):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import ShapeError, UnknownName
+from cyclekit.one_thread import one_thread
 from cyclekit.steps.doubts import doubts
 from cyclekit.steps.kmeans import by_silhouette, condense
 from cyclekit.steps.labels import label_in_time, unbroken
@@ -56,6 +57,7 @@ class Staircase:
     is_staircase: bool = True
 
 
+@one_thread()
 def find_staircase(
     scaling: ArrayLike,
     *,
@@ -110,6 +112,7 @@ def find_staircase(
     return _finish(values, stretch, plateaus, found, whole)
 
 
+@one_thread()
 def second_opinion(scaling: ArrayLike, staircase: Staircase) -> str | None:
     """Return a warning where K-means with silhouette finds another number of levels in the samples on plateaus.
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset import Dataset, Place
 
 GAP_SAMPLES = 3.5
-"""A longer time without a 10 Hz sample is a gap: nothing is drawn across it."""
+"""A longer time without a sample is a gap: nothing is drawn across it."""
 
 FINEST_S = 1 / 30
 _JOINTS = tuple(f"q{axis}_rad" for axis in range(6))

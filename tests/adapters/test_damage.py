@@ -52,9 +52,8 @@ def test_rosbag(tmp_path, bag, kind):
     writer.transform(1.7e9, ("base", "tool0", (0.5, 0.0, 0.0)))
     writer.close()
     file = path if kind == "bag" else next(path.glob(f"*.{kind}"))
-    read_damaged(
-        rosbag.ADAPTER, file, file.read_bytes(), seed=5, partly=kind != "db3"
-    )  # its pages are of no use one by one
+    rows = kind != "db3"  # its pages are of no use one by one
+    read_damaged(rosbag.ADAPTER, file, file.read_bytes(), seed=5, partly=rows)
 
 
 def test_the_metadata_of_a_ros_2_folder(tmp_path, bag):

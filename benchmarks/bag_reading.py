@@ -4,7 +4,8 @@ Writes one recording (JointState 500 Hz, PoseStamped 125 Hz, Float64 100 Hz) as 
 ROS 1 bag with lz4 chunks and db3; then reads each in both ways into the same arrays, every reading in a process of its
 own, one after the other, A B A B. What is printed is the median time and its ratio, on the wall and of the processor,
 and that both read the same numbers. A third row is the whole adapter: the arrays put into one table on one clock.
-Imports are not counted: of none of the three.
+Each process reads a second of the same recording before the clock starts: nothing is imported in the measured part, of
+none of the three.
 
     python benchmarks/bag_reading.py --seconds 180 --repeats 5
 """
@@ -136,22 +137,22 @@ def by_groups(path: Path) -> list[np.ndarray[Any, Any]]:
     return [np.concatenate(part) for part in parts.values()]
 
 
-def once(way: str, path: Path) -> None:
+def whole(path: Path) -> list[np.ndarray[Any, Any]]:
+    """Read the same recording by the adapter; return how many rows it had."""
+    from cyclekit.adapter import ReadOptions
+    from cyclekit_adapters.rosbag import ADAPTER
+
+    return [np.array(ADAPTER.read(path, ReadOptions()).rows_read)]
+
+
+READ = {"rosbags": by_rosbags, "vectorised": by_groups, "adapter": whole}
+
+
+def once(way: str, short: Path, path: Path) -> None:
     """Read one bag in one way; print seconds, those of the processor, and a sum that tells if the numbers are alike."""
-    if way == "adapter":
-        import numpy.ma  # noqa: F401 - polars imports it with the first array that it is given
-
-        from cyclekit.adapter import ReadOptions
-        from cyclekit_adapters.rosbag import ADAPTER
-
-        begin, cpu = time.perf_counter(), time.process_time()
-        log = ADAPTER.read(path, ReadOptions())
-        print(time.perf_counter() - begin, time.process_time() - cpu, log.rows_read)
-        return
-    if way == "vectorised":  # importing is not reading; the library is imported above
-        import cyclekit_adapters.rosbag.container  # noqa: F401
+    READ[way](short)  # whatever is imported with the first bag is there before the clock starts
     begin, cpu = time.perf_counter(), time.process_time()
-    arrays = (by_rosbags if way == "rosbags" else by_groups)(path)
+    arrays = READ[way](path)
     seconds, cpu = time.perf_counter() - begin, time.process_time() - cpu
     print(seconds, cpu, repr(sum(float(array.sum()) for array in arrays)))
 
@@ -161,10 +162,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else None)
     parser.add_argument("--seconds", type=int, default=180, help="length of the recording")
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--once", nargs=2, metavar=("WAY", "BAG"), help=argparse.SUPPRESS)
+    parser.add_argument("--once", nargs=3, metavar=("WAY", "SHORT", "BAG"), help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.once:
-        once(asked.once[0], Path(asked.once[1]))
+        once(asked.once[0], *map(Path, asked.once[1:]))
         return
     table = Table(title=f"{asked.seconds} s of JointState 500 Hz, PoseStamped 125 Hz, Float64 100 Hz")
     ratios = ["rosbags / vectorised", "rosbags / adapter"]
@@ -172,14 +173,16 @@ def main() -> None:
     for name in ("container", "MB", *(f"{way} s" for way in WAYS), *ratios, "same"):
         table.add_column(name, justify="right")
     with tempfile.TemporaryDirectory() as folder:
-        write(Path(folder), asked.seconds)
+        for part, seconds in (("short", 1), ("long", asked.seconds)):
+            Path(folder, part).mkdir()
+            write(Path(folder, part), seconds)
         for name, file in BAGS.items():
-            bag = Path(folder, file)
+            short, bag = Path(folder, "short", file), Path(folder, "long", file)
             size = sum(part.stat().st_size for part in ([bag] if bag.is_file() else bag.iterdir()))
             found: dict[str, list[tuple[float, float, str]]] = {way: [] for way in WAYS}
             for _ in range(asked.repeats + 1):
                 for way in WAYS:
-                    call = [sys.executable, __file__, "--once", way, str(bag)]
+                    call = [sys.executable, __file__, "--once", way, str(short), str(bag)]
                     said = subprocess.run(call, check=True, capture_output=True, text=True).stdout.split()
                     found[way].append((float(said[0]), float(said[1]), said[2]))
             wall, cpu = ({way: statistics.median(row[k] for row in found[way][1:]) for way in WAYS} for k in (0, 1))

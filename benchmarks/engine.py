@@ -24,6 +24,7 @@ from rich.table import Table
 
 from cyclekit.cli import run
 from cyclekit.engine import Engine
+from cyclekit.fleet import load_fleet, run_fleet
 
 
 def measured(what: str, engine: str, jobs: int, address: str | None, folder: str) -> dict[str, float]:
@@ -31,8 +32,6 @@ def measured(what: str, engine: str, jobs: int, address: str | None, folder: str
     begin = time.perf_counter()
     chosen = Engine("ray", jobs, address) if engine == "ray" else Engine(jobs=jobs)
     if what == "ingest":
-        from cyclekit.fleet import load_fleet, run_fleet
-
         file = Path(folder) / f"{engine}-{jobs}-{os.getpid()}.toml"  # its name is where the results go
         file.write_text((Path(folder) / "cells.toml").read_text(encoding="utf-8"), encoding="utf-8")
         rows = run_fleet(load_fleet(file), ["ingest"], engine=chosen)

@@ -21,6 +21,8 @@ from functools import partial
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from sklearn.cluster import HDBSCAN  # noqa: F401 - importing it is no part of finding levels
+from sklearn.mixture import GaussianMixture  # noqa: F401
 
 from cyclekit.steps import METHODS, find_staircase
 

@@ -109,7 +109,7 @@ def mse(predict: Callable[[torch.Tensor], torch.Tensor], judge: Rows) -> float:
 
 def forecast_apart(frames: Sequence[pl.DataFrame], steps: int, seed: int) -> tuple[float, float]:
     """Return the MSE of LSTM-2 in two stages, and that of its second stage told where the operator will be."""
-    lstm = Way(ModelSpec.of("ahead", "lstm-2", 2.0, seed=seed), RIGHT)
+    lstm = Way(ModelSpec.of("ahead", "lstm-2", 2.0, seed=seed).at_rate(10.0), RIGHT)
     now = Way(ModelSpec.of("now", "regressor", seed=seed), RIGHT)
     learn, test = (
         build_samples(frame, "ahead", 2.0, LEVELS, history=lstm.spec.history, rate_hz=10.0) for frame in frames
@@ -184,7 +184,8 @@ def main() -> None:
         frames = [dataset.samples(list(names)) for names in split]
     shown = Table("network", "normalisation", "fed", "MSE x1e3", "cpu s", title="the scaling 2 s ahead, held out")
     for network, norm, feed in WAYS:
-        way = Way(ModelSpec.of("ahead", network, 2.0, norm=norm, seed=options.seed), feed)  # type: ignore[arg-type]
+        spec = ModelSpec.of("ahead", network, 2.0, norm=norm, seed=options.seed)  # type: ignore[arg-type]
+        way = Way(spec.at_rate(10.0), feed)
         learn, test = (
             build_samples(frame, "ahead", 2.0, LEVELS, history=way.spec.history, rate_hz=10.0) for frame in frames
         )
@@ -192,7 +193,7 @@ def main() -> None:
         with one_fast_thread():
             mse = way.error(learn, test, options.steps)
         shown.add_row(network, norm, feed, f"{mse * 1e3:.2f}", f"{time.process_time() - begin:.0f}")
-    history = ModelSpec.of("ahead", "lstm-1").history
+    history = ModelSpec.of("ahead", "lstm-1").at_rate(10.0).history
     learn, test = (build_samples(frame, "ahead", 2.0, LEVELS, history=history, rate_hz=10.0) for frame in frames)
     with one_fast_thread():
         begin = time.process_time()

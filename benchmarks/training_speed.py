@@ -25,8 +25,10 @@ import numpy as np
 import torch
 from rich.console import Console
 from rich.table import Table
+from sklearn.neural_network import MLPClassifier
 from threadpoolctl import threadpool_limits
 from torch import nn
+from torch.utils.data import DataLoader, TensorDataset
 
 from cyclekit.models.fitting import freeze_norm, one_fast_thread
 from cyclekit.models.network import build
@@ -81,8 +83,6 @@ def cyclekit_loop(
 
 def loader_loop(X: np.ndarray, step: np.ndarray, seed: int) -> Iterator[Callable[..., np.ndarray]]:
     """Train as tutorials do: a DataLoader of batches of 256, Adam, batch normalisation."""
-    from torch.utils.data import DataLoader, TensorDataset
-
     torch.manual_seed(seed)
     net = build(ModelSpec.of("now", "classifier"), 6, LEVELS.tolist())
     optimiser = torch.optim.Adam(net.parameters(), lr=1e-3)
@@ -100,8 +100,6 @@ def loader_loop(X: np.ndarray, step: np.ndarray, seed: int) -> Iterator[Callable
 
 def scikit_learn(X: np.ndarray, step: np.ndarray, seed: int) -> Iterator[Callable[..., np.ndarray]]:
     """Train scikit-learn's MLPClassifier in sixteenths of an epoch."""
-    from sklearn.neural_network import MLPClassifier
-
     net = MLPClassifier((64,) * 4, batch_size=256, random_state=seed)
     for _ in range(30):
         for part in np.array_split(np.random.default_rng(seed).permutation(len(X)), 16):

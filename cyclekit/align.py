@@ -18,6 +18,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.clock import (
+    ASSUMED,
     MAX_DRIFT,
     ClockFit,
     LogClock,
@@ -133,7 +134,7 @@ def _fit(
     if source is not None and source.start is not None and source.clock_offset_s is None:
         return _by_start(log, main, source.start, master_source)
     plain = fit_clock(log, main, source)
-    if plain.method != "assumed-common-start":
+    if plain.method != ASSUMED:
         return plain
     if (stamped := _by_stamps(entry, master, tables.read)) is not None:
         return stamped.since(main.first_s)

@@ -16,6 +16,7 @@ import polars as pl
 
 from cyclekit.errors import DamagedLog, LogError, MissingColumns
 from cyclekit.frames import FrameFit, fit_frame
+from cyclekit.one_thread import one_thread
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -62,6 +63,7 @@ class Calibration:
         }
 
 
+@one_thread()
 def calibrate(points: Path | str, *, up: Literal["y", "z"] = "z") -> Calibration:
     """Fit where a tracker stands from points that robot and tracker both touched.
 

@@ -29,6 +29,7 @@ from cyclekit.errors import ConfigError, DatasetError, LogError
 from cyclekit.intake import Digests, How, check_shared, read_all
 from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
+from cyclekit.one_thread import one_thread
 from cyclekit.privacy import dated_names, without_wall_clock, without_what_names
 from cyclekit.session import group_sessions
 from cyclekit.storage import mirrored, published
@@ -70,6 +71,7 @@ class IngestReport:
         return {**vars(self), "dataset": self.place, "not_read": not_read, "warnings": list(self.warnings)}
 
 
+@one_thread()
 def ingest(
     logs: Sequence[Path | str],
     out: Path | str,

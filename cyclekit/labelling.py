@@ -58,4 +58,4 @@ def staircase_of(dataset: Dataset, frame: pl.DataFrame, method: str = "plateau")
         method: One of `steps.METHODS`.
     """
     scaling, run = scaling_in_time(frame, dataset.rate_hz)
-    return find_staircase(scaling, run=run, method=method, levels=fixed_levels(dataset))
+    return find_staircase(scaling, run=run, method=method, levels=fixed_levels(dataset), rate_hz=dataset.rate_hz)

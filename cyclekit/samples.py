@@ -1,4 +1,4 @@
-"""Turn 10 Hz samples into the arrays a network learns from, for each of the paper's three problems.
+"""Turn samples into the arrays a network learns from, for each of the paper's three problems.
 
     now      x_r, x_h              -> s_i                        what holds at this instant
     ahead    x_r, x_h, g_r, g_h    -> s_{i+w}                    what will hold w samples later
@@ -149,7 +149,7 @@ def build_samples(
     code = frame["execution"].replace_strict(names, list(range(len(names))), return_dtype=pl.Int64).to_numpy()
     step = np.full(target.shape, UNKNOWN, np.int32)
     if problem != "average" and len(levels):
-        now = label_in_time(scaling, levels, unbroken(run, np.isfinite(scaling)))
+        now = label_in_time(scaling, levels, unbroken(run, np.isfinite(scaling)), rate_hz=rate_hz)
         step[: len(step) - width] = now[width:]
     table, before, ahead = None, None, None
     if history != (1, 1):

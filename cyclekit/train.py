@@ -25,7 +25,9 @@ from cyclekit.errors import DatasetError, MissingExtra, command_line
 from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
 from cyclekit.models.metrics import measure
 from cyclekit.models.saved import MODEL_VERSION, TrainedModel, check_model_output, save_model
+from cyclekit.one_thread import one_thread
 from cyclekit.out_of_core import PART_ROWS, frames, in_files, memory_rows, rows_of, some_executions
+from cyclekit.rate import samples_in
 from cyclekit.samples import (
     GROUPS,
     Samples,
@@ -47,8 +49,8 @@ if TYPE_CHECKING:
 
     Progress = Callable[[float, str], None]
 
-MIN_ROWS = 100
-"""Fewer rows than this (10 s of log) teach nothing."""
+LEAST_S = 10.0
+"""Less log than this teaches nothing."""
 MIN_EXECUTIONS = 3
 """One to learn from, one to choose the epoch, one to judge by."""
 
@@ -62,6 +64,7 @@ class Split:
     test: tuple[str, ...]
 
 
+@one_thread()
 def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None) -> TrainedModel:
     """Train the network of `spec` on `dataset` and judge it on held-out executions.
 
@@ -84,6 +87,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
     need_torch()
     from cyclekit.models.fitting import fit  # here, so that this module can be imported without torch
 
+    spec = spec.at_rate(dataset.rate_hz)
     with tempfile.TemporaryDirectory(prefix="cyclekit-") as folder:
         if rows_of(dataset) <= memory_rows():
             found = _in_memory(dataset, spec)
@@ -92,7 +96,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
         _check_learnable(dataset, found.learn, found.check, found.held_out, spec)
         fitted = fit(spec, found.learn, found.check, found.levels, progress, known=found.known)
         made = (spec.problem, spec.network, spec.horizon_s, found.levels, fitted.weights)
-        model = TrainedModel(*made, history=spec.history)
+        model = TrainedModel(*made, history=spec.history or (1, 1))
         card = _card(dataset, found, fitted, measure(model, found.held_out))
     return replace(model, card=json.loads(json.dumps(card)))  # as it will be read back: lists, no tuples
 
@@ -119,7 +123,7 @@ class _Rows:
 
 
 def _builder(dataset: Dataset, spec: ModelSpec) -> Callable[..., Samples]:
-    rate_hz, history = dataset.rate_hz, spec.history
+    rate_hz, history = dataset.rate_hz, spec.history or (1, 1)
     return partial(build_samples, problem=spec.problem, horizon_s=spec.horizon_s, rate_hz=rate_hz, history=history)
 
 
@@ -128,13 +132,14 @@ def _in_memory(dataset: Dataset, spec: ModelSpec) -> _Rows:
     frame, slider = without_slider(dataset, frame)
     build = _builder(dataset, spec)
     everything = build(frame, levels=(), allow=GROUPS)
-    either = groups_seen_both_ways(everything, MIN_ROWS // 2)
+    enough = samples_in(LEAST_S / 2, dataset.rate_hz)
+    either = groups_seen_both_ways(everything, enough)
     usable = _enough(dataset, frame, build(frame, levels=(), allow=either))
     split = _split(dataset, [usable.executions[i] for i in np.unique(usable.execution)], spec)
     seen = frame.filter(frame["execution"].is_in([*split.train, *split.validation]))
     staircase = _staircase(dataset, seen, spec)
     levels = _rounded(staircase)
-    known = groups_seen_both_ways(everything.of(split.train), MIN_ROWS // 2)
+    known = groups_seen_both_ways(everything.of(split.train), enough)
     rows = _enough(dataset, frame, build(frame, levels=levels, allow=known))
     learn, check, held_out = (rows.of(part) for part in (split.train, split.validation, split.test))
     notes = (slider,) if slider else ()
@@ -154,7 +159,7 @@ def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -
     some = some_executions(dataset, [*split.train, *split.validation], most_rows // 2, seed=spec.seed)
     seen, slider = without_slider(dataset, dataset.samples(some))
     build = _builder(dataset, spec)
-    known = groups_seen_both_ways(build(seen, levels=(), allow=GROUPS), MIN_ROWS // 2)
+    known = groups_seen_both_ways(build(seen, levels=(), allow=GROUPS), samples_in(LEAST_S / 2, dataset.rate_hz))
     staircase = _staircase(dataset, seen, spec)
     levels = _rounded(staircase)
     _enough(dataset, seen, build(seen, levels=levels, allow=known))
@@ -261,18 +266,18 @@ def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
         cure = "Log the scaling, or give a reference run without the operator in cell.toml so that it can be inferred."
         msg = f"{dataset.path}: the speed scaling is unknown in all {frame.height} samples, so nothing can be learned"
         raise DatasetError(msg, cure=cure)
-    if len(rows) < MIN_ROWS:
+    if len(rows) < (least := samples_in(LEAST_S, dataset.rate_hz)):
         why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "the log is that short"
         msg = f"{dataset.path}: only {len(rows)} of {frame.height} samples can be learned from ({why})"
         look = command_line("inspect", dataset.place)
-        raise DatasetError(msg, cure=f"At least {MIN_ROWS} are needed. See what the logs lack: {look}")
+        raise DatasetError(msg, cure=f"At least {least} are needed, {LEAST_S:g} s. See what the logs lack: {look}")
     return rows
 
 
 def _check_learnable(dataset: Dataset, learn: Samples, check: Samples, held_out: Samples, spec: ModelSpec) -> None:
     """Refuse when the split leaves too little to learn from: executions may be of very different length."""
     count = int((learn.step >= 0).sum()) if spec.network == "classifier" else len(learn)
-    if count < MIN_ROWS // 2:
+    if count < samples_in(LEAST_S / 2, dataset.rate_hz):
         what = "samples on a level" if spec.network == "classifier" else "usable samples"
         msg = f"{dataset.path}: the executions to learn from hold only {count} {what}"
         raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")

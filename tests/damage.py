@@ -38,3 +38,40 @@ def read_or_refuse(adapter: Adapter, path: Path, options: ReadOptions | None = N
         return None
     assert isinstance(log, Recording)
     return log
+
+
+def read_damaged(
+    adapter: Adapter,
+    file: Path,
+    whole: bytes,
+    seed: int,
+    options: ReadOptions | None = None,
+    *,
+    place: Path | None = None,
+    partly: bool = False,
+    **harm: int,
+) -> None:
+    """Read damaged copies of a log: each is read or refused by us, and what only lost a little is not refused.
+
+    Args:
+        adapter: Who reads.
+        file: What is damaged, with its bytes in `whole`; `place` is what is read where that is another.
+        whole: The log as it was.
+        seed: Of the damage.
+        options: What it is read with.
+        place: The folder that `file` lies in, where that is the log.
+        partly: The log is one of rows, so that one that was cut gives the rows before the cut.
+        harm: How many `cuts` and `flips`.
+    """
+    file.write_bytes(whole)
+    clean = read_or_refuse(adapter, place or file, options)
+    assert clean is not None
+    rows = []
+    for broken in damaged(whole, seed, **harm):
+        file.write_bytes(broken)
+        log = read_or_refuse(adapter, place or file, options)
+        rows.append(0 if log is None else log.rows_read)
+    assert sum(count > 0 for count in rows) >= len(rows) / 10, "nearly every damaged copy is refused"
+    if partly:
+        cut = rows[: harm.get("cuts", 30)]
+        assert any(0 < count < clean.rows_read for count in cut), "a log that was cut is refused as a whole"

@@ -41,7 +41,7 @@ def _boosted(learn: Samples, judge: Samples) -> Vector:
     from sklearn.ensemble import HistGradientBoostingRegressor
 
     trees = HistGradientBoostingRegressor(max_iter=300, max_leaf_nodes=63, early_stopping=False, random_state=0)
-    with threadpool_limits(1, user_api="openmp"):  # its threads wait for each other: ruinous where a core is busy
+    with threadpool_limits(1):  # its threads wait for each other, and share sums out by their number
         trees.fit(learn.X, learn.scaling)
         return np.clip(np.asarray(trees.predict(judge.X), np.float64), 0.0, 1.0)
 

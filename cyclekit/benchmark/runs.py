@@ -20,6 +20,7 @@ from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import ConfigError, DatasetError
 from cyclekit.models.calibration import reliability
 from cyclekit.models.spec import ModelSpec
+from cyclekit.one_thread import one_thread
 from cyclekit.samples import Samples, build_samples
 from cyclekit.train import train
 
@@ -147,6 +148,7 @@ def _prepared(prepare: Prepare, out: Path, executions: int, cell: tuple[str, int
     prepare(*cell, _folder(out, cell[0], executions, cell[1]))
 
 
+@one_thread()
 def _judge(settings: Settings, out: Path, each: _Wanted) -> None:
     """Find one number and write it down; the cell of the last one is kept for the next."""
     entry = each.entry

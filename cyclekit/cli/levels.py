@@ -46,7 +46,7 @@ def levels(
         if picture is not None:
             from cyclekit.figures.levels import draw_levels
 
-            draw_levels(picture, values, found)
+            draw_levels(picture, values, found, rate_hz=opened.rate_hz)
     terminal.warnings([*found.warnings, *([other] if other else [])])
     document = {
         "method": method,

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from cyclekit.clock.coarse import coarse_fit
 from cyclekit.clock.envelope import MAX_DRIFT, lower_envelope
-from cyclekit.clock.fit import ClockFit, LogClock, Method, fit_clock
+from cyclekit.clock.fit import ASSUMED, ClockFit, LogClock, Method, fit_clock
 from cyclekit.clock.motion import fit_motion
 from cyclekit.clock.pairs import fit_events, fit_pairs
 
 __all__ = [
+    "ASSUMED",
     "MAX_DRIFT",
     "ClockFit",
     "LogClock",

@@ -6,12 +6,14 @@ A fit carries how it was found and how well: a report can then refuse a weak one
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 if TYPE_CHECKING:
     from cyclekit.adapter import ClockKind
     from cyclekit.config import Source
 
+ASSUMED: Final = "assumed-common-start"
+"""Nothing says how the clocks relate: the recordings are taken to start together."""
 Method = Literal[
     "own",
     "same-log",
@@ -92,4 +94,4 @@ def fit_clock(log: LogClock, master: LogClock, source: Source | None, *, same_lo
         "nothing says how its clock relates to the robot's: both are taken to start together; "
         "give clock_offset_s, sync or sees in cell.toml"
     )
-    return ClockFit("assumed-common-start", -log.first_s, 1.0, warning)
+    return ClockFit(ASSUMED, -log.first_s, 1.0, warning)

@@ -231,7 +231,8 @@ def _staircase(files: Sequence[Path], cell: Cell) -> Staircase:
         return find_staircase(np.empty(0))
     frame = pl.concat([pl.read_parquet(file, columns=["execution", "t_s", "scaling"], glob=False) for file in files])
     run = stretches(frame, cell.rate_hz)
-    return find_staircase(frame["scaling"].fill_null(np.nan).to_numpy(), run=run, levels=cell.levels or None)
+    scaling = frame["scaling"].fill_null(np.nan).to_numpy()
+    return find_staircase(scaling, run=run, levels=cell.levels or None, rate_hz=cell.rate_hz)
 
 
 def _is_much(sessions: Sequence[Session]) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.describe.facts import Gap, TableFacts
+from cyclekit.rate import USUAL_HZ
 from cyclekit.steps import find_staircase
 
 if TYPE_CHECKING:
@@ -73,5 +74,6 @@ class TableSurvey:
         values = np.concatenate([np.empty(0), *self._scaling])
         if not len(values):
             return (), ()
-        staircase = find_staircase(values)
+        rate_hz = USUAL_HZ if self._period_s is None else 1 / (self._every * self._period_s)
+        staircase = find_staircase(values, rate_hz=rate_hz)
         return tuple(map(float, staircase.levels)), tuple(map(float, staircase.share))

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from cyclekit.errors import EstimateError, command_line
 from cyclekit.estimate.nominal import nominal_tasks, slider_losses
@@ -25,6 +24,7 @@ from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import walk
+from cyclekit.one_thread import one_thread
 from cyclekit.out_of_core import in_memory
 from cyclekit.sequences import TaskSequence
 
@@ -137,6 +137,7 @@ class Check:
         return out
 
 
+@one_thread()
 def check_rollout(
     model: SafetyModel,
     dataset: Dataset,
@@ -166,17 +167,16 @@ def check_rollout(
         msg = f"{dataset.path}: no complete execution of tasks with known scaling, so nothing can be checked"
         raise EstimateError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
     longest = max(sum(nominal[task].nominal_s + nominal[task].dwell_s for task in s.tasks) for s in sequences)
-    with threadpool_limits(limits=1, user_api="blas"):
-        tracks = operator_tracks(dataset, horizon_s=3.0 * longest, phases=1)
-        sequences = [sequence for sequence in sequences if sequence.name in tracks.executions]
-        if most is not None and len(sequences) > most:
-            sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, most).astype(int)]
-            tracks = _only(tracks, {sequence.name for sequence in sequences})
-        own = beside_own(model, dataset, sequences, nominal, tracks)
-        asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
-        crossed = transit_table(model, asked, tracks, progress=progress).durations(
-            [sequence.tasks for sequence in sequences], seed=seed
-        )
+    tracks = operator_tracks(dataset, horizon_s=3.0 * longest, phases=1)
+    sequences = [sequence for sequence in sequences if sequence.name in tracks.executions]
+    if most is not None and len(sequences) > most:
+        sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, most).astype(int)]
+        tracks = _only(tracks, {sequence.name for sequence in sequences})
+    own = beside_own(model, dataset, sequences, nominal, tracks)
+    asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
+    crossed = transit_table(model, asked, tracks, progress=progress).durations(
+        [sequence.tasks for sequence in sequences], seed=seed
+    )
     logged = logged_durations(dataset, sequences)
     column = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
     crossed[np.arange(len(sequences)), column] = np.nan  # its own operator is left out

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from cyclekit.clock import ASSUMED
 from cyclekit.estimate.nominal import slider_losses
 from cyclekit.samples import nobody_there
 
@@ -59,7 +60,7 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     if slider:
         most = f"in {len(slider)} executions the speed slider was turned down and cost up to {max(slider):.1%} of them"
         found.append(f"{most}; the estimate is for full slider")
-    if any(record["clock"]["method"] == "assumed-common-start" for record in dataset.recordings):
+    if any(record["clock"]["method"] == ASSUMED for record in dataset.recordings):
         found.append("the clocks of robot and tracker are only assumed to start together")
     if any(record["clock"]["method"] in ("coarse", "start-text") for record in dataset.recordings):
         found.append("the clocks of robot and tracker are aligned roughly: the reaction delay is hidden or unknown")

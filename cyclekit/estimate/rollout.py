@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import EstimateError, ModelError, UnknownName
@@ -28,6 +27,7 @@ from cyclekit.estimate.spread import Asked, logged_support, roll_spread
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import Rolled, roll_all, roll_out
+from cyclekit.one_thread import one_thread
 from cyclekit.out_of_core import in_memory
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ class Altered:
     tracks: Callable[[OperatorTracks, Mapping[str, NominalTask]], OperatorTracks]
 
 
+@one_thread()
 def estimate(
     model: SafetyModel,
     dataset: Dataset,
@@ -149,14 +150,13 @@ def _cycles(
         if ask.altered is not None:
             tracks = ask.altered.tracks(tracks, {task.task: task for program in programs for task in program.tasks})
         rolled = []
-        with threadpool_limits(limits=1, user_api="blas"):  # thousands of tiny products: more threads only wait
-            for number, cycles in enumerate(_rolled(ask, _Round(sequences, programs, tracks, horizon))):
-                rolled.append(cycles)
-                tell(number / len(programs), f"rolling out {sequences[number].name}")
-                if not np.isfinite(cycles.duration_s).all():
-                    break
-            else:
-                return [_supported(ask, *pair) for pair in zip(sequences, rolled, strict=True)], tracks
+        for number, cycles in enumerate(_rolled(ask, _Round(sequences, programs, tracks, horizon))):
+            rolled.append(cycles)
+            tell(number / len(programs), f"rolling out {sequences[number].name}")
+            if not np.isfinite(cycles.duration_s).all():
+                break
+        else:
+            return [_supported(ask, *pair) for pair in zip(sequences, rolled, strict=True)], tracks
         horizon *= 2.0
     stuck = float(np.mean(~np.isfinite(rolled[-1].duration_s)))
     shown = sequences[len(rolled) - 1].shown

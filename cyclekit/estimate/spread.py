@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
-from threadpoolctl import threadpool_limits
-
 from cyclekit.dataset import Dataset
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
@@ -19,6 +17,7 @@ from cyclekit.estimate.safety import Dynamics, SafetyModel
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.walk import ROWS, Rolled, roll_all
+from cyclekit.one_thread import one_thread
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -61,14 +60,14 @@ def roll_spread(engine: Engine, asked: Asked, sequences: Sequence[TaskSequence],
             turn += 1
 
 
+@one_thread()
 def _walk(asked: Asked, sequences: Sequence[TaskSequence]) -> list[Rolled]:
-    with threadpool_limits(limits=1, user_api="blas"):
-        logs, nominal, tracks, support = _of_logs(asked.dataset, asked.executions, asked.operator, asked.horizon_s)
-        programs = [lay_out(sequence, nominal, logs) for sequence in sequences]
-        known = getattr(asked.model, "known_everywhere", False)
-        dynamics = Dynamics.of(logs.card)
-        near = None if known else support
-        return list(roll_all(asked.model, programs, tracks, near, seed=asked.seed, dynamics=dynamics))
+    logs, nominal, tracks, support = _of_logs(asked.dataset, asked.executions, asked.operator, asked.horizon_s)
+    programs = [lay_out(sequence, nominal, logs) for sequence in sequences]
+    known = getattr(asked.model, "known_everywhere", False)
+    dynamics = Dynamics.of(logs.card)
+    near = None if known else support
+    return list(roll_all(asked.model, programs, tracks, near, seed=asked.seed, dynamics=dynamics))
 
 
 @lru_cache(maxsize=1)

@@ -17,6 +17,7 @@ import numpy as np
 from cyclekit.estimate.program import stands_of
 from cyclekit.estimate.safety import SafetyModel, scaling_of
 from cyclekit.estimate.walk import Rolled
+from cyclekit.rate import samples_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -31,8 +32,8 @@ PATH_S = 0.1
 HUMAN_M = 0.06
 """Edge of the cells of operator positions; doubled while there are more than MOST_CELLS."""
 MOST_CELLS = 8_000
-EVERY = 2
-"""A start at every so many samples of the track; between them arrivals are interpolated."""
+START_S = 0.2
+"""A start after so long each, at samples of the track; between them arrivals are interpolated."""
 SEQUENCES_AT_ONCE = 256
 
 
@@ -126,7 +127,7 @@ def transit_table(
 ) -> TransitTable:
     """Walk every task of `tasks` from every start of every track.
 
-    Memory: 4 bytes per task, track and start (0.2 s), and as much for s per point of the motions and cell of positions.
+    Memory: 4 bytes per task, track and start, and as much for s per point of the motions and cell of positions.
     """
     tell = progress or (lambda fraction, text: None)
     cell_of, cells = _human_cells(tracks)
@@ -135,7 +136,13 @@ def transit_table(
     for number, name in enumerate(names):
         tell(number / len(names), f"walking {name}")
         arrivals.append(_arrivals(model, tasks[name], cell_of, cells, tracks.step_s))
-    return TransitTable(names, np.stack(arrivals), EVERY * tracks.step_s, tuple(tasks[name] for name in names))
+    start_s = _every(tracks.step_s) * tracks.step_s
+    return TransitTable(names, np.stack(arrivals), start_s, tuple(tasks[name] for name in names))
+
+
+def _every(step_s: float) -> int:
+    """Return the samples of the tracks from one start to the next."""
+    return samples_in(START_S, 1 / step_s)
 
 
 def _human_cells(tracks: OperatorTracks) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -165,14 +172,14 @@ def _arrivals(
     cells: NDArray[np.float64],
     step_s: float,
 ) -> NDArray[np.float32]:
-    """Return when the motion ends that starts at each EVERY-th sample, shape (K, starts), s; inf: not on the track."""
+    """Return when the motion ends that begins at each start, shape (K, starts), s; inf: not within the track."""
     points = max(1, round(task.nominal_s / PATH_S))
     middle = (np.arange(points) + 0.5) / points * (len(task.xyz_m) - 1)
     path = task.xyz_m[np.rint(middle).astype(np.int64)]
     count = len(cells)
     table = scaling_of(model, np.repeat(path, count, axis=0), np.tile(cells, (points, 1))).astype(np.float32)
     tracks, samples = cell_of.shape
-    begins = np.arange(0, samples - 1, EVERY)
+    begins = np.arange(0, samples - 1, _every(step_s))
     arrival = np.full(tracks * len(begins), np.inf, dtype=np.float32)
     row, sample = np.divmod(np.arange(tracks * len(begins)), len(begins))
     at = row * samples + begins[sample]  # where in the flat track each start is now

@@ -19,6 +19,7 @@ from cyclekit.evaluate.drift import Drift, drift
 from cyclekit.labelling import without_slider
 from cyclekit.models.metrics import Metrics, measure
 from cyclekit.models.saved import load_model
+from cyclekit.one_thread import one_thread
 from cyclekit.out_of_core import memory_rows, some_executions
 from cyclekit.samples import Samples, build_samples
 from cyclekit.train import fingerprint
@@ -99,6 +100,7 @@ class Evaluation:
         }
 
 
+@one_thread()
 def evaluate(
     model: TrainedModel,
     dataset: Dataset,

@@ -91,7 +91,7 @@ def _boosted(learn: Samples, judge: Samples) -> Row:
     if rows.size > _BOOSTED_ROWS:
         rows = np.sort(np.random.default_rng(0).choice(rows, _BOOSTED_ROWS, replace=False))
     trees = HistGradientBoostingRegressor(max_iter=200, max_leaf_nodes=63, early_stopping=False, random_state=0)
-    with threadpool_limits(1, user_api="openmp"):  # its threads wait for each other: ruinous where a core is busy
+    with threadpool_limits(1):  # its threads wait for each other, and share sums out by their number
         trees.fit(learn.X[rows], learn.scaling[rows])
         predicted = np.clip(trees.predict(judge.X), 0.0, 1.0)
     note = f"scikit-learn, 200 trees of 63 leaves, {rows.size} rows"

@@ -14,6 +14,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import ModelError, command_line
+from cyclekit.one_thread import one_thread
 from cyclekit.samples import build_samples
 
 if TYPE_CHECKING:
@@ -86,6 +87,7 @@ class Drift:
         }
 
 
+@one_thread()
 def drift(model: TrainedModel, trained_on: Dataset, newer: Dataset) -> Drift:
     """Compare newer logs with those that the model was trained on.
 
@@ -109,6 +111,7 @@ def drift(model: TrainedModel, trained_on: Dataset, newer: Dataset) -> Drift:
     return drift_between(model, trained_on, newer, split["test"], newer.executions["execution"].to_list())
 
 
+@one_thread()
 def drift_between(
     model: TrainedModel, older: Dataset, newer: Dataset, judged_before: Sequence[str], judged_after: Sequence[str]
 ) -> Drift:

@@ -8,6 +8,7 @@ import numpy as np
 
 from cyclekit import colours
 from cyclekit.figures.canvas import canvas
+from cyclekit.rate import USUAL_HZ, samples_in
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -16,26 +17,27 @@ if TYPE_CHECKING:
 
     from cyclekit.steps import Staircase
 
-_SHOWN = 1200
-"""Samples of the stretch that is drawn over time: two minutes at 10 Hz."""
+_SHOWN_S = 120.0
+"""Length of the stretch that is drawn over time."""
 
 
-def draw_levels(path: Path, scaling: NDArray[np.float64], found: Staircase) -> None:
+def draw_levels(path: Path, scaling: NDArray[np.float64], found: Staircase, *, rate_hz: float = USUAL_HZ) -> None:
     """Draw a stretch of the scaling with its levels, and beside it the histogram of all values (logarithmic).
 
     Args:
         path: File to write, `.svg`, `.png` or `.pdf`.
         scaling: What the staircase was found in, shape (T,); NaN = unknown.
         found: The staircase.
+        rate_hz: Rate of the samples.
     """
     values = scaling if found.slider is None else scaling / found.slider
-    part = slice(*_liveliest(values))
-    at = np.arange(part.stop - part.start)
+    part = slice(*_liveliest(values, samples_in(_SHOWN_S, rate_hz)))
+    at = np.arange(part.stop - part.start) / rate_hz
     moving = found.label[part] < 0
     with canvas(path, 9.0, 3.4, columns=2) as (over_time, histogram):
         over_time.plot(at, values[part], color=colours.NOMINAL, linewidth=1.0)
         over_time.plot(at[moving], values[part][moving], ".", color=colours.SAFETY, markersize=3, label="in transition")
-        over_time.set_xlabel("sample")
+        over_time.set_xlabel("time, s")
         over_time.set_ylabel("speed scaling")
         if moving.any():
             over_time.legend(loc="best", frameon=False)
@@ -48,11 +50,11 @@ def draw_levels(path: Path, scaling: NDArray[np.float64], found: Staircase) -> N
         histogram.set_title(f"P = {found.levels.size}")
 
 
-def _liveliest(values: NDArray[np.float64]) -> tuple[int, int]:
-    """Return first and end of the stretch of `_SHOWN` samples in which the scaling changes most."""
+def _liveliest(values: NDArray[np.float64], shown: int) -> tuple[int, int]:
+    """Return first and end of the stretch of `shown` samples in which the scaling changes most."""
     steps = np.abs(np.diff(np.nan_to_num(values), prepend=0.0))
-    if values.size <= _SHOWN:
+    if values.size <= shown:
         return 0, values.size
     total = np.concatenate([[0.0], np.cumsum(np.minimum(steps, 1.0))])
-    first = int(np.argmax(total[_SHOWN:] - total[:-_SHOWN]))
-    return first, first + _SHOWN
+    first = int(np.argmax(total[shown:] - total[:-shown]))
+    return first, first + shown

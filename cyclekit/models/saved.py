@@ -24,6 +24,7 @@ from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.mistaken import MODEL_CARD, toml_for, what_is
 from cyclekit.models.layout import Layout, NotAModel, parse_model
 from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
+from cyclekit.one_thread import one_thread
 from cyclekit.outputs import check_output_folder
 from cyclekit.samples import GROUPS, INPUTS
 from cyclekit.storage import is_url, local, published
@@ -65,6 +66,7 @@ class TrainedModel:
         """Names of the F inputs, in the order of the columns of X."""
         return INPUTS[self.problem]
 
+    @one_thread()
     def predict(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """Return the scaling with the least expected squared error.
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.rate import samples_in
 from cyclekit.samples import PROBLEMS
 
 if TYPE_CHECKING:
@@ -40,8 +41,9 @@ HIDDEN: Mapping[str, tuple[int, ...]] = {
 """Widths of the hidden layers in the paper; `mixed` has a sixth, as wide as there are levels; the first two of `lstm-1`
 are LSTM layers; `lstm-2` has an LSTM layer of that width before them."""
 RECURRENT = ("lstm-1", "lstm-2")
-HISTORY = (6, 2)
-"""What a recurrent network sees where nothing else is asked for: 6 samples, 2 rows apart: one second at 10 Hz."""
+HISTORY, HISTORY_S = 6, 1.0
+"""What a recurrent network sees where nothing else is asked for: six samples over one second, fewer where the rate is
+less than 5 Hz."""
 HORIZON_S: Mapping[str, float] = {"now": 0.0, "ahead": 2.0, "average": 14.0}
 """Horizon where none is given: that of the paper's figures."""
 MUON_ROWS = 100_000
@@ -79,7 +81,8 @@ class ModelSpec:
             the distance it halves the error, elsewhere it does no harm. The paper's networks see `positions` only.
         balance: `classes` weighs every level alike in a classifier's loss, however rare; its probabilities then say
             nothing about how often a level is in force, so `none` is the default.
-        history: Samples that a recurrent network sees, and rows between them; (1, 1) for the others.
+        history: Samples that a recurrent network sees, and rows between them; (1, 1) for the others. None for the
+            usual ones at the rate of the dataset, see `at_rate`.
         forecast_weight: How much `lstm-2` is held to forecast where the operator will be, beside the scaling: weight of
             that squared error, in standard deviations.
         weight_decay: How strongly weights are drawn to zero (as AdamW), None for what suits the number of rows.
@@ -109,7 +112,7 @@ class ModelSpec:
     optimiser: Optimiser = "auto"
     features: Features = "positions"
     balance: Balance = "none"
-    history: tuple[int, int] = (1, 1)
+    history: tuple[int, int] | None = None
     forecast_weight: float = 0.02
     centre: bool = True
 
@@ -145,8 +148,8 @@ class ModelSpec:
         for name, kinds in (("balance", Balance), ("optimiser", Optimiser), ("features", Features)):
             if getattr(self, name) not in get_args(kinds):
                 raise UnknownName("the model", name, getattr(self, name), get_args(kinds))
-        count, every = self.history
         recurrent = self.network in RECURRENT
+        count, every = self.history or ((2, 1) if recurrent else (1, 1))
         if recurrent and self.features != "positions":
             raise ConfigError(f"a {self.network} with features {self.features!r}", cure="It sees positions only.")
         if not (count > 1 if recurrent else count == 1) or not 1 <= every <= 1000 or count > 1000:
@@ -181,10 +184,16 @@ class ModelSpec:
         network = network or NETWORKS[problem][0]
         check_network(problem, network)
         horizon_s = HORIZON_S[problem] if horizon_s is None else horizon_s
-        if network in RECURRENT:
-            settings = {"history": HISTORY, **settings}
         fields = {"hidden": hidden or HIDDEN[network], "norm": norm, **settings}
         return cls(problem=problem, network=network, horizon_s=horizon_s, **fields)  # type: ignore[arg-type]
+
+    def at_rate(self, rate_hz: float) -> ModelSpec:
+        """Return this with the history that a recurrent network sees of samples of that rate, where none was given."""
+        if self.history is not None:
+            return self
+        every = samples_in(HISTORY_S / (HISTORY - 1), rate_hz)
+        count = min(HISTORY, samples_in(HISTORY_S, rate_hz) // every + 1)
+        return replace(self, history=(max(count, 2), every) if self.network in RECURRENT else (1, 1))
 
     def for_rows(self, count: int) -> ModelSpec:
         """Return this with the optimiser for so many rows to learn from, and the part of the run that goes with it."""

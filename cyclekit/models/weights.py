@@ -13,8 +13,8 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from cyclekit.one_thread import one_thread
 from cyclekit.samples import GROUPS
 
 if TYPE_CHECKING:
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 _BLOCK = 1024
 _MANY = 50_000
-"""From this many rows on, two threads take the blocks by turns, and BLAS is kept to one thread each: in products this
-small its threads mostly wait for each other, and where another program was on a core a prediction took three to five
-times the processor time. Threads that share out blocks do not wait."""
+"""From this many rows on, two threads take the blocks by turns, each product on one thread: in products this small the
+threads of BLAS mostly wait for each other, and where another program was on a core a prediction took three to five
+times the processor time. Threads that share out blocks do not wait, and the blocks are those that one thread takes."""
 _CHUNK, _THREADS = 32 * _BLOCK, min(2, os.cpu_count() or 1)
 _HUMAN = GROUPS["human"]
 
@@ -64,6 +64,7 @@ class Weights:
         arrays = [array for part in (*self.layers, *self.recurrent, self.forecast or ()) for array in part]
         return sum(int(array.size) for array in arrays)
 
+    @one_thread()
     def run(self, X: NDArray[np.floating[Any]]) -> Matrix:
         """Return the last layer's outputs, shape (N, outputs).
 
@@ -75,7 +76,7 @@ class Weights:
             self._fill(out, X)
             return out
         chunks = [slice(first, first + _CHUNK) for first in range(0, len(X), _CHUNK)]
-        with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(_THREADS) as threads:
+        with ThreadPoolExecutor(_THREADS) as threads:
             list(threads.map(lambda chunk: self._fill(out[chunk], X[chunk]), chunks))
         return out
 

@@ -7,15 +7,15 @@ from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
+from cyclekit.one_thread import one_thread
 from cyclekit.plan.jobs import tasks_of
-from cyclekit.plan.search import Scorer, best_order, first_order, random_order
+from cyclekit.plan.search import Scorer, best_order, first_order, random_order, tasks_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -68,6 +68,7 @@ class Plan:
         return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
 
 
+@one_thread()
 def plan(
     model: SafetyModel,
     dataset: Dataset,
@@ -99,15 +100,14 @@ def plan(
     jobs = replace(jobs, unlogged=frozenset(unlogged))
     first_order(jobs, lambda _, options: options)  # refused before the tracks are walked
     length = max(task.nominal_s + task.dwell_s + task.wait_s for task in tasks.values()) * (2 * len(jobs.visit) + 2)
-    with threadpool_limits(limits=1, user_api="blas"):
-        tracks = operator_tracks(dataset, horizon_s=3.0 * length)
-        table = transit_table(model, tasks, tracks, progress=progress)
-        every = Scorer(table, jobs, seed=seed, executions=len(set(tracks.executions)))
-        order, searched, tried = best_order(every, seed=seed, progress=progress)
-        against, basis = _basis(dataset, jobs, seed)
-        weights = resampled(tracks.executions, seed)
-        saved = every.durations(basis).mean(axis=0) - every.durations([order])[0]
-        unseen = _unseen(table, jobs, basis, tracks.executions, seed)
+    tracks = operator_tracks(dataset, horizon_s=3.0 * length)
+    table = transit_table(model, tasks, tracks, progress=progress)
+    every = Scorer(table, jobs, seed=seed, executions=len(set(tracks.executions)))
+    order, searched, tried = best_order(every, seed=seed, progress=progress)
+    against, basis = _basis(dataset, jobs, seed)
+    weights = resampled(tracks.executions, seed)
+    saved = every.durations(basis).mean(axis=0) - every.durations([order])[0]
+    unseen = _unseen(table, jobs, basis, tracks.executions, seed)
     low, high = np.quantile(weights @ saved, (0.025, 0.975)).tolist()
     expected = float(every.means([order])[0])
     if not np.isfinite(expected):

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import polars as pl
 
+from cyclekit.clock import ASSUMED
 from cyclekit.replay.crowd import Skeletons, other_people, skeletons
 from cyclekit.replay.floor import Zones, learned_zones
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset import Dataset, Place
 
 GAP_SAMPLES = 3.5
-"""A longer time without a 10 Hz sample is a gap: nothing is drawn across it."""
+"""A longer time without a sample is a gap: nothing is drawn across it."""
 
 FINEST_S = 1 / 30
 _JOINTS = tuple(f"q{axis}_rad" for axis in range(6))
@@ -181,7 +182,7 @@ def _epoch(dataset: Dataset, session: str) -> float | None:
     records = [record for record in dataset.recordings if record["session"] == session]
     for record in sorted(records, key=lambda each: "robot" not in each["tables"]):
         clock = record["clock"]
-        if clock.get("kind") == "epoch" and clock.get("method") != "common-start":
+        if clock.get("kind") == "epoch" and clock.get("method") != ASSUMED:
             return -float(clock["offset_s"]) / float(clock["rate"])
     return None
 

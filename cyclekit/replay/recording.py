@@ -13,6 +13,7 @@ import rerun as rr
 
 from cyclekit.atomic import replaced
 from cyclekit.errors import CyclekitError
+from cyclekit.one_thread import one_thread
 from cyclekit.replay.compare import comparison
 from cyclekit.replay.curves import HUES, log_curves
 from cyclekit.replay.execution import load_execution
@@ -64,6 +65,7 @@ class ReplayFacts:
     first: Opening | None
 
 
+@one_thread()
 def write_replay(
     dataset: Dataset,
     execution: str | Sequence[str],

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 SHORTEST_S = 0.25
 """A change of speed or a lost operator shorter than this is not worth a sentence."""
 
+MOST_PERIODS = 2
+"""A sample counts for the time up to the next one, and where that is missing for no more than two of its periods."""
+
 FULL = 0.98
 
 
@@ -73,7 +76,8 @@ def slowdowns(run: Execution) -> list[Slowdown]:
         if end_s - run.t_s[first] < SHORTEST_S:
             continue
         part = slice(first, last + 1)
-        until_s = np.minimum(np.append(run.t_s[first + 1 : last + 1], end_s), run.t_s[part] + 0.2)
+        longest_s = MOST_PERIODS * run.period_s
+        until_s = np.minimum(np.append(run.t_s[first + 1 : last + 1], end_s), run.t_s[part] + longest_s)
         lost_s = float(np.sum((1.0 - run.scaling[part]) * (until_s - run.t_s[part])))
         found.append(
             Slowdown(

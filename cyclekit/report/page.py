@@ -12,6 +12,7 @@ from importlib.metadata import version as installed
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.atomic import write_text
+from cyclekit.one_thread import one_thread
 from cyclekit.report import answer, helps, trust, where, why
 from cyclekit.report.document import Found, as_csv, as_json, as_markdown
 from cyclekit.report.findings import overview
@@ -51,6 +52,7 @@ class ReportFacts:
     missing: tuple[str, ...]
 
 
+@one_thread()
 def write_report(
     dataset: Dataset,
     model: Predicts | None,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.rate import USUAL_HZ
 from cyclekit.steps.dbscan import UNKNOWN
 from cyclekit.steps.plateaus import Plateaus, find_plateaus
 
@@ -60,6 +61,7 @@ def label_in_time(
     levels: ArrayLike,
     run: NDArray[np.int64],
     *,
+    rate_hz: float = USUAL_HZ,
     plateaus: Plateaus | None = None,
 ) -> NDArray[np.int32]:
     """Return the level of every sample by the plateau it lies on, so that a ramp that passes a level is not on it.
@@ -70,6 +72,7 @@ def label_in_time(
         values: Speed scaling, shape (T,), in the order of time; NaN = unknown.
         levels: Level values, shape (P,), ascending.
         run: Unbroken stretch of every sample, shape (T,), not falling.
+        rate_hz: Rate of the samples.
         plateaus: Where they were found before, in the known values (perhaps times a slider); None: found here.
 
     Returns:
@@ -78,14 +81,15 @@ def label_in_time(
     known = np.flatnonzero(np.isfinite(values))
     levels = np.asarray(levels, np.float64)
     apart = float(np.diff(levels).min(initial=1.0))
-    found = find_plateaus(values[known], run[known], most_noise=apart / 8) if plateaus is None else plateaus
-    result = label(values, levels, tolerance=float(np.clip(4 * found.noise, *_SHARP)))
-    owner = np.repeat(np.arange(found.first.size), found.samples)
-    offset = np.concatenate([[0], np.cumsum(found.samples)])[:-1]
-    on = known[np.arange(owner.size) - offset[owner] + found.first[owner]]
-    mean = np.bincount(owner, weights=values[on], minlength=found.first.size) / np.maximum(found.samples, 1)
+    if plateaus is None:
+        plateaus = find_plateaus(values[known], run[known], rate_hz=rate_hz, most_noise=apart / 8)
+    result = label(values, levels, tolerance=float(np.clip(4 * plateaus.noise, *_SHARP)))
+    owner = np.repeat(np.arange(plateaus.first.size), plateaus.samples)
+    offset = np.concatenate([[0], np.cumsum(plateaus.samples)])[:-1]
+    on = known[np.arange(owner.size) - offset[owner] + plateaus.first[owner]]
+    mean = np.bincount(owner, weights=values[on], minlength=plateaus.first.size) / np.maximum(plateaus.samples, 1)
     result[on] = label(mean, levels)[owner]
     before, after = np.roll(result, 1), np.roll(result, -1)
     stray = (result == UNKNOWN) & (before == after) & (np.roll(run, 1) == np.roll(run, -1))  # one noisy sample
-    near = label(values, levels, tolerance=max(TOLERANCE, 5 * found.noise))
+    near = label(values, levels, tolerance=max(TOLERANCE, 5 * plateaus.noise))
     return np.where(stray & (near == before), near, result)

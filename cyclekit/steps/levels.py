@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.rate import samples_in
 from cyclekit.steps.dbscan import dbscan_1d
 from cyclekit.steps.kmeans import by_elbow, by_silhouette, condense
 from cyclekit.steps.mixtures import by_hdbscan, by_mixture
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
     Vector = NDArray[np.float64]
 
 _LEAST_EPS = 0.01
-_USUAL_HOLD = 15
-"""Samples of a short plateau; how far its mean may lie from the level's is what eps must bridge."""
+_USUAL_HOLD_S = 1.5
+"""How long a short plateau lasts; how far its mean may lie from the level's is what eps must bridge."""
 _GRIDS = (0.05, 0.01)
 """Steps in which people choose speed levels."""
 _SIGMAS = 2.5
@@ -51,16 +52,20 @@ class Cluster:
         return cls(value, None, np.zeros(value.size))
 
 
-def of_plateaus(plateaus: Plateaus, value: Vector, eps: float | None, min_samples: int) -> Cluster:
+def usual_eps(noise: float, rate_hz: float) -> float:
+    """Return how far the means of short plateaus of one level lie apart, for the noise of one sample."""
+    return float(max(_LEAST_EPS, 3.5 * noise / samples_in(_USUAL_HOLD_S, rate_hz) ** 0.5))
+
+
+def of_plateaus(plateaus: Plateaus, value: Vector, eps: float, min_samples: int) -> Cluster:
     """Cluster the values of plateaus by density, weighted by how many samples each is held.
 
     Args:
         plateaus: K of them.
         value: Their values, shape (K,): `plateaus.value`, or that without the operator's slider.
-        eps: None takes it from the noise.
+        eps: Values this near to each other are one level; see `usual_eps`.
         min_samples: Samples that make a level.
     """
-    eps = max(_LEAST_EPS, 3.5 * plateaus.noise / _USUAL_HOLD**0.5) if eps is None else eps
     weight = plateaus.samples.astype(np.float64)
     cluster = dbscan_1d(value, eps=eps, min_samples=min_samples, weight=weight)
     return _clusters(value, cluster, weight, eps, plateaus.noise)
@@ -125,7 +130,7 @@ def rounded(value: Vector, deviation: Vector) -> Vector:
 
 
 def operator_sliders(
-    plateaus: Plateaus, run: NDArray[np.generic], found: Cluster, eps: float | None, min_samples: int
+    plateaus: Plateaus, run: NDArray[np.generic], found: Cluster, eps: float, min_samples: int
 ) -> tuple[Vector | None, Cluster]:
     """Tell whether the values are levels times a slider that differs between runs.
 

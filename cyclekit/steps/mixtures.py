@@ -33,12 +33,14 @@ def thinned(values: Vector, most: int = SEEN) -> Vector:
 def by_hdbscan(values: Vector) -> Rows:
     """Return the cluster of every value by HDBSCAN, shape (T,); -1 = noise."""
     from sklearn.cluster import HDBSCAN
+    from threadpoolctl import threadpool_limits
 
     seen = thinned(values)
     smallest = max(5, int(_SMALLEST * seen.size))
     if seen.size < 2 * smallest:
         return np.full(values.size, -1, np.int64)
-    found = HDBSCAN(min_cluster_size=smallest, copy=True).fit_predict(seen[:, None])
+    with threadpool_limits(1):  # of the libraries that came with it
+        found = HDBSCAN(min_cluster_size=smallest, copy=True).fit_predict(seen[:, None])
     nearest = np.clip(np.searchsorted((seen[1:] + seen[:-1]) / 2, values), 0, seen.size - 1)
     return np.asarray(found[nearest], np.int64)
 
@@ -46,10 +48,12 @@ def by_hdbscan(values: Vector) -> Rows:
 def by_mixture(values: Vector) -> Rows:
     """Return the likeliest component of every value in the Gaussian mixture with the least BIC, shape (T,)."""
     from sklearn.mixture import GaussianMixture
+    from threadpoolctl import threadpool_limits
 
     seen = thinned(values)
     most = min(MOST, np.unique(seen).size)
-    fits: list[Any] = [GaussianMixture(k, random_state=0).fit(seen[:, None]) for k in range(1, most + 1)]
-    best = min(fits, key=lambda fit: fit.bic(seen[:, None]))
-    blocks = np.array_split(values, max(values.size // 100_000, 1))
-    return np.concatenate([best.predict(block[:, None]) for block in blocks]).astype(np.int64)
+    with threadpool_limits(1):  # of the libraries that came with it: its k-means shares sums out by their number
+        fits: list[Any] = [GaussianMixture(k, random_state=0).fit(seen[:, None]) for k in range(1, most + 1)]
+        best = min(fits, key=lambda fit: fit.bic(seen[:, None]))
+        blocks = np.array_split(values, max(values.size // 100_000, 1))
+        return np.concatenate([best.predict(block[:, None]) for block in blocks]).astype(np.int64)

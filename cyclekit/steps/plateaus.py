@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.rate import USUAL_HZ, samples_in
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -21,16 +23,21 @@ if TYPE_CHECKING:
     Rows = NDArray[np.int64]
 
 _LEAST_NOISE = 1e-4
-_WINDOW = 500.0
-"""A window of (500 noise)^(2/3) samples tells a ramp of 0.02 a sample (full range in 5 s at 10 Hz) from a plateau."""
+_WINDOW_S = 50.0
+"""A window of (50 s x rate x noise)^(2/3) samples tells a ramp of 0.2 a second (full range in 5 s) from a plateau."""
 _SIGMAS = 3.5
 _LEAST_STEP = 0.01
 """Windows whose means differ by less than this agree however little noise there is."""
 _DRIFT = 0.03
 """A plateau whose fitted line rises or falls by more than this is a slow ramp."""
-_WIDEST = 10
+_NARROWEST_S, _WIDEST_S = 0.1, 1.0
+"""Bounds of the window: with shorter ones a slow ramp of many samples looks steady from one to the next."""
+_SHORTEST_S = 0.2
+"""What is held for a shorter time is no plateau; nor is what is seen in one sample only."""
 _EVIDENCE = 30.0
 """A short plateau must lower the squared error of a straight way past it by this many noise variances (3 ln T)."""
+_HINGE_PLACES = 120
+"""Where a plateau may be left and reached: at no more places than this between two cores, evenly spread."""
 _HINGE_NOISE = 0.008
 """With less noise than this the ends of a plateau are seen sample by sample; with more they are fitted."""
 
@@ -73,24 +80,26 @@ def noise_of(values: Vector) -> float:
     return max(float(min(quartile / 0.3186, median / 0.6745)), _LEAST_NOISE)
 
 
-def find_plateaus(values: Vector, run: Rows, *, most_noise: float = np.inf) -> Plateaus:
+def find_plateaus(values: Vector, run: Rows, *, rate_hz: float = USUAL_HZ, most_noise: float = np.inf) -> Plateaus:
     """Find the plateaus.
 
     Args:
         values: Speed scaling, shape (T,), finite, in the order of time.
         run: Number of the unbroken stretch that each sample belongs to, shape (T,), not falling; nothing is compared
             across a change of it.
+        rate_hz: Rate of the samples.
         most_noise: More than this is not noise but change: of known levels, an eighth of their least distance.
     """
     if values.size == 0:
         return Plateaus(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), _LEAST_NOISE)
     noise = min(noise_of(values), most_noise)
-    window = int(np.clip(np.ceil((_WINDOW * noise) ** (2 / 3)), 1, _WIDEST))
+    bounds = samples_in(_NARROWEST_S, rate_hz), samples_in(_WIDEST_S, rate_hz)
+    window = int(np.clip(np.ceil((_WINDOW_S * rate_hz * noise) ** (2 / 3)), *bounds))
     begin, stop = _bounds(run)
     first, end = _cores(_steady(values, begin, stop, window, noise), run)
     reach = _by_hinges if noise > _HINGE_NOISE else _by_samples
     first, end = reach(values, first, end, begin, stop, window, noise)
-    keep = (end - first >= 2) & _is_flat(values, first, end, noise)
+    keep = (end - first >= samples_in(_SHORTEST_S, rate_hz, least=2)) & _is_flat(values, first, end, noise)
     first, end = first[keep], end[keep]
     if noise > _HINGE_NOISE:
         needed = _needed(values, first, end, begin, 4 * window, noise)
@@ -192,7 +201,8 @@ def _hinge(values: Vector, before: float, after: float) -> tuple[int, int, float
     count = values.size
     if count == 0:
         return 0, 0, 0.0
-    leave, reach = np.triu_indices(count + 1)
+    places = np.arange(0, count + 1, -(-count // _HINGE_PLACES))
+    leave, reach = (places[index] for index in np.triu_indices(places.size))
     at = np.arange(count)
     share = np.clip((at[None, :] - leave[:, None] + 1) / (reach - leave + 1)[:, None], 0.0, 1.0)
     error = ((before + (after - before) * share - values) ** 2).sum(axis=1)

@@ -15,10 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import ShapeError, UnknownName
+from cyclekit.one_thread import one_thread
+from cyclekit.rate import USUAL_HZ, samples_in
 from cyclekit.steps.doubts import doubts
 from cyclekit.steps.kmeans import by_silhouette, condense
 from cyclekit.steps.labels import label_in_time, unbroken
-from cyclekit.steps.levels import Cluster, cluster_values, of_plateaus, operator_sliders, rounded
+from cyclekit.steps.levels import Cluster, cluster_values, of_plateaus, operator_sliders, rounded, usual_eps
 from cyclekit.steps.plateaus import Plateaus, find_plateaus
 
 if TYPE_CHECKING:
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+LEAST_HELD_S = 1.0
+"""A level is held for at least so long, all plateaus together; short, so that a rare level survives."""
 METHODS = ("plateau", "dbscan", "kmeans-silhouette", "kmeans-elbow", "hdbscan", "gmm-bic")
 """Ways to find the levels, the default first; all but `plateau` look at the values without their order in time."""
 
@@ -56,6 +60,7 @@ class Staircase:
     is_staircase: bool = True
 
 
+@one_thread()
 def find_staircase(
     scaling: ArrayLike,
     *,
@@ -63,7 +68,8 @@ def find_staircase(
     method: str = "plateau",
     levels: Sequence[float] | None = None,
     eps: float | None = None,
-    min_samples: int = 10,
+    min_samples: int | None = None,
+    rate_hz: float = USUAL_HZ,
 ) -> Staircase:
     """Find the levels of a speed scaling and label every sample.
 
@@ -74,8 +80,10 @@ def find_staircase(
         method: One of `METHODS`.
         levels: Fixed by whoever knows the safety configuration; then nothing is searched, only labelled.
         eps: Values this near to each other are the same value; None takes it from the noise: 3.5 deviations of a
-            plateau of 15 samples (`plateau`) or of one sample (`dbscan`), at least 0.01.
-        min_samples: A level needs this many held samples; small, so that a rare level survives.
+            plateau of 1.5 s (`plateau`) or of one sample (`dbscan`), at least 0.01.
+        min_samples: A level needs this many held samples; None: those of one second, three at
+            least.
+        rate_hz: Rate of the samples: what is long enough for a plateau or a level is told in seconds.
 
     Returns:
         The staircase. P = 0 when no value is held often enough; the warnings then say so.
@@ -94,15 +102,17 @@ def find_staircase(
     known = np.isfinite(values)
     stretch = unbroken(runs, known)
     most_noise = np.inf if levels is None else float(np.diff(np.unique(levels)).min(initial=1.0)) / 8
-    plateaus = find_plateaus(values[known], stretch[known], most_noise=most_noise)
+    plateaus = find_plateaus(values[known], stretch[known], rate_hz=rate_hz, most_noise=most_noise)
+    least = samples_in(LEAST_HELD_S, rate_hz, least=3) if min_samples is None else min_samples
     if levels is not None:
         return _finish(values, stretch, plateaus, Cluster.fixed(levels), None)
     if method != "plateau":
-        found = cluster_values(values[known], method, eps, min_samples, plateaus.noise)
+        found = cluster_values(values[known], method, eps, least, plateaus.noise)
         return _finish(values, stretch, plateaus, found, None)
-    slider, found = None, of_plateaus(plateaus, plateaus.value, eps, min_samples)
+    near = usual_eps(plateaus.noise, rate_hz) if eps is None else eps
+    slider, found = None, of_plateaus(plateaus, plateaus.value, near, least)
     if run is not None:
-        slider, found = operator_sliders(plateaus, runs[known], found, eps, min_samples)
+        slider, found = operator_sliders(plateaus, runs[known], found, near, least)
     whole = None
     if slider is not None:
         whole = np.full(values.shape, np.nan)
@@ -110,6 +120,7 @@ def find_staircase(
     return _finish(values, stretch, plateaus, found, whole)
 
 
+@one_thread()
 def second_opinion(scaling: ArrayLike, staircase: Staircase) -> str | None:
     """Return a warning where K-means with silhouette finds another number of levels in the samples on plateaus.
 

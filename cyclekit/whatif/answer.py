@@ -10,6 +10,7 @@ import numpy as np
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.rollout import Altered, estimate
+from cyclekit.one_thread import one_thread
 from cyclekit.whatif.alter import altered_safety, altered_tasks, altered_tracks
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ class WhatIf:
         }
 
 
+@one_thread()
 def what_if(
     model: SafetyModel,
     dataset: Dataset,

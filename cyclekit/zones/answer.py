@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import DatasetError, ModelError, command_line
+from cyclekit.one_thread import one_thread
 from cyclekit.zones.fit import (
     DISTANCES,
     FLOOR_M,
@@ -85,6 +86,7 @@ class Zones:
         return out
 
 
+@one_thread()
 def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> Zones:
     """Read the safety function back from logged samples and a network trained on them.
 

@@ -1,7 +1,7 @@
 import json
 
 import pytest
-from damage import damaged, read_or_refuse
+from damage import read_damaged, read_or_refuse
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -196,9 +196,7 @@ def test_other_tables_are_not_recognised(tmp_path, other):
 @pytest.mark.parametrize("text", [LONG, WIDE])
 def test_damage_gives_what_is_whole_or_a_refusal(tmp_path, text):
     path = tmp_path / "plc.csv"
-    for broken in damaged(text.encode(), seed=11):
-        path.write_bytes(broken)
-        read_or_refuse(ADAPTER, path)
+    read_damaged(ADAPTER, path, text.encode(), seed=11)
 
 
 _CELL = st.sampled_from(["time", "signal", "value", "Zeit", "0", "1", "1.5", "TRUE", "2024-05-01 10:00", "", '"', "x"])

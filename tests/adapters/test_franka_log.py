@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from damage import damaged, read_or_refuse
+from damage import read_damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -126,9 +126,7 @@ def test_other_tables_and_folders_are_not_mine(tmp_path):
 
 def test_a_damaged_log_is_read_in_part_or_refused(tmp_path):
     path = write(tmp_path / "log.csv", *(line(t, q=(0.1 * t,) * 7) for t in range(6)))
-    for whole in damaged(path.read_bytes(), seed=31):
-        path.write_bytes(whole)
-        read_or_refuse(ADAPTER, path)
+    read_damaged(ADAPTER, path, path.read_bytes(), seed=31)
 
 
 def link(a, d, alpha, theta):

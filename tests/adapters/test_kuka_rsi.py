@@ -4,7 +4,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import polars as pl
 import pytest
-from damage import damaged, read_or_refuse
+from damage import read_damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -197,9 +197,7 @@ def test_other_tables_and_folders_are_not_mine(tmp_path):
 
 def test_a_damaged_log_is_read_in_part_or_refused(tmp_path):
     path = write(tmp_path / "robot.csv", *(row(12 * i, x=str(i)) for i in range(6)))
-    for whole in damaged(path.read_bytes(), seed=21):
-        path.write_bytes(whole)
-        read_or_refuse(ADAPTER, path)
+    read_damaged(ADAPTER, path, path.read_bytes(), seed=21)
 
 
 @settings(max_examples=40, deadline=None)

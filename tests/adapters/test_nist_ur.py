@@ -1,7 +1,7 @@
 import math
 
 import pytest
-from damage import damaged, read_or_refuse
+from damage import read_damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -168,9 +168,7 @@ def test_other_tables_and_folders_are_not_mine(tmp_path):
 @pytest.mark.parametrize("text", [table(*SAMPLE), bare(*SAMPLE)], ids=["table", "bare"])
 def test_a_damaged_log_is_read_in_part_or_refused(tmp_path, text):
     path = tmp_path / "ur5.csv"
-    for whole in damaged(text.encode(), seed=51):
-        path.write_bytes(whole)
-        read_or_refuse(ADAPTER, path)
+    read_damaged(ADAPTER, path, text.encode(), seed=51)
 
 
 @settings(max_examples=25, deadline=None)

@@ -1,5 +1,5 @@
 import pytest
-from damage import damaged, read_or_refuse
+from damage import read_damaged, read_or_refuse
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -128,9 +128,7 @@ def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path):
 @pytest.mark.parametrize("text", [PLAIN, PETRACK])
 def test_damage_gives_what_is_whole_or_a_refusal(tmp_path, text):
     path = tmp_path / "crowd.txt"
-    for whole in damaged(text.encode(), seed=8):
-        path.write_bytes(whole)
-        read_or_refuse(ADAPTER, path, ReadOptions(rate_hz=25.0))
+    read_damaged(ADAPTER, path, text.encode(), seed=8, options=ReadOptions(rate_hz=25.0))
 
 
 _LINE = st.sampled_from([*PLAIN.splitlines(), *PETRACK.splitlines(), *JUPEDSIM.splitlines(), "frame,id,x,y", ""])

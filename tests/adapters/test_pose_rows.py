@@ -1,5 +1,5 @@
 import pytest
-from damage import damaged, read_or_refuse
+from damage import read_damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -119,9 +119,7 @@ def test_people_folders_and_empty_logs_are_refused(tmp_path):
 
 def test_a_damaged_log_is_read_in_part_or_refused(tmp_path):
     path = write(tmp_path / "poses.csv", "xyz", *((0.125 * i, -1.5, 2e-3) for i in range(12)))
-    for whole in damaged(path.read_bytes(), seed=41):
-        path.write_bytes(whole)
-        read_or_refuse(ADAPTER, path, ReadOptions(rate_hz=100.0))
+    read_damaged(ADAPTER, path, path.read_bytes(), seed=41, options=ReadOptions(rate_hz=100.0))
 
 
 @settings(max_examples=40, deadline=None)

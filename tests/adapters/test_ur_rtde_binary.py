@@ -3,7 +3,7 @@ import struct
 import numpy as np
 import polars as pl
 import pytest
-from damage import damaged, read_or_refuse
+from damage import read_damaged
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -146,9 +146,7 @@ def test_a_recording_without_pose_and_joints_names_what_is_missing(tmp_path):
 
 def test_a_damaged_recording_is_read_in_part_or_refused(tmp_path, ur):
     path = tmp_path / "run.bin"
-    for whole in damaged(binary(sample(ur)), seed=11):
-        path.write_bytes(whole)
-        read_or_refuse(ADAPTER, path)
+    read_damaged(ADAPTER, path, binary(sample(ur)), seed=11)
 
 
 @settings(max_examples=30, deadline=None)

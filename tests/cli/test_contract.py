@@ -6,7 +6,6 @@ import json
 import shlex
 import subprocess
 import sys
-import time
 from typing import TYPE_CHECKING
 
 import pytest
@@ -84,12 +83,10 @@ def test_help_imports_no_library_of_the_work(words: list[str]) -> None:
         f"code = run({[*words, '--help']!r})\n"
         "print(json.dumps([code, sorted(set(sys.modules))]), file=sys.stderr)"
     )
-    began_s = time.process_time()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     returned, loaded = json.loads(done.stderr.splitlines()[-1])
     assert returned == 0
     assert HEAVY.isdisjoint(loaded)
-    assert time.process_time() - began_s < 5
 
 
 def test_help_answers_in_half_a_second_of_processor_time() -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+import ast
+from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from cyclekit.clock import coarse_fit, fit_events, fit_motion, fit_pairs, lower_envelope
+import cyclekit
+from cyclekit.clock import Method, coarse_fit, fit_events, fit_motion, fit_pairs, lower_envelope
 from cyclekit.errors import ConfigError, ShapeError
 
 OFFSET, RATE = -4321.125, 1 + 50e-6
@@ -256,3 +259,16 @@ def test_coarse_alignment_moves_by_whole_samples_and_says_what_it_hides():
 def test_coarse_alignment_finds_nothing_where_the_robot_never_slows():
     walk = np.random.default_rng(2).normal(size=(500, 3))
     assert coarse_fit([walk], np.zeros((500, 3)), np.ones(500), step_s=0.1) is None
+
+
+def test_no_method_is_compared_with_a_name_that_no_fit_has():
+    compared = set()
+    for file in Path(cyclekit.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Compare) or "method" not in ast.unparse(node.left):
+                continue
+            if "clock" in (left := ast.unparse(node.left)) or left.endswith(".method"):
+                inside = (part for each in node.comparators for part in ast.walk(each))
+                compared |= {part.value for part in inside if isinstance(part, ast.Constant) and part.value is not None}
+    assert {"own", "coarse", "lower-envelope"} <= compared
+    assert compared <= set(get_args(Method))

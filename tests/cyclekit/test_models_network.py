@@ -63,7 +63,7 @@ def test_a_folded_network_predicts_what_the_network_predicts(problem, name, norm
     torch.manual_seed(0)
     inputs = 6 if problem == "now" else 12
     known = known if inputs == 12 else known[:1]
-    spec = ModelSpec.of(problem, name, norm=norm, features="distance" if distance else "positions")
+    spec = ModelSpec.of(problem, name, norm=norm, features="distance" if distance else "positions").at_rate(10.0)
     mean, scale = rng.normal(size=inputs), rng.uniform(0.5, 3, inputs)
     scale[5] = 0.0  # an operator who is always at the same height
     network = build(spec, inputs, LEVELS, known, scale)

@@ -18,6 +18,7 @@ from rerun.chunk import RrdReader
 
 from cyclekit import schema
 from cyclekit.atomic import write_parquet
+from cyclekit.clock import LogClock, fit_clock
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError
 from cyclekit.replay import serve, write_replay
@@ -127,6 +128,16 @@ def test_the_time_of_day_is_a_timeline_where_a_log_knows_it(dataset, tmp_path):
     shown = rows_of(facts.path, "/plots/scaling/logged")
     assert shown["wall_clock"][0].timestamp() == pytest.approx(began_s, abs=1e-3)
     assert "session" not in shown.columns
+
+
+def test_a_clock_that_is_assumed_to_start_together_tells_no_time_of_day(dataset, tmp_path):
+    path = copied(dataset, tmp_path / "undated")
+    card = json.loads((path / CARD).read_text("utf-8"))
+    fit = fit_clock(LogClock("epoch", 1_750_000_000.0), LogClock("relative", 0.0), None)
+    for record in card["recordings"]:
+        record["clock"] = {"kind": "epoch", **fit.to_json()}
+    (path / CARD).write_text(json.dumps(card), "utf-8")
+    assert load_execution(Dataset.open(path), "1").epoch_s is None
 
 
 def test_the_accounts_of_time_add_up_to_the_tasks_and_to_the_whole(dataset):

@@ -32,7 +32,7 @@ def little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("network", [("now", "classifier"), ("average", "mixed"), ("ahead", "lstm-2")], ids=str)
 def test_rows_in_files_are_the_rows_in_memory(logs: Dataset, network: tuple[str, str], tmp_path: Path) -> None:
-    spec = ModelSpec.of(*network)
+    spec = ModelSpec.of(*network).at_rate(10.0)
     names = logs.executions["execution"].to_list()
     levels = (0.0, 0.25, 0.5, 0.75, 1.0)
 

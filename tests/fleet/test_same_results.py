@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from typing import TYPE_CHECKING, Any
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,8 +17,7 @@ from cyclekit.engine import LOCAL, Engine
 from cyclekit.models.spec import ModelSpec
 from cyclekit.train import Training, train_at
 
-if TYPE_CHECKING:
-    from pathlib import Path
+WHOLE_WAY = Path(__file__).parents[1] / "whole_way.py"
 
 
 def digest(folder: Path) -> dict[str, str]:
@@ -30,6 +33,20 @@ def elsewhere(request: pytest.FixtureRequest) -> list[str]:
         return ["--jobs", "2"]
     engine: Engine = request.getfixturevalue("cluster")
     return ["--engine", "ray", "--ray-address", str(engine.address)]
+
+
+def test_one_thread_or_four_the_same_is_stored_and_said(small_cell: Path, tmp_path: Path) -> None:
+    runs = []
+    for threads in ("1", "4"):
+        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS")
+        (folder := tmp_path / threads).mkdir()
+        words = [sys.executable, str(WHOLE_WAY), threads, str(small_cell)]
+        runs.append(subprocess.Popen(words, cwd=folder, env={**os.environ, **dict.fromkeys(names, threads)}))
+    assert [run.wait() for run in runs] == [0, 0]
+    one, four = (digest(tmp_path / threads) for threads in ("1", "4"))
+    assert {"dataset/dataset.json", "now/model.json", "ahead/weights.safetensors", "zones.json"} <= set(one)
+    assert [name for name in one if one[name] != four[name]] == []
+    assert set(one) == set(four)
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: object) -> Any:

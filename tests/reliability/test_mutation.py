@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import tempfile
+import tracemalloc
 import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,8 @@ from hypothesis import strategies as st
 from reliability.mutate import mutants
 from reliability.own_logs import OwnLog, own_logs
 from reliability.reading import FOREIGN, LIMIT_S, PARTLY, READ, REFUSED, read_log
+
+from cyclekit.registry import adapter_named
 
 if TYPE_CHECKING:
     from reliability.reading import Result
@@ -68,19 +71,36 @@ def test_any_bytes_anywhere_in_a_log_are_read_or_refused(logs: list[OwnLog], dat
     assert result.outcome != FOREIGN, result.why
 
 
-def test_a_cell_of_a_million_blanks_costs_no_more_than_its_line(logs: list[OwnLog]):
+def test_a_cell_of_a_million_blanks_costs_no_more_than_its_line(logs: list[OwnLog], tmp_path: Path):
     log = next(log for log in logs if log.name == "ur-space")
     lines = log.files["log.csv"].decode().splitlines()
     lines[9] = lines[9].replace(" ", " " * 1_000_000, 1)
     lines[12] = lines[12].replace(" ", ",", 1)
-    assert read_harmed(log, "log.csv", "\r\n".join([*lines, ""]).encode()).outcome == PARTLY
+    (tmp_path / "log.csv").write_bytes("\r\n".join([*lines, ""]).encode())
+    tracemalloc.start()
+    try:
+        found = adapter_named(log.adapter).adapter.read(tmp_path / "log.csv", log.options)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert found.set_aside is not None
+    assert found.set_aside["source_row"].to_list() == [10, 13]
+    assert found.rows_read == len(lines) - 1
+    assert most < 40e6  # one such line; were every line as wide, forty times as much
 
 
-def test_metadata_of_many_megabytes_is_not_parsed(logs: list[OwnLog]):
+def test_metadata_of_many_megabytes_is_not_even_read(logs: list[OwnLog], monkeypatch: pytest.MonkeyPatch):
     bag = next(log for log in logs if log.name == "bag mcap")
     name = next(name for name in bag.files if name.endswith(".yaml"))
-    result = read_harmed(bag, name, bag.files[name] + b"xy" * 10_000_000)
-    assert result.outcome == READ
+    looked, read_text = [], Path.read_text
+    monkeypatch.setattr(
+        Path, "read_text", lambda path, *how, **more: looked.append(path.name) or read_text(path, *how, **more)
+    )
+    assert read_harmed(bag, name, bag.files[name]).outcome == READ
+    assert looked.count(name) > 0
+    looked.clear()
+    assert read_harmed(bag, name, bag.files[name] + b"xy" * 10_000_000).outcome == READ
+    assert name not in looked
 
 
 def test_zeros_behind_the_magic_word_of_a_bag_are_no_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -19,6 +19,7 @@ from cyclekit.adapter import ReadOptions
 from cyclekit.config import Cell, NamedPlace, Source, load_cell
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, LogError
+from cyclekit.inside import fitting
 from cyclekit.registry import Registered, adapter_named, find_logs, why_unknown
 
 if TYPE_CHECKING:
@@ -164,8 +165,7 @@ def matches(shown: str, path: Path, pattern: str) -> bool:
 
 
 def _log(path: Path, shown: str, reader: Registered, source: Source | None, taken: dict[str, Log]) -> Log:
-    stem = re.sub(r"[^A-Za-z0-9_-]+", "_", Path(shown).with_suffix("").as_posix().replace("/", "."))
-    slug = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(shown).with_suffix("").as_posix().replace("/", ".")) or stem
+    slug = fitting(re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(shown).with_suffix("").as_posix().replace("/", ".")))
     name, number = slug, 1
     while name in taken:
         number += 1

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.inside import unfit
 from cyclekit.storage import is_url, join
 from cyclekit.toml_file import list_at, read_toml
 
@@ -126,8 +127,8 @@ def _cell(where: str, raw: Mapping[str, Any], here: Path) -> FleetCell:
         if type(value) is not kinds[key]:
             raise ConfigError(f"{where}: {key} = {value!r} is not of the right kind", cure="See docs/fleet.md.")
     name, sources = raw.get("name", ""), raw.get("sources", [])
-    if not _NAME.fullmatch(name):
-        cure = "It names a folder: letters, digits, '.', '_' and '-', the first a letter or digit."
+    if not _NAME.fullmatch(name) or unfit(name):
+        cure = "It names a folder: letters, digits, '.', '_' and '-', the first a letter or digit, no '.' last."
         raise ConfigError(f"{where}: name = {name!r}", cure=cure)
     if not sources or not all(isinstance(source, str) and source for source in sources):
         raise ConfigError(f"{where}: sources = {sources!r}", cure='Say where its logs lie: sources = ["logs/press-1"]')

@@ -89,7 +89,7 @@ def convert(
         raise ConfigError(f"{out}: neither .parquet nor .csv", cure="Give --out a name that ends in one of them.")
     if table is not None and table not in TABLES:
         raise UnknownName("convert", "table", table, TABLES)
-    found, _ = find_all([log], cell or Cell())
+    found, _ = find_all([log], cell or Cell(), follow_links=True)
     if len(found) != 1:
         raise LogError(log, f"holds {len(found)} logs", cure="Convert one at a time, or use `cyclekit ingest`.")
     options = replace(options_of(found[0].source, skeletons=table == "skeletons"), columns=tuple(columns))

@@ -75,4 +75,12 @@ def leads_out(path: Path, folder: Path) -> bool:
     below = [path, *path.parents]
     if not any(step.is_symlink() for step in below[: len(path.parts) - len(folder.parts)]):
         return False
-    return not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))  # ends for links in circles too
+    return not Path(real(path)).is_relative_to(real(folder))
+
+
+def real(path: Path) -> str:
+    """Return a path without its links; of links in circles, and of one that cannot be read, the path itself."""
+    try:
+        return os.path.realpath(path)
+    except OSError:
+        return str(path.absolute())

@@ -31,6 +31,7 @@ class FleetCell:
         sequences: Sequence file whose estimates go into its report.
         pseudonymise: Keep neither names nor times of day; then no day is kept of a log either.
         checksums: Keep the SHA-256 of each log.
+        follow_links: Read what links in a folder of logs lead to outside of it.
         seed: Of training and split.
         epochs: Passes of the training, None for as many as the rows need.
     """
@@ -42,6 +43,7 @@ class FleetCell:
     sequences: str | None = None
     pseudonymise: bool = False
     checksums: bool = True
+    follow_links: bool = False
     seed: int = 0
     epochs: int | None = None
 
@@ -120,7 +122,7 @@ def load_fleet(path: Path) -> Fleet:
 def _cell(where: str, raw: Mapping[str, Any], here: Path) -> FleetCell:
     kinds: dict[str, type] = {
         "name": str, "sources": list, "cell_file": str, "sequences": str, "pseudonymise": bool, "checksums": bool,
-        "seed": int, "epochs": int,
+        "follow_links": bool, "seed": int, "epochs": int,
     }  # fmt: skip
     _only(where, raw, tuple(kinds))
     for key, value in raw.items():

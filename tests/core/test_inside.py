@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from cyclekit.dataset import Dataset
 from cyclekit.errors import CyclekitError, LogError, OutsideFolder
+from cyclekit.fleet.months import days_of
 from cyclekit.fleet.read import load_fleet
 from cyclekit.ingest import ingest
 from cyclekit.inside import fitting, inside, unfit
@@ -159,6 +160,15 @@ def test_a_line_is_traced_only_in_the_folder_of_logs(boxes: SimulatedCell, tmp_p
         record["sources"] = [{"path": "../secret.txt", "sha256": None, "size": 1}]
     with pytest.raises(OutsideFolder, match="leads out of the folder"):
         trace(Dataset(boxes.dataset.path, card), "1", 5.0, logs=tmp_path / "logs")
+
+
+def test_the_day_of_a_log_is_looked_up_only_in_the_folder_of_logs(boxes: SimulatedCell, tmp_path: Path):
+    (tmp_path / "secret.txt").write_text("secret")
+    (tmp_path / "logs").mkdir()
+    card: dict[str, Any] = json.loads(json.dumps(boxes.dataset.card))
+    for record in card["recordings"]:
+        record["sources"] = [{"path": "../secret.txt", "sha256": None, "size": 1}]
+    assert days_of(Dataset(boxes.dataset.path, card), [tmp_path / "logs"]) == {}
 
 
 def test_a_template_reads_its_own_folder_and_no_other(tmp_path: Path):

@@ -89,7 +89,7 @@ def convert(
         raise ConfigError(f"{out}: neither .parquet nor .csv", cure="Give --out a name that ends in one of them.")
     if table is not None and table not in TABLES:
         raise UnknownName("convert", "table", table, TABLES)
-    found, _ = find_all([log], cell or Cell())
+    found, _ = find_all([log], cell or Cell(), follow_links=True)
     if len(found) != 1:
         raise LogError(log, f"holds {len(found)} logs", cure="Convert one at a time, or use `cyclekit ingest`.")
     options = replace(options_of(found[0].source, skeletons=table == "skeletons"), columns=tuple(columns))
@@ -104,17 +104,17 @@ class _Parts:
     """The parts of one table of a log, and what else there is to say of it."""
 
     def __init__(self, path: Path, adapter: str, options: Any) -> None:  # noqa: ANN401
-        self._path, self._adapter, self._options = path, adapter_named(adapter), options
+        self.path, self._adapter, self._options = path, adapter_named(adapter), options
         self.table, self.rows_read, self.set_aside, self.warnings = "", 0, 0, tuple[str, ...]()
 
     def of(self, table: str | None) -> Iterator[pl.DataFrame]:
-        for part in examined_parts(self._adapter.parts(self._path, self._options)):
+        for part in examined_parts(self._adapter.parts(self.path, self._options)):
             self._note(part)
             tables = part.tables()
             self.table = self.table or table or next((name for name in TABLES if name in tables), "")
             if self.table not in tables:
                 has = ", ".join(name for name in TABLES if name in tables) or "none"
-                raise LogError(self._path, f"has no table {self.table!r}; its tables: {has}", cure="Choose --table.")
+                raise LogError(self.path, f"has no table {self.table!r}; its tables: {has}", cure="Choose --table.")
             yield schema.conform(tables[self.table], TABLES[self.table])
 
     def _note(self, part: Recording) -> None:
@@ -142,14 +142,16 @@ def _write(
             writer.write(ready)
             if progress:
                 progress(0.5, f"{writer.rows} rows")
-        assert writer is not None
-        if thin:
-            writer.write(thin.rest())
-        writer.close()
+        if writer is not None:
+            if thin:
+                writer.write(thin.rest())
+            writer.close()
     except BaseException:
         if writer is not None:
             writer.abandon()  # before its file is removed
         raise
+    if writer is None:
+        raise LogError(parts.path, "holds nothing", cure="Record again, or remove the file.")
     return writer.rows
 
 

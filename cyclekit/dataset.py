@@ -24,6 +24,7 @@ from cyclekit import schema
 from cyclekit.atomic import recover
 from cyclekit.config import Furniture
 from cyclekit.errors import DatasetError, UnknownName, command_line
+from cyclekit.inside import inside
 from cyclekit.mistaken import DATASET_CARD, toml_for, what_is
 from cyclekit.storage import local
 
@@ -155,7 +156,7 @@ class Dataset:
             UnknownName: An execution is not in the dataset.
         """
         wanted = list(schema.SAMPLES if columns is None else columns)
-        files = sorted((self.path / "samples").glob("*.parquet"))
+        files = self._sample_files()
         if executions is None and self.is_part:
             executions = self.executions["execution"].to_list()
         if executions is not None:
@@ -168,34 +169,45 @@ class Dataset:
         mine = pl.col("execution").is_in(list(executions))  # of a file, only what is wanted comes into memory
         return pl.concat([pl.scan_parquet(file, glob=False).filter(mine).select(wanted).collect() for file in files])
 
+    def _sample_files(self) -> list[Path]:
+        return [inside(self.path, "samples", file.name) for file in sorted((self.path / "samples").glob("*.parquet"))]
+
     def scan_samples(self) -> pl.LazyFrame:
         """Return all samples unread, for those who need a few columns of many executions."""
-        files = sorted((self.path / "samples").glob("*.parquet"))
+        files = self._sample_files()
         if not files:
             return schema.empty(schema.SAMPLES).lazy()
         return self._mine(pl.scan_parquet(files, glob=False))
 
     def tasks(self) -> pl.DataFrame:
         """Return one row per executed robot task (table TASKS)."""
-        return self._mine(pl.scan_parquet(self.path / "tasks.parquet", glob=False)).collect()
+        return self._mine(pl.scan_parquet(inside(self.path, "tasks.parquet"), glob=False)).collect()
 
     def done_tasks(self) -> pl.DataFrame:
         """Return which tasks were done in which executions: execution, task, each pair once."""
-        rows = self._mine(pl.scan_parquet(self.path / "tasks.parquet", glob=False))
+        rows = self._mine(pl.scan_parquet(inside(self.path, "tasks.parquet"), glob=False))
         return rows.select("execution", "task").unique(maintain_order=True).collect()
 
     def quarantine(self) -> pl.DataFrame:
         """Return every row that was set aside (table QUARANTINE), in order of recording."""
-        return pl.read_parquet(self.path / "quarantine.parquet", glob=False)
+        return pl.read_parquet(inside(self.path, "quarantine.parquet"), glob=False)
+
+    def table_file(self, recording: str, table: str) -> Path:
+        """Return where a native-rate table of a recording stands, if it has it.
+
+        Raises:
+            OutsideFolder: The card names something that is not in the dataset.
+        """
+        return inside(self.path, "recordings", recording, f"{table}.parquet")
 
     def recorded(self, recording: str, table: str) -> pl.DataFrame | None:
         """Return one native-rate table (`robot`, `people` or `events`) of a recording, None if it has none."""
-        file = self.path / "recordings" / recording / f"{table}.parquet"
+        file = self.table_file(recording, table)
         return pl.read_parquet(file, glob=False) if file.is_file() else None
 
     def recorded_between(self, recording: str, table: str, first_s: float, last_s: float) -> pl.DataFrame | None:
         """Return the rows of one native-rate table from `first_s` to `last_s` of the log's clock, None without it."""
-        file = self.path / "recordings" / recording / f"{table}.parquet"
+        file = self.table_file(recording, table)
         if not file.is_file():
             return None
         return pl.scan_parquet(file, glob=False).filter(pl.col("t_s").is_between(first_s, last_s)).collect()
@@ -204,7 +216,7 @@ class Dataset:
         """Yield the times of one native-rate table (`t_s`), in parts: it may be larger than memory."""
         from cyclekit.tables import StoredTable  # whoever reads a log needs no Arrow to begin
 
-        stored = StoredTable(self.path / "recordings" / recording / f"{table}.parquet", ("t_s",))
+        stored = StoredTable(self.table_file(recording, table), ("t_s",))
         for begin, end in stored.groups:
             yield pl.DataFrame({"t_s": stored.column("t_s", begin, end)})
 
@@ -216,7 +228,7 @@ class Dataset:
         entry = self._execution(execution)
         for record in self.recordings:
             if record["session"] == entry["session"] and "robot" in record["tables"]:
-                file = self.path / "recordings" / record["id"] / "robot.parquet"
+                file = self.table_file(record["id"], "robot")
                 rate, offset_s = record["clock"]["rate"], record["clock"]["offset_s"]
                 first, last = ((entry[key] - offset_s) / rate for key in ("start_s", "end_s"))
                 near = pl.col("t_s").is_between(first - _NEAR_S, last + _NEAR_S)  # as stored: others are not unpacked

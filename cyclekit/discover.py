@@ -19,6 +19,7 @@ from cyclekit.adapter import ReadOptions
 from cyclekit.config import Cell, NamedPlace, Source, load_cell
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, LogError
+from cyclekit.inside import fitting, leads_out, real
 from cyclekit.registry import Registered, adapter_named, find_logs, why_unknown
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def cell_for(roots: Sequence[Path], given: Path | None) -> Cell:
     return load_cell(files[0]) if files else Cell(name=roots[0].resolve().stem)
 
 
-def suggest_cell(paths: Sequence[Path]) -> Cell:
+def suggest_cell(paths: Sequence[Path], *, follow_links: bool = False) -> Cell:
     """Return the cell file that an ingest of these paths would work with, for a person to complete.
 
     A dataset gives its places as well; logs give one source each.
@@ -74,13 +75,20 @@ def suggest_cell(paths: Sequence[Path]) -> Cell:
             human_places={name: NamedPlace(p.xyz_m, p.radius_m) for name, p in dataset.human_places.items()},
         )
     cell = cell_for(paths, None)
-    logs, _ = find_all(paths, cell)
+    logs, _ = find_all(paths, cell, follow_links=follow_links)
     sources = {source.path: source for log in logs for source in [log.source or Source(log.shown, log.adapter)]}
     return replace(cell, sources=tuple(sources.values()))
 
 
-def find_all(roots: Sequence[Path], cell: Cell) -> tuple[list[Log], list[tuple[str, str]]]:
+def find_all(
+    roots: Sequence[Path], cell: Cell, *, follow_links: bool = False
+) -> tuple[list[Log], list[tuple[str, str]]]:
     """Return the logs in files and folders, and the files that nobody reads with the reason.
+
+    Args:
+        roots: Files and folders.
+        cell: What is to be ignored, and which adapters are forced.
+        follow_links: Follow links in a folder that lead out of it; else they are among what is not read.
 
     Raises:
         UnknownFormat: A file named explicitly is no log.
@@ -94,19 +102,20 @@ def find_all(roots: Sequence[Path], cell: Cell) -> tuple[list[Log], list[tuple[s
     seen: set[str] = set()
     for root in roots:
         base = root if root.is_dir() else root.parent
-        for path, registered in _candidates(root, base, cell):
-            real = os.path.realpath(path)  # of a link that leads to itself as well
-            if real in seen:  # given as a file and once more by its folder
+        for path, registered in _candidates(root, base, cell, follow_links=follow_links):
+            if (here := real(path)) in seen:  # given as a file and once more by its folder
                 continue
-            seen.add(real)
+            seen.add(here)
             shown = path.relative_to(base).as_posix() if path != base else path.name
             source = next((s for s in cell.sources if matches(shown, path, s.path)), None)
             shown, is_text = _as_text(prefixes[base] + shown)
             reader = adapter_named(source.adapter) if source and source.adapter else registered
             try:
-                known = reader if is_text and (path.is_file() or path.is_dir()) else None
+                away = not follow_links and _leads_out(path, root)
+                known = reader if is_text and not away and (path.is_file() or path.is_dir()) else None
                 log = _log(path, shown, known, source, logs) if known else None
-                unknown = unknown if log is not None else why_unknown(path) if is_text else _no_text(path)
+                if log is None:
+                    unknown = _no_text(path) if not is_text else _no_way_out(path) if away else why_unknown(path)
             except OSError as error:  # it went away, or was never to be read, since its folder was listed
                 log, unknown = None, LogError(path, f"cannot be read ({error.strerror})", cure="Check the file.")
             if log is not None:
@@ -126,6 +135,17 @@ def _as_text(name: str) -> tuple[str, bool]:
     """Return a name as it can be written down, and whether that is what it is."""
     text = name.encode("utf-8", "backslashreplace").decode()
     return text, text == name
+
+
+def _leads_out(path: Path, root: Path) -> bool:
+    """Tell whether a log is elsewhere than in the folder given, as a whole or in part."""
+    if leads_out(path, root):
+        return True
+    return path.is_dir() and any(leads_out(file, path) and leads_out(file, root) for file in files_of(path))
+
+
+def _no_way_out(path: Path) -> LogError:
+    return LogError(path, "a link leads out of the folder of logs; --follow-links reads it all the same")
 
 
 def _no_text(path: Path) -> LogError:
@@ -150,8 +170,8 @@ def _prefixes(roots: Sequence[Path]) -> dict[Path, str]:
     return {base: "" if path == Path() else f"{path.as_posix()}/" for base, path in below.items()}
 
 
-def _candidates(root: Path, base: Path, cell: Cell) -> Iterable[tuple[Path, Registered | None]]:
-    for path, registered in find_logs(root):
+def _candidates(root: Path, base: Path, cell: Cell, *, follow_links: bool) -> Iterable[tuple[Path, Registered | None]]:
+    for path, registered in find_logs(root, follow_links=follow_links):
         shown = path.relative_to(base).as_posix() if path != base else path.name
         if path.name != CELL_FILE and not any(matches(shown, path, pattern) for pattern in cell.ignore):
             yield path, registered
@@ -164,8 +184,7 @@ def matches(shown: str, path: Path, pattern: str) -> bool:
 
 
 def _log(path: Path, shown: str, reader: Registered, source: Source | None, taken: dict[str, Log]) -> Log:
-    stem = re.sub(r"[^A-Za-z0-9_-]+", "_", Path(shown).with_suffix("").as_posix().replace("/", "."))
-    slug = re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(shown).with_suffix("").as_posix().replace("/", ".")) or stem
+    slug = fitting(re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(shown).with_suffix("").as_posix().replace("/", ".")))
     name, number = slug, 1
     while name in taken:
         number += 1

@@ -14,6 +14,7 @@
     ├── ShapeError          arrays that do not fit together (a mistake of the caller)
     ├── BusyPlace           another process is writing where we were told to write
     ├── StorageError        a URL cannot be read or written
+    ├── OutsideFolder       a name found in data would lead out of its folder
     ├── EngineError         the cluster cannot be reached, or a task's worker died again and again
     └── MissingExtra        an optional dependency is not installed
 
@@ -149,6 +150,17 @@ class StorageError(CyclekitError):
         super().__init__(f"{scheme}{mark}{rest.rpartition('@')[2]}: {cause}", cure=cure)
 
 
+class OutsideFolder(CyclekitError):
+    """A name that was found in data cannot be used as a path."""
+
+    def __init__(self, folder: Path, name: object, why: str) -> None:
+        """Name the folder, the name as it can be printed, and what is wrong with it."""
+        self.cause = f"{_printable(name)} cannot be used as the name of a file ({why})"
+        super().__init__(
+            f"{folder}: {self.cause}", cure="It is damaged, or made to do harm: make it again, or get it again."
+        )
+
+
 class EngineError(CyclekitError):
     """The engine that was asked for cannot be reached, or lost what it was at again and again."""
 
@@ -172,6 +184,11 @@ def command_line(*words: object, program: str = "cyclekit") -> str:
     """
     every = [program, *map(str, words)]
     return subprocess.list2cmdline(every) if os.name == "nt" else shlex.join(every)
+
+
+def _printable(name: object, most: int = 120) -> str:
+    text = repr(name)
+    return text if len(text) <= most else f"{text[:most]}…"
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

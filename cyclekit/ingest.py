@@ -83,6 +83,7 @@ def ingest(
     keep_skeletons: bool = False,
     checksums: bool = True,
     align_clocks: Literal["coarse"] | None = None,
+    follow_links: bool = False,
     progress: Progress | None = None,
 ) -> IngestReport:
     """Read logs into the dataset `out`, replacing what was there.
@@ -98,6 +99,7 @@ def ingest(
         checksums: Keep the SHA-256 of each log: what was read can then be told from what was not.
         align_clocks: "coarse" = where nothing says how a log's clock relates to the robot's, align on the operator
             being near while the robot slows. Hides the reaction delay, and says so (docs/clocks.md).
+        follow_links: Read what links in a folder of logs lead to outside of it; else they are among `not_read`.
         progress: Told the fraction done and what is being done.
 
     Raises:
@@ -111,7 +113,7 @@ def ingest(
     settings = cell if isinstance(cell, Cell) else cell_for(roots, cell)
     if rate_hz is not None:
         settings = replace(settings, rate_hz=_rate(rate_hz))
-    found, not_read = find_all(roots, settings)
+    found, not_read = find_all(roots, settings, follow_links=follow_links)
     how = How(pseudonymise=pseudonymise, skeletons=keep_skeletons, checksums=checksums)
     wanted = _Wanted(settings, tuple(found), tuple(not_read), engine, how, align_clocks)
     with published(out) as path:

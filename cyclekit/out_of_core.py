@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from cyclekit.errors import ConfigError
+from cyclekit.errors import ConfigError, DatasetError
 from cyclekit.samples import Samples
 
 if TYPE_CHECKING:
@@ -119,7 +119,8 @@ def in_files(parts: Iterable[Samples], folder: Path) -> Samples:
             columns.add("before", part.before + base)
             columns.add("ahead", part.ahead + base)
             base += len(part.table)
-    assert first is not None
+    if first is None:
+        raise DatasetError("no execution to learn from", cure="Log more executions.")
     found = columns.mapped()
     count = found["scaling"].shape
     unknown, never = np.broadcast_to(np.int64(0), count), np.broadcast_to(np.float64(0), count)

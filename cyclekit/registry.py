@@ -18,6 +18,7 @@ from cyclekit.adapter import Recording, StreamingAdapter
 from cyclekit.ahead import ahead
 from cyclekit.dataset import CARD
 from cyclekit.errors import BrokenAdapter, CyclekitError, LogError, UnknownFormat, UnknownName, command_line
+from cyclekit.inside import leads_out
 from cyclekit.mistaken import MODEL_CARD, toml_for
 
 if TYPE_CHECKING:
@@ -190,19 +191,26 @@ def _recognises(entry: Registered, path: Path) -> bool:
         return False
 
 
-def find_logs(path: Path) -> Iterator[tuple[Path, Registered | None]]:
+def find_logs(path: Path, *, follow_links: bool = True) -> Iterator[tuple[Path, Registered | None]]:
     """Walk `path`; yield each log with the adapter that reads it, None for what nobody reads.
 
     A folder that is itself a log (a ROS 2 bag, a folder of one file per signal) is yielded as one. Below `path`,
     hidden files and datasets are passed over, and so is a folder that was seen already: links may lead in circles.
     Nothing is opened but files: a pipe or a device would wait for ever, or never end.
+
+    Args:
+        path: A file or a folder.
+        follow_links: Follow links below `path` that lead out of it; else each is what nobody reads.
     """
     waiting, seen = [path], set[tuple[int, int]]()
     while waiting:
         here = waiting.pop()
         try:
+            if not follow_links and here != path and here.is_symlink() and leads_out(here, path):
+                yield here, None
+                continue
             is_folder = here.is_dir()
-            found = find_adapter(here) if is_folder or here.is_file() else None
+            found = find_adapter(here) if is_folder or (here.is_file() and here.stat().st_size) else None
             if found or not is_folder:
                 yield here, found
                 continue
@@ -220,6 +228,8 @@ def why_unknown(path: Path) -> UnknownFormat:
         return UnknownFormat(path, "the folder cannot be listed", cure="Check its rights.")
     if not path.is_file():
         return UnknownFormat(path, "neither a file nor a folder: a pipe, a socket, a device or a broken link")
+    if not path.stat().st_size:  # of a file of the system (/proc) too, which may take long to read
+        return UnknownFormat(path, "the file is empty", cure="Check the copy, or remove the file.")
     with path.open("rb") as file:
         head = file.read(4096)
     if (whose := find_adapter(path.parent)) is not None:
@@ -227,8 +237,6 @@ def why_unknown(path: Path) -> UnknownFormat:
         return UnknownFormat(path, cause, cure="Name the folder.")
     known = ", ".join(adapters())
     cure = f"cyclekit reads: {known} (see `cyclekit adapters`)."
-    if not head:
-        return UnknownFormat(path, "the file is empty", cure="Check the copy, or remove the file.")
     if head.startswith(_LFS):
         return UnknownFormat(
             path, "this is a Git LFS pointer, not the log itself", cure="Fetch the content first: git lfs pull"

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from cyclekit.errors import DatasetError
+from cyclekit.inside import inside
 
 if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
@@ -102,9 +103,9 @@ def _of_recording(dataset: Dataset, record: dict[str, Any], at_s: float, logs: P
     own_s = (at_s - offset_s) / rate
     found = []
     for table in ("robot", "people", "events"):
-        file = dataset.path / "recordings" / record["id"] / f"{table}.parquet"
         if table not in record["tables"]:
             continue
+        file = dataset.table_file(record["id"], table)
         near = pl.col("t_s").is_between(own_s - AROUND_S / rate, own_s + AROUND_S / rate)
         rows = pl.scan_parquet(file, glob=False).filter(near).collect()
         if table == "robot":  # the row that the sample stands on
@@ -128,7 +129,9 @@ def _nearest(rows: pl.DataFrame, own_s: float) -> pl.DataFrame:
 
 def _file(logs: Path, shown: str) -> Path:
     """Return the log in the folder of logs, which may have been given as the log itself."""
-    return logs if logs.is_file() and logs.name == Path(shown).name else logs / shown
+    if logs.is_file() and logs.name == Path(shown).name:
+        return logs
+    return inside(logs, *shown.split("/"), follow_links=True)  # the links of one's own logs, not the names of a card
 
 
 def _line(file: Path, number: int | None) -> str | None:

@@ -32,6 +32,7 @@ FLOORS = [
     {"engine"},
     {"config", "schema", "sequences"},
     {"mistaken", "toml_file"},
+    {"inside"},
     {"ahead", "behind", "colours", "errors", "labels", "one_thread", "plain_json", "rate"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
@@ -55,7 +56,7 @@ ROOMS_OF = {
 }
 """The only rooms of cyclekit that may import each of these."""
 
-OF_ADAPTERS = {"cyclekit.adapter", "cyclekit.errors", "cyclekit.schema"}
+OF_ADAPTERS = {"cyclekit.adapter", "cyclekit.errors", "cyclekit.inside", "cyclekit.schema"}
 
 
 @dataclass(frozen=True)
@@ -155,3 +156,16 @@ def test_no_room_is_called_after_nothing() -> None:
 
 def test_the_folders_around_the_packages_are_no_packages() -> None:
     assert [name for name in ("adapters", "sim_fixtures", "tests") if (ROOT / name / "__init__.py").exists()] == []
+
+
+@pytest.mark.parametrize("package", ["cyclekit", "adapters/cyclekit_adapters", "sim_fixtures/cyclekit_sim"])
+def test_nothing_rests_on_an_assert(package: str) -> None:
+    """With `python -O` there is none, so whatever input it guarded against would come in."""
+    files = {file: ast.parse(file.read_text(encoding="utf-8")) for file in sorted((ROOT / package).rglob("*.py"))}
+    asserts = [
+        f"{file.relative_to(ROOT)}:{node.lineno}"
+        for file, tree in files.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Assert)
+    ]
+    assert asserts == []

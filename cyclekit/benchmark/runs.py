@@ -17,7 +17,7 @@ from cyclekit.benchmark.plan import FLOORS, SCENES, Entry, entries
 from cyclekit.benchmark.rivals import predict_by
 from cyclekit.dataset import Dataset
 from cyclekit.engine import LOCAL, Engine
-from cyclekit.errors import ConfigError, DatasetError
+from cyclekit.errors import ConfigError, DatasetError, ShapeError
 from cyclekit.models.calibration import reliability
 from cyclekit.models.spec import ModelSpec
 from cyclekit.one_thread import one_thread
@@ -227,7 +227,8 @@ class _Cell:
             return bayes(self.safety, robot, human, self.delta_m)
         names = [rows.executions[i] for i in np.unique(rows.execution)]
         scaling = self.dataset.samples(names)["scaling"].fill_null(1.0).to_numpy()
-        assert rows.before is not None  # a rival's rows are built with a history of two
+        if rows.before is None:
+            raise ShapeError("a rival's rows need a history of two samples")
         last = scaling[rows.before[:, 0 if entry.problem == "now" else 1]]
         return predict_by(entry.name, learn, rows, self.safety["levels"], last)
 

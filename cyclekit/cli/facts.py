@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.cli.groups import grouped
 from cyclekit.cli.terminal import bullet, duration, percent, table
 
 if TYPE_CHECKING:
@@ -41,17 +43,16 @@ def page(found: Description) -> str:
 def _logs(found: LogsDescription) -> str:
     parts = [_log(log) for log in found.logs] if len(found.logs) <= 3 else [_log_rows(found.logs)]
     if len(found.logs) > 3:
-        warned = [f"{log.path.name}: {text}" for log in found.logs for text in log.warnings]
-        parts.append(bullet(_some(list(dict.fromkeys(warned)), SHOWN_FILES), mark="! "))
-    refused = [f"{path}: {reason}" for path, reason in found.not_read]
-    if refused:
-        parts.append("not read:\n" + bullet(_some(refused, SHOWN_FILES)))
+        warned = grouped((log.path.name, text) for log in found.logs for text in log.warnings)
+        parts.append(bullet(warned, mark="! "))
+    if found.not_read:
+        parts.append("not read:\n" + bullet(grouped((str(path), reason) for path, reason in found.not_read)))
     return "\n\n".join(part for part in parts if part)
 
 
 def _log_rows(logs: Sequence[LogFacts]) -> str:
     rows = []
-    for log in logs:
+    for log in logs[:SHOWN_FILES]:
         longest = max(log.tables.values(), key=lambda facts: facts.rows, default=None)
         rows.append(
             [
@@ -64,7 +65,11 @@ def _log_rows(logs: Sequence[LogFacts]) -> str:
                 f"{sum(len(facts.gaps) for facts in log.tables.values())}",
             ]
         )
-    return table(["log ", "adapter ", "holds ", "rows", "rate", "duration", "gaps"], rows)
+    shown = table(["log ", "adapter ", "holds ", "rows", "rate", "duration", "gaps"], rows)
+    if not (more := Counter(log.adapter for log in logs[SHOWN_FILES:])):
+        return shown
+    kinds = ", ".join(f"{count} by {adapter}" for adapter, count in more.most_common())
+    return f"{shown}\nand {more.total()} more logs ({kinds}); --json has all"
 
 
 def _rate(facts: TableFacts | None) -> str:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cyclekit.cli.options import EngineName, Jobs, Json, Quiet, RayAddress, engine_of
+from cyclekit.cli.groups import grouped, named
+from cyclekit.cli.options import EngineName, FollowLinks, Jobs, Json, Quiet, RayAddress, engine_of
 from cyclekit.cli.terminal import Terminal
 from cyclekit.errors import command_line
 
@@ -40,6 +41,7 @@ def ingest(
         Literal["coarse"] | None,
         typer.Option(help="Last resort for unrelated clocks; hides the reaction delay (docs/clocks.md)."),
     ] = None,
+    follow_links: FollowLinks = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -61,11 +63,12 @@ def ingest(
             checksums=not no_checksums,
             pseudonymise=pseudonymise,
             align_clocks=align_clocks,
+            follow_links=follow_links,
             progress=progress,
         )
-    for path, reason in report.not_read:
-        terminal.remark(f"not read: {path}: {reason}")
-    terminal.warnings(report.warnings)
+    for line in grouped(report.not_read):
+        terminal.remark(f"not read: {line}")
+    terminal.warnings(grouped(map(named, report.warnings)))
     terminal.done(report.to_json(), summary(report))
 
 

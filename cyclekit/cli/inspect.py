@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet
+from cyclekit.cli.options import FollowLinks, Json, Quiet
 from cyclekit.cli.terminal import Terminal
 
 EXAMPLE = "cyclekit inspect logs --write-cell"
@@ -17,6 +17,7 @@ def inspect(
     write_cell: Annotated[
         bool, typer.Option("--write-cell", help="Print the cell file that fits these logs, and nothing else.")
     ] = False,
+    follow_links: FollowLinks = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -31,12 +32,12 @@ def inspect(
         from cyclekit.config import cell_to_toml
         from cyclekit.discover import suggest_cell
 
-        text = cell_to_toml(suggest_cell([local(path)]))
+        text = cell_to_toml(suggest_cell([local(path)], follow_links=follow_links))
         terminal.answer({"cell": text}, text.rstrip("\n"))
         return
     from cyclekit.cli.facts import page
     from cyclekit.describe import describe
 
     with terminal.progress("looking") as progress:
-        found = describe(local(path), progress=progress)
+        found = describe(local(path), progress=progress, follow_links=follow_links)
     terminal.answer(found.to_json(), page(found))

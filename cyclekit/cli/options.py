@@ -11,6 +11,9 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, all else on standard error.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no remarks; errors are still shown.")]
+FollowLinks = Annotated[
+    bool, typer.Option("--follow-links", help="Also read what links in a folder of logs lead to outside of it.")
+]
 Extrapolate = Annotated[bool, typer.Option("--extrapolate", help="Answer even where nothing like it was logged.")]
 Checked = Annotated[
     bool, typer.Option("--check/--no-check", help="Roll out logged executions too, and correct by them.")

@@ -35,7 +35,12 @@ def replay(
     serve_after: Annotated[
         bool, typer.Option("--serve", help="Serve it to a browser on this machine, until Ctrl-C.")
     ] = False,
-    bind: Annotated[str, typer.Option(help="Address that --serve listens on.")] = "127.0.0.1",
+    bind: Annotated[
+        str,
+        typer.Option(
+            help="Address that --serve listens on; any other than this shows the recording to all who reach it."
+        ),
+    ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --serve; 0 takes a free one.")] = 9090,
     json: Json = False,
     quiet: Quiet = False,

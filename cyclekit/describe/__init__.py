@@ -54,12 +54,13 @@ MAIN = ("robot", "people", "events")
 _OF_SAMPLES = ("scaling", "scaling_sd", "scaling_gap", "scaling_origin", "step", "robot_moving", "human_x_m")
 
 
-def describe(path: Path, *, progress: Progress | None = None) -> Description:
+def describe(path: Path, *, progress: Progress | None = None, follow_links: bool = False) -> Description:
     """Return what is at `path`: logs, a dataset or a model, told apart by content.
 
     Args:
         path: A file or a folder.
         progress: Called with the fraction done and what is being looked at.
+        follow_links: Look at what links in a folder of logs lead to outside of it.
 
     Raises:
         LogError: There is nothing there, or nothing that can be read.
@@ -73,7 +74,7 @@ def describe(path: Path, *, progress: Progress | None = None) -> Description:
         return _describe_dataset(Dataset.open(path), progress)
     if (path / MODEL_CARD).is_file():
         return _describe_model(path)
-    return _describe_logs(path, progress)
+    return _describe_logs(path, progress, follow_links=follow_links)
 
 
 def _describe_model(path: Path) -> ModelDescription:
@@ -82,8 +83,8 @@ def _describe_model(path: Path) -> ModelDescription:
     return ModelDescription(path, model.problem, model.network, model.horizon_s, model.levels, count, model.card)
 
 
-def _describe_logs(path: Path, progress: Progress | None) -> LogsDescription:
-    found, passed_over = find_all([path], cell_for([path], None))
+def _describe_logs(path: Path, progress: Progress | None, *, follow_links: bool) -> LogsDescription:
+    found, passed_over = find_all([path], cell_for([path], None), follow_links=follow_links)
     logs, not_read, failed = [], [(Path(name), reason) for name, reason in passed_over], None
     for done, log in enumerate(found):
         if progress:

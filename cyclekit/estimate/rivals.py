@@ -86,9 +86,9 @@ def _mean_scaling(
     time_s: Vector,
 ) -> Vector:
     """Return the mean scaling over the horizon (N,); where the operator or his goal is unknown, what the logs show."""
-    assert tracks.goal_m is not None
     at = _sample(tracks, time_s)
-    human, bound_for = tracks.xyz_m[rows, at], tracks.goal_m[rows, at]
+    human = tracks.xyz_m[rows, at]
+    bound_for = np.full_like(human, np.nan) if tracks.goal_m is None else tracks.goal_m[rows, at]
     inputs = np.concatenate([robot_m, human, np.broadcast_to(goal_m, robot_m.shape), bound_for], axis=1)
     without = model.card.get("scaling_without_operator")
     mean = np.full(len(rows), 1.0 if without is None else float(without))

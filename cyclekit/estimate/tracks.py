@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.errors import EstimateError
+from cyclekit.errors import DatasetError, EstimateError
 from cyclekit.people import OCCLUDED_S
 
 if TYPE_CHECKING:
@@ -185,7 +185,9 @@ def _logged(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, _Tra
     for execution, first, last, count in rows.agg(
         first=pl.col("row").first(), last=pl.col("row").last(), count=pl.len()
     ).iter_rows():
-        assert count == last - first + 1  # samples come execution by execution
+        if count != last - first + 1:
+            msg = f"{dataset.path}: the samples of execution {execution} do not lie together"
+            raise DatasetError(msg, cure="Ingest the logs again into a new folder.")
         mine = slice(first, last + 1)
         if hidden[mine].any():
             _bridge(t_s[mine], where[mine, :3], hidden[mine])

@@ -10,7 +10,9 @@ import datetime as dt
 import re
 from typing import TYPE_CHECKING
 
+from cyclekit.errors import OutsideFolder
 from cyclekit.evaluate.drift import Drift, drift_between
+from cyclekit.inside import inside
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -55,7 +57,10 @@ def _written(shown: str, bases: Sequence[Path]) -> dt.date | None:
     parts = shown.split("/")
     for base in bases:
         for first in range(len(parts)):
-            file = base.joinpath(*parts[first:])
+            try:
+                file = inside(base, *parts[first:], follow_links=True)
+            except OutsideFolder:
+                continue
             if file.is_file():
                 whole = day_in(file.as_posix())
                 return whole or dt.datetime.fromtimestamp(file.stat().st_mtime, tz=dt.UTC).date()

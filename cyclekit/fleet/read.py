@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.inside import unfit
 from cyclekit.storage import is_url, join
 from cyclekit.toml_file import list_at, read_toml
 
@@ -30,6 +31,7 @@ class FleetCell:
         sequences: Sequence file whose estimates go into its report.
         pseudonymise: Keep neither names nor times of day; then no day is kept of a log either.
         checksums: Keep the SHA-256 of each log.
+        follow_links: Read what links in a folder of logs lead to outside of it.
         seed: Of training and split.
         epochs: Passes of the training, None for as many as the rows need.
     """
@@ -41,6 +43,7 @@ class FleetCell:
     sequences: str | None = None
     pseudonymise: bool = False
     checksums: bool = True
+    follow_links: bool = False
     seed: int = 0
     epochs: int | None = None
 
@@ -119,15 +122,15 @@ def load_fleet(path: Path) -> Fleet:
 def _cell(where: str, raw: Mapping[str, Any], here: Path) -> FleetCell:
     kinds: dict[str, type] = {
         "name": str, "sources": list, "cell_file": str, "sequences": str, "pseudonymise": bool, "checksums": bool,
-        "seed": int, "epochs": int,
+        "follow_links": bool, "seed": int, "epochs": int,
     }  # fmt: skip
     _only(where, raw, tuple(kinds))
     for key, value in raw.items():
         if type(value) is not kinds[key]:
             raise ConfigError(f"{where}: {key} = {value!r} is not of the right kind", cure="See docs/fleet.md.")
     name, sources = raw.get("name", ""), raw.get("sources", [])
-    if not _NAME.fullmatch(name):
-        cure = "It names a folder: letters, digits, '.', '_' and '-', the first a letter or digit."
+    if not _NAME.fullmatch(name) or unfit(name):
+        cure = "It names a folder: letters, digits, '.', '_' and '-', the first a letter or digit, no '.' last."
         raise ConfigError(f"{where}: name = {name!r}", cure=cure)
     if not sources or not all(isinstance(source, str) and source for source in sources):
         raise ConfigError(f"{where}: sources = {sources!r}", cure='Say where its logs lie: sources = ["logs/press-1"]')

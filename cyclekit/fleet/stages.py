@@ -97,6 +97,7 @@ def _ingest(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
         cell=None if cell.cell_file is None else mirrored(cell.cell_file),
         pseudonymise=cell.pseudonymise,
         checksums=cell.checksums,
+        follow_links=cell.follow_links,
     )
     if not cell.pseudonymise:
         ledger["days"] = days_of(Dataset.open(report.dataset), [mirrored(place) for place in logs])

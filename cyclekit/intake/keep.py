@@ -120,10 +120,11 @@ def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
                 if name not in written:
                     written[name] = _Table(folder, name, frame)
                 written[name].write(frame)
-            if last.set_aside is not None and last.set_aside.height:
+            aside_now = last.set_aside
+            if aside_now is not None and aside_now.height:
                 aside = aside or TableWriter(folder / f"{QUARANTINE}.parquet", schema.QUARANTINE)
-                aside.write(_quarantined(last, log))
-                for reason, count in last.set_aside.group_by("reason", maintain_order=True).len().iter_rows():
+                aside.write(_quarantined(aside_now, last.rows_are, log))
+                for reason, count in aside_now.group_by("reason", maintain_order=True).len().iter_rows():
                     counts[reason] = counts.get(reason, 0) + count
         _check(log, written)
         for writer in [*(table.writer for table in written.values()), *([aside] if aside else [])]:
@@ -132,7 +133,8 @@ def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
         for writer in [*(table.writer for table in written.values()), *([aside] if aside else [])]:
             writer.abandon()
         raise
-    assert last is not None
+    if last is None:
+        raise LogError(log.path, "holds nothing", cure="Record again, or remove the file.")
     return Kept(_entry(log, last, written, sources, rows_read, counts))
 
 
@@ -163,10 +165,9 @@ def _check(log: Log, written: dict[str, _Table]) -> None:
         raise LogError(log.path, "holds a header and no data", cure="Record again, or remove the file.")
 
 
-def _quarantined(part: Recording, log: Log) -> pl.DataFrame:
-    assert part.set_aside is not None
-    named = {"recording": log.id, "file": log.shown, "row_is": part.rows_are}
-    rows = part.set_aside.with_columns(pl.lit(value).alias(name) for name, value in named.items())
+def _quarantined(rows: pl.DataFrame, rows_are: str, log: Log) -> pl.DataFrame:
+    named = {"recording": log.id, "file": log.shown, "row_is": rows_are}
+    rows = rows.with_columns(pl.lit(value).alias(name) for name, value in named.items())
     return schema.conform(rows, schema.QUARANTINE)
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit import schema
 from cyclekit.intake.keep import QUARANTINE
-from cyclekit.intake.take_over import as_read, link_folder, named_anew
+from cyclekit.intake.take_over import as_read, link_files, named_anew
 from cyclekit.tables import TableWriter, parts_of
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class Shelf:
         """Link a recording into the dataset in the making; return its entry."""
         entry: dict[str, Any] = json.loads((place / _ENTRY).read_text(encoding="utf-8"))
         target = staging / "recordings" / log.id
-        link_folder(place, target)
+        link_files(sorted(place.iterdir()), target)
         (target / _ENTRY).unlink()
         aside = target / f"{QUARANTINE}.parquet"
         if aside.is_file() and entry["id"] != log.id:
@@ -70,7 +70,7 @@ class Shelf:
         making = self._folder / f"tmp-{os.getpid()}-{secrets.token_hex(3)}"
         try:
             self._folder.mkdir(exist_ok=True)
-            link_folder(staging / "recordings" / log.id, making)
+            link_files(sorted((staging / "recordings" / log.id).iterdir()), making)
             (making / _ENTRY).write_text(json.dumps(entry, ensure_ascii=False), encoding="utf-8")
             making.rename(place)
         except OSError:

@@ -11,11 +11,13 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.activity import OPERATOR
 from cyclekit.align import CLOCK
+from cyclekit.errors import OutsideFolder
+from cyclekit.inside import inside
 from cyclekit.intake.keep import QUARANTINE
 from cyclekit.tables import TableWriter, parts_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from cyclekit.discover import Log
@@ -24,16 +26,22 @@ _ALL = f"{QUARANTINE}.parquet"
 
 
 def is_whole(entry: dict[str, Any], old: Path) -> bool:
-    """Tell whether everything that an entry of the dataset `old` speaks of is still there."""
-    folder = old / "recordings" / entry["id"]
-    aside = not entry["rows_set_aside"] or (old / _ALL).is_file()
-    return aside and all((folder / f"{name}.parquet").is_file() for name in entry["tables"])
+    """Tell whether everything that an entry of the dataset `old` speaks of is still there, in it."""
+    try:
+        aside = not entry["rows_set_aside"] or inside(old, _ALL).is_file()
+        return aside and all(file.is_file() for file in _tables(entry, old))
+    except OutsideFolder:  # what the card names was never ours
+        return False
+
+
+def _tables(entry: dict[str, Any], old: Path) -> list[Path]:
+    return [inside(old, "recordings", entry["id"], f"{name}.parquet") for name in entry["tables"]]
 
 
 def take_over(entry: dict[str, Any], log: Log, old: Path, staging: Path) -> dict[str, Any]:
     """Link the tables of a recording of the dataset `old` into `staging`; return its entry as it was after reading."""
     target = staging / "recordings" / log.id
-    link_folder(old / "recordings" / entry["id"], target)
+    link_files(_tables(entry, old), target)
     if entry["rows_set_aside"]:
         with TableWriter(target / _ALL, schema.QUARANTINE) as table:
             for part in parts_of(old / _ALL):
@@ -54,10 +62,10 @@ def as_read(entry: dict[str, Any], log: Log) -> dict[str, Any]:
     return {**entry, "id": log.id, "session": "", "clock": clock, "warnings": warnings}
 
 
-def link_folder(source: Path, target: Path) -> None:
-    """Give the files of a folder a second name in another one, or copies where there are no links."""
+def link_files(files: Iterable[Path], target: Path) -> None:
+    """Give files a second name in a new folder, or copies where there are no links."""
     target.mkdir(parents=True)
-    for file in sorted(source.iterdir()):
+    for file in files:
         try:
             os.link(file, target / file.name)
         except OSError:  # another file system, or one without hard links

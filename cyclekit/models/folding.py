@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from torch import nn
 
+from cyclekit.errors import ModelError
 from cyclekit.models.network import Forecasting, Recurrent
 from cyclekit.models.weights import Weights
 from cyclekit.samples import GROUPS
@@ -105,5 +106,6 @@ def _rounded(parts: Sequence[tuple[Vector, ...]]) -> Any:  # noqa: ANN401 - pair
 
 
 def _numbers(tensor: torch.Tensor | None) -> Vector:
-    assert tensor is not None  # batch normalisation is built with its running statistics
+    if tensor is None:
+        raise ModelError("a layer without its running statistics cannot be folded", cure="Train it again.")
     return tensor.detach().cpu().double().numpy()

@@ -15,7 +15,7 @@ from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.one_thread import one_thread
 from cyclekit.plan.jobs import tasks_of
-from cyclekit.plan.search import Scorer, best_order, first_order, random_order, tasks_of
+from cyclekit.plan.search import Scorer, best_order, first_order, random_order
 
 if TYPE_CHECKING:
     from collections.abc import Callable

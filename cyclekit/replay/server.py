@@ -4,14 +4,21 @@ Rerun's server listens on all interfaces by default, and its page asks the maker
 there, which no setting of this machine's Rerun changes. So the viewer's files are taken from Rerun's server once, on
 loopback, and served with a policy (Content-Security-Policy) by which the browser lets the page load nothing but what
 comes from here.
+
+A page from elsewhere cannot read what is served either: a name of its own that it lets point to this machine (DNS
+rebinding) is none that is answered, and no page is told what was asked for by one of another origin.
 """
 
 from __future__ import annotations
 
+import ipaddress
+import re
+import socket
 import subprocess
 import time
 import urllib.request
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from socketserver import TCPServer
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
@@ -34,6 +41,9 @@ _FILES = {
     "/favicon.ico": "image/x-icon",
 }
 _PATIENCE_S = 30.0
+_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+)(:[0-9]{1,5})?")
+_EVERYWHERE = ("0.0.0.0", "::", "")
+_LOCAL = ("localhost", LOOPBACK, "::1")
 
 
 class ReplayServer(ThreadingHTTPServer):
@@ -44,24 +54,37 @@ class ReplayServer(ThreadingHTTPServer):
     def __init__(self, bind: str, port: int, replay: Path, files: dict[str, bytes]) -> None:
         """Listen on `bind`:`port`."""
         self.replay, self.files = replay, files
+        self.names = {*_LOCAL, bind.lower(), *([socket.gethostname().lower()] if bind in _EVERYWHERE else [])}
+        self.address_family = socket.AF_INET6 if ":" in bind else socket.AF_INET
         super().__init__((bind, port), _Answer)
+
+    def server_bind(self) -> None:
+        """Bind without asking the network for a name of the address, as `HTTPServer` does."""
+        TCPServer.server_bind(self)
+        self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
 
     @property
     def address(self) -> str:
         """What to open in a browser."""
         host, port = self.server_address[:2]
-        return f"http://{host!s}:{port}/"
+        return f"http://[{host!s}]:{port}/" if ":" in str(host) else f"http://{host!s}:{port}/"
 
 
 class _Answer(BaseHTTPRequestHandler):
     server: ReplayServer
 
     def do_GET(self) -> None:
+        if not self._is_for_us():
+            self.send_error(421, explain="This replay is served under the name and address that it was started with.")
+            return
+        if self.headers.get("Origin", self._here) != self._here:
+            self.send_error(403, explain="Pages from elsewhere get nothing from here.")
+            return
         path, _, query = self.path.partition("?")
         if path == "/" and "url=" not in query:
-            here = f"http://{self.headers.get('Host', LOOPBACK)}"
+            address = quote(self._here + RECORDING, safe="")
             self.send_response(302)
-            self.send_header("Location", f"/?url={quote(here + RECORDING, safe='')}&theme=dark")  # labels are light
+            self.send_header("Location", f"/?url={address}&theme=dark")  # labels are light
             self.send_header("Content-Length", "0")
             self.end_headers()
         elif path == RECORDING:
@@ -71,12 +94,30 @@ class _Answer(BaseHTTPRequestHandler):
         else:
             self.send_error(404)
 
+    @property
+    def _here(self) -> str:
+        return f"http://{self.headers.get('Host', '')}"
+
+    def _is_for_us(self) -> bool:
+        """Tell whether the request names us as we are called; what name a page was got by, its browser says as `Host`.
+
+        An address cannot be made to point elsewhere as a name can, so the one that this connection came in at will do.
+        """
+        hosts = self.headers.get_all("Host", [])
+        match = _HOST.fullmatch(hosts[0]) if len(hosts) == 1 else None
+        if match is None:
+            return False
+        name = match[1].strip("[]").lower()
+        return name in self.server.names or _same_address(name, str(self.connection.getsockname()[0]))
+
     def _send(self, kind: str, content: bytes) -> None:
         self.send_response(200)
         for name, value in {"Content-Type": kind, "Content-Length": str(len(content))}.items():
             self.send_header(name, value)
         self.send_header("Content-Security-Policy", POLICY)
+        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
         self.send_header("Referrer-Policy", "no-referrer")
+        self.send_header("X-Content-Type-Options", "nosniff")
         self.end_headers()
         self.wfile.write(content)
 
@@ -84,12 +125,20 @@ class _Answer(BaseHTTPRequestHandler):
         """Say nothing about single requests."""
 
 
+def _same_address(name: str, address: str) -> bool:
+    try:
+        return ipaddress.ip_address(name) == ipaddress.ip_address(address)
+    except ValueError:
+        return False
+
+
 def serve(path: Path, *, bind: str = LOOPBACK, port: int = WEB_PORT) -> ReplayServer:
     """Return a server of `path` for browsers, listening already.
 
     Args:
         path: The replay.
-        bind: Address to listen on. Any other than loopback shows the replay to everybody who can reach it.
+        bind: Address or name of this machine to listen on. Any other than loopback shows the replay, unencrypted and
+            without a password, to everybody who can reach it. Requests that name neither it nor this machine get 421.
         port: Port of the page; 0 takes a free one.
 
     Raises:
@@ -98,8 +147,8 @@ def serve(path: Path, *, bind: str = LOOPBACK, port: int = WEB_PORT) -> ReplaySe
     require_replay(path)
     try:
         return ReplayServer(bind, port, path, _viewer_files())
-    except OSError as error:
-        msg = f"nothing can be served at {bind}:{port} ({error.strerror or error})"
+    except (OSError, UnicodeError) as error:  # what is no name of a machine
+        msg = f"nothing can be served at {bind}:{port} ({getattr(error, 'strerror', None) or error})"
         raise CyclekitError(msg, cure="Give another port with --port, or another address with --bind.") from error
 
 

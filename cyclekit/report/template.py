@@ -17,6 +17,7 @@ import jinja2
 from jinja2.sandbox import SandboxedEnvironment
 
 from cyclekit.errors import CyclekitError
+from cyclekit.inside import inside, unfit
 from cyclekit.report.texts import load_texts
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class Template:
             CyclekitError: The folder's template is wrong.
         """
         own = jinja2.FunctionLoader(lambda name: self._own(name))
-        loader = own if self.folder is None else jinja2.ChoiceLoader([jinja2.FileSystemLoader(self.folder), own])
+        loader = jinja2.ChoiceLoader([jinja2.FunctionLoader(self._replaced), own])
         environment = SandboxedEnvironment(
             loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
         )  # fmt: skip
@@ -71,16 +72,31 @@ class Template:
             msg = f"{self.folder}: the template cannot be set ({error})"
             raise CyclekitError(msg, cure=f"Compare it with {PAGE} of cyclekit.report.") from error
 
+    def _replaced(self, name: str) -> str | None:
+        """Return the folder's file of that name, as a template asks for it."""
+        return self._extra(*name.split("/")) or None
+
     def _own(self, name: str) -> str | None:
+        if unfit(name) is not None:
+            return None
         asset = files("cyclekit.report").joinpath(name)
         return asset.read_text("utf-8") if asset.is_file() else None
 
     def _asset(self, name: str) -> str:
         return self._extra(name) or str(self._own(name) or "")
 
-    def _extra(self, name: str) -> str:
-        file = self.folder / name if self.folder else None
-        return file.read_text("utf-8") if file is not None and file.is_file() else ""
+    def _file(self, *names: str) -> Path | None:
+        """Return a file of the folder, None where there is none.
+
+        Raises:
+            OutsideFolder: It is elsewhere: what a template of somebody else names would stand on a customer's page.
+        """
+        file = inside(self.folder, *names) if self.folder else None
+        return file if file is not None and file.is_file() else None
+
+    def _extra(self, *names: str) -> str:
+        file = self._file(*names)
+        return file.read_text("utf-8") if file is not None else ""
 
     def _texts(self) -> Texts:
         try:
@@ -94,7 +110,6 @@ class Template:
     def _logo(self) -> str:
         """The logo as a data address; empty without one."""
         for name, kind in LOGOS.items():
-            file = self.folder / name if self.folder else None
-            if file is not None and file.is_file():
+            if (file := self._file(name)) is not None:
                 return f"data:{kind};base64,{base64.b64encode(file.read_bytes()).decode()}"
         return ""

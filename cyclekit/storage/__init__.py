@@ -18,12 +18,13 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cyclekit.atomic import locked
 from cyclekit.atomic import write_text as write_file
-from cyclekit.errors import StorageError
+from cyclekit.errors import OutsideFolder, StorageError
+from cyclekit.inside import inside
 from cyclekit.storage.cache import WAIT_S, cached, known_parts, of_file_url
 from cyclekit.storage.parts import fetched, publish
 from cyclekit.storage.remote import AT_ONCE, URL, content, fetch, files_below, opened, put, said
@@ -110,7 +111,7 @@ def mirrored(place: Path | str) -> Path:
         return path
     (system, base), target = opened(url), cached(url, "logs")
     with said(url, "read"), locked(target, wait_s=WAIT_S):
-        files = {_inside(target, info.path[len(base) :]): info for info in files_below(system, base)}
+        files = {_named(target, info.path[len(base) :], url): info for info in files_below(system, base)}
         for file in [file for file in target.rglob("*") if file.is_file() and file not in files]:
             file.unlink()
         with ThreadPoolExecutor(AT_ONCE) as pool:
@@ -120,12 +121,11 @@ def mirrored(place: Path | str) -> Path:
     return target
 
 
-def _inside(folder: Path, name: str) -> Path:
-    parts = PurePosixPath(name.lstrip("/")).parts
-    if ".." in parts:
-        msg = f"{name} leads out of its folder"
-        raise OSError(msg)
-    return folder.joinpath(*parts)
+def _named(folder: Path, key: str, url: str) -> Path:
+    try:
+        return inside(folder, *(name for name in key.split("/") if name))
+    except OutsideFolder as error:
+        raise StorageError(url, error.cause, cure="Rename that object, or give an address without it.") from error
 
 
 def _mirror(system: FileSystem, info: FileInfo, target: Path) -> None:

@@ -5,15 +5,29 @@ from __future__ import annotations
 import contextlib
 import datetime as dt
 import hashlib
-import json
 import os
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import msgspec
 
 from cyclekit.atomic import built, locked, settle, write_text
-from cyclekit.errors import StorageError
+from cyclekit.errors import CyclekitError, StorageError
+from cyclekit.inside import inside, leads_out
 from cyclekit.storage.cache import WAIT_S, cached, known_parts
+from cyclekit.storage.manifest import (
+    FORMAT,
+    MANIFEST,
+    MAX_BYTES,
+    VERSION,
+    Entry,
+    Files,
+    Manifest,
+    check,
+    parsed,
+    part_of,
+    read_known,
+)
 from cyclekit.storage.remote import AT_ONCE, content, fetch, files_below, opened, put, said, send
 
 if TYPE_CHECKING:
@@ -21,25 +35,14 @@ if TYPE_CHECKING:
 
     from pyarrow.fs import FileSystem
 
-MANIFEST = "manifest.json"
-_FORMAT = "cyclekit-folder"
 _GRACE = dt.timedelta(days=1)
 """A part that no manifest speaks of any more is kept for so long: somebody may be reading by an older manifest."""
 
 
-def _manifest(system: FileSystem, base: str, url: str) -> dict[str, Any] | None:
+def _manifest(system: FileSystem, base: str, url: str) -> Manifest | None:
     with said(url, "read"):
-        text = content(system, f"{base}/{MANIFEST}")
-    if text is None:
-        return None
-    try:
-        found = json.loads(text)
-        assert found["format"] == _FORMAT and isinstance(found["files"], dict)  # noqa: PT018
-        names = [PurePosixPath(name) for name in found["files"]]
-        assert not any(name.is_absolute() or ".." in name.parts or "\\" in str(name) for name in names)
-    except (ValueError, KeyError, TypeError, AssertionError) as error:
-        raise StorageError(url, f"its {MANIFEST} is not one of cyclekit's", cure="Use another address.") from error
-    return dict(found)
+        text = content(system, f"{base}/{MANIFEST}", MAX_BYTES)
+    return None if text is None else parsed(text, url)
 
 
 def fetched(url: str) -> Path | None:
@@ -53,33 +56,34 @@ def fetched(url: str) -> Path | None:
             return None
         with locked(folder, wait_s=WAIT_S):
             settle(folder)
-            here = json.loads(known.read_text(encoding="utf-8")) if known.is_file() and folder.is_dir() else {}
-            if here == manifest["files"]:
+            here = read_known(known.read_text("utf-8", "replace")) if known.is_file() and folder.is_dir() else {}
+            if here == manifest.files:
                 return folder
             try:
-                _build(url, manifest["files"], folder, here)
+                _build(url, manifest.files, folder, here)
             except StorageError:
                 if attempt == 2 or _manifest(system, base, url) == manifest:
                     raise
                 continue  # it was published anew, and an old part has gone
-            write_text(known, json.dumps(manifest["files"]))
+            write_text(known, msgspec.json.encode(manifest.files).decode())
             return folder
     return None
 
 
-def _build(url: str, files: dict[str, Any], folder: Path, here: dict[str, Any]) -> None:
+def _build(url: str, files: Files, folder: Path, here: Files) -> None:
     system, base = opened(url)
     with built(folder) as making, ThreadPoolExecutor(AT_ONCE) as pool:
 
         def place(name: str) -> None:
-            target = making / name
-            target.parent.mkdir(parents=True, exist_ok=True)
-            if here.get(name) == files[name]:
-                with contextlib.suppress(OSError):
-                    os.link(folder / name, target)
-                    return
+            entry, names = files[name], name.split("/")
             with said(url, "read"):
-                fetch(system, f"{base}/{files[name]['part']}", target, files[name]["sha256"])
+                target = inside(making, *names)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                if here.get(name) == entry:
+                    with contextlib.suppress(OSError):
+                        os.link(inside(folder, *names), target)
+                        return
+                fetch(system, f"{base}/{entry.part}", target, entry)
 
         list(pool.map(place, files))
 
@@ -92,25 +96,42 @@ def publish(folder: Path, url: str) -> None:
     """
     system, base = opened(url)
     before = _manifest(system, base, url)
-    there = {entry["part"] for entry in before["files"].values()} if before else set[str]()
-    files = {file.relative_to(folder).as_posix(): file for file in sorted(folder.rglob("*")) if file.is_file()}
+    there = {entry.part for entry in before.files.values()} if before else set[str]()
+    files = _files(folder)
     with said(url, "written"), ThreadPoolExecutor(AT_ONCE) as pool:
         entries = dict(zip(files, pool.map(_entry, files, files.values()), strict=True))
-        missing = [name for name, entry in entries.items() if entry["part"] not in there]
-        list(pool.map(lambda name: send(system, files[name], f"{base}/{entries[name]['part']}"), missing))
-        if before is None or before["files"] != entries:
-            document = json.dumps({"format": _FORMAT, "version": 1, "files": entries}, indent=1)
-            put(system, f"{base}/{MANIFEST}", document.encode())
-        _sweep(system, base, {entry["part"] for entry in entries.values()})
-    write_text(known_parts(folder), json.dumps(entries))
+        _check(entries, folder)
+        missing = [name for name, entry in entries.items() if entry.part not in there]
+        list(pool.map(lambda name: send(system, files[name], f"{base}/{entries[name].part}"), missing))
+        if before is None or before.files != entries:
+            document = msgspec.json.encode(Manifest(FORMAT, VERSION, entries))
+            put(system, f"{base}/{MANIFEST}", msgspec.json.format(document, indent=1))
+        _sweep(system, base, {entry.part for entry in entries.values()})
+    write_text(known_parts(folder), msgspec.json.encode(entries).decode())
 
 
-def _entry(name: str, file: Path) -> dict[str, Any]:
+def _files(folder: Path) -> dict[str, Path]:
+    """Return the files to be published by name: no hidden ones, and nothing from elsewhere that a link leads to."""
+    found = {file.relative_to(folder): file for file in sorted(folder.rglob("*")) if file.is_file()}
+    return {
+        name.as_posix(): file
+        for name, file in found.items()
+        if not any(part.startswith(".") for part in name.parts) and not leads_out(file, folder)
+    }
+
+
+def _check(entries: Files, folder: Path) -> None:
+    """Refuse to publish what nobody could fetch."""
+    try:
+        check(entries)
+    except ValueError as error:
+        raise CyclekitError(f"{folder}: cannot be published ({error})", cure="Rename what is named.") from error
+
+
+def _entry(name: str, file: Path) -> Entry:
     with file.open("rb") as handle:
         digest = hashlib.file_digest(handle, "sha256").hexdigest()
-    whole = PurePosixPath(name)
-    part = f"parts/{whole.with_name(f'{whole.stem}-{digest[:20]}{whole.suffix}')}"
-    return {"part": part, "size": file.stat().st_size, "sha256": digest}
+    return Entry(part_of(name, digest), file.stat().st_size, digest)
 
 
 def _sweep(system: FileSystem, base: str, used: set[str]) -> None:

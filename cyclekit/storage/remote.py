@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from pyarrow import fs
 
+    from cyclekit.storage.manifest import Entry
+
 URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)  # two letters at least: C:\\ is a drive
 AT_ONCE = 8
 """Objects fetched or sent at the same time."""
@@ -66,10 +68,17 @@ def said(url: str, what: str) -> Iterator[None]:
         raise StorageError(url, f"cannot be {what} ({why})", cure=cure) from error
 
 
-def content(system: fs.FileSystem, key: str) -> bytes | None:
-    """Return a small object, None where there is none."""
-    if not system.get_file_info(key).is_file:
+def content(system: fs.FileSystem, key: str, most: int | None = None) -> bytes | None:
+    """Return a small object, None where there is none.
+
+    Raises:
+        OSError: It has more than `most` bytes.
+    """
+    info = system.get_file_info(key)
+    if not info.is_file:
         return None
+    if most is not None and info.size > most:
+        raise OSError(f"{key} has {info.size} bytes, more than cyclekit writes")
     with system.open_input_stream(key) as stream:
         return bytes(stream.read())
 
@@ -96,14 +105,21 @@ def files_below(system: fs.FileSystem, path: str) -> list[fs.FileInfo]:
     return [info for info in found if info.is_file]
 
 
-def fetch(system: fs.FileSystem, key: str, target: Path, sha256: str | None) -> None:
-    """Read an object into a file, and refuse one with another checksum than expected."""
-    digest = hashlib.sha256()
+def fetch(system: fs.FileSystem, key: str, target: Path, wanted: Entry | None) -> None:
+    """Read an object into a file; one that must be of a certain size and checksum is refused if it is another.
+
+    Raises:
+        OSError: It cannot be read or written, or is not what was wanted.
+    """
+    digest, size = hashlib.sha256(), 0
     with system.open_input_stream(key) as stream, target.open("wb") as handle:
         while piece := stream.read(_STEP):
+            size += len(piece)
+            if wanted is not None and size > wanted.size:
+                break
             digest.update(piece)
             handle.write(piece)
-    if sha256 not in (None, digest.hexdigest()):
+    if wanted is not None and (size, digest.hexdigest()) != (wanted.size, wanted.sha256):
         msg = f"{key} is not what its manifest says"
         raise OSError(msg)
 

@@ -106,7 +106,7 @@ def altered_tracks(
     if change.base_m is not None:
         tracks = replace(tracks, xyz_m=_seen_from(change, tracks.xyz_m))
     if change.frequency is not None and change.frequency != 1.0:
-        tracks = _as_often(change, tracks, tasks, safety)
+        tracks = _as_often(change.name, change.frequency, tracks, tasks, safety)
     return tracks
 
 
@@ -117,17 +117,16 @@ def _seen_from(change: Change, xyz_m: NDArray[np.float64]) -> NDArray[np.float64
 
 
 def _as_often(
-    change: Change, tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: SafetyModel
+    name: str, frequency: float, tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: SafetyModel
 ) -> OperatorTracks:
     away = _away(tracks, tasks, safety)
     own = np.arange(away.shape[1]) < tracks.logged[:, None]
     share = float(away[own].mean())
-    assert change.frequency is not None
-    stretch = (1 / change.frequency - (1 - share)) / share if share > 0 else 0.0
+    stretch = (1 / frequency - (1 - share)) / share if share > 0 else 0.0
     if share < 0.02 or stretch <= 0:
-        seen = f"change {change.name!r}: the operator is away {share:.0%} of the time, so he cannot come "
+        seen = f"change {name!r}: the operator is away {share:.0%} of the time, so he cannot come "
         raise EstimateError(
-            f"{seen}{change.frequency:g} times as often",
+            f"{seen}{frequency:g} times as often",
             cure=f"At most {1 / max(1 - share, 1e-9):.2f} times is possible.",
         )
     ends = np.cumsum(np.where(away, stretch, 1.0), axis=1)

@@ -22,6 +22,8 @@ from cyclekit_adapters.rosbag.payloads import BLOCK_BYTES, Bytes, Channel, Damag
 
 MAX_RECORDS = 4_000_000
 """A chunk of more records than this was not written by a logger; it is read up to there."""
+_SMALL_BYTES = 4096
+"""A smaller chunk is sooner walked than looked up in its index; a bag may have a million of them."""
 _MAX_STEP = 64  # gaps between indexed records are few (connections); more, and the plain walk is faster
 
 
@@ -44,7 +46,7 @@ class Chunk:
     size: int
     compression: str = ""
     crc: int = 0
-    index: tuple[tuple[int, int, int], ...] = ()
+    index: list[tuple[int, int, int]] = field(default_factory=list)
     cut: bool = False
 
 
@@ -95,6 +97,8 @@ class ChunkedFile:
     set_aside: list[str] = field(default_factory=list)
     chunks: list[Chunk] = field(default_factory=list)
     last_ns: int | None = None
+    _broken: set[int] = field(default_factory=set)
+    _said: set[str] = field(default_factory=set)
     _piece: bytes = b""
 
     def refuse_bombs(self) -> None:
@@ -115,12 +119,14 @@ class ChunkedFile:
 
         None if it is broken: then that is said, and it is not tried again.
         """
+        if chunk.place in self._broken:
+            return None
         into = np.empty(chunk.size, np.uint8) if into is None else into
         try:
             self._unpack(log, chunk, into)
         except Damage as damage:
             self.drop(chunk, damage)
-            self.chunks = [other for other in self.chunks if other.place != chunk.place]
+            self._broken.add(chunk.place)
             return None
         return into
 
@@ -156,7 +162,8 @@ class ChunkedFile:
     def drop(self, chunk: Chunk, reason: object) -> None:
         """Say once that a chunk, or its rest, is not used."""
         said = f"chunk at byte {chunk.place}: {reason}"
-        if said not in self.set_aside:
+        if said not in self._said:
+            self._said.add(said)
             self.set_aside.append(said)
 
     def blocks(self, wanted: set[int]) -> Iterator[Mapping[int, Payloads]]:
@@ -188,7 +195,7 @@ class ChunkedFile:
 
     def _indexed(self, log: BufferedReader, chunk: Chunk) -> Ints:
         parts = []
-        for _, place, size in chunk.index:
+        for _, place, size in chunk.index if chunk.size > _SMALL_BYTES else ():
             log.seek(place)
             parts.append(self.form.indexed(log.read(size)))
         return np.concatenate(parts) if parts else np.zeros(0, np.int64)
@@ -231,11 +238,14 @@ def _filled(form: Format, raw: Bytes, start: Ints) -> Ints | None:
 
 def _in_blocks(chunks: list[Chunk]) -> Iterator[list[Chunk]]:
     group: list[Chunk] = []
+    held = 0
     for chunk in chunks:
-        if group and sum(one.size for one in group) + chunk.size > BLOCK_BYTES:
+        size = chunk.size
+        if group and held + size > BLOCK_BYTES:
             yield group
-            group = []
+            group, held = [], 0
         group.append(chunk)
+        held += size
     if group:
         yield group
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from cyclekit.errors import DamagedLog
+from cyclekit.errors import DamagedLog, OutsideFolder
+from cyclekit.inside import inside
 
 _SUFFIXES = (".mcap", ".db3", ".zstd")
 _MAX_BYTES = 1 << 20  # of metadata.yaml: no recorder writes so much
@@ -40,8 +41,12 @@ def folder_of(path: Path) -> Folder:
     folder = Folder(present)
     try:
         about = _about(path / "metadata.yaml")
-        named = [path / PurePosixPath(str(name)).name for name in about["relative_file_paths"]]
+        named = [
+            inside(path, PurePosixPath(str(name)).name, follow_links=True) for name in about["relative_file_paths"]
+        ]
         folder.compressed = str(about.get("compression_mode") or "none").lower() != "none"
+    except OutsideFolder as error:
+        raise DamagedLog(path, f"metadata.yaml: {error.cause}", cure="Copy the recording again.") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         said = f"metadata.yaml cannot be read ({type(error).__name__}): every bag in the folder is taken"
         folder.warnings.append(said)

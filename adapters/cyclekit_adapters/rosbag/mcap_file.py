@@ -171,7 +171,7 @@ def _heads(log: BufferedReader, survey: _Survey, end: int) -> int | None:
             count = survey.found.counts.get(number, 0) + size // 16
             survey.found.counts[number] = count
             entry = (number, position + 15, min(size, length - 6))
-            chunks[-1] = replace(chunks[-1], index=(*chunks[-1].index, entry))
+            chunks[-1].index.append(entry)
         elif op == _DATA_END:
             survey.end_of_data(position, after, struct.unpack("<I", log.read(4))[0])
         elif op == _STATISTICS and length >= _CHUNK_COUNT + 4:

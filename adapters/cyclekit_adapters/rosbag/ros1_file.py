@@ -180,8 +180,7 @@ def _heads(log: BufferedReader, found: ChunkedFile, end: int) -> tuple[int | Non
         elif op == _INDEX and found.chunks:
             number, count = _number(fields, b"conn"), _number(fields, b"count")
             found.counts[number] = found.counts.get(number, 0) + count
-            last = found.chunks[-1]
-            found.chunks[-1] = replace(last, index=(*last.index, (number, place, after - place)))
+            found.chunks[-1].index.append((number, place, after - place))
         elif op == _CONNECTION:
             _connect(found, fields, log.read(after - place))
         position = after
@@ -266,7 +265,7 @@ def _open(log: BufferedReader, found: ChunkedFile, chunk: Chunk) -> Messages | N
 def _last(log: BufferedReader, found: ChunkedFile) -> None:
     """Find the last time recovered: in the last chunk that can be read."""
     for chunk in reversed(found.chunks):
-        messages = _open(log, found, replace(chunk, index=chunk.index or ((-1, 0, 0),)))
+        messages = _open(log, found, replace(chunk, index=chunk.index or [(-1, 0, 0)]))
         if messages is not None and messages.receive_ns.size:
             found.last_ns = int(messages.receive_ns.max())
             return

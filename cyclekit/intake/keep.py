@@ -18,7 +18,7 @@ from cyclekit import schema
 from cyclekit.discover import Log, options_of
 from cyclekit.errors import LogError
 from cyclekit.plausible import examined_parts
-from cyclekit.privacy import Nameless
+from cyclekit.privacy import Nameless, shown_as
 from cyclekit.registry import adapter_named
 from cyclekit.tables import TableWriter
 
@@ -121,10 +121,12 @@ def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
                 written[name].write(frame)
             if last.set_aside is not None and last.set_aside.height:
                 aside = aside or TableWriter(folder / f"{QUARANTINE}.parquet", schema.QUARANTINE)
-                aside.write(_quarantined(last, log))
+                aside.write(_quarantined(last, log, shown_as(log) if nameless else log.shown))
                 for reason, count in last.set_aside.group_by("reason", maintain_order=True).len().iter_rows():
                     counts[reason] = counts.get(reason, 0) + count
         _check(log, written)
+        if nameless:
+            nameless.check(log.path)
         for writer in [*(table.writer for table in written.values()), *([aside] if aside else [])]:
             writer.close()
     except BaseException:
@@ -162,9 +164,9 @@ def _check(log: Log, written: dict[str, _Table]) -> None:
         raise LogError(log.path, "holds a header and no data", cure="Record again, or remove the file.")
 
 
-def _quarantined(part: Recording, log: Log) -> pl.DataFrame:
+def _quarantined(part: Recording, log: Log, shown: str) -> pl.DataFrame:
     assert part.set_aside is not None
-    named = {"recording": log.id, "file": log.shown, "row_is": part.rows_are}
+    named = {"recording": log.id, "file": shown, "row_is": part.rows_are}
     rows = part.set_aside.with_columns(pl.lit(value).alias(name) for name, value in named.items())
     return schema.conform(rows, schema.QUARANTINE)
 

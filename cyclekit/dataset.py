@@ -24,6 +24,7 @@ from cyclekit import schema
 from cyclekit.atomic import recover
 from cyclekit.config import Furniture
 from cyclekit.errors import DatasetError, UnknownName
+from cyclekit.plain_text import all_in_one_line, needs_it
 from cyclekit.storage import local
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class Dataset:
             msg = f"{path}: {seen}"
             raise DatasetError(msg, cure=f"Make one: cyclekit ingest LOGS --out {path}")
         try:
-            card = json.loads(text)
+            card = all_in_one_line(json.loads(text)) if needs_it(text) else json.loads(text)
             version = card["schema_version"]
         except (ValueError, KeyError, TypeError) as error:
             msg = f"{path / CARD}: not a dataset card ({error})"

@@ -9,6 +9,7 @@ import tomllib
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import ConfigError
+from cyclekit.plain_text import all_in_one_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,13 +17,13 @@ if TYPE_CHECKING:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the values of a TOML file.
+    """Return the values of a TOML file; names in it are one line each, controls in them escaped.
 
     Raises:
         ConfigError: The file cannot be read or is no TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return all_in_one_line(tomllib.loads(path.read_text(encoding="utf-8-sig")))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})", cure="Check the path.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -33,6 +33,7 @@ FLOORS = [
     {"config", "schema", "sequences"},
     {"toml_file"},
     {"ahead", "behind", "colours", "errors", "labels", "plain_json"},
+    {"plain_text"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
 

@@ -6,6 +6,7 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.cli.terminal import bullet, duration, percent, table
+from cyclekit.plain_text import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -73,7 +74,7 @@ def _rate(facts: TableFacts | None) -> str:
 
 def _log(log: LogFacts) -> str:
     lines = [
-        f"{log.path}",
+        one_line(f"{log.path}"),
         f"  adapter   {log.adapter} ({log.package})",
         f"  clock     {log.clock}",
         f"  rows      {log.rows_read} read, {sum(log.set_aside.values())} set aside",

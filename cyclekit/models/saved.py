@@ -23,6 +23,7 @@ from cyclekit.atomic import recover, staged
 from cyclekit.errors import ModelError, ShapeError
 from cyclekit.models.layout import Layout, NotAModel, parse_model
 from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
+from cyclekit.plain_text import all_in_one_line
 from cyclekit.samples import GROUPS, INPUTS
 from cyclekit.storage import is_url, local, published
 
@@ -193,7 +194,7 @@ def load_model(place: Path | str) -> TrainedModel:
         msg = f"{file}: {cause}"
         raise ModelError(msg, cure=_RETRAIN) from cause
     made = (layout.problem, layout.network, layout.horizon_s, layout.levels)
-    return TrainedModel(*made, weights, dict(about["card"]), layout.history)
+    return TrainedModel(*made, weights, all_in_one_line(dict(about["card"])), layout.history)
 
 
 def models_in(place: str) -> list[str]:

@@ -46,12 +46,15 @@ def one_line(text: str) -> str:
 
 
 def all_in_one_line(value: Value) -> Value:
-    """Return plain values with every text in them, keys included, as `one_line` does; single characters stay."""
+    """Return plain values with every text in them, keys included, as `one_line` does; a `delimiter` may be a tab."""
     changed: Any = value
     if isinstance(value, str):
-        changed = one_line(value) if len(value) > 1 else value  # a delimiter may be a control
+        changed = one_line(value)
     elif isinstance(value, dict):
-        changed = {all_in_one_line(key): all_in_one_line(entry) for key, entry in value.items()}
+        changed = {
+            all_in_one_line(key): entry if key == "delimiter" else all_in_one_line(entry)
+            for key, entry in value.items()
+        }
     elif isinstance(value, list):
         changed = [all_in_one_line(entry) for entry in value]
     return changed  # type: ignore[no-any-return]

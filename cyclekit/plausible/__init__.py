@@ -82,7 +82,11 @@ def _named_in_lines(part: Recording) -> Recording:
 
 
 def _is_odd(frame: pl.DataFrame, name: str) -> bool:
-    return name in frame.columns and bool(frame[name].cast(pl.String).str.contains(NOT_ONE_LINE).any())
+    if name not in frame.columns:
+        return False
+    texts = frame[name].cast(pl.String)
+    texts = texts.filter(texts.ne_missing(texts.shift(1))).unique()  # few, as a rule: looking into each takes longer
+    return bool(texts.str.contains(NOT_ONE_LINE).any())
 
 
 def _reasons(set_aside: pl.DataFrame) -> pl.DataFrame:

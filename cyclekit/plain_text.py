@@ -46,13 +46,13 @@ def one_line(text: str) -> str:
 
 
 def all_in_one_line(value: Value) -> Value:
-    """Return plain values with every text in them, keys included, as `one_line` does; a `delimiter` may be a tab."""
+    """Return plain values with every text in them, keys included, as `one_line` does; columns of a `map` stay."""
     changed: Any = value
     if isinstance(value, str):
         changed = one_line(value)
     elif isinstance(value, dict):
         changed = {
-            all_in_one_line(key): entry if key == "delimiter" else all_in_one_line(entry)
+            all_in_one_line(key): entry if key == "map" else all_in_one_line(entry)  # a delimiter there may be a tab
             for key, entry in value.items()
         }
     elif isinstance(value, list):

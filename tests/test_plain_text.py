@@ -58,6 +58,11 @@ def test_json_shows_no_control_and_says_the_same(value: object) -> None:
     assert not steers(json.dumps(all_in_one_line(value), ensure_ascii=False))
 
 
+def test_columns_and_the_delimiter_of_a_map_stay_as_they_are() -> None:
+    told = {"path": "a\tb", "map": {"delimiter": "\t", "time": "Time\t(s)"}}
+    assert all_in_one_line(told) == {**told, "path": r"a\tb"}
+
+
 @given(ODD)
 def test_a_name_in_an_error_begins_no_line_of_its_own(name: str) -> None:
     assert "\n" not in str(CyclekitError(name))

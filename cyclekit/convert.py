@@ -18,6 +18,7 @@ from cyclekit.atomic import replaced
 from cyclekit.config import Cell
 from cyclekit.discover import find_all, options_of
 from cyclekit.errors import ConfigError, LogError, UnknownName
+from cyclekit.plain_text import FORMULA
 from cyclekit.plausible import examined_parts
 from cyclekit.registry import adapter_named
 
@@ -180,7 +181,7 @@ class _Output:
             self._parquet.write(frame)
         else:
             with self._file.open("ab") as handle:
-                frame.write_csv(handle, include_header=self.rows == 0 and handle.tell() == 0)
+                _no_formulas(frame).write_csv(handle, include_header=self.rows == 0 and handle.tell() == 0)
         self.rows += frame.height
 
     def close(self) -> None:
@@ -190,6 +191,15 @@ class _Output:
     def abandon(self) -> None:
         if self._parquet is not None:
             self._parquet.abandon()
+
+
+def _no_formulas(frame: pl.DataFrame) -> pl.DataFrame:
+    """Return a table in which no text is a formula for a spreadsheet: an apostrophe stands before those."""
+    for name in [name for name, dtype in frame.schema.items() if dtype == pl.String]:
+        text = pl.col(name)
+        formula = text.str.contains(FORMULA) & text.cast(pl.Float64, strict=False).is_null()
+        frame = frame.with_columns(pl.when(formula).then("'" + text).otherwise(text).alias(name))
+    return frame
 
 
 class Thinner:

@@ -26,6 +26,7 @@ from cyclekit.config import Furniture
 from cyclekit.errors import DatasetError, UnknownName, command_line
 from cyclekit.inside import inside
 from cyclekit.mistaken import DATASET_CARD, toml_for, what_is
+from cyclekit.plain_text import all_in_one_line, needs_it
 from cyclekit.storage import local
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class Dataset:
         if text is None:
             raise _no_dataset(path)
         try:
-            card = json.loads(text)
+            card = all_in_one_line(json.loads(text)) if needs_it(text) else json.loads(text)
             version = card["schema_version"]
         except (ValueError, KeyError, TypeError) as error:
             msg = f"{path / CARD}: not a dataset card ({error})"

@@ -20,6 +20,7 @@ from cyclekit.config import Cell, NamedPlace, Source, load_cell
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, LogError
 from cyclekit.inside import fitting, leads_out, real
+from cyclekit.plain_text import one_line
 from cyclekit.registry import Registered, adapter_named, find_logs, why_unknown
 
 if TYPE_CHECKING:
@@ -132,9 +133,9 @@ def find_all(
 
 
 def _as_text(name: str) -> tuple[str, bool]:
-    """Return a name as it can be written down, and whether that is what it is."""
+    """Return a name as it can be written down, in one line, and whether it is text at all."""
     text = name.encode("utf-8", "backslashreplace").decode()
-    return text, text == name
+    return one_line(text), text == name
 
 
 def _leads_out(path: Path, root: Path) -> bool:

@@ -31,6 +31,8 @@ import subprocess
 from collections.abc import Iterable
 from pathlib import Path
 
+from cyclekit.plain_text import one_line
+
 
 class CyclekitError(Exception):
     """Root of the tree; the command line turns any of these into exit code 1 and one message."""
@@ -43,6 +45,7 @@ class CyclekitError(Exception):
             nearest: The right thing that is nearest to what was found.
             cure: What the person should do now.
         """
+        seen = one_line(seen)  # it may quote a log: a name there must not look like a line of ours
         self.seen, self.nearest, self.cure = seen, nearest, cure
         lines = [seen]
         if nearest:
@@ -68,7 +71,7 @@ class LogError(CyclekitError):
 
     def __init__(self, path: Path, cause: str, *, nearest: str | None = None, cure: str | None = None) -> None:
         """Name the file first: people look for the file, then for the reason."""
-        self.path, self.cause = path, cause
+        self.path, self.cause = path, one_line(cause)
         super().__init__(f"{path}: {cause}", nearest=nearest, cure=cure)
 
 
@@ -109,7 +112,7 @@ class UnknownName(ConfigError):
 
     def __init__(self, where: str, kind: str, name: str, known: Iterable[str], *, cure: str | None = None) -> None:
         """Say which names would have been understood, so that nobody has to look them up."""
-        names = sorted(known)
+        names = sorted(map(one_line, known))
         text = cure or (f"Known: {', '.join(names)}." if names else f"No {kind} is known here.")
         super().__init__(f"{where}: unknown {kind} {name!r}", nearest=nearest(name, names), cure=text)
 

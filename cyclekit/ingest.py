@@ -30,7 +30,7 @@ from cyclekit.intake import Digests, How, check_shared, read_all
 from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.one_thread import one_thread
-from cyclekit.privacy import dated_names, without_wall_clock, without_what_names
+from cyclekit.privacy import Names, numbered_logs, take_out
 from cyclekit.session import group_sessions
 from cyclekit.storage import mirrored, published
 from cyclekit.tables import StoredTable
@@ -115,7 +115,8 @@ def ingest(
         settings = replace(settings, rate_hz=_rate(rate_hz))
     found, not_read = find_all(roots, settings, follow_links=follow_links)
     how = How(pseudonymise=pseudonymise, skeletons=keep_skeletons, checksums=checksums)
-    wanted = _Wanted(settings, tuple(found), tuple(not_read), engine, how, align_clocks)
+    logs_found = numbered_logs(found) if pseudonymise else found
+    wanted = _Wanted(settings, tuple(logs_found), tuple(not_read), engine, how, align_clocks)
     with published(out) as path:
         report = _ingest(roots, path, wanted, progress or (lambda fraction, text: None))
     return replace(report, place=str(out))
@@ -135,7 +136,8 @@ def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -
         with built(out) as staging, Digests(wanted=how.checksums) as digests:
             explicit = {path for path in roots if path.is_file()}
             shelved = None if how.pseudonymise else shelf
-            card, kept = _build(wanted, staging, digests, _old(out), explicit, shelved, tell)
+            names = Names(wanted.logs, roots, wanted.cell) if how.pseudonymise else None
+            card, kept = _build(wanted, staging, digests, _old(out), explicit, shelved, names, tell)
         shelf.clear()
     return _report(out, card, new=len(card["recordings"]) - kept, kept=kept, unchanged=False)
 
@@ -171,9 +173,10 @@ def _build(
     old: Dataset | None,
     explicit: set[Path],
     shelf: Shelf | None,
+    names: Names | None,
     tell: Progress,
 ) -> tuple[dict[str, Any], int]:
-    """Build the dataset in `staging`; return its card and how many recordings were taken over."""
+    """Build the dataset in `staging`, without these names; return its card and how many recordings were taken over."""
     alike = old is not None and old.card.get("skeletons") == wanted.how.skeletons
     intake = read_all(
         wanted.logs,
@@ -195,7 +198,7 @@ def _build(
     gather_quarantine(entries, staging)
     cell = wanted.cell
     sources = {log.id: log.source for log in wanted.logs}
-    sessions = group_sessions(entries, partial(_is_reference, cell))
+    sessions = group_sessions(entries, partial(_is_reference, cell), numbered=names is not None)
     later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), wanted.align_clocks == "coarse"
     native, stored = partial(_native, staging), partial(_stored, staging)
     derived = derive(
@@ -203,10 +206,10 @@ def _build(
     )
     derived.warnings.extend(_unmatched(cell, wanted.logs))
     digests.settle(entries)
-    if wanted.how.pseudonymise:
-        without_wall_clock(entries, staging)
-        derived.warnings.extend(dated_names(entries))
-        cell = without_what_names(cell)
+    if names is not None:
+        take_out(entries, names, staging)
+        derived.warnings[:] = map(names.said, derived.warnings)
+        cell, not_read = names.settings(), names.not_read(not_read)
     card = _card(cell, entries, derived, not_read, wanted)
     write_parquet(derived.tasks, staging / "tasks.parquet")
     write_text(staging / CARD, json.dumps(card, indent=1, ensure_ascii=False) + "\n")

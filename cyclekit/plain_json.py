@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import math
 
+from cyclekit.plain_text import CONTROL
+
 
 def json_text(document: object, *, ascii_only: bool = False) -> str:
     """Return `document` as indented JSON; tuples become lists, what JSON does not know becomes its string.
@@ -16,7 +18,8 @@ def json_text(document: object, *, ascii_only: bool = False) -> str:
         document: Dictionaries, sequences and values; NaN and infinities become null, keys become strings.
         ascii_only: Escape everything else, for terminals whose encoding is not known.
     """
-    return json.dumps(_finite(document), indent=2, ensure_ascii=ascii_only, default=str)
+    text = json.dumps(_finite(document), indent=2, ensure_ascii=ascii_only, default=str)
+    return CONTROL.sub(lambda found: f"\\u{ord(found[0]):04x}", text)  # only texts hold any: a terminal may show this
 
 
 def _finite(value: object) -> object:

@@ -34,8 +34,16 @@ class Session:
     span_s: tuple[float, float] = (0.0, 0.0)
 
 
-def group_sessions(entries: list[dict[str, Any]], is_reference: Callable[[str], bool]) -> list[Session]:
-    """Group recordings that share a time: all of them if there is one robot log, else folder by folder."""
+def group_sessions(
+    entries: list[dict[str, Any]], is_reference: Callable[[str], bool], *, numbered: bool = False
+) -> list[Session]:
+    """Group recordings that share a time: all of them if there is one robot log, else folder by folder.
+
+    Args:
+        entries: Of the recordings; each gets the name of its session.
+        is_reference: Tells by the path of a log whether it was recorded with nobody in the cell.
+        numbered: Name sessions by number, not by the folder or log that they come from.
+    """
     robots, others = _divided(entries)
     if len(robots) == 1 and len({tuple(entry["tables"]) for entry in others}) == len(others):
         groups = [[robots[0], *others]]
@@ -46,8 +54,9 @@ def group_sessions(entries: list[dict[str, Any]], is_reference: Callable[[str], 
         groups = [group for folder, here in folders.items() for group in _in_folder(folder, *_divided(here))]
     sessions: list[Session] = []
     taken: set[str] = set()
-    for group in groups:
-        name = _session_name(group, taken)
+    digits = len(str(len(groups)))
+    for number, group in enumerate(groups, 1):
+        name = f"session_{number:0{digits}d}" if numbered else _session_name(group, taken)
         taken.add(name)
         shown = group[0]["sources"][0]["path"]
         reference = is_reference(shown)

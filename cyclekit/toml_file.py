@@ -10,6 +10,7 @@ import tomllib
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import ConfigError
+from cyclekit.plain_text import all_in_one_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the values of a TOML file.
+    """Return the values of a TOML file; names in it are one line each, controls in them escaped.
 
     Raises:
         ConfigError: The file cannot be read or is no TOML.
@@ -27,7 +28,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})", cure="Check the path.") from error
     try:
-        return tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n"))
+        return all_in_one_line(tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n")))
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         seen = f"{path}: line {line} is no text in UTF-8 (byte 0x{content[error.start]:02x})"

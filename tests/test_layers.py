@@ -34,6 +34,7 @@ FLOORS = [
     {"mistaken", "toml_file"},
     {"inside"},
     {"ahead", "behind", "colours", "errors", "labels", "one_thread", "plain_json", "rate"},
+    {"plain_text"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
 

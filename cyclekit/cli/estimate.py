@@ -199,16 +199,14 @@ def rests_on(found: Sequence[CycleEstimate]) -> str:
 
 def as_csv(found: Sequence[CycleEstimate]) -> str:
     """Return one CSV row per sequence, quantiles as columns `q0.05_s` and so on."""
-    import csv
-    import io
+    from cyclekit.plain_text import csv_text
 
-    page = io.StringIO()
     levels = sorted(found[0].quantiles_s) if found else []
-    writer = csv.writer(page, lineterminator="\n")
-    writer.writerow([*_COLUMNS, *(f"q{level:g}_s" for level in levels), *_SPLIT, "support", "tracks", "warnings"])
+    heads = [*_COLUMNS, *(f"q{level:g}_s" for level in levels), *_SPLIT, "support", "tracks", "warnings"]
+    rows: list[list[Any]] = [heads]
     for entry in found:
         row: list[Any] = [getattr(entry, name) for name in _COLUMNS]
         row += [entry.quantiles_s[level] for level in levels]
         row += [getattr(entry, name) for name in _SPLIT]
-        writer.writerow([*row, entry.support, entry.tracks, " | ".join(entry.warnings)])
-    return page.getvalue()
+        rows.append([*row, entry.support, entry.tracks, " | ".join(entry.warnings)])
+    return csv_text(rows)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.cli.groups import grouped
 from cyclekit.cli.terminal import bullet, duration, percent, table
+from cyclekit.plain_text import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -78,7 +79,7 @@ def _rate(facts: TableFacts | None) -> str:
 
 def _log(log: LogFacts) -> str:
     lines = [
-        f"{log.path}",
+        one_line(f"{log.path}"),
         f"  adapter   {log.adapter} ({log.package})",
         f"  clock     {log.clock}",
         f"  rows      {log.rows_read} read, {sum(log.set_aside.values())} set aside",

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from cyclekit.plain_json import json_text
+from cyclekit.plain_text import one_line, visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -60,38 +61,43 @@ class Terminal:
     def remark(self, text: str) -> None:
         """Say something beside the result, on standard error; nothing with --quiet."""
         if not self.quiet:
-            typer.echo(text, err=True)
+            _print(text, err=True)
 
     def warnings(self, texts: Sequence[str]) -> None:
         """Say what a person must know before trusting the result."""
         for text in texts:
-            self.remark(f"warning: {text}")
+            self.remark(f"warning: {one_line(text)}")
 
     def done(self, document: Mapping[str, Any], text: str) -> None:
         """Say what a command made: the document for programs, or the text unless --quiet."""
         if self.json:
             write_json(document)
         elif not self.quiet:
-            typer.echo(text)
+            _print(text)
 
     def answer(self, document: Mapping[str, Any], *parts: str) -> None:
         """Give what a command was asked for: the document for programs, or the parts, --quiet or not."""
         if self.json:
             write_json(document)
         else:
-            typer.echo("\n\n".join(part for part in parts if part))
+            _print("\n\n".join(part for part in parts if part))
+
+
+def _print(text: str, *, err: bool = False) -> None:
+    """Write to the terminal; what would steer it is escaped here, whoever has put it into the text."""
+    typer.echo(visible(text), err=err)
 
 
 def write_json(document: Mapping[str, Any]) -> None:
     """Write one JSON document to standard output; what is not a number becomes null, as JSON has no NaN."""
-    typer.echo(json_text(document, ascii_only=True))
+    _print(json_text(document, ascii_only=True))
 
 
 def say_failure(message: str, *, kind: str, as_json: bool, code: int = 1) -> int:
     """Say in one message why the command failed, and return the exit code."""
     if as_json:
         write_json({"error": {"kind": kind, "message": message}})
-    typer.echo(f"error: {message}" if code == 1 else message, err=True)
+    _print(f"error: {message}" if code == 1 else message, err=True)
     return code
 
 
@@ -102,9 +108,9 @@ def say_usage(error: typer.TyperException, *, as_json: bool) -> int:
         write_json({"error": {"kind": "Usage", "message": message}})
     context = getattr(error, "ctx", None)
     if context is not None:
-        typer.echo(context.get_usage(), err=True)
-        typer.echo(f"Try '{context.command_path} --help'.", err=True)
-    typer.echo(f"error: {message}", err=True)
+        _print(context.get_usage(), err=True)
+        _print(f"Try '{context.command_path} --help'.", err=True)
+    _print(f"error: {message}", err=True)
     return 2
 
 
@@ -127,7 +133,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = 
         left = index == 0 or name.endswith(" ")
         grid.add_column(name.strip(), justify="left" if left else "right", overflow="fold", no_wrap=not left)
     for row in rows:
-        grid.add_row(*(Text(cell) for cell in row))  # as text: rich would take `[a]` in a path for a style
+        grid.add_row(*(Text(one_line(cell)) for cell in row))  # as text: rich would take `[a]` in a path for a style
     page = io.StringIO()
     Console(file=page, width=80, markup=False, highlight=False, emoji=False, no_color=True).print(grid)
     body = "\n".join(line.rstrip() for line in page.getvalue().splitlines())
@@ -171,7 +177,7 @@ class _Lines:
             far = f"{fraction:.0%} after {duration(spent_s)}" if fraction > 0 else duration(spent_s)
             told = fraction >= 0.01  # from less than a percent nobody can tell how long the rest takes
             left = f", about {duration(spent_s * (1 - fraction) / fraction)} left" if told else ""
-            typer.echo(f"{self.title}: {far}{left}  {self.text}".rstrip(), err=True)
+            _print(f"{self.title}: {far}{left}  {one_line(self.text)}".rstrip(), err=True)
 
 
 def _drawn(title: str) -> Iterator[Progress]:
@@ -206,7 +212,7 @@ def _drawn(title: str) -> Iterator[Progress]:
             rate = f"{100 * fraction / spent_s:.1f} %/s" if fraction > 0 else ""
             if fraction > 0:
                 bar.update(task, total=1.0, completed=min(fraction, 1.0))
-            bar.update(task, text=text, rate=rate)
+            bar.update(task, text=one_line(text), rate=rate)
 
         yield show
 
@@ -242,6 +248,7 @@ def bullet(texts: Sequence[str], *, mark: str = "- ") -> str:
     """Return texts as lines of at most 80 columns, each with its mark."""
     import textwrap
 
+    mark = one_line(mark)
     blank = " " * len(mark)
     return "\n".join(textwrap.fill(text, 80, initial_indent=mark, subsequent_indent=blank) for text in texts)
 

@@ -99,7 +99,9 @@ def _ingest(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
         checksums=cell.checksums,
         follow_links=cell.follow_links,
     )
-    if not cell.pseudonymise:
+    if cell.pseudonymise:
+        ledger["days"] = {}  # nor those of before
+    else:
         ledger["days"] = days_of(Dataset.open(report.dataset), [mirrored(place) for place in logs])
     told = f"{report.executions} executions, {report.recordings_new} recordings read"
     unread = [f"{path}: {reason}" for path, reason in report.not_read]

@@ -19,7 +19,7 @@ from cyclekit import schema
 from cyclekit.discover import Log, options_of
 from cyclekit.errors import LogError
 from cyclekit.plausible import examined_parts
-from cyclekit.privacy import Nameless
+from cyclekit.privacy import Nameless, shown_as
 from cyclekit.registry import adapter_named
 from cyclekit.tables import TableWriter
 
@@ -123,10 +123,12 @@ def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
             aside_now = last.set_aside
             if aside_now is not None and aside_now.height:
                 aside = aside or TableWriter(folder / f"{QUARANTINE}.parquet", schema.QUARANTINE)
-                aside.write(_quarantined(aside_now, last.rows_are, log))
+                aside.write(_quarantined(aside_now, last.rows_are, log, shown_as(log) if nameless else log.shown))
                 for reason, count in aside_now.group_by("reason", maintain_order=True).len().iter_rows():
                     counts[reason] = counts.get(reason, 0) + count
         _check(log, written)
+        if nameless:
+            nameless.check(log.path)
         for writer in [*(table.writer for table in written.values()), *([aside] if aside else [])]:
             writer.close()
     except BaseException:
@@ -165,8 +167,8 @@ def _check(log: Log, written: dict[str, _Table]) -> None:
         raise LogError(log.path, "holds a header and no data", cure="Record again, or remove the file.")
 
 
-def _quarantined(rows: pl.DataFrame, rows_are: str, log: Log) -> pl.DataFrame:
-    named = {"recording": log.id, "file": log.shown, "row_is": rows_are}
+def _quarantined(rows: pl.DataFrame, rows_are: str, log: Log, shown: str) -> pl.DataFrame:
+    named = {"recording": log.id, "file": shown, "row_is": rows_are}
     rows = rows.with_columns(pl.lit(value).alias(name) for name, value in named.items())
     return schema.conform(rows, schema.QUARANTINE)
 

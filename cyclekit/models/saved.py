@@ -26,6 +26,7 @@ from cyclekit.models.layout import Layout, NotAModel, parse_model
 from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
 from cyclekit.one_thread import one_thread
 from cyclekit.outputs import check_output_folder
+from cyclekit.plain_text import all_in_one_line
 from cyclekit.samples import GROUPS, INPUTS
 from cyclekit.storage import is_url, local, published
 
@@ -211,7 +212,7 @@ def load_model(place: Path | str) -> TrainedModel:
         again = command_line("train", "DATASET", "--out", place)
         raise ModelError(msg, cure=f"Train it again: {again}") from cause
     made = (layout.problem, layout.network, layout.horizon_s, layout.levels)
-    return TrainedModel(*made, weights, dict(about["card"]), layout.history)
+    return TrainedModel(*made, weights, all_in_one_line(dict(about["card"])), layout.history)
 
 
 def _no_model(path: Path) -> ModelError:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.adapter import whole
+from cyclekit.plain_text import NOT_ONE_LINE, one_line
 from cyclekit.plausible.checks import EventChecks, PeopleChecks, RobotChecks
 from cyclekit.plausible.window import Sliding, let_through
 
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from cyclekit.adapter import Recording
+
+_TEXTS = {"people": ("person",), "events": ("signal", "value"), "skeletons": ("person", "joint")}
+"""Columns of names and values as logs have them."""
 
 
 def examined(recording: Recording) -> Recording:
@@ -44,6 +48,7 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
     parts = iter(parts)
     part = next(parts, None)
     while part is not None:
+        part = _named_in_lines(part)
         after = next(parts, None)
         tables, aside = {}, [] if part.set_aside is None or part.set_aside.is_empty() else [_reasons(part.set_aside)]
         for name, check in checks.items():
@@ -62,6 +67,26 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
             warnings=(*part.warnings, *new),
         )
         part = after
+
+
+def _named_in_lines(part: Recording) -> Recording:
+    """Return a part in which every name and value is one line, its controls escaped: a message may quote it."""
+    changed = {}
+    for table, columns in _TEXTS.items():
+        frame = part.tables().get(table)
+        odd = [] if frame is None else [name for name in columns if _is_odd(frame, name)]
+        if frame is not None and odd:
+            changed[table] = frame.with_columns(pl.col(odd).map_elements(one_line, return_dtype=pl.String))
+    said = tuple(map(one_line, part.warnings))
+    return replace(part, warnings=said, **changed)  # type: ignore[arg-type]  # the names are those of the fields
+
+
+def _is_odd(frame: pl.DataFrame, name: str) -> bool:
+    if name not in frame.columns:
+        return False
+    texts = frame[name].cast(pl.String)
+    texts = texts.filter(texts.ne_missing(texts.shift(1))).unique()  # few, as a rule: looking into each takes longer
+    return bool(texts.str.contains(NOT_ONE_LINE).any())
 
 
 def _reasons(set_aside: pl.DataFrame) -> pl.DataFrame:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from cyclekit.plain_text import markdown
 from cyclekit.replay.phase import common_order, repetitions
 from cyclekit.replay.words import spell
 
@@ -40,22 +41,23 @@ def comparison(runs: Sequence[Execution]) -> str:
     """Return the panel's text, Markdown."""
     lost = [float(run.tasks["safety_loss_s"].sum() or 0.0) for run in runs]
     quickest = min(range(len(runs)), key=lambda number: runs[number].duration_s)
-    lines = [f"## {runs[quickest].name} is the quickest: {runs[quickest].duration_s:.1f} s", ""]
+    lines = [f"## {markdown(runs[quickest].name)} is the quickest: {runs[quickest].duration_s:.1f} s", ""]
     for number, run in enumerate(runs):
         if number != quickest:
             longer, more = run.duration_s - runs[quickest].duration_s, lost[number] - lost[quickest]
-            lines.append(f"- **{run.name}** took **{longer:.1f} s longer**; safety slow-down differs by {more:+.1f} s.")
+            name = markdown(run.name)
+            lines.append(f"- **{name}** took **{longer:.1f} s longer**; safety slow-down differs by {more:+.1f} s.")
     keys = most_different(runs)[:MOST_ROWS]
     if not keys:
         return "\n".join([*lines, "", "The executions have no task in common."])
-    heads = "".join(f" {run.name} |" for run in runs)
+    heads = "".join(f" {markdown(run.name)} |" for run in runs)
     lines += ["", "Seconds per task (slow-down in brackets), the greatest difference first", ""]
     lines += [f"| task |{heads}", "|---|" + "---|" * len(runs)]
     times = [task_times(run) for run in runs]
     for task, repetition in keys:
         cells = [_cell(*each[task, repetition]) for each in times]
         again = f" ({repetition}.)" if repetition > 1 else ""
-        lines.append(f"| {spell(task)}{again} | " + " | ".join(cells) + " |")
+        lines.append(f"| {markdown(spell(task))}{again} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit import colours
+from cyclekit.plain_text import markdown
 from cyclekit.replay.misses import misses
 
 if TYPE_CHECKING:
@@ -126,8 +127,8 @@ def summary(run: Execution) -> str:
     if found:
         worst = sorted(found, key=lambda each: -each.lost_s)[:4]
         head.append("**Where the time went**")
-        head.extend(f"- **{each.lost_s:.1f} s** at {_clock(each.start_s)}: {_why(each)}" for each in worst)
-    head.extend(f"- *{note}*" for note in run.notes)
+        head.extend(f"- **{each.lost_s:.1f} s** at {_clock(each.start_s)}: {markdown(_why(each))}" for each in worst)
+    head.extend(f"- *{markdown(note)}*" for note in run.notes)
     if run.gaps:
         head.append(f"- *{len(run.gaps)} gap(s) in the log; nothing is drawn across them.*")
     head.append("Colour is the robot's speed: red halted, amber half speed, blue full speed, grey unknown.")

@@ -5,12 +5,11 @@ The same findings as on the page, unrounded in JSON and CSV, so that others can 
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.plain_json import json_text
+from cyclekit.plain_text import csv_text, markdown
 from cyclekit.report.findings import losses, safety_function, task_shares
 from cyclekit.report.provenance import provenance
 from cyclekit.report.tables import Table
@@ -79,27 +78,24 @@ def as_csv(
 
     What was tried follows, one row each, its name as `change`; and the order found, as change `order`, a row per visit.
     """
-    page = io.StringIO()
-    writer = csv.writer(page, lineterminator="\n")
     saves = ["saves_s", "saves_low_s", "saves_high_s"]
-    writer.writerow(["sequence", "order", "task", "expected_s", "low_s", "high_s", *PARTS, "seen", "change", *saves])
+    heads = ["sequence", "order", "task", "expected_s", "low_s", "high_s", *PARTS, "seen", "change", *saves]
+    rows: list[Sequence[object]] = [heads]
     for each in ranked:
         whole = [each.expected_s, each.expected_low_s, each.expected_high_s]
-        writer.writerow([each.name, 0, "", *whole, *(getattr(each, part) for part in PARTS), "", *[""] * 4])
+        rows.append([each.name, 0, "", *whole, *(getattr(each, part) for part in PARTS), "", *[""] * 4])
         for order, task in enumerate(each.tasks, start=1):
             parts = [getattr(task, part) for part in PARTS]
-            writer.writerow([each.name, order, task.task, task.expected_s, "", "", *parts, "", *[""] * 4])
+            rows.append([each.name, order, task.task, task.expected_s, "", "", *parts, "", *[""] * 4])
     if not ranked:
         for share in task_shares(tasks):
             parts = [share.nominal_s, share.safety_s, share.dwell_s, share.wait_s]
-            writer.writerow(["", "", share.name, share.total_s, "", "", *parts, share.seen, *[""] * 4])
-    writer.writerows(_tried_rows(ranked, what_if))
+            rows.append(["", "", share.name, share.total_s, "", "", *parts, share.seen, *[""] * 4])
+    rows.extend(_tried_rows(ranked, what_if))
     if planned is not None:
-        writer.writerow(["", 0, "", planned.expected_s, *[""] * 7, "order", *planned.saves_s])
-        writer.writerows(
-            ["", order, visit, *[""] * 8, "order", *[""] * 3] for order, visit in enumerate(planned.order, 1)
-        )
-    return page.getvalue()
+        rows.append(["", 0, "", planned.expected_s, *[""] * 7, "order", *planned.saves_s])
+        rows.extend(["", order, visit, *[""] * 8, "order", *[""] * 3] for order, visit in enumerate(planned.order, 1))
+    return csv_text(rows)
 
 
 def _tried_rows(ranked: Sequence[CycleEstimate], what_if: Sequence[Tried]) -> Iterator[list[object]]:
@@ -111,20 +107,20 @@ def _tried_rows(ranked: Sequence[CycleEstimate], what_if: Sequence[Tried]) -> It
 
 def as_markdown(texts: Texts, cell: str, made: str, sections: Mapping[str, Any]) -> str:
     """Return headings, sentences and tables; pictures are said in words."""
-    lines = [f"# {texts('page.title', cell=cell)}", "", made, ""]
+    lines = [f"# {markdown(texts('page.title', cell=cell))}", "", made, ""]
     for number, key in enumerate(ORDER, start=1):
         section = sections[key]
         lines += [f"## {number} {texts(f'{key}.title')}", ""]
         if section.get("headline"):
-            lines += [f"**{section['headline']}**", ""]
+            lines += [f"**{markdown(section['headline'])}**", ""]
         for sentence in section.get("sentences", ()):
-            lines += [sentence, ""]
+            lines += [markdown(sentence), ""]
         if key == "trust":
             lines += [f"**{texts('page.not_safety')}.** {texts('trust.statement')}", ""]
-            lines += [f"- {name}: {value}" for name, value in section["facts"]] + [""]
+            lines += [f"- {name}: {markdown(value)}" for name, value in section["facts"]] + [""]
         for table in _tables(section):
             lines += _table(table)
-        lines += [f"- {text}" for text in section.get("warnings", ())]
+        lines += [f"- {markdown(text)}" for text in section.get("warnings", ())]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -141,16 +137,12 @@ def _tables(value: object) -> Iterator[Table]:
 
 
 def _table(table: Table) -> list[str]:
-    lines = [f"### {table.title or table.caption}", ""]
+    lines = [f"### {markdown(table.title or table.caption)}", ""]
     if table.text:
-        lines += [table.text, ""]
+        lines += [markdown(table.text), ""]
     if table.rows:
-        lines.append("| " + " | ".join(map(_cell, table.heads)) + " |")
+        lines.append("| " + " | ".join(map(markdown, table.heads)) + " |")
         lines.append("|" + "".join("---:|" if n in table.numeric else "---|" for n in range(len(table.heads))))
-        lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in table.rows] + [""]
-    lines += [f"- {item}" for item in table.items]
-    return [*lines, "", table.after, ""] if table.after else [*lines, ""]
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
+        lines += ["| " + " | ".join(map(markdown, row)) + " |" for row in table.rows] + [""]
+    lines += [f"- {markdown(item)}" for item in table.items]
+    return [*lines, "", markdown(table.after), ""] if table.after else [*lines, ""]

@@ -9,9 +9,12 @@ from __future__ import annotations
 import html
 import io
 import re
+import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from cyclekit.plain_text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -104,8 +107,10 @@ def _to_svg(figure: Figure, prefix: str, alt: str) -> str:
 
     buffer = io.StringIO()
     canvas: Any = FigureCanvasSVG(figure)
-    canvas.print_svg(buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    text = buffer.getvalue()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # the reader's font counts; and the warning would show a name raw
+        canvas.print_svg(buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = visible(buffer.getvalue())
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
@@ -116,15 +121,16 @@ def _to_svg(figure: Figure, prefix: str, alt: str) -> str:
     text = re.sub(r"font-family: [^;\"]*;? ?", "", text)  # the page's own font
     text = re.sub(r"<style.*?</style>", "", text, flags=re.DOTALL)
     text = re.sub(r"\s*\n\s*", "\n", text)
-    label = f'role="img" aria-label="{html.escape(alt, quote=True)}"'
-    return re.sub(r'^<svg([^>]*?) width="[^"]*"', rf"<svg\1 {label}", _without_height(text), count=1)
+    label = f'role="img" aria-label="{html.escape(visible(alt), quote=True)}"'
+    head = re.compile(r'^<svg([^>]*?) width="[^"]*"')
+    return head.sub(lambda found: f"<svg{found[1]} {label}", _without_height(text), count=1)
 
 
 def _with_tips(text: str, tips: Sequence[tuple[str, str]]) -> str:
     """Turn the groups that `tip` marked into ones with a title, which every browser shows without a script."""
 
     def group(found: re.Match[str]) -> str:
-        words, row = tips[int(found[1])]
+        words, row = map(visible, tips[int(found[1])])
         of_row = f' data-row="{html.escape(row, quote=True)}"' if row else ""
         return f'<g class="tip"{of_row}><title>{html.escape(words)}</title>'
 

@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING
 
 import jinja2
 from jinja2.sandbox import SandboxedEnvironment
+from markupsafe import Markup
 
 from cyclekit.errors import CyclekitError
 from cyclekit.inside import inside, unfit
+from cyclekit.plain_text import visible
 from cyclekit.report.texts import load_texts
 
 if TYPE_CHECKING:
@@ -28,6 +30,14 @@ if TYPE_CHECKING:
 PAGE, STYLE, SCRIPT = "page.html.jinja", "page.css", "page.js"
 LOGOS = {"logo.svg": "image/svg+xml", "logo.png": "image/png"}
 KNOWN = (PAGE, STYLE, SCRIPT, "texts.toml", "extra.css", "cover.html.jinja", *LOGOS)
+
+_WRONG = (jinja2.TemplateError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""What a template can raise while it runs."""
+
+
+def _shown(value: object) -> object:
+    """What a page is filled with: jinja escapes HTML, this what turns a line around or is no text at all."""
+    return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 class Template:
@@ -54,7 +64,7 @@ class Template:
         own = jinja2.FunctionLoader(lambda name: self._own(name))
         loader = jinja2.ChoiceLoader([jinja2.FunctionLoader(self._replaced), own])
         environment = SandboxedEnvironment(
-            loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
+            loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, finalize=_shown
         )  # fmt: skip
         script = self._asset(SCRIPT)
         digest = base64.b64encode(hashlib.sha256(f"\n{script}\n".encode()).digest()).decode()
@@ -68,7 +78,7 @@ class Template:
                 logo=self._logo(),
                 **values,
             )
-        except jinja2.TemplateError as error:
+        except _WRONG as error:
             msg = f"{self.folder}: the template cannot be set ({error})"
             raise CyclekitError(msg, cure=f"Compare it with {PAGE} of cyclekit.report.") from error
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Executions, Frame, Furniture, NamedPlace, Source, Sync, cell_to_toml, load_cell
 from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.plain_text import one_line
 
 EVERYTHING = """
 name = "line 4"
@@ -235,6 +236,7 @@ def test_a_cell_file_that_is_not_there_is_refused(tmp_path: Path):
 NUMBER = st.floats(-1e4, 1e4)
 POSITIVE = st.floats(1e-6, 1e4)
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=8) | st.text(string.printable, min_size=1, max_size=8)
+TEXT = TEXT.map(one_line)  # as every name is read
 POINT = st.tuples(NUMBER, NUMBER, NUMBER)
 YAW = st.floats(-math.pi, math.pi).map(
     lambda a: ((math.cos(a), -math.sin(a), 0.0), (math.sin(a), math.cos(a), 0.0), (0.0, 0.0, 1.0))

@@ -101,7 +101,11 @@ def ingested(logs: Path, out: Path, cell: Cell, **options: Any) -> tuple[Dataset
     """The dataset, and the operator's recording in it."""
     ingest([logs], out, cell=cell, **options)
     dataset = Dataset.open(out)
-    return dataset, next(r for r in dataset.recordings if r["sources"][0]["path"].endswith("operator.csv"))
+    hidden = options.get("pseudonymise", False)  # then only its table tells it
+    operator = (r for r in dataset.recordings if "people" in r["tables"]) if hidden else (
+        r for r in dataset.recordings if r["sources"][0]["path"].endswith("operator.csv")
+    )  # fmt: skip
+    return dataset, next(operator)
 
 
 def worst_s(clock: dict[str, Any], length_s: float) -> float:

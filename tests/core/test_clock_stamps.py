@@ -139,10 +139,7 @@ def test_a_kuka_with_the_seconds_of_its_pc_is_placed_beside_a_tracker_in_epoch_t
     told = clock["rate"] * people + clock["offset_s"]
     assert np.abs(told - (people - people[0])).max() < 0.013  # early by a cycle at most: that is how far RSI can tell
     hidden = Dataset.open(ingest([logs], tmp_path / "hidden", cell=kept, pseudonymise=True).dataset)
-    (kept_stamps,) = hidden.path.glob("recordings/*/stamps.parquet")
-    host_s = pl.read_parquet(kept_stamps)["host_s"]
-    assert host_s.min() == 0.0
-    assert host_s.max() < 1000.0
+    assert not list(hidden.path.rglob("stamps.parquet"))
     assert [r["clock"]["method"] for r in hidden.recordings] == ["own", "lower-envelope"]
 
 

@@ -32,7 +32,7 @@ FLOORS = [
     {"engine"},
     {"config", "schema", "sequences"},
     {"toml_file"},
-    {"ahead", "behind", "colours", "errors", "labels", "plain_json"},
+    {"ahead", "behind", "colours", "errors", "labels", "plain_json", "work"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
 

@@ -77,7 +77,7 @@ def said(dataset, out, **given):
 
 def test_a_baseline_with_the_smaller_error_is_explained_and_what_the_numbers_are_made_with(dataset, tmp_path):
     text = said(dataset, tmp_path / "r.html", evaluation=Beaten(), check=checked())
-    assert "every cycle time on this page is made with the network (row “model”)" in text
+    assert "estimated cycle times are made with the network (row “model”)" in text
     assert "the distance staircase has the smaller error (MSE 8.20 · 10⁻⁵, the network 8.00 · 10⁻⁴)" in text
     assert "the network explains 99 %, the distance staircase over 99 %" in text
     assert "measured by the backtest: bias 0.00 % (95 % CI ± 0.00 %)" in text

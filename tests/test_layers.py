@@ -33,7 +33,7 @@ FLOORS = [
     {"config", "schema", "sequences"},
     {"mistaken", "toml_file"},
     {"inside"},
-    {"ahead", "behind", "colours", "errors", "labels", "one_thread", "plain_json", "rate"},
+    {"ahead", "behind", "colours", "errors", "labels", "one_thread", "plain_json", "rate", "work"},
     {"plain_text"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""

@@ -58,9 +58,9 @@ def estimate(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the cycle time of task sequences, ranked.
+    """Estimate the cycle time of task sequences, ranked among those that do the same work.
 
-    Per sequence: the mean, the range of single cycles, where the time goes, and what the number rests on.
+    Per sequence: the mean, the range of single cycles, where the time goes, and the basis of the number.
     """
     from cyclekit.dataset import Dataset
     from cyclekit.estimate.check import check_rollout
@@ -105,26 +105,46 @@ def estimate(
 
 
 def estimates_table(found: Sequence[CycleEstimate]) -> str:
-    """Return one row per sequence, the quickest first: expected time, 90 % range, and where the time goes."""
+    """Return a table for each kind of work, the quickest first: expected time, 90 % range, and where the time goes."""
+    from cyclekit.work import by_work
+
     low, high = _range(found)
-    rows = [
-        [
-            f"{place}. {entry.name}",
-            f"{entry.expected_s:.1f} s",
-            f"{entry.quantiles_s[low]:.0f}-{entry.quantiles_s[high]:.0f} s",
-            *(f"{getattr(entry, part):.1f}" for part in _SPLIT),
+    heads = ["sequence ", "expected", f"{100 * (high - low):.0f}% of cycles", "motion", "safety", "dwell", "wait"]
+    works = by_work(found)
+    parts = []
+    for work, entries in works.items():
+        rows = [
+            [
+                f"{place}. {entry.name}" if len(entries) > 1 else entry.name,
+                f"{entry.expected_s:.1f} s",
+                f"{entry.quantiles_s[low]:.0f}-{entry.quantiles_s[high]:.0f} s",
+                *(f"{getattr(entry, part):.1f}" for part in _SPLIT),
+            ]
+            for place, entry in enumerate(entries, start=1)
         ]
-        for place, entry in enumerate(found, start=1)
-    ]
-    cycles = f"{100 * (high - low):.0f}% of cycles"
-    return table(["sequence ", "expected", cycles, "motion", "safety", "dwell", "wait"], rows)
+        parts.append(table(heads, rows, title=bullet([str(work)], mark="") if len(works) > 1 else ""))
+    return "\n\n".join(parts)
 
 
 def ranking(found: Sequence[CycleEstimate]) -> str:
-    """Return how sure it is that the first sequence is quicker than each other one."""
-    best = found[0]
-    rows = [[f"{best.name} before {name}", percent(chance)] for name, chance in list(best.beats.items())[:20]]
-    return table(["mean cycle time ", "probability"], rows) if rows else ""
+    """Return how sure it is that the first sequence of each work is quicker than each other one that does the same."""
+    from cyclekit.work import by_work
+
+    works = by_work(found)
+    rows = [
+        [f"{first.name} before {name}", percent(chance)]
+        for first, *_ in works.values()
+        for name, chance in list(first.beats.items())[:20]
+    ]
+    chances = table(["mean cycle time ", "probability"], rows) if rows else ""
+    return "\n\n".join(part for part in (chances, _per_visit(found) if len(works) > 1 else "") if part)
+
+
+def _per_visit(found: Sequence[CycleEstimate]) -> str:
+    """Return the time per visit, the one number that sequences of different work can be held against each other by."""
+    rows = [[entry.name, str(len(entry.places) - 1), f"{entry.per_visit_s:.2f} s"] for entry in found]
+    different = "The work differs: sequences are compared only with those of the same visits."
+    return table(["sequence ", "visits", "per visit"], rows, title=different)
 
 
 def takt_table(found: Sequence[CycleEstimate]) -> str:
@@ -140,8 +160,8 @@ def takt_table(found: Sequence[CycleEstimate]) -> str:
 def judged(check: Check) -> str:
     """Return how the rollout compares with the logged executions."""
     lines = [
-        f"{check.executions} logged executions rolled out beside their own operators: {check.own_bias:+.2%} "
-        f"(+-{1.96 * check.own_error:.2%}) on average, {check.held_out} of them unseen by the network",
+        f"{check.executions} logged executions rolled out beside their own operators: bias {check.own_bias:+.2%} "
+        f"(95% CI +-{1.96 * check.own_error:.2%}), {check.held_out} of them unseen by the network",
     ]
     if abs(check.factor - 1) >= 5e-5:
         lines.append(f"so every duration above is corrected by {check.factor - 1:+.2%}")
@@ -151,23 +171,31 @@ def judged(check: Check) -> str:
             f"beside all other operators: {percent(check.coverage)} lie between the {100 * low:g}% and "
             f"{100 * high:g}% quantiles, which should hold {percent(high - low)}"
         )
-    return "How the rollout does on what was logged\n" + bullet([*lines, *check.doubts])
+    return "Backtest on logged executions\n" + bullet([*lines, *check.doubts])
 
 
 def loses_most(found: Sequence[CycleEstimate]) -> str:
     """Return where each sequence loses most to safety: at which task, and while the operator does what."""
     lines = []
     for entry in found:
-        if entry.safety_loss_s <= 0 or not entry.tasks:
+        if entry.costliest_task is None:
             lines.append(f"{entry.name}: nothing is lost to safety")
             continue
-        task = max(entry.tasks, key=lambda share: share.safety_loss_s)
-        text = f"{entry.name}: most at {task.task} ({task.safety_loss_s:.1f} s)"
+        task, part = entry.costliest_task
+        text = f"{entry.name}: {task.safety_loss_s:.1f} of {entry.safety_loss_s:.1f} s at {task.task}, {_largest(part)}"
         if entry.costliest_activity is not None:
             activity, lost = entry.costliest_activity
-            text += f"; with the operator at or on the way to {activity} ({lost:.1f} s in all)"
+            text += f"; {lost:.1f} s with the operator at or on the way to {activity}"
+            text += f", {_largest(lost / entry.safety_loss_s)}"
         lines.append(text)
     return "Where safety slows the robot\n" + bullet(lines)
+
+
+def _largest(part: float) -> str:
+    """Call the largest share what it is; `most` is more than half."""
+    from cyclekit.estimate.result import MOST
+
+    return f"most of it ({percent(part)})" if part > MOST else f"the largest share ({percent(part)})"
 
 
 def _range(found: Sequence[CycleEstimate]) -> tuple[float, float]:
@@ -185,16 +213,25 @@ def tasks_table(entry: CycleEstimate) -> str:
 
 
 def rests_on(found: Sequence[CycleEstimate]) -> str:
-    """Return what the numbers rest on and what limits them, one line each."""
+    """Return the basis of each number and what limits it, one line each."""
     lines: list[str] = []
     for entry in found:
         lines.append(
             f"{entry.name}: {entry.estimator}, as {entry.why}; {entry.executions} logged executions, {entry.tracks} "
-            f"operator tracks; {percent(entry.support)} of the time near logged positions; mean between "
-            f"{entry.expected_low_s:.1f} and {entry.expected_high_s:.1f} s (95%)"
+            f"operator tracks; {_support(entry)}; mean {entry.expected_s:.1f} s (95% CI {entry.expected_low_s:.1f} to "
+            f"{entry.expected_high_s:.1f} s)"
         )
         lines.extend(f"{entry.name}: {text}" for text in entry.warnings)
-    return "What the numbers rest on\n" + bullet(lines)
+    return "Basis and limits\n" + bullet(lines)
+
+
+def _support(entry: CycleEstimate) -> str:
+    """Return how much of the cycle is supported by the logs, or that this was not counted."""
+    from math import isnan
+
+    return (
+        "support not counted" if isnan(entry.support) else f"{percent(entry.support)} of the time near logged positions"
+    )
 
 
 def as_csv(found: Sequence[CycleEstimate]) -> str:

@@ -89,7 +89,7 @@ def _log(log: LogFacts) -> str:
         lines += _table(name, facts)
     if log.levels:
         shown = ", ".join(f"{v:.2f} ({percent(s)})" for v, s in zip(log.levels, log.level_share, strict=True))
-        lines.append(bullet([shown], mark="  scaling   "))
+        lines.append(bullet([f"{shown} of the rows with a known scaling"], mark="  scaling   "))
     lines += [bullet([shorten(value)], mark=f"  {key}: ") for key, value in log.facts.items() if value]
     notes = bullet(log.warnings, mark="  ! ")
     return "\n".join(lines) + (f"\n{notes}" if notes else "")
@@ -135,9 +135,16 @@ def _dataset(found: DatasetDescription) -> str:
         f"  recordings  {found.recordings}, from {found.sources} source files",
     ]
     head += [bullet([reason], mark=f"  set aside   {count} rows: ") for reason, count in found.set_aside.items()]
-    levels = [[f"{level:.2f}", percent(share)] for level, share in zip(found.levels, found.level_share, strict=True)]
+    levels = [
+        [f"{level:.2f}", percent(share), percent(share * found.on_level)]
+        for level, share in zip(found.levels, found.level_share, strict=True)
+    ]
     parts = ["\n".join(head)]
-    parts.append(table(["scaling level ", "of samples"], levels) if levels else "no staircase levels found")
+    parts.append(
+        table(["scaling level ", "of those on a level", "of all samples"], levels)
+        if levels
+        else "no staircase levels found"
+    )
     parts += [_places("robot place ", found.places), _places("operator place ", found.human_places)]
     parts.append(_tasks(found.tasks))
     parts += [_clocks(found.clocks), _operator(found.operator)]

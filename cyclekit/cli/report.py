@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,6 +30,8 @@ EXAMPLE = "cyclekit report dataset --model model --sequences sequences.toml --ou
 
 CHECKED = 200
 """Logged executions that are rolled out: how many lie in their intervals is then known to two percent points."""
+ORDER = "order found"
+"""How the order that --plan found is named among the sequences."""
 
 
 def report(
@@ -65,7 +68,7 @@ def report(
 ) -> None:
     """Write the page for the customer.
 
-    One self-contained file: the cycle times, where they go, why, what would help, and what all of it rests on.
+    One self-contained file: the cycle times, where they go, why, what would help, and how sure that is.
     """
     from cyclekit.dataset import Dataset
     from cyclekit.models.saved import load_model
@@ -103,8 +106,11 @@ def report(
         with terminal.progress("printing"):
             write_pdf(out, pdf)
     terminal.warnings(facts.missing)
-    document = {"report": str(out), "sequences": len(found.estimates), "bytes": facts.bytes, "missing": facts.missing}
-    said = f"{out}: {megabytes(facts.bytes)}" + (", open it in any browser" if chosen == "html" else "")
+    document = {"report": str(out), "answer": facts.headline, "sequences": len(found.estimates), "bytes": facts.bytes}
+    document["missing"] = facts.missing
+    said = f"{facts.headline}\n{out}: {megabytes(facts.bytes)}" + (
+        ", open it in any browser" if chosen == "html" else ""
+    )
     printed = {"pdf": str(pdf)} if pdf else {}
     terminal.done({**document, **printed}, said + (f"\n{pdf}: {megabytes(pdf.stat().st_size)}" if pdf else ""))
 
@@ -143,8 +149,8 @@ def _asked(sequences: Path | None, what_if: list[str], plan: Path | None, check:
 
 
 def _refuse_without_model(asked: _Asked, model: str | None) -> None:
-    if asked.changes and not asked.sequences:
-        raise typer.BadParameter("changes are tried on sequences; add --sequences", param_hint="--what-if")
+    if asked.changes and not asked.sequences and not asked.jobs:
+        raise typer.BadParameter("changes are tried on sequences; add --sequences or --plan", param_hint="--what-if")
     for wanted, option in ((asked.sequences, "--sequences"), (asked.jobs, "--plan")):
         if wanted and model is None:
             raise typer.BadParameter("estimates need a model; add --model", param_hint=option)
@@ -152,7 +158,7 @@ def _refuse_without_model(asked: _Asked, model: str | None) -> None:
 
 @dataclass
 class _Found:
-    """What the page shows beside the logs; what could not be computed is said on the page and ends no command."""
+    """What the page shows beside the logs. What was asked for is in it; what was not, only if it could be computed."""
 
     estimates: list[CycleEstimate] = field(default_factory=list)
     check: Check | None = None
@@ -163,16 +169,21 @@ class _Found:
 
     @contextmanager
     def or_say(self, what: str) -> Iterator[None]:
-        """Note an error of the block as a sentence of the page."""
+        """Note an error of the block, which computes what nobody asked for, as a sentence of the page."""
         from cyclekit.errors import CyclekitError
 
         try:
             yield
         except CyclekitError as error:
-            self.missing.append(f"{what}: {error}".replace("\n", " "))
+            self.missing.append(f"{what}: {error.seen}.")
 
 
 def _found(terminal: Terminal, data: Dataset, model: TrainedModel, asked: _Asked) -> _Found:
+    """Compute what was asked for.
+
+    Raises:
+        CyclekitError: Something that was asked for cannot be computed.
+    """
     from cyclekit.estimate.check import check_rollout
     from cyclekit.estimate.rollout import estimate
     from cyclekit.evaluate import evaluate
@@ -181,27 +192,37 @@ def _found(terminal: Terminal, data: Dataset, model: TrainedModel, asked: _Asked
     from cyclekit.whatif import what_if
 
     found = _Found(tried=list(asked.tried))
-    if asked.sequences and asked.check and model.problem == "now":
+    if asked.jobs:
+        with terminal.progress("planning") as progress:
+            found.planned = search(model, data, asked.jobs, progress=progress)
+    sequences = _with_order(asked.sequences, found.planned)
+    if sequences and asked.check and model.problem == "now":
         with found.or_say("The cycle times could not be checked"), terminal.progress("checking") as progress:
             found.check = check_rollout(model, data, most=CHECKED, progress=progress)
     check, extrapolate = found.check, asked.extrapolate
-    if asked.sequences:
-        with found.or_say("No estimate"), terminal.progress("estimating") as progress:
-            found.estimates = estimate(
-                model, data, asked.sequences, check=check, extrapolate=extrapolate, progress=progress
-            )
+    if sequences:
+        with terminal.progress("estimating") as progress:
+            found.estimates = estimate(model, data, sequences, check=check, extrapolate=extrapolate, progress=progress)
     if asked.changes:
-        with found.or_say("No change could be tried"), terminal.progress("trying changes") as progress:
+        with terminal.progress("trying changes") as progress:
             tried = what_if(
-                model, data, asked.sequences, asked.changes, check=check, extrapolate=extrapolate, progress=progress
+                model, data, sequences, asked.changes, check=check, extrapolate=extrapolate, progress=progress
             )
             found.tried += [Tried.of(entry) for entry in tried]
-    if asked.jobs:
-        with found.or_say("No order could be searched"), terminal.progress("planning") as progress:
-            found.planned = search(model, data, asked.jobs, progress=progress)
     with found.or_say("The model could not be judged"), terminal.progress("evaluating") as progress:
         found.evaluation = evaluate(model, data, boosting=False, progress=progress)
     return found
+
+
+def _with_order(sequences: list[TaskSequence], planned: Plan | None) -> list[TaskSequence]:
+    """Return the sequences and the order found, unless it is one of them: it is estimated, and changed, as they are."""
+    from cyclekit.sequences import TaskSequence
+
+    if planned is None or any(each.places == planned.places and each.operator is None for each in sequences):
+        return sequences
+    names = {each.name for each in sequences}
+    name = next(name for n in count(1) if (name := ORDER if n == 1 else f"{ORDER} {n}") not in names)
+    return [*sequences, TaskSequence(name, planned.places)]
 
 
 def _format(kind: str | None, out: Path, pdf: Path | None) -> str:

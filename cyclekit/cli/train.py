@@ -113,8 +113,10 @@ def summary(card: Mapping[str, Any]) -> str:
     metrics, split = card["metrics"], card["split"]
     named = "" if metrics["accuracy"] is None else f", {100 * metrics['accuracy']:.1f}% of levels named rightly"
     levels = ", ".join(f"{level['value']:.2f}" for level in card["levels"]) or "none found"
+    count = {part: len(names) for part, names in split.items()}
     return (
         f"{card['network']} for problem {card['problem']}, speed-scaling levels {levels}\n"
-        f"  learned from {len(split['train'])} executions, judged by {len(split['test'])} others\n"
-        f"  there: MSE {metrics['mse_mean']:.2e}, mean absolute error {metrics['mae']:.4f}{named}"
+        f"  {sum(count.values())} executions: {count['train']} to learn from, {count['validation']} to choose the "
+        f"epoch by, {count['test']} held out\n"
+        f"  held out: MSE {metrics['mse_mean']:.2e}, mean absolute error {metrics['mae']:.4f}{named}"
     )

@@ -157,6 +157,7 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
         tasks=tuple(_task_rows(dataset.tasks())),
         levels=dataset.levels,
         level_share=tuple(share),
+        on_level=len(levelled) / rows,
         scaling_known=len(scaling) / rows,
         scaling_inferred=float(inferred) / max(1, len(scaling)),
         operator_seen=1 - samples["human_x_m"].null_count() / rows,

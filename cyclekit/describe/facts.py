@@ -46,7 +46,7 @@ class LogFacts:
         rows_read: Data rows or messages looked at.
         set_aside: Rows not used, by reason.
         tables: Facts of `robot`, `people`, `events`, where the log has them.
-        levels: Levels of the logged speed scaling, ascending; `level_share`: fraction of its rows on each.
+        levels: Levels of the logged speed scaling, ascending; `level_share`: fraction of its known rows on each.
         facts: What the log states about itself.
     """
 
@@ -89,7 +89,8 @@ class DatasetDescription:
         sources: Source files that went in; rows set aside from them, by reason.
         robot_place: Centre and radius per robot place, metres; `human_place` likewise.
         tasks: Per task: how often, mean seconds of motion at full speed, of safety loss, of dwell and wait.
-        level_share: Fraction of the samples per staircase level.
+        level_share: Per staircase level, fraction of those samples that are on a level; `on_level`: of all samples, the
+            fraction that is.
         scaling_known: Fraction of the samples whose scaling is known; `scaling_inferred`: of those, not logged.
         scaling_gaps: Why it is unknown in the others: samples by reason; `motion_covered`: fraction of the samples of
             moving robots in which it is known; `scaling_sd`: median standard deviation of an inferred one.
@@ -125,6 +126,7 @@ class DatasetDescription:
     scaling_gaps: Mapping[str, int] = field(default_factory=dict)
     motion_covered: float = 0.0
     scaling_sd: float | None = None
+    on_level: float = 0.0
     kind: str = "dataset"
 
     def to_json(self) -> dict[str, Any]:

@@ -106,6 +106,7 @@ def entry_of(
         takt_s=ask.takt_s,
         takt_probability=None if ask.takt_s is None else share_within(durations, ask.takt_s, weights),
         extrapolated=cycles.support < LEAST_SUPPORT,
+        operator=sequence.operator,
     )
 
 

@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+MOST = 0.5
+"""A share is called most of something only above this part of it; the largest of several may be far less."""
+
 
 @dataclass(frozen=True)
 class TaskShare:
@@ -52,8 +55,10 @@ class CycleEstimate:
         calibrated: Whether `quantiles_s` and the interval of the mean were corrected by logged executions.
         takt_s: Takt time that was asked about, seconds.
         takt_probability: Part of the cycles that meet it, and its 95 % interval from resampling executions.
-        beats: Probability that its mean is below that of another sequence, by name, over common resampled executions.
+        beats: Probability that its mean is below that of another sequence of the same work (`cyclekit.work`), by name,
+            over common resampled executions.
         extrapolated: Marked: most of it runs through positions that were never logged.
+        operator: What the operator was asked to do meanwhile; None where that was left open.
     """
 
     name: str
@@ -80,11 +85,25 @@ class CycleEstimate:
     takt_probability: tuple[float, float, float] | None = None
     beats: Mapping[str, float] = field(default_factory=dict)
     extrapolated: bool = False
+    operator: tuple[str, ...] | None = None
+
+    @property
+    def per_visit_s(self) -> float:
+        """Mean time per visit: what cycles of different work can be held against each other by."""
+        return self.expected_s / max(len(self.places) - 1, 1)
 
     @property
     def median_s(self) -> float:
         """Median of single cycles."""
         return self.quantiles_s[0.5] if 0.5 in self.quantiles_s else statistics.median(self.durations_s)
+
+    @property
+    def costliest_task(self) -> tuple[TaskShare, float] | None:
+        """The task that loses most to safety, and its part of the whole safety loss; None where nothing is lost."""
+        task = max(self.tasks, key=lambda share: share.safety_loss_s, default=None)
+        if task is None or task.safety_loss_s <= 0 or self.safety_loss_s <= 0:
+            return None
+        return task, task.safety_loss_s / self.safety_loss_s
 
     @property
     def costliest_activity(self) -> tuple[str, float] | None:
@@ -102,6 +121,8 @@ class CycleEstimate:
         out["safety_by_activity_s"] = dict(self.safety_by_activity_s)
         out["durations_s"] = list(self.durations_s)
         out["median_s"] = self.median_s
+        out["per_visit_s"] = self.per_visit_s
         out["takt_probability"] = None if self.takt_probability is None else list(self.takt_probability)
         out["beats"] = dict(self.beats)
+        out["operator"] = None if self.operator is None else list(self.operator)
         return out

@@ -29,6 +29,7 @@ from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import Rolled, roll_all, roll_out
 from cyclekit.one_thread import one_thread
 from cyclekit.out_of_core import in_memory
+from cyclekit.work import by_work
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -74,7 +75,7 @@ def estimate(
     engine: Engine = LOCAL,
     progress: Callable[[float, str], None] | None = None,
 ) -> list[CycleEstimate]:
-    """Return the expected cycle time of each sequence, shortest first.
+    """Return the expected cycle time of each sequence: those of the same work together, shortest first.
 
     Args:
         model: A model of problem `now`, or of `average` for that estimator; `history` and `nominal` do not ask it.
@@ -120,7 +121,9 @@ def estimate(
             means.append(weights @ cycles.duration_s)
     tell(1.0, "done")
     order = sorted(range(len(found)), key=lambda i: (found[i].expected_s, found[i].name))
-    return _ranked([found[i] for i in order], [means[i] for i in order])
+    alike = by_work([found[i] for i in order])
+    mean_of = {entry.name: mean for entry, mean in zip(found, means, strict=True)}
+    return [entry for work in alike.values() for entry in _ranked(work, mean_of)]
 
 
 def _chosen(model: SafetyModel, estimator: str | None) -> str:
@@ -225,10 +228,11 @@ def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> ND
     return resampled(tracks.executions, ask.seed, together=TOGETHER if runs_on else 1)
 
 
-def _ranked(found: list[CycleEstimate], means: list[Vector]) -> list[CycleEstimate]:
-    """Add to each estimate the probability that its mean is below that of each other one (of the first, if many)."""
+def _ranked(found: list[CycleEstimate], mean_of: Mapping[str, Vector]) -> list[CycleEstimate]:
+    """Add to each estimate of one work the probability that it beats each other one (the first one, if many)."""
     many = len(found) > MANY
     names = [entry.name for entry in found]
+    means = [mean_of[name] for name in names]
     ranked = []
     for index, entry in enumerate(found):
         against = [0, index] if many else range(len(found))

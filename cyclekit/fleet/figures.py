@@ -30,6 +30,7 @@ class Figures:
         habits_changed: Whether the operator's habits are.
         shifts: What has changed, the clearest first.
         drift: Why nothing can be said of it; empty where something can.
+        model_doubt: Why the error of the model is large; empty where it is not, or there is no model.
     """
 
     executions: int
@@ -42,15 +43,17 @@ class Figures:
     habits_changed: bool | None = None
     shifts: tuple[str, ...] = ()
     drift: str = ""
+    model_doubt: str = ""
 
 
-def figures_of(dataset: Dataset, drift: Drift | str, days: Mapping[str, str]) -> Figures:
+def figures_of(dataset: Dataset, drift: Drift | str, days: Mapping[str, str], model_doubt: str = "") -> Figures:
     """Return the figures of a dataset.
 
     Args:
         dataset: All logs of the cell.
         drift: Since last month, or why that is not known.
         days: The day of every session, ISO.
+        model_doubt: Why the error of the model is large; empty where it is not.
     """
     whole = dataset.executions.filter("complete")
     lost = dataset.tasks().group_by("execution").agg(
@@ -75,5 +78,6 @@ def figures_of(dataset: Dataset, drift: Drift | str, days: Mapping[str, str]) ->
         lost_share=lost_s / duration_s if duration_s > 0 else None,
         newest=max(days.values(), default=None),
         set_aside_share=aside / read if read else 0.0,
+        model_doubt=model_doubt,
         **changes,  # type: ignore[arg-type]
     )

@@ -22,6 +22,7 @@ from cyclekit.evaluate import evaluate
 from cyclekit.fleet.figures import figures_of
 from cyclekit.fleet.months import days_of, since_last_month, since_training
 from cyclekit.ingest import ingest
+from cyclekit.models.metrics import large_error
 from cyclekit.models.saved import TrainedModel, load_model
 from cyclekit.models.spec import ModelSpec
 from cyclekit.report import write_report
@@ -32,7 +33,7 @@ from cyclekit.train import Training, fingerprint, train_at
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.evaluate import Evaluation
     from cyclekit.fleet.read import FleetCell
 
 Found = TypeVar("Found")
@@ -149,18 +150,17 @@ def _report(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
     if ledger.get("reported") == mark:
         return "unchanged", "nothing is new"
     missing: list[str] = []
-    found: list[CycleEstimate] = []
-    if model is not None and wanted:
-        found = _or_missing(lambda: estimate(model, dataset, wanted), missing) or []
     judged = None if model is None else _or_missing(lambda: evaluate(model, dataset, boosting=False), missing)
+    drift = "there is no model" if model is None else since_last_month(model, dataset, ledger["days"])
+    # kept although the estimates may fail: what was asked for and cannot be answered is an error of this stage
+    ledger["figures"] = asdict(figures_of(dataset, drift, ledger["days"], _doubt(model, judged)))
+    found = estimate(model, dataset, wanted) if model is not None and wanted else []
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / REPORT
         facts = write_report(
             dataset, model, page, estimates=found, evaluation=judged, missing=missing, cell_name=cell.name
         )
         write_text(join(cell.folder, REPORT), page.read_text(encoding="utf-8"))
-    drift = "there is no model" if model is None else since_last_month(model, dataset, ledger["days"])
-    ledger["figures"] = asdict(figures_of(dataset, drift, ledger["days"]))
     ledger["reported"] = mark
     return "done", facts.headline
 
@@ -169,8 +169,16 @@ def _or_missing(make: Callable[[], Found], missing: list[str]) -> Found | None:
     try:
         return make()
     except CyclekitError as error:
-        missing.append(str(error).replace("\n", " "))
+        missing.append(f"{error.seen}.")
         return None
+
+
+def _doubt(model: TrainedModel | None, judged: Evaluation | None) -> str:
+    """Say why the error of a cell's model is large, by all that can judge it now, else by what was held out."""
+    if model is None:
+        return ""
+    metrics = judged.metrics.to_json() if judged else model.card.get("metrics")
+    return large_error(metrics, model.levels) if metrics else ""
 
 
 def _dataset(cell: FleetCell) -> Dataset | None:

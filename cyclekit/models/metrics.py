@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cyclekit.models.calibration import reliability
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from cyclekit.models.saved import TrainedModel
     from cyclekit.samples import Samples
+
+MUCH_UNEXPLAINED = 0.25
+"""A model that leaves more than this part of the variance of the scaling unexplained has a large error."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +31,7 @@ class Metrics:
         bias: Mean of predicted - true.
         accuracy: Part of the rows on a level whose step is named rightly; None where there is none.
         calibration_error: Expected calibration error of a classifier's probabilities; None for the others.
+        mse_constant: Mean squared error of always predicting the mean of these rows; None where it was not measured.
     """
 
     rows: int
@@ -35,6 +41,7 @@ class Metrics:
     bias: float
     accuracy: float | None
     calibration_error: float | None = None
+    mse_constant: float | None = None
 
     def to_json(self) -> dict[str, float | int | None]:
         """Return the numbers as JSON values."""
@@ -61,4 +68,22 @@ def measure(model: TrainedModel, samples: Samples) -> Metrics:
         bias=float(np.mean(error)),
         accuracy=accuracy,
         calibration_error=calibration,
+        mse_constant=float(np.var(samples.scaling)),
     )
+
+
+def large_error(metrics: Mapping[str, Any], levels: Sequence[float]) -> str:
+    """Say why the error of a model is large, in a sentence; empty where it is not.
+
+    Args:
+        metrics: `mae`, `mse_mean` and, where it was measured, `mse_constant`.
+        levels: Of the model, ascending; fewer than two where it has none.
+    """
+    mae, constant = float(metrics["mae"]), metrics.get("mse_constant")
+    half = (levels[-1] - levels[0]) / (len(levels) - 1) / 2 if len(levels) > 1 else float("inf")
+    if mae > half:
+        return f"mean absolute error {mae:.3f}, more than half a step between its levels ({half:.3f})"
+    left = float(metrics["mse_mean"]) / constant if constant else 0.0
+    if left > MUCH_UNEXPLAINED:
+        return f"{left:.0%} of the variance of the speed scaling unexplained (always predicting the mean: 100%)"
+    return ""

@@ -1,6 +1,7 @@
 """Section 1: what a cycle takes, sequence by sequence, and how sure that is.
 
-Numbers are rounded to their intervals; sequences that the logs cannot tell apart are said to be so.
+Numbers are rounded to their intervals; sequences that the logs cannot tell apart are said to be so, and those that do
+different work are not ranked against each other.
 """
 
 from __future__ import annotations
@@ -9,16 +10,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.report.numbers import decimals_for, fixed, percent, seconds, with_uncertainty
+from cyclekit.estimate.result import MOST
+from cyclekit.report import verdict
+from cyclekit.report.numbers import UNKNOWN, decimals_for, fixed, given, percent, seconds, with_uncertainty
 from cyclekit.report.pictures import picture
 from cyclekit.report.tables import Table, spell
+from cyclekit.work import by_work
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.findings import Overview
     from cyclekit.report.texts import Texts
+    from cyclekit.report.verdict import Verdict
+    from cyclekit.work import Work
 
 
 def section(
@@ -29,27 +35,47 @@ def section(
     has_model: bool,
     takt_s: float | None = None,
     checked: bool = False,
+    found: Verdict | None = None,
 ) -> dict[str, Any]:
-    """Return what the template needs for section 1; `ranked` has the fastest first, `checked` by logged executions."""
+    """Return what the template needs for section 1.
+
+    Args:
+        texts: The words.
+        ranked: Estimates, those of the same work together, the fastest first.
+        seen: What the logs hold.
+        has_model: Whether anything is predicted.
+        takt_s: The takt time.
+        checked: Whether logged executions were rolled out.
+        found: The verdict; None where nothing was asked for.
+    """
     missing = [] if has_model else [texts("answer.no_model")]
+    said = {"headline": verdict.in_words(texts, found), "lead": [verdict.basis(texts, found)]} if found else {}
     if not ranked:
         missing.insert(0, texts("answer.no_estimates"))
-        return {**_logged(texts, seen, missing), "missing": missing}
-    best = ranked[0]
+        logged = _logged(texts, seen, takt_s, missing)
+        if said.get("headline"):
+            logged |= {"headline": said["headline"], "sentences": [*said["lead"], *logged["sentences"]]}
+        return {**logged, "missing": missing}
+    best = found.best if found and found.best else ranked[0]
     mean, interval = with_uncertainty(best.expected_s, best.expected_low_s, best.expected_high_s)
-    sentences = [" ".join(_best(texts, best, interval))]
-    tied = [each.name for each in ranked[1:] if each.expected_low_s <= best.expected_high_s]
+    sentences = [*(said["lead"] if said else []), " ".join(_best(texts, best, mean, interval))]
+    works = by_work(ranked)
+    same = next(work for work in works.values() if best in work)
+    tied = [each.name for each in same if each is not best and each.expected_low_s <= best.expected_high_s]
     if tied:
-        sentences.append(texts("answer.tied", names=", ".join(tied)))
+        sentences.append(texts("answer.tied", names=", ".join(tied), best=best.name))
+    if len(works) > 1:
+        sentences.append(texts("answer.works", count=len(works)))
     if takt_s is not None:
         share = percent(in_time(best, takt_s))
-        sentences.append(texts("answer.takt", takt=fixed(takt_s, 1), share=share, tracks=str(len(best.durations_s))))
+        tracks = str(len(best.durations_s))
+        sentences.append(texts("answer.takt", name=best.name, takt=given(takt_s), share=share, tracks=tracks))
     return {
-        "headline": texts("answer.best", name=best.name, mean=mean),
+        "headline": said["headline"] if said else texts("answer.best", name=best.name, mean=mean),
         "sentences": sentences + missing,
-        "picture": _picture(texts, ranked, mean, takt_s),
-        "caption": texts("answer.caption"),
-        "table": _table(texts, ranked, takt_s),
+        "picture": _picture(texts, ranked, best, mean, takt_s),
+        "caption": _caption(texts, works),
+        "table": _table(texts, works, takt_s),
         "interval_note": texts("answer.interval_checked" if checked else "answer.interval_tracks"),
         "warnings": [
             texts("answer.warning", name=each.name, text=warning) for each in ranked for warning in each.warnings
@@ -58,14 +84,18 @@ def section(
     }
 
 
+def _caption(texts: Texts, works: Mapping[Work, Sequence[CycleEstimate]]) -> str:
+    return texts("answer.caption" if len(works) == 1 else "answer.caption_works")
+
+
 def in_time(estimate: CycleEstimate, takt_s: float) -> float | None:
     """Return the part of the single cycles that take no longer than the takt; None where there are none."""
     cycles = np.asarray(estimate.durations_s, dtype=np.float64)
     return float((cycles <= takt_s).mean()) if len(cycles) else None
 
 
-def _best(texts: Texts, best: CycleEstimate, interval: str) -> list[str]:
-    parts = [texts("answer.interval", interval=interval)]
+def _best(texts: Texts, best: CycleEstimate, mean: str, interval: str) -> list[str]:
+    parts = [texts("answer.interval", name=best.name, mean=mean, interval=interval)]
     if len(best.quantiles_s) > 1:
         levels = sorted(best.quantiles_s)
         low, high = best.quantiles_s[levels[0]], best.quantiles_s[levels[-1]]
@@ -74,13 +104,15 @@ def _best(texts: Texts, best: CycleEstimate, interval: str) -> list[str]:
         parts.append(texts("answer.cycles", share=share, low=fixed(low, places), high=fixed(high, places)))
     lost = percent(best.safety_loss_s / best.expected_s) if best.expected_s > 0 else percent(None)
     parts.append(texts("answer.split", safety=fixed(best.safety_loss_s, 1), percent=lost))
-    worst = max(best.tasks, key=lambda task: task.safety_loss_s, default=None)
-    if worst and worst.safety_loss_s > 0.05:
-        parts.append(texts("answer.worst", task=spell(worst.task), loss=fixed(worst.safety_loss_s, 1)))
+    worst = best.costliest_task
+    if worst and worst[0].safety_loss_s > 0.05:
+        key = "answer.worst_most" if worst[1] > MOST else "answer.worst"
+        loss = fixed(worst[0].safety_loss_s, 1)
+        parts.append(texts(key, task=spell(worst[0].task), loss=loss, share=percent(worst[1])))
     return parts
 
 
-def _logged(texts: Texts, seen: Overview, missing: Sequence[str]) -> dict[str, Any]:
+def _logged(texts: Texts, seen: Overview, takt_s: float | None, missing: Sequence[str]) -> dict[str, Any]:
     """The answer without estimates: the executions as they were."""
     found: dict[str, Any] = {"sentences": list(missing), "picture": None, "caption": "", "table": None, "warnings": []}
     durations = seen.duration_s
@@ -94,11 +126,16 @@ def _logged(texts: Texts, seen: Overview, missing: Sequence[str]) -> dict[str, A
     if len(durations) > 1:
         low, high = seconds(float(durations.min())), seconds(float(durations.max()))
         facts.append(texts("answer.spread", low=low, high=high))
+    if takt_s is not None:
+        share = percent(float((durations > takt_s).mean()))
+        facts.append(texts("answer.logged_takt", share=share, takt=given(takt_s)))
     found["sentences"] = ([" ".join(facts)] if facts else []) + list(missing)
     return {**found, "headline": texts(key, median=seconds(mean))}
 
 
-def _picture(texts: Texts, ranked: Sequence[CycleEstimate], mean: str, takt_s: float | None) -> object:
+def _picture(
+    texts: Texts, ranked: Sequence[CycleEstimate], best: CycleEstimate, mean: str, takt_s: float | None
+) -> object:
     from cyclekit.report import charts
 
     labels = {
@@ -107,29 +144,40 @@ def _picture(texts: Texts, ranked: Sequence[CycleEstimate], mean: str, takt_s: f
         "cycles": texts.section("answer")["quantiles"],
         "without": texts("answer.without"),
         "tip": texts.section("answer")["tip"],
-        "takt": texts("answer.takt_key", takt=fixed(takt_s, 1)),
+        "takt": texts("answer.takt_key", takt="" if takt_s is None else given(takt_s)),
     }
-    alt = texts("answer.picture", count=len(ranked), name=ranked[0].name, mean=mean)
+    alt = texts("answer.picture", count=len(ranked), name=best.name, mean=mean)
     return picture("cycle", alt, lambda width_in: charts.cycle_times(width_in, ranked, labels, takt_s))
 
 
-def _table(texts: Texts, ranked: Sequence[CycleEstimate], takt_s: float | None) -> Table:
-    levels = sorted(ranked[0].quantiles_s)
+def _table(texts: Texts, works: Mapping[Work, Sequence[CycleEstimate]], takt_s: float | None) -> Table:
+    """One row per sequence; ranks count within a work, and where there are several, the time per visit is told."""
+    several = len(works) > 1
+    levels = sorted(next(iter(works.values()))[0].quantiles_s)
     heads = [
         texts("answer.sequence"),
         texts("answer.rank"),
         texts("answer.expected"),
         texts("answer.interval_head"),
         *(texts("answer.quantile_head", level=f"{100 * level:g}") for level in levels),
-        *([texts("answer.takt_head", takt=fixed(takt_s, 1))] if takt_s is not None else []),
+        *([texts("answer.takt_head", takt=given(takt_s))] if takt_s is not None else []),
         texts("answer.safety_head"),
         texts("answer.support_head"),
+        *((texts("answer.visits"), texts("answer.per_visit")) if several else ()),
     ]
     rows = []
-    for rank, each in enumerate(ranked, start=1):
+    for each, rank in ((each, _rank(n, work, several)) for work in works.values() for n, each in enumerate(work, 1)):
         mean, interval = with_uncertainty(each.expected_s, each.expected_low_s, each.expected_high_s)
         quantiles = [fixed(each.quantiles_s.get(level), 1) for level in levels]
-        safety = fixed(each.safety_loss_s, 1)
         takt = [percent(in_time(each, takt_s))] if takt_s is not None else []
-        rows.append([each.name, str(rank), mean, interval, *quantiles, *takt, safety, percent(each.support)])
-    return Table(texts("answer.caption"), heads, rows, frozenset(range(1, len(heads))), silent=True)
+        visits = [str(len(each.places) - 1), fixed(each.per_visit_s, 2)] if several else []
+        loss = fixed(each.safety_loss_s, 1)
+        rows.append([each.name, rank, mean, interval, *quantiles, *takt, loss, percent(each.support), *visits])
+    return Table(_caption(texts, works), heads, rows, frozenset(range(1, len(heads))), silent=True)
+
+
+def _rank(place: int, work: Sequence[CycleEstimate], several: bool) -> str:
+    """The rank among the sequences of the same work; a dash where there is no other."""
+    if not several:
+        return str(place)
+    return f"{place}/{len(work)}" if len(work) > 1 else UNKNOWN

@@ -13,6 +13,7 @@ from cyclekit.plain_text import csv_text, markdown
 from cyclekit.report.findings import losses, safety_function, task_shares
 from cyclekit.report.provenance import provenance
 from cyclekit.report.tables import Table
+from cyclekit.work import work_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from cyclekit.report.texts import Texts
     from cyclekit.report.tried import Tried
     from cyclekit.report.trust import Judged
+    from cyclekit.report.verdict import Verdict
 
 PARTS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 ORDER = ("answer", "where", "why", "helps", "trust")
@@ -40,6 +42,7 @@ class Found:
     planned: Plan | None
     evaluation: Judged | None
     check: Check | None
+    verdict: Verdict | None
 
 
 def as_json(
@@ -56,6 +59,7 @@ def as_json(
         "cell": cell,
         "made": made,
         "answer": sections["answer"]["headline"],
+        "verdict": None if given.verdict is None else given.verdict.to_json(sections["answer"]["headline"]),
         "sequences": [each.to_json() for each in given.ranked],
         "logged_tasks": [asdict(share) | {"total_s": share.total_s} for share in task_shares(dataset.tasks())],
         "levels": [asdict(band) for band in found.bands] if found else [],
@@ -74,35 +78,38 @@ def as_json(
 def as_csv(
     ranked: Sequence[CycleEstimate], tasks: pl.DataFrame, what_if: Sequence[Tried] = (), planned: Plan | None = None
 ) -> str:
-    """Return one row per sequence (order 0) and per task of it; without estimates, one row per logged task.
+    """Return one row per sequence (order 0, with its work) and per task of it; without any, one per logged task.
 
     What was tried follows, one row each, its name as `change`; and the order found, as change `order`, a row per visit.
     """
     saves = ["saves_s", "saves_low_s", "saves_high_s"]
-    heads = ["sequence", "order", "task", "expected_s", "low_s", "high_s", *PARTS, "seen", "change", *saves]
+    heads = ["sequence", "order", "task", "expected_s", "low_s", "high_s", *PARTS, "seen", "change", *saves, "work"]
     rows: list[Sequence[object]] = [heads]
     for each in ranked:
         whole = [each.expected_s, each.expected_low_s, each.expected_high_s]
-        rows.append([each.name, 0, "", *whole, *(getattr(each, part) for part in PARTS), "", *[""] * 4])
+        work = str(work_of(each.places, each.operator))
+        rows.append([each.name, 0, "", *whole, *(getattr(each, part) for part in PARTS), "", *[""] * 4, work])
         for order, task in enumerate(each.tasks, start=1):
             parts = [getattr(task, part) for part in PARTS]
-            rows.append([each.name, order, task.task, task.expected_s, "", "", *parts, "", *[""] * 4])
+            rows.append([each.name, order, task.task, task.expected_s, "", "", *parts, "", *[""] * 5])
     if not ranked:
         for share in task_shares(tasks):
             parts = [share.nominal_s, share.safety_s, share.dwell_s, share.wait_s]
-            rows.append(["", "", share.name, share.total_s, "", "", *parts, share.seen, *[""] * 4])
+            rows.append(["", "", share.name, share.total_s, "", "", *parts, share.seen, *[""] * 5])
     rows.extend(_tried_rows(ranked, what_if))
     if planned is not None:
-        rows.append(["", 0, "", planned.expected_s, *[""] * 7, "order", *planned.saves_s])
-        rows.extend(["", order, visit, *[""] * 8, "order", *[""] * 3] for order, visit in enumerate(planned.order, 1))
+        work = str(work_of(planned.places))
+        rows.append(["", 0, "", planned.expected_s, *[""] * 7, "order", *planned.saves_s, work])
+        rows.extend(["", order, visit, *[""] * 8, "order", *[""] * 4] for order, visit in enumerate(planned.order, 1))
     return csv_text(rows)
 
 
 def _tried_rows(ranked: Sequence[CycleEstimate], what_if: Sequence[Tried]) -> Iterator[list[object]]:
-    before = {each.name: each.expected_s for each in ranked}
+    before = {each.name: each for each in ranked}
     for each in what_if:
         saves = each.saves(before) or ("", "", "")
-        yield [each.sequence, 0, "", each.expected_s, each.low_s, each.high_s, *[""] * 5, each.label, *saves]
+        work = str(work_of(each.places, each.operator)) if each.places else ""
+        yield [each.sequence, 0, "", each.expected_s, each.low_s, each.high_s, *[""] * 5, each.label, *saves, work]
 
 
 def as_markdown(texts: Texts, cell: str, made: str, sections: Mapping[str, Any]) -> str:

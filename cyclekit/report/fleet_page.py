@@ -32,7 +32,8 @@ class CellLine:
     Attributes:
         name: Its name.
         figures: `executions`, `cycle_s`, `lost_s`, `lost_share`, `newest`, `set_aside_share`, `safety_changed`,
-            `habits_changed`, `shifts`, `drift`; empty where there is no report yet. None in it = unknown.
+            `habits_changed`, `shifts`, `drift`, `model_doubt`; empty where there is no report
+            yet. None in it = unknown.
         failed: Which stages failed and why.
         unread: Logs that could not be read, and why; empty where all could.
         link: Its report, relative to the page; None without one.
@@ -120,6 +121,8 @@ def _worries(texts: Texts, cell: CellLine, today: dt.date) -> list[str]:
         found.append(texts("fleet.set_aside", share=percent(known["set_aside_share"])))
     if known["safety_changed"]:
         found.append(texts("fleet.changed", shifts="; ".join(known["shifts"])))
+    if known.get("model_doubt"):
+        found.append(texts("fleet.model", why=known["model_doubt"]))
     if known["lost_share"] is None:
         found.append(texts("fleet.no_scaling"))
     return found

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.report.findings import losses
 from cyclekit.report.numbers import count, decimals_for, fixed, percent, seconds, with_uncertainty
 from cyclekit.report.tables import Table, spell
+from cyclekit.work import by_work
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -33,12 +34,12 @@ def section(
     planned: Plan | None = None,
 ) -> dict[str, Any]:
     """Return what the template needs for section 4; `ranked` has the fastest sequence first."""
-    before = {each.name: each.expected_s for each in ranked}
+    before = {each.name: each for each in ranked}
     said = (
         _bound(texts, ranked, seen),
         _best(texts, tried, ranked, before),
         _plan_saves(texts, planned),
-        _order(texts, ranked),
+        *(_order(texts, alike) for alike in by_work(ranked).values()),
     )
     sentences = [text for text in said if text]
     if not tried:
@@ -53,8 +54,8 @@ def _bound(texts: Texts, ranked: Sequence[CycleEstimate], seen: Overview) -> str
     """What no change of the safety function can beat: the cycle without any slow-down."""
     if ranked:
         best = ranked[0]
-        without = seconds(best.expected_s - best.safety_loss_s)
-        return texts("helps.bound", name=best.name, without=without, lost=seconds(best.safety_loss_s))
+        values = {"mean": seconds(best.expected_s), "lost": seconds(best.safety_loss_s)}
+        return texts("helps.bound", name=best.name, without=seconds(best.expected_s - best.safety_loss_s), **values)
     if seen.lost_s is None or not len(seen.duration_s):
         return ""
     without = seconds(float(seen.duration_s.mean()) - seen.lost_s)
@@ -62,7 +63,7 @@ def _bound(texts: Texts, ranked: Sequence[CycleEstimate], seen: Overview) -> str
 
 
 def _order(texts: Texts, ranked: Sequence[CycleEstimate]) -> str:
-    """What the order alone is worth, if that can be told."""
+    """What the order alone is worth among sequences of the same work, the fastest first, if that can be told."""
     if len(ranked) < 2:
         return ""
     best, last = ranked[0], ranked[-1]
@@ -73,22 +74,19 @@ def _order(texts: Texts, ranked: Sequence[CycleEstimate]) -> str:
     return texts("helps.order", best=best.name, last=last.name, saved=saved)
 
 
-def _best(texts: Texts, tried: Sequence[Tried], ranked: Sequence[CycleEstimate], before: Mapping[str, float]) -> str:
-    """The change that saves most, if it is sure to save anything: of the fastest sequence, where that was tried."""
-    of_best = [each for each in tried if ranked and each.sequence == ranked[0].name]
-    sure = [each for each in of_best or tried if _sure(each.saves(before))]
+def _best(
+    texts: Texts, tried: Sequence[Tried], ranked: Sequence[CycleEstimate], before: Mapping[str, CycleEstimate]
+) -> str:
+    """The change that saves most of one sequence, if it is sure to: of the fastest one, where that was tried."""
+    names = [each.sequence for each in tried]
+    of = next((each.name for each in ranked if each.name in names), names[0] if names else None)
+    sure = [each for each in tried if each.sequence == of and each.surely_saves(before)]
     if not sure:
         return texts("helps.none_saves") if tried else ""
     best = max(sure, key=lambda each: (each.saves(before) or (0.0,))[0])
     saved, interval = _saved(best.saves(before))
-    return texts(
-        "helps.best", change=best.label, name=best.sequence, saved=f"{saved} s{interval and f' ({interval} s)'}"
-    )
-
-
-def _sure(saves: tuple[float, float | None, float | None] | None) -> bool:
-    """Whether the whole interval is a saving; without one, the mean."""
-    return saves is not None and (saves[0] if saves[1] is None else saves[1]) > 0
+    values = {"change": best.label, "name": best.sequence, "saved": f"{saved} s"}
+    return texts("helps.best", **values, interval=interval and texts("helps.best_interval", interval=interval))
 
 
 def _saved(saves: tuple[float, float | None, float | None] | None) -> tuple[str, str]:
@@ -99,7 +97,7 @@ def _saved(saves: tuple[float, float | None, float | None] | None) -> tuple[str,
     return (fixed(mean, 1), "") if low is None or high is None else with_uncertainty(mean, low, high)
 
 
-def _what_if(texts: Texts, tried: Sequence[Tried], before: Mapping[str, float]) -> Table | None:
+def _what_if(texts: Texts, tried: Sequence[Tried], before: Mapping[str, CycleEstimate]) -> Table | None:
     if not tried:
         return None
     rows = []
@@ -172,7 +170,12 @@ def _moments(texts: Texts, samples: pl.DataFrame, seen: Overview) -> Table | Non
             texts("helps.unknown") if each.human_task is None else spell(each.human_task),
             fixed(each.seconds, 1),
             percent(each.seconds / whole) if whole else "–",
-            texts("helps.worst", task=spell(each.robot_task), seconds=fixed(each.worst_s, 1)),
+            texts(
+                "helps.worst",
+                task=spell(each.robot_task),
+                seconds=fixed(each.worst_s, 1),
+                share=percent(each.worst_s / each.seconds if each.seconds else None),
+            ),
         ]
         for each in found
     ]

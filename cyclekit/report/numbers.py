@@ -56,6 +56,18 @@ def percent(fraction: float | None) -> str:
     return f"{fixed(share, 1 if 0 < abs(share) < 9.95 else 0)}\N{NO-BREAK SPACE}%"
 
 
+def signed_percent(fraction: float) -> str:
+    """Write a difference as whole per cent with its sign; one decimal below 1 %."""
+    share = 100 * fraction
+    text = fixed(share, 0 if abs(share) >= 0.95 else 1)
+    return f"{'+' if share > 0 and text.strip('0.') else ''}{text}\N{NO-BREAK SPACE}%"
+
+
+def given(value: float) -> str:
+    """Write a number that a person gave as he gave it: 95, 27.5; two decimals at most."""
+    return fixed(value, next((n for n in (0, 1) if round(value, n) == round(value, 2)), 2))
+
+
 def with_uncertainty(value: float, low: float, high: float) -> tuple[str, str]:
     """Write a mean and its interval, both rounded to what the interval supports.
 

@@ -1,7 +1,7 @@
 """Put the page together: numbers become sentences, tables and pictures; the template sets them.
 
-The sections are in the order in which an integrator asks: what comes out, where the time goes, why, what would help,
-and can it be believed. Each section is built by its own module; the words are in `texts.toml`.
+The sections are in the order in which an integrator asks: the answer, where the time goes, why, what would help, and
+how sure that is. Each section is built by its own module; the words are in `texts.toml`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from cyclekit.report import answer, helps, trust, where, why
 from cyclekit.report.document import Found, as_csv, as_json, as_markdown
 from cyclekit.report.findings import overview
 from cyclekit.report.template import Template
+from cyclekit.report.verdict import verdict
+from cyclekit.work import by_work
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -82,7 +84,7 @@ def write_report(
         what_if: The same sequences under other conditions.
         planned: The order found for the same work.
         takt_s: Takt time that the cycles are held against, s.
-        missing: What could not be computed and why, one sentence each; said in the first section.
+        missing: What was not asked for and could not be computed, and why, one sentence each; said in the last section.
         cell_name: Title of the page; the dataset's name where not given.
         kind: `html`; `json` for everything, `csv` for the seconds per task, `md` for words and tables.
         template: Folder whose files take the place of the page's own (docs/report.md).
@@ -96,14 +98,21 @@ def write_report(
     say(0.02, "reading the dataset")
     samples, tasks = dataset.samples(), dataset.tasks()
     seen = overview(dataset, samples, tasks)
-    ranked = sorted(estimates, key=lambda each: each.expected_s)
+    quickest = sorted(estimates, key=lambda each: each.expected_s)
+    ranked = [each for work in by_work(quickest).values() for each in work]
     name = cell_name or str(dataset.card.get("name") or dataset.path.name)
     if kind == "csv":
         write_text(out, as_csv(ranked, tasks, what_if, planned))
         return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing))
     texts = look.texts
     sections: dict[str, Any] = {}
-    about: dict[str, Any] = {"has_model": model is not None, "takt_s": takt_s, "checked": check is not None}
+    judged = verdict(dataset, ranked, what_if, planned, takt_s)
+    about: dict[str, Any] = {
+        "has_model": model is not None,
+        "takt_s": takt_s,
+        "checked": check is not None,
+        "found": judged,
+    }
     steps: list[tuple[str, Callable[[], dict[str, Any]]]] = [
         ("answer", lambda: answer.section(texts, ranked, seen, **about)),
         ("where", lambda: where.section(texts, ranked, tasks)),
@@ -114,11 +123,11 @@ def write_report(
     for number, (key, make) in enumerate(steps):
         say(0.1 + 0.17 * number, f"section {number + 1} of {len(steps)}: {texts(f'{key}.title').lower()}")
         sections[key] = make()
-    sections["answer"]["sentences"] = [*sections["answer"]["sentences"], *missing]
+    sections["trust"]["sentences"] = [*sections["trust"]["sentences"], *missing]
     say(0.95, "writing the page")
     made = texts("page.made", date=_today(), version=installed("cyclekit"), executions=seen.executions)
     if kind == "json":
-        found = Found(ranked, what_if, planned, evaluation, check)
+        found = Found(ranked, what_if, planned, evaluation, check, judged)
         content = as_json(name, made, found, dataset, samples, sections)
     elif kind == "md":
         content = as_markdown(texts, name, made, sections)

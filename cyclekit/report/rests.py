@@ -1,4 +1,4 @@
-"""What the cycle times rest on: support, and how the rollout did on what was logged. Tables of section 5."""
+"""Backtest on logged executions, and support: tables of section 5."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def _rollout(texts: Texts, check: Check) -> Table:
     rows = [
         [texts("trust.rollout_count"), count(check.executions)],
         [texts("trust.rollout_unseen"), count(check.held_out)],
-        [texts("trust.rollout_bias"), f"{_signed(check.own_bias)} (± {fixed(196 * check.own_error, 2)} %)"],
-        [texts("trust.rollout_corrected"), _signed(check.factor - 1)],
-        [texts("trust.rollout_crossed"), _signed(check.crossed_bias)],
+        [texts("trust.rollout_bias"), f"{signed(check.own_bias)} (± {fixed(196 * check.own_error, 2)} %)"],
+        [texts("trust.rollout_corrected"), signed(check.factor - 1)],
+        [texts("trust.rollout_crossed"), signed(check.crossed_bias)],
         *([texts(f"trust.{key}", wanted=wanted), percent(part)] for key, part in covered.items()),
     ]
     heads, title = [texts("trust.metric"), texts("trust.value")], texts("trust.rollout")
@@ -49,6 +49,7 @@ def _support(texts: Texts, ranked: Sequence[CycleEstimate]) -> Table:
     return Table(title, heads, rows, frozenset({1, 2, 3}), silent=True, title=title, text=texts("answer.support_note"))
 
 
-def _signed(part: float) -> str:
+def signed(part: float) -> str:
+    """Write a part as per cent with its sign and two decimals."""
     sign = "+" if round(100 * part, 2) > 0 else ""
     return f"{sign}{fixed(100 * part, 2)}\N{NO-BREAK SPACE}%"

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from cyclekit.estimate.result import CycleEstimate
     from cyclekit.whatif import WhatIf
 
 
@@ -31,6 +32,8 @@ class Tried:
         saves_s: What it saves, with its 95 % interval over common operators; None where only the estimate is known.
         support: Part of the cycle that runs through logged positions; None where not known.
         limits: What limits the number, one sentence each.
+        places: Ordered places of the sequence, the start first; empty where not known.
+        operator: What the operator was asked to do; None where that was left open.
     """
 
     label: str
@@ -41,17 +44,31 @@ class Tried:
     saves_s: tuple[float, float, float] | None = None
     support: float | None = None
     limits: tuple[str, ...] = ()
+    places: tuple[str, ...] = ()
+    operator: tuple[str, ...] | None = None
 
     @staticmethod
     def of(found: WhatIf) -> Tried:
         """Return what `whatif` found as a row of the page."""
         return _answer(found.to_json())
 
-    def saves(self, before: Mapping[str, float]) -> tuple[float, float | None, float | None] | None:
-        """Return the saving in seconds and its interval; without one, against today's mean by sequence, if known."""
+    def saves(self, before: Mapping[str, CycleEstimate]) -> tuple[float, float | None, float | None] | None:
+        """Return the saving in seconds and its interval.
+
+        Without one: against the estimate of the same sequence as the cell is, by name; None where there is none, or it
+        visits other places under the same name.
+        """
         if self.saves_s is not None:
             return self.saves_s
-        return (before[self.sequence] - self.expected_s, None, None) if self.sequence in before else None
+        same = before.get(self.sequence)
+        if same is None or (self.places and self.places != same.places):
+            return None
+        return same.expected_s - self.expected_s, None, None
+
+    def surely_saves(self, before: Mapping[str, CycleEstimate]) -> bool:
+        """Tell whether the whole interval is a saving; without one, the mean."""
+        saves = self.saves(before)
+        return saves is not None and (saves[0] if saves[1] is None else saves[1]) > 0
 
 
 def _answer(entry: Mapping[str, Any]) -> Tried:
@@ -63,12 +80,19 @@ def _answer(entry: Mapping[str, Any]) -> Tried:
         saves_s=(float(saves[0]), float(saves[1]), float(saves[2])),
         support=None if unknown else float(support),
         limits=tuple(str(text) for text in after["warnings"] if text != entry["safety"]),
+        **_what(after),
     )
 
 
 def _interval(estimate: Mapping[str, Any]) -> tuple[str, float, float, float]:
     low, high = float(estimate["expected_low_s"]), float(estimate["expected_high_s"])
     return str(estimate["name"]), float(estimate["expected_s"]), low, high
+
+
+def _what(estimate: Mapping[str, Any]) -> dict[str, Any]:
+    """What the sequence is: its places, and what the operator was asked to do."""
+    operator = estimate.get("operator")
+    return {"places": tuple(estimate["places"]), "operator": None if operator is None else tuple(operator)}
 
 
 def load_tried(file: Path, label: str | None = None) -> list[Tried]:
@@ -99,4 +123,4 @@ def _tried(document: Mapping[str, Any], label: str | None) -> list[Tried]:
     if label is None:
         msg = "estimates without the name of a change"
         raise ValueError(msg)
-    return [Tried(label, *_interval(entry)) for entry in document["sequences"]]
+    return [Tried(label, *_interval(entry), **_what(entry)) for entry in document["sequences"]]

@@ -11,6 +11,7 @@ from cyclekit.report.judged import calibration
 from cyclekit.report.numbers import count, fixed, percent, significant
 from cyclekit.report.pictures import picture
 from cyclekit.report.provenance import provenance
+from cyclekit.report.rests import signed
 from cyclekit.report.tables import Table
 
 if TYPE_CHECKING:
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     from cyclekit.report.texts import Texts
 
 _CARD_METRICS = ("rows", "mse_mean", "mse_argmax", "mae", "bias", "accuracy")
+
+MODEL, CONSTANT, STAIRCASE = "model", "constant mean", "distance staircase"
+"""Rows of an evaluation: the model's own begin with its name."""
 
 _GAPS = {"absent": "gap_absent", "occluded": "gap_occluded", "outside": "gap_outside"}
 
@@ -56,11 +60,12 @@ def section(
     origin = provenance(dataset, versions)
     judged = evaluation.to_json() if evaluation is not None else {}
     unmeasured = bool(ranked) and (check is None or check.coverage is None)
+    said = [*_network_and_baselines(texts, judged, check), *([texts("trust.no_coverage")] if unmeasured else [])]
     return {
         "facts": _facts(texts, dataset, seen, origin),
         "model": _model(texts, model, judged),
         "pictures": [*_confusion(texts, judged), *_calibration(texts, samples, judged, model)],
-        "sentences": [texts("trust.no_coverage")] if unmeasured else [],
+        "sentences": said,
         "tables": [*rests.tables(texts, ranked, check), *_unseen(texts, samples), *_data_tables(texts, origin)],
         "missing": [],
     }
@@ -116,6 +121,28 @@ def _judged_rows(texts: Texts, judged: Mapping[str, Any]) -> list[list[str]]:
     if judged.get("rows") is not None:
         rows.append([texts("trust.rows_held_out"), count(int(judged["rows"])), ""])
     return rows
+
+
+def _network_and_baselines(texts: Texts, judged: Mapping[str, Any], check: Check | None) -> list[str]:
+    """Say with which row of the errors the cycle times are made, and what it means if a baseline has a smaller one."""
+    errors = {str(entry.get("name")): float(entry["mse"]) for entry in judged.get("mse") or ()}
+    model = errors.get(MODEL)
+    rivals = {name: mse for name, mse in errors.items() if not name.startswith(MODEL)}
+    if model is None or not rivals:
+        return []
+    found = [texts("trust.made_with")]
+    best = min(rivals, key=lambda name: rivals[name])
+    if rivals[best] >= model:
+        return found
+    key = "trust.better_staircase" if best == STAIRCASE else "trust.better_other"
+    found.append(texts(key, name=best, rival=_metric("mse", rivals[best]), model=_metric("mse", model)))
+    if errors.get(CONSTANT):
+        left = {"model": 1 - model / errors[CONSTANT], "rival": 1 - rivals[best] / errors[CONSTANT]}
+        found.append(texts("trust.explained", name=best, **{name: percent(part) for name, part in left.items()}))
+    if check is not None:
+        bias, error = signed(check.own_bias), fixed(196 * check.own_error, 2)
+        found.append(texts("trust.backtest_bias", bias=bias, error=error))
+    return [" ".join(found)]
 
 
 def _metric(key: str, value: float) -> str:

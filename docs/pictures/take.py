@@ -47,6 +47,7 @@ frequency = 0.5
 """
 JOBS = """
 start = "home"
+end = "home"
 via = "conveyor"
 visit = ["left_1", "left_2", "left_3", "left_4", "left_5", "right_1", "right_2", "right_3", "right_4", "right_5"]
 """

@@ -14,9 +14,7 @@ if TYPE_CHECKING:
     from .conftest import Shell
 
 
-def test_an_estimate_tells_takt_quantiles_ranking_and_check(
-    model: Path, dataset: Path, sequences: Path, cyclekit: Shell
-):
+def test_an_estimate_tells_takt_quantiles_work_and_check(model: Path, dataset: Path, sequences: Path, cyclekit: Shell):
     words = ("estimate", model, sequences, "--dataset", dataset, "--extrapolate", "--quiet")
     typed = cyclekit(*words, "--takt", "12s", "--quantiles", "10,50,90", "--json")
     assert typed.code == 0, typed.err
@@ -24,12 +22,12 @@ def test_an_estimate_tells_takt_quantiles_ranking_and_check(
     assert set(first["quantiles_s"]) == {"0.1", "0.5", "0.9"}
     assert first["takt_s"] == 12.0
     assert 0 <= first["takt_probability"][0] <= 1
-    assert first["beats"][second["name"]] == pytest.approx(1 - second["beats"][first["name"]])
+    assert first["beats"] == second["beats"] == {}  # one visits more places than the other
     assert typed.document["check"]["executions"] == 6
     shown = cyclekit(*words, "--takt", "12s").out
     assert "within 12 s" in shown
-    assert "probability" in shown
-    assert "logged executions rolled out beside their own operators" in shown
+    assert "per visit" in shown
+    assert "logged executions rolled out beside their own operators" in " ".join(shown.split())
 
 
 @pytest.mark.parametrize("name", ["history", "nominal"])

@@ -26,7 +26,7 @@ def test_the_demo_goes_the_whole_way_and_ends_with_a_table(cyclekit: Shell, tmp_
     assert all(entry["expected_s"] > entry["nominal_s"] > 0 for entry in found)
     for name in SEQUENCES:
         assert name in done.out
-    assert "What the numbers rest on" in done.out
+    assert "Basis and limits" in done.out
     assert max(len(line) for line in done.out.replace(str(tmp_path), "").splitlines()) <= 80
     steps = [line for line in done.err.splitlines() if line.startswith("[")]
     assert [line[:5] for line in steps] == [f"[{number}/6]" for number in range(1, 7)]

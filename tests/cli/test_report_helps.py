@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from cyclekit.errors import EstimateError
+
 if TYPE_CHECKING:
     from .conftest import Shell
 
@@ -48,16 +50,58 @@ def test_what_the_whatif_command_wrote_goes_into_the_page(
     assert "| open | " in out.read_text("utf-8")
 
 
-def test_an_order_that_cannot_be_searched_is_said_on_the_page(
-    model: Path, dataset: Path, tmp_path: Path, cyclekit: Shell
+@pytest.mark.parametrize(
+    ("option", "text", "said"),
+    [
+        ("--plan", 'start = "home"\nvisit = ["left_1", "left_11"]\n', "unknown place 'left_11'"),
+        ("--sequences", '[[sequence]]\nname = "A"\nplaces = ["home", "conveyer"]\n', "unknown place 'conveyer'"),
+        ("--what-if", "[[change]]\nplaces = { conveyer = [0.0, 0.0, 0.0] }\n", "unknown place 'conveyer'"),
+    ],
+)
+def test_what_was_asked_for_and_is_wrong_is_an_error_and_writes_nothing(
+    option: str, text: str, said: str, model: Path, dataset: Path, sequences: Path, tmp_path: Path, cyclekit: Shell
 ):
-    file = tmp_path / "jobs.toml"
-    file.write_text('start = "home"\nvisit = ["left_1", "left_11"]\n', encoding="utf-8")
-    out = tmp_path / "r.md"
-    typed = cyclekit("report", dataset, "--model", model, "--plan", file, "--out", out, "--json", "--quiet")
+    file, out = tmp_path / "asked.toml", tmp_path / "r.html"
+    file.write_text(text, encoding="utf-8")
+    more = ["--sequences", sequences, "--extrapolate"] if option == "--what-if" else []
+    words = ("report", dataset, "--model", model, option, file, *more, "--out", out, "--no-check", "--quiet")
+    typed = cyclekit(*words)
+    assert typed.code == 1
+    assert said in typed.err
+    assert not out.exists()
+
+
+def test_what_was_not_asked_for_may_be_absent_and_is_told_without_a_command_line(
+    model: Path, dataset: Path, tmp_path: Path, cyclekit: Shell, monkeypatch: pytest.MonkeyPatch
+):
+    def refused(*_: object, **__: object) -> None:
+        raise EstimateError("no sample can be judged", cure="See what the logs lack: cyclekit inspect DATASET")
+
+    monkeypatch.setattr("cyclekit.evaluate.evaluate", refused)
+    out = tmp_path / "r.json"
+    typed = cyclekit("report", dataset, "--model", model, "--out", out, "--json", "--quiet")
     assert typed.code == 0, typed.err
-    assert "No order could be searched" in typed.document["missing"][0]
-    assert "left_11" in out.read_text("utf-8")
+    assert typed.document["missing"][0] == "The model could not be judged: no sample can be judged."
+    said = json.loads(out.read_text("utf-8"))["sentences"]
+    assert "The model could not be judged: no sample can be judged." in said["trust"]
+    assert not any("judged" in text or "cyclekit " in text for text in said["answer"])
+
+
+def test_the_order_found_is_estimated_and_changed_like_a_sequence(
+    model: Path, dataset: Path, jobs: Path, changes: Path, tmp_path: Path, cyclekit: Shell
+):
+    out = tmp_path / "r.json"
+    words = ("report", dataset, "--model", model, "--plan", jobs, "--what-if", changes, "--extrapolate", "--no-check")
+    typed = cyclekit(*words, "--out", out, "--takt", "10s", "--json", "--quiet")
+    assert typed.code == 0, typed.err
+    document = json.loads(out.read_text("utf-8"))
+    (order,) = document["sequences"]
+    assert (order["name"], order["places"]) == ("order found", document["plan"]["places"])
+    assert [entry["sequence"] for entry in document["what_if"]] == ["order found"]
+    assert document["verdict"]["text"] == document["answer"] == typed.document["answer"]
+    assert document["verdict"]["best"]["expected_s"] == order["expected_s"]
+    assert document["verdict"]["today"] is None  # three boxes of ten, and never alone
+    assert any("No logged execution is known to do this work" in text for text in document["sentences"]["answer"])
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from cyclekit.dataset import Dataset
+
 if TYPE_CHECKING:
     from .conftest import Shell
 
@@ -54,6 +56,11 @@ def test_inspect_of_a_dataset_tells_executions_places_and_levels_in_80_columns(c
     document = cyclekit("inspect", dataset, "--json").document
     assert document["places"]["conveyor"]["inferred"] is False
     assert sum(document["level_share"]) == pytest.approx(1, abs=0.01)
+    (heads,) = [line for line in shown.out.splitlines() if line.startswith("scaling level")]
+    assert heads.split("  ")[1:] == ["of those on a level", "of all samples"]
+    samples = Dataset.open(dataset).samples(columns=["step"])["step"]
+    full = document["levels"].index(1.0)
+    assert document["on_level"] * document["level_share"][full] == pytest.approx((samples == full).sum() / len(samples))
 
 
 def test_the_cell_file_that_inspect_prints_gives_the_same_dataset(
@@ -93,7 +100,7 @@ def test_the_estimate_s_table_is_readable_in_80_columns(
     shown = cyclekit("estimate", model, sequences, "--dataset", dataset, "--extrapolate")
     assert shown.code == 0
     assert max(map(len, shown.out.splitlines())) <= 80
-    assert "1. one way" in shown.out
+    assert "one way " in shown.out
     assert "90% of cycles" in shown.out
 
 

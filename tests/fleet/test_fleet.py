@@ -148,6 +148,24 @@ def test_a_sequence_file_that_is_not_there_fails_the_report_and_nothing_else(one
     assert "asked.toml: cannot be read" in rows[1].text
 
 
+def test_a_sequence_that_cannot_be_estimated_fails_the_report_and_keeps_the_figures(
+    small_cell: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "fleet.toml").write_text(
+        '[fleet]\nout = "out"\nsequences = "asked.toml"\n[[cell]]\nname = "a"\nsources = ["logs"]'
+    )
+    (tmp_path / "asked.toml").write_text('[[sequence]]\nname = "slip"\nplaces = ["home", "conveyer"]')
+    shutil.copytree(small_cell / "dataset", tmp_path / "out" / "a" / "dataset")
+    shutil.copytree(small_cell / "model", tmp_path / "out" / "a" / "model")
+    (row,) = fleets.run_fleet(fleets.load_fleet(tmp_path / "fleet.toml"), ["report"])
+    assert row.state == "failed"
+    assert "unknown place 'conveyer'" in row.text
+    known = json.loads((tmp_path / "out" / "a" / "cell.json").read_text(encoding="utf-8"))
+    assert known["figures"]["executions"] == 6
+    assert known["figures"]["model_doubt"]  # trained for two epochs
+    assert not (tmp_path / "out" / "a" / "report.html").exists()
+
+
 def test_a_fault_of_ours_in_one_cell_is_told_as_one(one_day: Path, tmp_path: Path, monkeypatch) -> None:
     def faulty(*_: object) -> None:
         raise KeyError("no such thing")
@@ -265,6 +283,7 @@ def test_the_page_ranks_cells_and_names_those_that_need_a_look() -> None:
         CellLine("old", {**FIGURES, "newest": "2026-11-01"}),
         CellLine("dirty", {**FIGURES, "set_aside_share": 0.02}, unread="a.csv: cut"),
         CellLine("moved", {**FIGURES, **changed}),
+        CellLine("unlearned", {**FIGURES, "model_doubt": "mean absolute error 0.148"}),
         CellLine("<b>", {}, failed=["ingest: no such folder"]),
     ]
     page = fleet_page("Line 4", cells, TODAY)
@@ -272,13 +291,14 @@ def test_the_page_ranks_cells_and_names_those_that_need_a_look() -> None:
     assert order == sorted(order)
     look = page[page.index('id="look"') : page.index('id="cells"')]
     assert "worst loses most to safety: 50" in look
-    assert "4 of the cells need a look" in look
+    assert "5 of the cells need a look" in look
     for said in (
         "20 days old",
         "of its rows had to be set aside",
         "Logs not read: a.csv: cut",
         "0.010 -&gt; 0.090",
         "ingest: no such folder",
+        "The error of its model is large: mean absolute error 0.148.",
     ):
         assert said in look
     assert "good/report.html" not in look

@@ -45,7 +45,7 @@ def test_the_report_as_markdown_has_every_table_whole(dataset, written, tmp_path
         "## 2 Where the time goes",
         "## 3 Why the robot is slowed",
         "## 4 What would help",
-        "## 5 Can it be believed",
+        "## 5 Validation and data",
     ]
     assert "A \\| first" in text
     assert "This is no safety validation" in text

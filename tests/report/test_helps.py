@@ -58,7 +58,7 @@ def test_what_the_whatif_command_found_keeps_interval_support_and_limits(dataset
     assert read[0].limits == ("motions are bent",)
     text = shown(dataset, tmp_path / "r.html", what_if=read)
     assert "table 0.3 m back A first 27.0 26.4 to 27.6 3.0 2.4 to 3.6 97 %" in text
-    assert "“table 0.3 m back” saves most: 3.0 s (2.4 to 3.6 s) per cycle of “A first”" in text
+    assert "tried on “A first”, “table 0.3 m back” saves most: 3.0 s per cycle (95 % CI 2.4 to 3.6 s)." in text
     assert "table 0.3 m back: motions are bent" in text
 
 
@@ -77,7 +77,7 @@ def test_a_change_whose_interval_reaches_nought_is_not_said_to_save(dataset, tmp
 def test_the_change_that_saves_most_is_named_first_of_all(dataset, tmp_path):
     some = [Tried("a", "A first", 29.0, 28.0, 30.0), Tried("b", "A first", 26.0, 25.0, 27.0), Tried("c", "Z", 1, 0, 2)]
     text = shown(dataset, tmp_path / "r.html", what_if=some)
-    assert "Of what was tried, “b” saves most: 4.0 s per cycle" in text
+    assert "Of what was tried on “A first”, “b” saves most: 4.0 s per cycle." in text
 
 
 def test_what_limits_one_sequence_only_is_said_of_that_one(dataset, tmp_path):
@@ -90,7 +90,7 @@ def test_what_limits_one_sequence_only_is_said_of_that_one(dataset, tmp_path):
 
 def test_the_order_found_is_shown_with_what_it_saves_and_rests_on(dataset, tmp_path):
     text = shown(dataset, tmp_path / "r.html", planned=PLANNED)
-    assert "saves 3.2 s per cycle (2.6 to 3.8 s) against the logged orders" in text
+    assert "saves 3.2 s per cycle (95 % CI 2.6 to 3.8 s) against the logged orders" in text
     assert "In this order: right → left." in text
     assert "Saved with operators that the order was not chosen by 2.9" in text
     assert "Every possible order: 2 orders were compared on 40 logged executions" in text

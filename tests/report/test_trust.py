@@ -28,11 +28,11 @@ def test_how_often_the_intervals_held_is_told_as_measured(dataset, tmp_path):
     check = checked()
     text = text_of(dataset, tmp_path / "r.html", check=check)
     assert check.coverage == 0.9
-    assert "Logged executions inside their 90 % interval (should be 90 %) 90 %" in text
+    assert "Coverage: logged executions inside their 90 % interval (should be 90 %) 90 %" in text
     assert "Logged executions rolled out 40" in text
     assert "Of these, unseen by the model 10" in text
     assert "was not measured for this report" not in text
-    assert "the error that the model showed on logged executions" in text
+    assert "the error of the model in the backtest on logged executions" in text
 
 
 def test_without_a_check_no_coverage_is_claimed(dataset, tmp_path):
@@ -58,3 +58,35 @@ def test_the_check_is_in_the_document(dataset, tmp_path):
     out = tmp_path / "r.json"
     write_report(dataset, None, out, estimates=[estimate()], check=checked(), kind="json")
     assert json.loads(out.read_text("utf-8"))["check"]["coverage"] == 0.9
+
+
+class Beaten:
+    """An evaluation in which a baseline has the smaller error."""
+
+    def __init__(self, best="distance staircase", mse=8.2e-5):
+        rows = {"model": 8.0e-4, "model, step named": 1.1e-3, "constant mean": 0.138, best: mse}
+        self.rows = [{"name": name, "mse": value, "note": ""} for name, value in rows.items()]
+
+    def to_json(self):
+        return {"mse": self.rows, "held_out": True}
+
+
+def said(dataset, out, **given):
+    return text_of(dataset, out, **given).replace("\N{NARROW NO-BREAK SPACE}", " ")
+
+
+def test_a_baseline_with_the_smaller_error_is_explained_and_what_the_numbers_are_made_with(dataset, tmp_path):
+    text = said(dataset, tmp_path / "r.html", evaluation=Beaten(), check=checked())
+    assert "estimated cycle times are made with the network (row “model”)" in text
+    assert "the distance staircase has the smaller error (MSE 8.20 · 10⁻⁵, the network 8.00 · 10⁻⁴)" in text
+    assert "the network explains 99 %, the distance staircase over 99 %" in text
+    assert "measured by the backtest: bias 0.00 % (95 % CI ± 0.00 %)" in text
+    other = said(dataset, tmp_path / "o.html", evaluation=Beaten("gradient boosting"))
+    assert "more can be learned from these logs than the network did" in other
+    assert "takes for granted" not in other
+
+
+def test_a_network_that_is_better_than_its_baselines_needs_no_explanation(dataset, tmp_path):
+    text = said(dataset, tmp_path / "r.html", evaluation=Beaten(mse=0.01))
+    assert "made with the network" in text
+    assert "has the smaller error" not in text

@@ -1,0 +1,161 @@
+"""The answer: today's logged cycle beside the order and the change that were found, for the same work only."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+
+import pytest
+from report_pages import Page, estimate
+
+from cyclekit.dataset import Dataset
+from cyclekit.estimate.result import TaskShare
+from cyclekit.plan import Plan
+from cyclekit.report import Tried, write_report
+
+ROUTE = ("home", "a", "b", "home")
+TURNED = ("home", "b", "a", "home")
+LONG = ("home", "a", "b", "a", "b", "home")
+PLANNED = Plan(
+    order=("b", "a"), places=TURNED, expected_s=25.0, against="logged orders", against_s=31.3, saves_s=(6.3, 5.6, 7.0),
+    saves_unseen_s=5.9, searched="all orders", tried=2, executions=40,
+)  # fmt: skip
+
+
+@pytest.fixture
+def logged(dataset):
+    """The four executions as if they went through ROUTE in 28, 30, 31 and 35 s; and a fifth without operator."""
+    card, entries = dataset.card, []
+    for entry, duration in zip(card["executions"], (28.0, 30.0, 31.0, 35.0), strict=True):
+        end_s = entry["start_s"] + duration
+        entries.append(entry | {"end_s": end_s, "places": list(ROUTE), "reference": False})
+    reference = entries[0] | {"execution": "reference", "reference": True, "end_s": entries[0]["start_s"] + 10.0}
+    return Dataset(dataset.path, card | {"executions": [*entries, reference]})
+
+
+def document(dataset, tmp_path, **given):
+    facts = write_report(dataset, None, tmp_path / "r.json", kind="json", **given)
+    return json.loads(facts.path.read_text("utf-8").replace("\N{NO-BREAK SPACE}", " "))
+
+
+def test_today_is_the_logged_cycle_and_the_order_and_change_stand_beside_it(logged, tmp_path):
+    order = estimate("order found", 25.0, places=TURNED)
+    change = Tried("smaller zone", "order found", 20.0, 19.5, 20.5, (5.0, 4.0, 6.0), places=TURNED)
+    given = {"estimates": [estimate("as now", 31.0, places=ROUTE), order], "what_if": [change], "planned": PLANNED}
+    found = document(logged, tmp_path, takt_s=30.5, **given)
+    said = (
+        "Today 31.0 s, 50 % of cycles miss the takt of 30.5 s. "
+        "The order found takes 25.0 s (−19 %); with “smaller zone” 20.0 s (−35 %)."
+    )
+    assert found["answer"] == said
+    assert found["verdict"]["text"] == said
+    assert found["verdict"]["today"] | {"low_s": 0, "high_s": 0} == {
+        "executions": 4, "mean_s": 31.0, "low_s": 0, "high_s": 0, "missed": 2, "missed_share": 0.5,
+    }  # fmt: skip
+    assert found["verdict"]["best"] == {"sequence": None, "expected_s": 25.0, "order": list(TURNED)}
+    assert found["verdict"]["change"]["expected_s"] == 20.0
+    (basis, *_) = found["sentences"]["answer"]
+    assert basis.startswith("Today: mean 31.0 s (95 % CI ")
+    assert basis.endswith("of the 4 logged executions that do this work; 2 of them (50 %) miss the takt of 30.5 s.")
+    markdown = write_report(logged, None, tmp_path / "r.md", kind="md", takt_s=30.5, **given).path.read_text("utf-8")
+    assert f"**{said}**" in markdown.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_where_no_logged_execution_does_the_work_there_is_no_today(logged, tmp_path):
+    found = document(logged, tmp_path, estimates=[estimate("longer", 50.0, places=LONG)])
+    assert found["answer"] == "“longer” takes 50.0 s on average."
+    assert found["verdict"]["today"] is None
+    assert found["sentences"]["answer"][0] == (
+        "No logged execution is known to do this work (5 visits (a x2, b x2, home)), "
+        "so there is no cycle of today to compare with."
+    )
+
+
+def test_a_sequence_within_todays_interval_is_not_said_to_be_quicker(logged, tmp_path):
+    found = document(logged, tmp_path, estimates=[estimate("turned", 30.5, places=TURNED)])
+    assert found["answer"] == "Today 31.0 s. “turned” takes 30.5 s on average, not clearly different."
+
+
+def test_an_order_that_is_not_sure_to_save_time_is_no_answer(logged, tmp_path):
+    even = replace(PLANNED, saves_s=(0.2, -0.4, 0.8))
+    found = document(logged, tmp_path, planned=even, estimates=[estimate("order found", 30.8, places=TURNED)])
+    assert found["answer"] == "Today 31.0 s. No order of the same work was found that is sure to take less time."
+
+
+def test_a_change_of_other_work_or_without_a_sure_saving_is_not_in_the_verdict(logged, tmp_path):
+    other = Tried("open", "longer", 10.0, 9.0, 11.0, (40.0, 39.0, 41.0), places=LONG)
+    unsure = Tried("slower", "as now", 30.0, 29.0, 31.0, (1.0, -0.5, 2.5), places=ROUTE)
+    found = document(logged, tmp_path, estimates=[estimate("as now", 31.0, places=ROUTE)], what_if=[other, unsure])
+    assert found["verdict"]["change"] is None
+    assert "open" not in found["answer"]
+
+
+def test_the_page_about_the_logs_alone_tells_the_takt_too(logged, tmp_path):
+    found = document(logged, tmp_path, takt_s=30.0)
+    assert any("of the executions miss the takt of 30 s." in text for text in found["sentences"]["answer"])
+
+
+def mixed():
+    return [estimate("two", 18.0, places=ROUTE), estimate("four", 41.0, places=LONG)]
+
+
+@pytest.mark.parametrize("kind", ["html", "json", "md"])
+def test_different_work_is_neither_ranked_nor_said_to_save_time(logged, tmp_path, kind):
+    facts = write_report(logged, None, tmp_path / f"r.{kind}", kind=kind, estimates=mixed())
+    text = facts.path.read_text("utf-8").replace("\N{NO-BREAK SPACE}", " ")
+    shown = Page(text).text if kind == "html" else text
+    assert "The sequences do 2 different kinds of work." in shown
+    assert "worth something" not in shown
+    assert "less per cycle" not in shown
+    assert "told apart" not in shown
+    assert "Fastest: " not in shown
+    if kind == "md":
+        assert "| two | – | 18.0 |" in shown
+        assert "| four | – | 41.0 |" in shown
+        assert "| 3 | 6.00 |" in shown
+        assert "| 5 | 8.20 |" in shown
+
+
+def test_within_the_same_work_ranks_and_the_worth_of_the_order_stay(logged, tmp_path):
+    alike = [*mixed(), estimate("turned", 22.0, places=TURNED)]
+    text = write_report(logged, None, tmp_path / "r.md", kind="md", estimates=alike).path.read_text("utf-8")
+    text = text.replace("\N{NO-BREAK SPACE}", " ")
+    assert "| two | 1/2 |" in text
+    assert "| turned | 2/2 |" in text
+    assert "of the same work, “two” takes 4.0 s less per cycle than “turned”" in text
+
+
+def test_the_same_name_for_other_places_saves_nothing(logged, tmp_path):
+    changed = [Tried("open", "two", 10.0, 9.5, 10.5, places=LONG)]
+    write_report(logged, None, tmp_path / "r.csv", kind="csv", estimates=mixed()[:1], what_if=changed)
+    (row,) = [row for row in csv.DictReader((tmp_path / "r.csv").read_text("utf-8").splitlines()) if row["change"]]
+    assert (row["expected_s"], row["saves_s"]) == ("10.0", "")
+
+
+def test_the_work_of_each_sequence_is_in_the_table_of_seconds(logged, tmp_path):
+    write_report(logged, None, tmp_path / "r.csv", kind="csv", estimates=mixed())
+    rows = [row for row in csv.DictReader((tmp_path / "r.csv").read_text("utf-8").splitlines()) if row["order"] == "0"]
+    assert [row["work"] for row in rows] == ["3 visits (a, b, home)", "5 visits (a x2, b x2, home)"]
+
+
+@pytest.mark.parametrize(
+    ("lost", "said"),
+    [
+        (3.8, "The largest share of that, 11 %, is lost on b → c: 3.8 s"),
+        (20.0, "Most of that, 59 %, is lost on b → c: 20.0 s"),
+    ],
+)
+def test_most_is_said_of_more_than_half_only(dataset, tmp_path, lost, said):
+    tasks = (TaskShare("a->b", 5.0, 4.0, 1.0, 0.0, 0.0), TaskShare("b->c", 25.0, 5.0, lost, 0.0, 0.0))
+    found = document(dataset, tmp_path, estimates=[estimate(tasks=tasks, safety_loss_s=33.9)])
+    assert said in found["sentences"]["answer"][1]
+
+
+def test_the_bound_of_an_order_that_never_ran_is_not_held_against_today(dataset, tmp_path):
+    found = document(dataset, tmp_path, estimates=[estimate("A first", 30.0)])
+    (bound, *_) = found["sentences"]["helps"]
+    assert bound.endswith("15.0 s below the 30.0 s expected as the cell is.")
+    assert "today" not in bound
+    (bound, *_) = document(dataset, tmp_path)["sentences"]["helps"]
+    assert bound.endswith("below today's logged mean.")

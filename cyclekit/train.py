@@ -7,7 +7,6 @@ to learn from alone. How a network is built is in `models.network`; what comes o
 
 from __future__ import annotations
 
-import hashlib
 import json
 import tempfile
 from collections import Counter
@@ -23,6 +22,7 @@ from cyclekit import schema
 from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, MissingExtra
 from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
+from cyclekit.models.cell import cell_of, fingerprint
 from cyclekit.models.metrics import measure
 from cyclekit.models.saved import MODEL_VERSION, TrainedModel, save_model
 from cyclekit.out_of_core import PART_ROWS, frames, in_files, memory_rows, rows_of, some_executions
@@ -221,12 +221,6 @@ def train_at(what: Training, *, progress: Progress | None = None) -> dict[str, A
     return model.card
 
 
-def fingerprint(dataset: Dataset) -> str:
-    """Return the SHA-256 of what the dataset says about itself: same fingerprint, same data."""
-    text = json.dumps(dataset.card, sort_keys=True, ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def _need_torch() -> None:
     try:
         import torch  # noqa: F401
@@ -246,6 +240,7 @@ def _origin(dataset: Dataset, spec: ModelSpec) -> dict[str, Any]:
         "seed": spec.seed,
         "dataset": dataset.path.name,
         "dataset_sha256": fingerprint(dataset),
+        "cell": cell_of(dataset),
     }
 
 

@@ -22,12 +22,13 @@ from cyclekit.evaluate import evaluate
 from cyclekit.fleet.figures import figures_of
 from cyclekit.fleet.months import days_of, since_last_month, since_training
 from cyclekit.ingest import ingest
+from cyclekit.models.cell import fingerprint, other_cell_of
 from cyclekit.models.saved import TrainedModel, load_model
 from cyclekit.models.spec import ModelSpec
 from cyclekit.report import write_report
 from cyclekit.sequences import load_sequences
 from cyclekit.storage import join, mirrored, read_text, write_text
-from cyclekit.train import Training, fingerprint, train_at
+from cyclekit.train import Training, train_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -125,6 +126,8 @@ def _still_good(model: TrainedModel, dataset: Dataset) -> str | None:
     if model.card.get("dataset_sha256") == fingerprint(dataset):
         return "trained on these logs"
     held_out = (model.card.get("split") or {}).get("test", ())
+    if other_cell_of(model.card, dataset) is not None:
+        return None
     if model.problem != "now" or not set(held_out) <= set(dataset.executions["execution"]):
         return None
     changed = since_training(model, dataset)
@@ -149,11 +152,12 @@ def _report(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
     found: list[CycleEstimate] = []
     if model is not None and wanted:
         found = _or_missing(lambda: estimate(model, dataset, wanted), missing) or []
+    check = found[0].check if found else None
     judged = None if model is None else _or_missing(lambda: evaluate(model, dataset, boosting=False), missing)
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / REPORT
         facts = write_report(
-            dataset, model, page, estimates=found, evaluation=judged, missing=missing, cell_name=cell.name
+            dataset, model, page, estimates=found, evaluation=judged, check=check, missing=missing, cell_name=cell.name
         )
         write_text(join(cell.folder, REPORT), page.read_text(encoding="utf-8"))
     drift = "there is no model" if model is None else since_last_month(model, dataset, ledger["days"])

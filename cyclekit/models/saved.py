@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from cyclekit.models.weights import Weights
 
-FORMAT, MODEL_VERSION = "cyclekit-model", 2
+FORMAT, MODEL_VERSION = "cyclekit-model", 3
 CARD, WEIGHTS = "model.json", "weights.safetensors"
 _RETRAIN = "Train it again: cyclekit train DATASET --out MODEL"
 

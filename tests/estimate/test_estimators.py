@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from cyclekit.estimate.check import Check, check_rollout, compare, conformal
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.resample import resampled
-from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.rollout import estimate as estimate_validated
 from cyclekit.estimate.safety import Dynamics, Follower
 from cyclekit.estimate.tracks import operator_tracks, phase_is_free
 from cyclekit.estimate.transit import transit_table
@@ -26,6 +27,9 @@ from cyclekit.sequences import TaskSequence
 
 if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
+
+estimate = partial(estimate_validated, validate=False)
+"""The rollout itself, without what the logged executions correct."""
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+
+from cyclekit import Dataset, load_model, save_model
+from cyclekit.fleet import stages
 
 if TYPE_CHECKING:
     from .conftest import Shell
@@ -64,10 +69,6 @@ def test_every_command_refuses_it_and_names_the_flag(
 def test_a_large_bias_stands_above_the_numbers_and_in_the_json(
     model: Path, dataset: Path, sequences: Path, tmp_path: Path, cyclekit: Shell
 ):
-    from dataclasses import replace
-
-    from cyclekit import load_model, save_model
-
     learned = load_model(model)
     save_model(tmp_path / "slow", replace(learned, levels=tuple(0.8 * level for level in learned.levels)))
     words = ("estimate", tmp_path / "slow", sequences, "--dataset", dataset, "--extrapolate", "--other-cell", "--quiet")
@@ -79,3 +80,18 @@ def test_a_large_bias_stands_above_the_numbers_and_in_the_json(
     assert shown.startswith("WARNING: the model's bias is +")
     assert " s*" in shown.split("seconds:")[0]
     assert "\n* beside their own operators the logged executions come out" in shown
+
+
+def test_with_trained_on_two_datasets_are_compared_whatever_has_changed(
+    model: Path, dataset: Path, elsewhere: Path, cyclekit: Shell
+):
+    shutil.copytree(dataset / "samples", elsewhere / "samples")
+    typed = cyclekit("evaluate", model, elsewhere, "--trained-on", dataset, "--quiet")
+    assert typed.code == 0, typed.err
+    assert "the safety function: " in typed.out
+
+
+def test_a_fleet_trains_again_where_the_cell_is_another_one(model: Path, dataset: Path, elsewhere: Path):
+    learned = load_model(model)
+    assert stages._still_good(learned, Dataset.open(dataset)) == "trained on these logs"
+    assert stages._still_good(learned, Dataset.open(elsewhere)) is None

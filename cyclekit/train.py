@@ -7,7 +7,6 @@ to learn from alone. How a network is built is in `models.network`; what comes o
 
 from __future__ import annotations
 
-import hashlib
 import json
 import tempfile
 from collections import Counter
@@ -23,6 +22,7 @@ from cyclekit import schema
 from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, MissingExtra, command_line
 from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
+from cyclekit.models.cell import cell_of, fingerprint
 from cyclekit.models.metrics import measure
 from cyclekit.models.saved import MODEL_VERSION, TrainedModel, check_model_output, save_model
 from cyclekit.one_thread import one_thread
@@ -227,12 +227,6 @@ def train_at(what: Training, *, progress: Progress | None = None) -> dict[str, A
     return model.card
 
 
-def fingerprint(dataset: Dataset) -> str:
-    """Return the SHA-256 of what the dataset says about itself: same fingerprint, same data."""
-    text = json.dumps(dataset.card, sort_keys=True, ensure_ascii=False)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def need_torch() -> None:
     """Refuse to begin what ends in a training that cannot be.
 
@@ -257,6 +251,7 @@ def _origin(dataset: Dataset, spec: ModelSpec) -> dict[str, Any]:
         "seed": spec.seed,
         "dataset": dataset.path.name,
         "dataset_sha256": fingerprint(dataset),
+        "cell": cell_of(dataset),
     }
 
 

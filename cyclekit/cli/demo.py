@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.estimate import CAPTION, estimates_table, loses_most, rests_on
+from cyclekit.cli.estimate import CAPTION, doubted, estimates_table, judged, loses_most, rests_on
 from cyclekit.cli.options import Json, Quiet, vector
 from cyclekit.cli.simulate import simulated
 from cyclekit.cli.terminal import Terminal, duration, write_out
@@ -177,14 +177,17 @@ def _report(run: _Run, dataset: Dataset, model: TrainedModel, estimates: list[Cy
     file = run.out / "report.html"
     with run.step("evaluate, and write the report") as progress:
         evaluation = evaluate(model, dataset)
-        write_report(dataset, model, file, estimates=estimates, evaluation=evaluation, progress=progress)
+        check = estimates[0].check
+        write_report(dataset, model, file, estimates=estimates, evaluation=evaluation, check=check, progress=progress)
     return file
 
 
 def _closing(estimates: list[CycleEstimate], run: _Run) -> str:
     model, dataset = run.out / "model", run.out / "dataset"
     lines = ["How long does a cycle take? Three orders of the same ten boxes, quickest first:", ""]
-    lines += [estimates_table(estimates), CAPTION, "", loses_most(estimates), "", rests_on(estimates), "", "Next"]
+    lines += [f"{estimates_table(estimates)}\n{CAPTION}\n{doubted(estimates)}".rstrip(), "", loses_most(estimates)]
+    check = estimates[0].check
+    lines += ["", rests_on(estimates), *(["", judged(check)] if check else []), "", "Next"]
     lines += [
         "- the page for the customer, in any browser:",
         f"    {run.out / 'report.html'}",

@@ -15,6 +15,7 @@ from cyclekit.cli.options import (
     Json,
     LoggedPlace,
     ModelPlace,
+    OtherCell,
     Quiet,
     RayAddress,
     engine_of,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = "cyclekit estimate model sequences.toml --dataset dataset"
 CAPTION = "seconds: motion at full speed + slow-down for safety + dwell + wait = expected"
+DOUBTED = "* "
 _COLUMNS = ("name", "expected_s", "expected_low_s", "expected_high_s")
 _SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
@@ -52,6 +54,7 @@ def estimate(
     check: Checked = True,
     seed: Annotated[int, typer.Option(min=0, help="Of the resampling of operator tracks.")] = 0,
     extrapolate: Extrapolate = False,
+    other_cell: OtherCell = False,
     engine: EngineName = "local",
     jobs: Jobs = None,
     ray_address: RayAddress = None,
@@ -63,7 +66,6 @@ def estimate(
     Per sequence: the mean, the range of single cycles, where the time goes, and the basis of the number.
     """
     from cyclekit.dataset import Dataset
-    from cyclekit.estimate.check import check_rollout
     from cyclekit.estimate.rollout import estimate as estimate_cycles
     from cyclekit.models.saved import load_model
     from cyclekit.outputs import check_output
@@ -74,12 +76,6 @@ def estimate(
     wanted = load_sequences(sequences)
     asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
     opened, logs = load_model(model), Dataset.open(dataset)
-    checks: list[Check] = []
-
-    def checked() -> Check:
-        checks.append(check_rollout(opened, logs, levels=asked, seed=seed))
-        return checks[0]
-
     with terminal.progress("estimating") as progress:
         found = estimate_cycles(
             opened,
@@ -90,18 +86,48 @@ def estimate(
             takt_s=takt_s,
             seed=seed,
             extrapolate=extrapolate,
-            check=checked if check else None,
+            validate=check,
+            other_cell=other_cell,
             engine=work,
             progress=progress,
         )
-    document: dict[str, Any] = {"sequences": [entry.to_json() for entry in found]}
-    document["check"] = checks[0].to_json() if checks else None
+    checked, alarms = found[0].check, alarms_of(found)
+    document: dict[str, Any] = {"warnings": alarms, "sequences": [entry.to_json() for entry in found]}
+    document["check"] = checked.to_json() if checked else None
     if out is not None:
         write_out(out, as_csv(found) if out.suffix.lower() == ".csv" else document)
         terminal.remark(f"written: {out}")
     by_task = tasks_table(found[0]) if len(found) == 1 else ""
-    parts = [f"{estimates_table(found)}\n{CAPTION}", ranking(found), takt_table(found), by_task, loses_most(found)]
-    terminal.answer(document, *parts, rests_on(found), *(judged(entry) for entry in checks))
+    numbers = f"{estimates_table(found)}\n{CAPTION}\n{doubted(found)}".rstrip()
+    parts = [alarmed(alarms), numbers, ranking(found), takt_table(found), by_task, loses_most(found)]
+    terminal.answer(document, *parts, rests_on(found), judged(checked) if checked else "")
+
+
+def alarms_of(found: Sequence[CycleEstimate]) -> list[str]:
+    """Return what belongs above the numbers, one sentence each."""
+    return list(dict.fromkeys(entry.check.alarm for entry in found if entry.check and entry.check.alarm))
+
+
+def alarmed(alarms: Sequence[str]) -> str:
+    """Return what belongs above the numbers, as lines."""
+    return bullet(alarms, mark="WARNING: ")
+
+
+def starred(entry: CycleEstimate, number: str) -> str:
+    """Return a number with an asterisk where something makes it doubtful."""
+    return f"{number}*" if entry.doubts else number
+
+
+def doubted(found: Sequence[CycleEstimate]) -> str:
+    """Return what the asterisks mean: each doubt once, with the sequences that it concerns unless it concerns all."""
+    by_text: dict[str, list[str]] = {}
+    for entry in found:
+        for text in entry.doubts:
+            by_text.setdefault(text, []).append(entry.name)
+    names = {text: list(dict.fromkeys(concerned)) for text, concerned in by_text.items()}
+    every = len({entry.name for entry in found})
+    lines = [text if len(some) == every else f"{', '.join(some)}: {text}" for text, some in names.items()]
+    return bullet(lines, mark=DOUBTED)
 
 
 def estimates_table(found: Sequence[CycleEstimate]) -> str:
@@ -116,7 +142,7 @@ def estimates_table(found: Sequence[CycleEstimate]) -> str:
         rows = [
             [
                 f"{place}. {entry.name}" if len(entries) > 1 else entry.name,
-                f"{entry.expected_s:.1f} s",
+                starred(entry, f"{entry.expected_s:.1f} s"),
                 f"{entry.quantiles_s[low]:.0f}-{entry.quantiles_s[high]:.0f} s",
                 *(f"{getattr(entry, part):.1f}" for part in _SPLIT),
             ]
@@ -171,7 +197,7 @@ def judged(check: Check) -> str:
             f"beside all other operators: {percent(check.coverage)} lie between the {100 * low:g}% and "
             f"{100 * high:g}% quantiles, which should hold {percent(high - low)}"
         )
-    return "Backtest on logged executions\n" + bullet([*lines, *check.doubts])
+    return "Backtest on logged executions\n" + bullet(lines)
 
 
 def loses_most(found: Sequence[CycleEstimate]) -> str:
@@ -221,7 +247,7 @@ def rests_on(found: Sequence[CycleEstimate]) -> str:
             f"operator tracks; {_support(entry)}; mean {entry.expected_s:.1f} s (95% CI {entry.expected_low_s:.1f} to "
             f"{entry.expected_high_s:.1f} s)"
         )
-        lines.extend(f"{entry.name}: {text}" for text in entry.warnings)
+        lines.extend(f"{entry.name}: {text}" for text in entry.warnings if text not in entry.doubts)
     return "Basis and limits\n" + bullet(lines)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import DatasetPlace, EngineName, Jobs, Json, Quiet, RayAddress, engine_of
+from cyclekit.cli.options import DatasetPlace, EngineName, Jobs, Json, OtherCell, Quiet, RayAddress, engine_of
 from cyclekit.cli.terminal import Terminal, bullet, percent, table
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def evaluate(
     trained_on: Annotated[
         str | None, typer.Option(help="Dataset of the training: says whether DATASET shows a changed cell.")
     ] = None,
+    other_cell: OtherCell = False,
     engine: EngineName = "local",
     jobs: Jobs = None,
     ray_address: RayAddress = None,
@@ -45,7 +46,7 @@ def evaluate(
     found: dict[str, tuple[Evaluation, Drift | None]] = {}
     with terminal.progress("evaluating") as progress:
         tell = progress if len(models) == 1 and work.stays_here(1) else None
-        judge = partial(evaluate_at, dataset=dataset, trained_on=trained_on, progress=tell)
+        judge = partial(evaluate_at, dataset=dataset, trained_on=trained_on, other_cell=other_cell, progress=tell)
         for done in work.map(judge, models):
             found[done.item] = done.get()
             progress(len(found) / len(models), done.item)

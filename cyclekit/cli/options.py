@@ -19,6 +19,9 @@ Checked = Annotated[
     bool, typer.Option("--check/--no-check", help="Roll out logged executions too, and correct by them.")
 ]
 
+OtherCell = Annotated[
+    bool, typer.Option("--other-cell", help="The model may be of another cell, or far off on these logs.")
+]
 DatasetPlace = Annotated[str, typer.Argument(help="Dataset: a folder or its URL.", metavar="DATASET")]
 ModelPlace = Annotated[str, typer.Argument(help="Model: a folder or its URL.", metavar="MODEL")]
 LoggedPlace = Annotated[

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.options import Json, LoggedPlace, ModelPlace, Quiet
-from cyclekit.cli.terminal import Terminal, write_out
+from cyclekit.cli.estimate import DOUBTED, alarmed
+from cyclekit.cli.options import Checked, Json, LoggedPlace, ModelPlace, OtherCell, Quiet
+from cyclekit.cli.terminal import Terminal, bullet, write_out
 
 if TYPE_CHECKING:
     from cyclekit.plan import Plan
@@ -22,6 +23,8 @@ def plan(
     dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the order here, as a sequence file.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the search and the resampling.")] = 0,
+    check: Checked = True,
+    other_cell: OtherCell = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -40,21 +43,32 @@ def plan(
     check_output(out, (".toml",))
     wanted = load_jobs(jobs)
     with terminal.progress("planning") as progress:
-        found = search(load_model(model), Dataset.open(dataset), wanted, seed=seed, progress=progress)
+        found = search(
+            load_model(model),
+            Dataset.open(dataset),
+            wanted,
+            seed=seed,
+            validate=check,
+            other_cell=other_cell,
+            progress=progress,
+        )
     if out is not None:
         names = ", ".join(f'"{place}"' for place in found.places)
         write_out(out, f'[[sequence]]\nname = "planned"\nplaces = [{names}]\n')
         terminal.remark(f"written: {out}")
-    terminal.answer(found.to_json(), _text(found))
+    alarms = [found.alarm] if found.alarm else []
+    doubts = bullet(found.doubts, mark=DOUBTED)
+    terminal.answer({**found.to_json(), "warnings": alarms}, alarmed(alarms), f"{_text(found)}\n{doubts}".rstrip())
 
 
 def _text(found: Plan) -> str:
     from cyclekit.plan import some
 
     saved, low, high = found.saves_s
+    star = "*" if found.doubts else ""
     lines = [
         f"order: {', '.join(found.order)}",
-        f"expected {found.expected_s:.1f} s; {found.against} {found.against_s:.1f} s on average",
+        f"expected {found.expected_s:.1f} s{star}; {found.against} {found.against_s:.1f} s on average",
         f"saves {saved:.1f} s a cycle ({low:.1f} to {high:.1f} s, 95%) beside the logged operators",
         f"of that {found.saves_unseen_s:.1f} s with operators the order was not chosen by",
         f"{found.searched}: {found.tried} orders scored; {found.executions} logged executions",

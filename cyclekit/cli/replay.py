@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.options import DatasetPlace, Json, Quiet, seconds
+from cyclekit.cli.options import DatasetPlace, Json, OtherCell, Quiet, seconds
 from cyclekit.cli.terminal import Terminal, duration, megabytes, table
 from cyclekit.errors import command_line
 
@@ -42,6 +42,7 @@ def replay(
         ),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of --serve; 0 takes a free one.")] = 9090,
+    other_cell: OtherCell = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -60,7 +61,7 @@ def replay(
     opened = Dataset.open(dataset)
     trained = load_model(model) if model else None
     with terminal.progress("replaying") as progress:
-        facts = write_replay(opened, execution, out, model=trained, at=focus, progress=progress)
+        facts = write_replay(opened, execution, out, model=trained, at=focus, other_cell=other_cell, progress=progress)
     terminal.warnings(facts.notes)
     terminal.done(_document(facts), _said(facts))
     if open_after:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import Checked, DatasetPlace, Extrapolate, Json, Quiet, seconds
+from cyclekit.cli.options import Checked, DatasetPlace, Extrapolate, Json, OtherCell, Quiet, seconds
 from cyclekit.cli.terminal import Terminal, megabytes
 
 if TYPE_CHECKING:
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 EXAMPLE = "cyclekit report dataset --model model --sequences sequences.toml --out report.html"
 
-CHECKED = 200
-"""Logged executions that are rolled out: how many lie in their intervals is then known to two percent points."""
 ORDER = "order found"
 """How the order that --plan found is named among the sequences."""
 
@@ -63,6 +61,7 @@ def report(
     ] = None,
     check: Checked = True,
     extrapolate: Extrapolate = False,
+    other_cell: OtherCell = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -71,6 +70,7 @@ def report(
     One self-contained file: the cycle times, where they go, why, what would help, and how sure that is.
     """
     from cyclekit.dataset import Dataset
+    from cyclekit.models.cell import refuse_other_cell
     from cyclekit.models.saved import load_model
     from cyclekit.outputs import check_output
     from cyclekit.report import Template, need_browser, write_pdf, write_report
@@ -78,6 +78,7 @@ def report(
     terminal = Terminal(json=json, quiet=quiet)
     takt_s = seconds(takt) if takt else None
     chosen, asked = _format(kind, out, pdf), _asked(sequences, what_if or [], plan, check, extrapolate)
+    asked = replace(asked, other_cell=other_cell)
     _refuse_without_model(asked, model)
     check_output(out)
     if pdf is not None:
@@ -85,6 +86,8 @@ def report(
         need_browser()
     Template(template)
     data, trained = Dataset.open(dataset), load_model(model) if model else None
+    if trained is not None:
+        refuse_other_cell(trained.card, data, other_cell=other_cell)
     found = _found(terminal, data, trained, asked) if trained else _Found(tried=asked.tried)
     with terminal.progress("writing the page") as progress:
         facts = write_report(
@@ -125,6 +128,7 @@ class _Asked:
     jobs: Jobs | None
     check: bool
     extrapolate: bool
+    other_cell: bool = False
 
 
 def _asked(sequences: Path | None, what_if: list[str], plan: Path | None, check: bool, extrapolate: bool) -> _Asked:
@@ -184,7 +188,6 @@ def _found(terminal: Terminal, data: Dataset, model: TrainedModel, asked: _Asked
     Raises:
         CyclekitError: Something that was asked for cannot be computed.
     """
-    from cyclekit.estimate.check import check_rollout
     from cyclekit.estimate.rollout import estimate
     from cyclekit.evaluate import evaluate
     from cyclekit.plan import plan as search
@@ -192,25 +195,24 @@ def _found(terminal: Terminal, data: Dataset, model: TrainedModel, asked: _Asked
     from cyclekit.whatif import what_if
 
     found = _Found(tried=list(asked.tried))
+    given: dict[str, Any] = {"validate": asked.check, "other_cell": asked.other_cell}
     if asked.jobs:
         with terminal.progress("planning") as progress:
-            found.planned = search(model, data, asked.jobs, progress=progress)
+            found.planned = search(model, data, asked.jobs, progress=progress, **given)
     sequences = _with_order(asked.sequences, found.planned)
-    if sequences and asked.check and model.problem == "now":
-        with found.or_say("The cycle times could not be checked"), terminal.progress("checking") as progress:
-            found.check = check_rollout(model, data, most=CHECKED, progress=progress)
-    check, extrapolate = found.check, asked.extrapolate
     if sequences:
         with terminal.progress("estimating") as progress:
-            found.estimates = estimate(model, data, sequences, check=check, extrapolate=extrapolate, progress=progress)
+            found.estimates = estimate(
+                model, data, sequences, extrapolate=asked.extrapolate, progress=progress, **given
+            )
+            given["check"] = found.check = found.estimates[0].check
     if asked.changes:
         with terminal.progress("trying changes") as progress:
-            tried = what_if(
-                model, data, sequences, asked.changes, check=check, extrapolate=extrapolate, progress=progress
-            )
+            more: dict[str, Any] = {"extrapolate": asked.extrapolate, "progress": progress, **given}
+            tried = what_if(model, data, sequences, asked.changes, **more)
             found.tried += [Tried.of(entry) for entry in tried]
     with found.or_say("The model could not be judged"), terminal.progress("evaluating") as progress:
-        found.evaluation = evaluate(model, data, boosting=False, progress=progress)
+        found.evaluation = evaluate(model, data, boosting=False, other_cell=asked.other_cell, progress=progress)
     return found
 
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.options import Extrapolate, Json, LoggedPlace, ModelPlace, Quiet
+from cyclekit.cli.estimate import alarmed, alarms_of, doubted, starred
+from cyclekit.cli.options import Checked, Extrapolate, Json, LoggedPlace, ModelPlace, OtherCell, Quiet
 from cyclekit.cli.terminal import Terminal, bullet, table, write_out
 
 if TYPE_CHECKING:
@@ -28,7 +29,9 @@ def whatif(
     dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the result here, as JSON.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the resampling.")] = 0,
+    check: Checked = True,
     extrapolate: Extrapolate = False,
+    other_cell: OtherCell = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -56,20 +59,25 @@ def whatif(
             changed,
             seed=seed,
             extrapolate=extrapolate,
+            validate=check,
+            other_cell=other_cell,
             refused=lambda change, error: refused.__setitem__(change.name, error),
             progress=progress,
         )
     if not found:
         raise EstimateError("\n".join(map(str, refused.values())))
+    alarms = alarms_of([entry.before for entry in found])
     document = {
         "safety": NO_PROOF,
+        "warnings": alarms,
         "answers": [entry.to_json() for entry in found],
         "refused": [{"change": name, "reason": str(error)} for name, error in refused.items()],
     }
     if out is not None:
         write_out(out, document)
         terminal.remark(f"written: {out}")
-    terminal.answer(document, _table(found), _refused(refused), _limits(found), NO_PROOF)
+    numbers = f"{_table(found)}\n{doubted([side for entry in found for side in (entry.before, entry.after)])}".rstrip()
+    terminal.answer(document, alarmed(alarms), numbers, _refused(refused), _limits(found), NO_PROOF)
 
 
 def _table(found: Sequence[WhatIf]) -> str:
@@ -81,8 +89,8 @@ def _table(found: Sequence[WhatIf]) -> str:
             [
                 entry.change,
                 after.name,
-                f"{entry.before.expected_s:.1f}",
-                f"{after.expected_s:.1f}",
+                starred(entry.before, f"{entry.before.expected_s:.1f}"),
+                starred(after, f"{after.expected_s:.1f}"),
                 f"{after.expected_low_s:.1f}-{after.expected_high_s:.1f}",
                 f"{saved:.1f} ({low:.1f} to {high:.1f})",
             ]
@@ -96,11 +104,11 @@ def _refused(refused: Mapping[str, EstimateError]) -> str:
 
 
 def _limits(found: Sequence[WhatIf]) -> str:
-    """Return every warning with its change and the sequences that it is about."""
+    """Return every warning with its change and the sequences that it is about; doubts stand under the table."""
     about: dict[tuple[str, str], list[str]] = {}
     for entry in found:
         for text in entry.after.warnings:
-            if text != entry.safety:
+            if text not in (entry.safety, *entry.after.doubts):
                 about.setdefault((entry.change, text), []).append(entry.after.name)
     every = len({entry.after.name for entry in found})
     shown = {key: "all sequences" if len(names) == every > 1 else ", ".join(names) for key, names in about.items()}

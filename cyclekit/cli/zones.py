@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.options import DatasetPlace, Json, ModelPlace, Quiet
+from cyclekit.cli.options import DatasetPlace, Json, ModelPlace, OtherCell, Quiet
 from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ def zones(
     dataset: DatasetPlace,
     out: Annotated[Path | None, typer.Option(help="Also draw it here, as SVG.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the resampling behind the intervals.")] = 0,
+    other_cell: OtherCell = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -36,7 +37,7 @@ def zones(
     terminal = Terminal(json=json, quiet=quiet)
     check_output(out, (".svg",))
     with terminal.progress("reading zones"):
-        found = read_zones(load_model(model), Dataset.open(dataset), seed=seed)
+        found = read_zones(load_model(model), Dataset.open(dataset), seed=seed, other_cell=other_cell)
     if out is not None:
         write_out(out, zones_svg(found))
         terminal.remark(f"written: {out}")

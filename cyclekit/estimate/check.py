@@ -12,43 +12,44 @@ rolled-out cycles of all other operators.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.errors import EstimateError, command_line
-from cyclekit.estimate.nominal import nominal_tasks, slider_losses
-from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.safety import Dynamics
+from cyclekit.errors import EstimateError
+from cyclekit.estimate.logged import beside_own, logged_durations, logged_sequences, only_tracks
+from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
-from cyclekit.estimate.walk import walk
 from cyclekit.one_thread import one_thread
 from cyclekit.out_of_core import in_memory
-from cyclekit.sequences import TaskSequence
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from cyclekit.dataset import Dataset
-    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.safety import SafetyModel
-    from cyclekit.estimate.tracks import OperatorTracks
 
     Vector = NDArray[np.float64]
 
+MOST = 200
+"""Logged executions that are rolled out at most, evenly chosen: whoever asks, a number is corrected by the same ones.
+How many of them lie in their intervals is then known to two percent points."""
+LEAST = 3
+"""From fewer executions no standard error of the bias can be told, so nothing is corrected."""
 FEW_EXECUTIONS = 10
 """With fewer executions no coverage is told: a 5 % quantile of them would be guessed."""
 REACTS_Z = 3.0
 """So many standard errors between crossed and logged durations are no chance."""
-SLIDER_LOSS = 0.002
-"""An execution that lost more than this part of its time to the speed slider judges no rollout at full speed."""
 OWN_BIAS = 0.01
 """A rollout beside the operators themselves that is off by more than this part is wrong."""
-
+ALARMING_BIAS = 0.03
+"""A larger one is told above the numbers."""
+SURE = 3.0
+"""So many standard errors from 0 a bias is no chance."""
 
 WORSE = 2.0
 """Where the executions that the network never saw come out worse than the others, their median error beyond so many
@@ -105,14 +106,42 @@ class Check:
         return max(0.0, 1.0 - self.own_error**2 / max(self.own_bias**2, 1e-12))
 
     @property
+    def _own_doubted(self) -> bool:
+        return self.biased(OWN_BIAS)
+
+    @property
+    def _reacts(self) -> bool:
+        return abs(self.reacts_z) > REACTS_Z
+
+    def biased(self, beyond: float) -> bool:
+        """Tell whether the bias beside the own operators is larger than a part of the duration, and no chance."""
+        return abs(self.own_bias) > max(beyond, SURE * self.own_error)
+
+    @property
+    def doubted_bias(self) -> float:
+        """The largest bias that a doubt names, as part of the duration: the interval of a mean is no narrower."""
+        named = [(self._own_doubted, self.own_bias), (self._reacts, self.crossed_bias)]
+        return max((abs(bias) for doubted, bias in named if doubted), default=0.0)
+
+    @property
+    def alarm(self) -> str | None:
+        """The bias in one sentence where it is so large that it belongs above the numbers (ALARMING_BIAS)."""
+        if not self.biased(ALARMING_BIAS):
+            return None
+        return (
+            f"the model's bias is {self.own_bias:+.1%} (+-{1.96 * self.own_error:.1%}) on {self.executions} logged "
+            f"executions; every duration is corrected by {self.factor - 1:+.1%}"
+        )
+
+    @property
     def doubts(self) -> tuple[str, ...]:
         """What speaks against the rollout, one sentence each."""
         found = []
         if self.executions < FEW_EXECUTIONS:
             found.append(f"{self.executions} logged executions are too few for quantiles that hold")
-        if abs(self.own_bias) > max(OWN_BIAS, 3 * self.own_error):
+        if self._own_doubted:
             found.append(f"beside their own operators the logged executions come out {self.own_bias:+.1%} off")
-        if abs(self.reacts_z) > REACTS_Z:
+        if self._reacts:
             found.append(
                 f"beside other operators the logged executions come out {self.crossed_bias:+.1%} off: the operator "
                 "seems to react to the robot, which no rollout reproduces"
@@ -143,7 +172,7 @@ def check_rollout(
     dataset: Dataset,
     *,
     levels: Sequence[float] = (0.05, 0.5, 0.95),
-    most: int | None = None,
+    most: int | None = MOST,
     seed: int = 0,
     progress: Callable[[float, str], None] | None = None,
 ) -> Check:
@@ -158,20 +187,19 @@ def check_rollout(
         progress: Told fraction and text.
 
     Raises:
-        EstimateError: No complete execution has an operator track and tasks of known scaling.
+        EstimateError: Fewer than LEAST complete executions have an operator track and tasks of known scaling.
     """
     dataset, _ = in_memory(dataset)
     nominal = nominal_tasks(dataset)
     sequences = logged_sequences(dataset, nominal)
-    if not sequences:
-        msg = f"{dataset.path}: no complete execution of tasks with known scaling, so nothing can be checked"
-        raise EstimateError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
+    _enough(dataset, len(sequences))
     longest = max(sum(nominal[task].nominal_s + nominal[task].dwell_s for task in s.tasks) for s in sequences)
     tracks = operator_tracks(dataset, horizon_s=3.0 * longest, phases=1)
     sequences = [sequence for sequence in sequences if sequence.name in tracks.executions]
+    _enough(dataset, len(sequences))
     if most is not None and len(sequences) > most:
         sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, most).astype(int)]
-        tracks = _only(tracks, {sequence.name for sequence in sequences})
+        tracks = only_tracks(tracks, {sequence.name for sequence in sequences})
     own = beside_own(model, dataset, sequences, nominal, tracks)
     asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
     crossed = transit_table(model, asked, tracks, progress=progress).durations(
@@ -180,22 +208,16 @@ def check_rollout(
     logged = logged_durations(dataset, sequences)
     column = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
     crossed[np.arange(len(sequences)), column] = np.nan  # its own operator is left out
+    _enough(dataset, int((np.isfinite(own) & np.isfinite(crossed).any(axis=1)).sum()))
     unseen = set((model.card.get("split") or {}).get("test", ()))
     held_out = np.array([sequence.name in unseen for sequence in sequences])
     return compare(logged, own, np.where(np.isfinite(crossed), crossed, np.nan), held_out, levels)
 
 
-def _only(tracks: OperatorTracks, names: set[str]) -> OperatorTracks:
-    """Return the tracks of these executions, in their order."""
-    kept = [k for k, name in enumerate(tracks.executions) if name in names]
-    return replace(
-        tracks,
-        xyz_m=tracks.xyz_m[kept],
-        activity=tracks.activity[kept],
-        logged=tracks.logged[kept],
-        executions=tuple(tracks.executions[k] for k in kept),
-        goal_m=None if tracks.goal_m is None else tracks.goal_m[kept],
-    )
+def _enough(dataset: Dataset, count: int) -> None:
+    if count < LEAST:
+        msg = f"{dataset.path}: {count} complete executions can be rolled out again; {LEAST} are needed"
+        raise EstimateError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
 
 
 def compare(
@@ -258,39 +280,3 @@ def conformal(values: Vector, level: float) -> float:
 
 def _inside(logged_s: float, cycles_s: Vector, outer: float) -> bool:
     return conformal(cycles_s, outer) <= logged_s <= conformal(cycles_s, 1 - outer)
-
-
-def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> list[TaskSequence]:
-    """Return the complete executions of known tasks at full speed slider as sequences, each by its own name."""
-    found = []
-    turned_down = {name for name, part in slider_losses(dataset).items() if part > SLIDER_LOSS}
-    for entry in dataset.card["executions"]:
-        if entry["complete"] and len(entry["places"]) > 1 and entry["execution"] not in turned_down:
-            sequence = TaskSequence(entry["execution"], tuple(entry["places"]))
-            if all(task in nominal for task in sequence.tasks):
-                found.append(sequence)
-    return found
-
-
-def logged_durations(dataset: Dataset, sequences: Sequence[TaskSequence]) -> Vector:
-    """Return how long these executions took, shape (E,), s."""
-    durations = dict(dataset.executions.select("execution", "duration_s").iter_rows())
-    return np.array([durations[sequence.name] for sequence in sequences])
-
-
-def beside_own(
-    model: SafetyModel,
-    dataset: Dataset,
-    sequences: Sequence[TaskSequence],
-    nominal: Mapping[str, NominalTask],
-    tracks: OperatorTracks,
-) -> Vector:
-    """Roll out each execution beside its own operator and with its own stands, shape (E,), s."""
-    programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
-    by_execution = dataset.tasks().sort("execution", "index").group_by(["execution"], maintain_order=True)
-    stands = {str(name): (rows["dwell_s"] + rows["wait_s"]).to_numpy() for (name,), rows in by_execution}
-    own = [np.maximum(stands[sequence.name][: len(sequence.tasks)], 1e-3)[None, :] for sequence in sequences]
-    track = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
-    dynamics = Dynamics.of(dataset.card)
-    walked = walk(model, programs, np.arange(len(programs)), track, own, tracks, dynamics=dynamics, fine=True)
-    return walked.duration_s

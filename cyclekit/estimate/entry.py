@@ -76,7 +76,8 @@ def entry_of(
     durations = cycles.duration_s
     shares = tuple(_shares(program, cycles))
     expected = float(durations.mean())
-    low, high = interval_of_mean(durations, weights, model_error=check.model_error if check else 0.0, seed=ask.seed)
+    model_error, bias = (check.model_error, check.doubted_bias) if check else (0.0, 0.0)
+    low, high = interval_of_mean(durations, weights, model_error=model_error, bias=bias, seed=ask.seed)
     activities = [*tracks.activities, "unknown"] if tracks else []
     by_activity = zip(activities, (cycles.by_activity_s * slower).tolist(), strict=False)
     logged = tracks.executions if tracks else tuple(ask.dataset.executions["execution"])
@@ -104,9 +105,10 @@ def entry_of(
         executions=len(set(logged)),
         calibrated=check is not None and check.coverage is not None,
         takt_s=ask.takt_s,
-        takt_probability=None if ask.takt_s is None else share_within(durations, ask.takt_s, weights),
+        takt_probability=None if ask.takt_s is None else share_within(durations, ask.takt_s, weights, bias=bias),
         extrapolated=cycles.support < LEAST_SUPPORT,
         operator=sequence.operator,
+        check=check,
     )
 
 

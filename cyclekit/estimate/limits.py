@@ -21,21 +21,30 @@ FEW_EXECUTIONS = 20
 """With fewer operators the mean itself is uncertain by more than a percent in the cells seen so far."""
 
 
-def limits_of_cycles(cycles: Rolled, entry: CycleEstimate, check: Check | None) -> list[str]:
-    """Return what limits one sequence's number, one sentence each."""
+def doubts_of(cycles: Rolled, entry: CycleEstimate, check: Check | None) -> list[str]:
+    """Return what makes one sequence's number itself doubtful, one sentence each."""
     found = []
-    if entry.extrapolated:
-        found.append("EXTRAPOLATED: most of it runs through positions that were never logged")
+    if entry.tracks and entry.estimator == "rollout" and not cycles.looked_closely:
+        found.append(
+            "looked up in the table of arrivals, as one of many: ask for it alone for the number itself; "
+            "support and activities are not known"
+        )
+    if cycles.support < 0.9:
+        marked = "EXTRAPOLATED: " if entry.extrapolated else ""
+        found.append(
+            f"{marked}{1 - cycles.support:.0%} of the cycle runs through positions that were never logged; how far off "
+            "it is there is not known, and not in the interval of the mean"
+        )
+    return [*found, *(check.doubts if check is not None else ())]
+
+
+def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
+    """Return what else limits one sequence's number, one sentence each."""
+    found = []
     if entry.tracks and entry.executions < FEW_EXECUTIONS:
         found.append(f"rests on {entry.executions} operator tracks only: the mean itself is uncertain")
-    if entry.tracks and entry.estimator == "rollout" and not cycles.looked_closely:
-        found.append("looked up in the table of arrivals, as one of many: support and activities are not known")
-    if cycles.support < 0.9:
-        found.append(f"{1 - cycles.support:.0%} of the cycle runs through positions that were never logged")
     if cycles.spliced > 0.1:
         found.append(f"{cycles.spliced:.0%} of the time the operator's track is continued from another execution")
-    if check is not None:
-        found.extend(check.doubts)
     return found
 
 

@@ -42,19 +42,33 @@ def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> NDA
 
 
 def interval_of_mean(
-    durations_s: Vector, weights: NDArray[np.float64], *, model_error: float, seed: int
+    durations_s: Vector, weights: NDArray[np.float64], *, model_error: float, bias: float = 0.0, seed: int
 ) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of K cycles: finite logs, and the network's error as part of the mean."""
+    """Return the 95 % interval of the mean of K cycles.
+
+    Args:
+        durations_s: Of the cycles, s, shape (K,).
+        weights: Of the cycles in each resample: what finite logs leave open.
+        model_error: Standard deviation that the network's error leaves, as part of the mean.
+        bias: What the mean may be off by to either side beside that, as part of it; no resampling shows it.
+        seed: Same seed, same interval.
+    """
     means = weights @ durations_s
     means *= 1.0 + model_error * np.random.default_rng(seed + 1).standard_normal(len(means))
-    return float(np.quantile(means, 0.025)), float(np.quantile(means, 0.975))
+    off = bias * float(durations_s.mean())
+    return float(np.quantile(means, 0.025)) - off, float(np.quantile(means, 0.975)) + off
 
 
-def share_within(durations_s: Vector, takt_s: float, weights: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return the part of K cycles that take at most `takt_s`, and its 95 % interval over the resamples."""
-    meets = (durations_s <= takt_s).astype(np.float64)
-    shares = weights @ meets
-    return float(meets.mean()), float(np.quantile(shares, 0.025)), float(np.quantile(shares, 0.975))
+def share_within(
+    durations_s: Vector, takt_s: float, weights: NDArray[np.float64], *, bias: float = 0.0
+) -> tuple[float, float, float]:
+    """Return the part of K cycles that take at most `takt_s`, and its 95 % interval over the resamples.
+
+    `bias`: what every cycle may be off by to either side, as part of it; the interval holds both.
+    """
+    meets, slower, quicker = (durations_s * (1 + off) <= takt_s for off in (0.0, bias, -bias))
+    low, high = float(np.quantile(weights @ slower, 0.025)), float(np.quantile(weights @ quicker, 0.975))
+    return float(meets.mean()), low, high
 
 
 def means_below(means: Sequence[Vector], index: int) -> Vector:

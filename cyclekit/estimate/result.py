@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from cyclekit.estimate.check import Check
+
 MOST = 0.5
 """A share is called most of something only above this part of it; the largest of several may be far less."""
 
@@ -39,13 +41,15 @@ class CycleEstimate:
         name: The sequence's name in the user's file.
         places: Ordered places, the start first.
         expected_s: Mean cycle time over the operator tracks.
-        expected_low_s, expected_high_s: 95 % interval of that mean from resampling the tracks (finite logs only;
-            the network's own error is not in it).
+        expected_low_s, expected_high_s: 95 % interval of that mean: finite logs by resampling the tracks, and where
+            it was validated the network's error and any bias that a doubt names. What is off in positions that were
+            never logged is not known and not in it.
         quantiles_s: Quantiles of single cycles, by level.
         nominal_s, safety_loss_s, dwell_s, wait_s: Split of `expected_s`.
         support: Fraction of the rolled-out time whose robot and operator positions lie near logged samples.
         tracks: Number of logged operator tracks it rests on.
-        warnings: What limits the number, one sentence each.
+        doubts: What makes the number itself doubtful, one sentence each: shown beside it.
+        warnings: These, and what else limits the number.
         tasks: The split per task, in order.
         safety_by_activity_s: Mean safety loss per operator activity (human task), seconds, where known.
         durations_s: Cycle time on each track, seconds, in the order of the executions they were logged in.
@@ -59,6 +63,7 @@ class CycleEstimate:
             over common resampled executions.
         extrapolated: Marked: most of it runs through positions that were never logged.
         operator: What the operator was asked to do meanwhile; None where that was left open.
+        check: The validation on logged executions that corrected it; None where there was none.
     """
 
     name: str
@@ -86,6 +91,8 @@ class CycleEstimate:
     beats: Mapping[str, float] = field(default_factory=dict)
     extrapolated: bool = False
     operator: tuple[str, ...] | None = None
+    doubts: tuple[str, ...] = ()
+    check: Check | None = field(default=None, repr=False)
 
     @property
     def per_visit_s(self) -> float:
@@ -112,10 +119,10 @@ class CycleEstimate:
         return max(known.items(), key=lambda entry: entry[1]) if known else None
 
     def to_json(self) -> dict[str, Any]:
-        """Return the estimate as plain JSON values; quantile levels become keys such as "0.05"."""
-        out = dict(vars(self))
+        """Return the estimate as plain JSON values, without `check`; quantile levels become keys such as "0.05"."""
+        out = {name: value for name, value in vars(self).items() if name != "check"}
         out["places"] = list(self.places)
-        out["warnings"] = list(self.warnings)
+        out["warnings"], out["doubts"] = list(self.warnings), list(self.doubts)
         out["tasks"] = [dict(vars(task)) for task in self.tasks]
         out["quantiles_s"] = {f"{level:g}": value for level, value in self.quantiles_s.items()}
         out["safety_by_activity_s"] = dict(self.safety_by_activity_s)

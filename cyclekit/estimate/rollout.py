@@ -17,7 +17,7 @@ import numpy as np
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate.entry import ESTIMATORS, LEAST_SUPPORT, Question, entry_of
-from cyclekit.estimate.limits import limits_of_cycles, limits_of_logs
+from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.resample import TOGETHER, means_below, resampled
@@ -26,7 +26,9 @@ from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.spread import Asked, logged_support, roll_spread
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.transit import transit_table
+from cyclekit.estimate.validate import refuse_biased, validated
 from cyclekit.estimate.walk import Rolled, roll_all, roll_out
+from cyclekit.models.cell import refuse_other_cell
 from cyclekit.one_thread import one_thread
 from cyclekit.out_of_core import in_memory
 from cyclekit.work import by_work
@@ -70,12 +72,17 @@ def estimate(
     takt_s: float | None = None,
     seed: int = 0,
     extrapolate: bool = False,
-    check: Check | Callable[[], Check] | None = None,
+    validate: bool = True,
+    check: Check | None = None,
+    other_cell: bool = False,
     altered: Altered | None = None,
     engine: Engine = LOCAL,
     progress: Callable[[float, str], None] | None = None,
 ) -> list[CycleEstimate]:
     """Return the expected cycle time of each sequence: those of the same work together, shortest first.
+
+    Every command, the fleet and Python ask here, so that one question has one number. A rollout is validated on logged
+    executions and corrected by its bias there; the same executions are used whoever asks.
 
     Args:
         model: A model of problem `now`, or of `average` for that estimator; `history` and `nominal` do not ask it.
@@ -86,41 +93,54 @@ def estimate(
         takt_s: Also tell the probability that a cycle takes no longer.
         seed: Of the resampling behind the intervals, and of the order in which logged stands are used.
         extrapolate: Answer although the support is below LEAST_SUPPORT; the number is marked.
-        check: From `check_rollout` of the same model and dataset, or how to make it (called once, for a rollout that
-            can be answered): quantiles and intervals are corrected by it.
+        validate: Roll out logged executions too, and correct by them (of a rollout that can be answered, in the cell
+            that was logged).
+        check: That validation, if it was made before (`CycleEstimate.check`): it is not made again.
+        other_cell: Answer by a model of another cell too, or one that is far off on these logs.
         altered: What is different from the cell that was logged.
         engine: Where sequences are walked; same numbers from each. An altered cell is walked in this process.
         progress: Told fraction and text.
 
     Raises:
-        ModelError: The model does not predict what the estimator needs.
+        ModelError: The model does not predict what the estimator needs, was learned in another cell, or comes out far
+            off on the logged executions.
         UnknownName: A place or the estimator does not exist.
         EstimateError: A task was never logged, there is no operator track, or the support is too low.
     """
     tell = progress or (lambda fraction, text: None)
     chosen = _chosen(model, estimator)
+    if chosen in ("rollout", "average"):
+        refuse_other_cell(model.card, dataset, other_cell=other_cell)
     dataset, left_out = in_memory(dataset)
     wanted = None if altered else {task for sequence in sequences for task in sequence.tasks}
     nominal: Mapping[str, NominalTask] = nominal_tasks(dataset, wanted)
     nominal = altered.tasks(nominal) if altered else nominal
     programs = {sequence: lay_out(sequence, nominal, dataset) for sequence in sequences}
+    unknown: tuple[str, ...] = ()
     if chosen != "rollout":
         check = None
-    checked = check() if callable(check) else check
-    ask = Question(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, checked, altered, engine)
+    elif check is None and validate and altered is None:
+        check, unknown = validated(model, dataset, levels=quantiles, seed=seed)
+    if not other_cell:
+        refuse_biased(check)
+    ask = Question(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, check, altered, engine)
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, model)]
     found: list[CycleEstimate] = []
     means: list[Vector] = []
+    looked_up: list[bool] = []
     for operator in dict.fromkeys(sequence.operator for sequence in sequences):
         mine = [sequence for sequence in programs if sequence.operator == operator]
         rolled, tracks = _cycles(ask, mine, [programs[sequence] for sequence in mine], tell)
         weights = _weights(ask, rolled[0], tracks)
         for sequence, cycles in zip(mine, rolled, strict=True):
             entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights)
-            found.append(replace(entry, warnings=(*limits_of_cycles(cycles, entry, checked), *limits)))
+            doubts = (*doubts_of(cycles, entry, check), *unknown)
+            found.append(replace(entry, doubts=doubts, warnings=(*doubts, *limits_of_cycles(cycles, entry), *limits)))
             means.append(weights @ cycles.duration_s)
+            looked_up.append(not cycles.looked_closely)
     tell(1.0, "done")
-    order = sorted(range(len(found)), key=lambda i: (found[i].expected_s, found[i].name))
+    # what was only looked up comes behind what was walked: its number is not exact enough to rank before it
+    order = sorted(range(len(found)), key=lambda i: (looked_up[i], found[i].expected_s, found[i].name))
     alike = by_work([found[i] for i in order])
     mean_of = {entry.name: mean for entry, mean in zip(found, means, strict=True)}
     return [entry for work in alike.values() for entry in _ranked(work, mean_of)]

@@ -17,12 +17,12 @@ from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.evaluate.baselines import Row, rivals
 from cyclekit.evaluate.drift import Drift, drift
 from cyclekit.labelling import without_slider
+from cyclekit.models.cell import fingerprint, refuse_other_cell
 from cyclekit.models.metrics import Metrics, measure
 from cyclekit.models.saved import load_model
 from cyclekit.one_thread import one_thread
 from cyclekit.out_of_core import memory_rows, some_executions
 from cyclekit.samples import Samples, build_samples
-from cyclekit.train import fingerprint
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -106,6 +106,7 @@ def evaluate(
     dataset: Dataset,
     *,
     boosting: bool = True,
+    other_cell: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Evaluation:
     """Judge `model` on the executions of `dataset` that it never saw.
@@ -118,13 +119,16 @@ def evaluate(
         model: Any model.
         dataset: With the scaling known.
         boosting: Also fit scikit-learn's gradient boosting, which takes a few seconds.
+        other_cell: Judge a model of another cell too.
         progress: Told fraction and text.
 
     Raises:
         DatasetError: No row of these executions can be used.
-        ModelError: The model's card does not say what was held out, though it was trained on this dataset.
+        ModelError: The model is of another cell, or its card does not say what was held out, though it was trained on
+            this dataset.
     """
     tell = progress or (lambda fraction, text: None)
+    refuse_other_cell(model.card, dataset, other_cell=other_cell)
     same = model.card.get("dataset_sha256") == fingerprint(dataset)
     executions = _held_out(model) if same else tuple(dataset.executions["execution"].to_list())
     every = len(executions)
@@ -168,10 +172,12 @@ def evaluate_at(
     *,
     dataset: str,
     trained_on: str | None = None,
+    other_cell: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> tuple[Evaluation, Drift | None]:
     """Judge the model of one place, as a task of an engine; where `trained_on` is given, also what has changed since.
 
+    With `trained_on` the two datasets are to be compared, so the cell may have changed in any way between them.
     `progress` is told fraction and text; for work in this process only.
 
     Raises:
@@ -179,7 +185,7 @@ def evaluate_at(
     """
     opened, judged = load_model(model), Dataset.open(dataset)
     changed = None if trained_on is None else drift(opened, Dataset.open(trained_on), judged)
-    return evaluate(opened, judged, progress=progress), changed
+    return evaluate(opened, judged, other_cell=other_cell or trained_on is not None, progress=progress), changed
 
 
 def _held_out(model: TrainedModel) -> tuple[str, ...]:

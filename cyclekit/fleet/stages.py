@@ -22,13 +22,14 @@ from cyclekit.evaluate import evaluate
 from cyclekit.fleet.figures import figures_of
 from cyclekit.fleet.months import days_of, since_last_month, since_training
 from cyclekit.ingest import ingest
+from cyclekit.models.cell import fingerprint, other_cell_of
 from cyclekit.models.metrics import large_error
 from cyclekit.models.saved import TrainedModel, load_model
 from cyclekit.models.spec import ModelSpec
 from cyclekit.report import write_report
 from cyclekit.sequences import load_sequences
 from cyclekit.storage import join, mirrored, read_text, write_text
-from cyclekit.train import Training, fingerprint, train_at
+from cyclekit.train import Training, train_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -129,6 +130,8 @@ def _still_good(model: TrainedModel, dataset: Dataset) -> str | None:
     if model.card.get("dataset_sha256") == fingerprint(dataset):
         return "trained on these logs"
     held_out = (model.card.get("split") or {}).get("test", ())
+    if other_cell_of(model.card, dataset) is not None:
+        return None
     if model.problem != "now" or not set(held_out) <= set(dataset.executions["execution"]):
         return None
     changed = since_training(model, dataset)
@@ -155,10 +158,11 @@ def _report(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
     # kept although the estimates may fail: what was asked for and cannot be answered is an error of this stage
     ledger["figures"] = asdict(figures_of(dataset, drift, ledger["days"], _doubt(model, judged)))
     found = estimate(model, dataset, wanted) if model is not None and wanted else []
+    check = found[0].check if found else None
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / REPORT
         facts = write_report(
-            dataset, model, page, estimates=found, evaluation=judged, missing=missing, cell_name=cell.name
+            dataset, model, page, estimates=found, evaluation=judged, check=check, missing=missing, cell_name=cell.name
         )
         write_text(join(cell.folder, REPORT), page.read_text(encoding="utf-8"))
     ledger["reported"] = mark

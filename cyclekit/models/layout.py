@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from cyclekit.models.cell import NO_CELL, is_cell
 from cyclekit.models.spec import NETWORKS
 from cyclekit.samples import GROUPS, INPUTS
 
@@ -63,6 +64,8 @@ class Layout:
             raise NotAModel(f"horizon_s is {about.get('horizon_s')!r} for problem {problem!r}")
         if not isinstance(about.get("card"), dict):
             raise NotAModel("the card is missing")
+        if not is_cell(about["card"].get("cell", NO_CELL)):
+            raise NotAModel("the cell that it was learned in is not written as it should be")
         levels = _levels(about.get("levels"), needed=network in ("classifier", "mixed"))
         layers, known = _sizes(about.get("layers"), least=2), _known(about.get("known"), problem)
         outputs = {"classifier": [len(levels)], "mixed": [len(levels), 1]}.get(str(network), [1])

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from cyclekit.models.weights import Weights
 
-FORMAT, MODEL_VERSION = "cyclekit-model", 2
+FORMAT, MODEL_VERSION = "cyclekit-model", 3
 CARD, WEIGHTS = MODEL_CARD, "weights.safetensors"
 
 

@@ -2,6 +2,7 @@
 
 jobs    what is to be visited, and what must come before what
 search  all orders where they are few; else greedy, Monte Carlo and a local search
+exact   orders as `estimate` gives them
 answer  the order found, what it saves against the logged ones, and how much of that is luck of the logs
 """
 

@@ -13,7 +13,9 @@ from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
+from cyclekit.models.cell import refuse_other_cell
 from cyclekit.one_thread import one_thread
+from cyclekit.plan.exact import Walker
 from cyclekit.plan.jobs import tasks_of
 from cyclekit.plan.search import Scorer, best_order, first_order, random_order
 
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from cyclekit.dataset import Dataset
+    from cyclekit.estimate.check import Check
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.estimate.transit import TransitTable
@@ -39,7 +42,7 @@ class Plan:
     Attributes:
         order: The visits in order; of all orders the one with the least sum of mean and its standard error.
         places: All places in order, `via` included.
-        expected_s: Mean cycle time of it over the logged operators.
+        expected_s: Mean cycle time of it over the logged operators, as `estimate` gives it for these places.
         against: What it is compared with: `logged orders` or `random orders`.
         against_s: Mean cycle time of those over the same operators.
         saves_s: against_s - expected_s, and its 95 % interval from resampling executions.
@@ -48,6 +51,8 @@ class Plan:
         searched: `all orders`, `all orders of logged tasks` (others need what was never logged) or `search`.
         tried: How many orders were scored.
         executions: Logged executions it rests on.
+        expected_low_s, expected_high_s: 95 % interval of `expected_s`.
+        doubts, alarm: What makes it doubtful, and what belongs above it, as of its estimate.
         unlogged: Tasks that were never logged with a known speed scaling; orders that need one were left out.
     """
 
@@ -61,6 +66,10 @@ class Plan:
     searched: str
     tried: int
     executions: int
+    expected_low_s: float = float("nan")
+    expected_high_s: float = float("nan")
+    doubts: tuple[str, ...] = ()
+    alarm: str | None = None
     unlogged: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
@@ -75,6 +84,9 @@ def plan(
     jobs: Jobs,
     *,
     seed: int = 0,
+    validate: bool = True,
+    check: Check | None = None,
+    other_cell: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> Plan:
     """Search the order of `jobs` with the least expected cycle time, the surer one where they are alike.
@@ -85,10 +97,13 @@ def plan(
             a task that was never logged are left out.
         jobs: What is to be visited.
         seed: Of random orders, stands and resampling.
+        validate: As of `estimate`.
+        check: As of `estimate`.
+        other_cell: As of `estimate`.
         progress: Told fraction and text.
 
     Raises:
-        ModelError: The model predicts something else than the present scaling.
+        ModelError: The model predicts something else than the present scaling; or as of `estimate`.
         UnknownName: A place does not exist.
         EstimateError: Every allowed order needs a task that was never logged, or there is no operator track.
     """
@@ -96,6 +111,7 @@ def plan(
         msg = f"the model predicts problem {model.problem!r}; a plan needs the scaling of the present instant"
         cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
         raise ModelError(msg, cure=cure)
+    refuse_other_cell(model.card, dataset, other_cell=other_cell)
     tasks, unlogged = _tasks(jobs, dataset)
     jobs = replace(jobs, unlogged=frozenset(unlogged))
     first_order(jobs, lambda _, options: options)  # refused before the tracks are walked
@@ -105,27 +121,32 @@ def plan(
     every = Scorer(table, jobs, seed=seed, executions=len(set(tracks.executions)))
     order, searched, tried = best_order(every, seed=seed, progress=progress)
     against, basis = _basis(dataset, jobs, seed)
-    weights = resampled(tracks.executions, seed)
-    saved = every.durations(basis).mean(axis=0) - every.durations([order])[0]
     unseen = _unseen(table, jobs, basis, tracks.executions, seed)
-    low, high = np.quantile(weights @ saved, (0.025, 0.975)).tolist()
-    expected = float(every.means([order])[0])
-    if not np.isfinite(expected):
+    looked_up = float(every.means([order])[0])
+    if not np.isfinite(looked_up):
         raise EstimateError(
             f"{jobs.shown}: cycles do not end within {3 * length:.0f} s",
             cure="The operator's tracks leave the robot halted; check the tracker's frame and clock.",
         )
+    walker = Walker(model, dataset, jobs, seed, other_cell)
+    (found,) = walker.estimates([order], validate=validate, check=check)
+    saved = walker.mean_of(basis, every, found.check) - np.array(found.durations_s)
+    low, high = np.quantile(resampled(tracks.executions, seed) @ saved, (0.025, 0.975)).tolist()
     return Plan(
         order=order,
         places=jobs.places(order),
-        expected_s=expected,
+        expected_s=found.expected_s,
         against=against,
-        against_s=expected + float(saved.mean()),
+        against_s=found.expected_s + float(saved.mean()),
         saves_s=(float(saved.mean()), low, high),
-        saves_unseen_s=unseen,
+        saves_unseen_s=unseen * found.expected_s / looked_up,  # seconds of the table, made those of the walk
         searched=searched,
         tried=tried,
         executions=len(set(tracks.executions)),
+        expected_low_s=found.expected_low_s,
+        expected_high_s=found.expected_high_s,
+        doubts=found.doubts,
+        alarm=found.check.alarm if found.check else None,
         unlogged=tuple(unlogged),
     )
 

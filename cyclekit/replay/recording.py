@@ -13,6 +13,7 @@ import rerun as rr
 
 from cyclekit.atomic import replaced
 from cyclekit.errors import CyclekitError
+from cyclekit.models.cell import refuse_other_cell
 from cyclekit.one_thread import one_thread
 from cyclekit.replay.compare import comparison
 from cyclekit.replay.curves import HUES, log_curves
@@ -73,6 +74,7 @@ def write_replay(
     *,
     model: PredictsNow | None = None,
     at: Focus = "slowdown",
+    other_cell: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> ReplayFacts:
     """Write the replay of one execution, or of several side by side.
@@ -83,13 +85,17 @@ def write_replay(
         out: The .rrd file; an existing one is replaced when the new one is complete.
         model: Model of problem `now` whose prediction is plotted beside the log; another problem is noted, not used.
         at: What the viewer opens at: the costliest slow-down, the worst error of the model, or a second.
+        other_cell: Show the prediction of a model of another cell too.
         progress: Called with the part done and a short text.
 
     Raises:
         UnknownName: The dataset has no such execution.
+        ModelError: The model is of another cell.
         CyclekitError: Too many executions, `at` is after the end, or the file cannot be written.
     """
     say = progress or (lambda _part, _text: None)
+    if model is not None:
+        refuse_other_cell(getattr(model, "card", {}), dataset, other_cell=other_cell)
     wanted = [execution] if isinstance(execution, str) else list(execution)
     names = [dataset.find_execution(name) for name in wanted]
     if not 1 <= len(set(names)) <= MOST:

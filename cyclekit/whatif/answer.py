@@ -65,8 +65,10 @@ def what_if(
     *,
     seed: int = 0,
     extrapolate: bool = False,
+    validate: bool = True,
     check: Check | None = None,
     refused: Callable[[Change, EstimateError], None] | None = None,
+    other_cell: bool = False,
     progress: Callable[[float, str], None] | None = None,
 ) -> list[WhatIf]:
     """Estimate every sequence as it is and under every change.
@@ -78,30 +80,34 @@ def what_if(
         changes: Each by itself.
         seed: As of `estimate`.
         extrapolate: As of `estimate`.
-        check: As of `estimate`; it corrects both sides.
+        validate: As of `estimate`; what it finds corrects both sides.
+        check: As of `estimate`.
         refused: Told each change that cannot be answered from these logs, and why; the others are answered. None: the
             first such change is raised.
+        other_cell: As of `estimate`.
         progress: Told fraction and text.
 
     Raises:
         UnknownName: A place does not exist; a change that names it is named.
+        ModelError: As of `estimate`.
         EstimateError: As of `estimate` for the sequences as they are; or a change cannot be answered, such as an
             operator who cannot come as often as asked for.
     """
     tell = progress or (lambda fraction, text: None)
     names = [sequence.name for sequence in sequences]
 
-    def estimates(safety: SafetyModel, altered: Altered | None) -> dict[str, CycleEstimate]:
-        found = estimate(safety, dataset, sequences, seed=seed, extrapolate=extrapolate, check=check, altered=altered)
-        return {entry.name: entry for entry in found}
+    def estimates(safety: SafetyModel, altered: Altered | None, **given: Any) -> dict[str, CycleEstimate]:  # noqa: ANN401
+        asked = {"seed": seed, "extrapolate": extrapolate, "other_cell": other_cell, **given}
+        return {entry.name: entry for entry in estimate(safety, dataset, sequences, altered=altered, **asked)}
 
-    before = estimates(model, None)
+    before = estimates(model, None, validate=validate, check=check)
+    check = next((entry.check for entry in before.values()), None)
     answers = []
     for number, change in enumerate(changes):
         tell(number / len(changes), change.name)
         safety = altered_safety(change, model)
         try:
-            after = estimates(safety, _altered(change, safety, dataset))
+            after = estimates(safety, _altered(change, safety, dataset), check=check)
         except EstimateError as error:
             if refused is None:
                 raise _named(change, error) from error

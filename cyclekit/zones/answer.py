@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import DatasetError, ModelError, command_line
+from cyclekit.models.cell import refuse_other_cell
 from cyclekit.one_thread import one_thread
 from cyclekit.zones.fit import (
     DISTANCES,
@@ -87,22 +88,24 @@ class Zones:
 
 
 @one_thread()
-def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> Zones:
+def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_cell: bool = False) -> Zones:
     """Read the safety function back from logged samples and a network trained on them.
 
     Args:
         model: A model of problem `now` with levels.
         dataset: Logs with positions and scaling.
         seed: Of the resampling behind the intervals.
+        other_cell: Ask a model of another cell too.
 
     Raises:
-        ModelError: The model predicts something else than the present scaling, or knows no levels.
+        ModelError: The model predicts something else than the present scaling, knows no levels, or is of another cell.
         DatasetError: Too few samples have positions and a scaling.
     """
     if model.problem != "now" or len(model.levels) < 2:
         msg = f"the model (problem {model.problem!r}, {len(model.levels)} levels) shows no staircase"
         cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
         raise ModelError(msg, cure=cure)
+    refuse_other_cell(model.card, dataset, other_cell=other_cell)
     rows = _rows(dataset)
     if len(rows.scaling) < LEAST_ROWS:
         msg = f"{dataset.path}: {len(rows.scaling)} samples have both positions and a scaling; {LEAST_ROWS} are needed"

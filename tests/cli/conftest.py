@@ -60,14 +60,14 @@ def dataset(logs: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def model(dataset: Path) -> Path:
-    """A model trained for a moment: good enough to be used, not to be right."""
+    """A model trained for two seconds: good enough not to be refused, not to be right."""
     from cyclekit.dataset import Dataset
     from cyclekit.models.saved import save_model
     from cyclekit.models.spec import ModelSpec
     from cyclekit.train import train
 
     folder = dataset.parent / "model"
-    save_model(folder, train(Dataset.open(dataset), ModelSpec.of(epochs=2)))
+    save_model(folder, train(Dataset.open(dataset), ModelSpec.of(epochs=16)))
     return folder
 
 

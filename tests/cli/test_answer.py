@@ -68,7 +68,7 @@ def test_a_plan_is_an_order_and_a_sequence_file(
     (planned,) = load_sequences(out)
     assert list(planned.places) == typed.document["places"]
     shown = cyclekit("plan", model, jobs, "--dataset", dataset, "--quiet").out
-    assert shown.startswith("order: ")
+    assert "order: " in shown
     assert "with operators the order was not chosen by" in shown
 
 

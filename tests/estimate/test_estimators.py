@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,18 +17,22 @@ from cyclekit.errors import UnknownName
 from cyclekit.estimate import rollout
 from cyclekit.estimate import walk as walking
 from cyclekit.estimate.check import Check, check_rollout, compare, conformal
+from cyclekit.estimate.limits import doubts_of
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.resample import resampled
-from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.rollout import estimate as estimate_validated
 from cyclekit.estimate.safety import Dynamics, Follower
 from cyclekit.estimate.tracks import operator_tracks, phase_is_free
 from cyclekit.estimate.transit import transit_table
-from cyclekit.estimate.walk import roll_all, roll_out
+from cyclekit.estimate.walk import Rolled, roll_all, roll_out
 from cyclekit.sequences import TaskSequence
 
 if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
+
+estimate = partial(estimate_validated, validate=False)
+"""The rollout itself, without what the logged executions correct."""
 
 
 @pytest.fixture(scope="module")
@@ -326,3 +331,49 @@ def test_an_operator_who_roams_is_entered_at_any_phase_and_one_who_begins_with_t
     later = samples["human_x_m"].to_numpy()[len(samples) // 4 :]
     np.testing.assert_allclose(tracks.xyz_m[count, : len(later), 0], later[: tracks.xyz_m.shape[1]])
     assert replace(tracks, logged=tracks.logged).step_s == pytest.approx(0.1)
+
+
+def test_the_interval_of_a_mean_is_no_narrower_than_the_bias_that_a_doubt_names(
+    logged: Dataset, staircase: Any, routes: Any
+):
+    """An operator who reacts: beside others the logged executions come out 4 % off."""
+    reacts, sequence = crossing(100, 4.0), TaskSequence("A", routes[0][:9])
+    sure = replace(reacts, reacts_z=0.0)
+    assert sure.doubted_bias == 0.0
+    assert reacts.doubted_bias == abs(reacts.crossed_bias) > 0.03
+    (plain,) = estimate(staircase, logged, [sequence], check=sure, takt_s=40.0)
+    (found,) = estimate(staircase, logged, [sequence], check=reacts, takt_s=40.0)
+    wider = reacts.doubted_bias * found.expected_s
+    assert found.expected_low_s == pytest.approx(plain.expected_low_s - wider)
+    assert found.expected_high_s == pytest.approx(plain.expected_high_s + wider)
+    assert found.takt_probability[1] <= plain.takt_probability[1]
+    assert found.takt_probability[2] >= plain.takt_probability[2]
+    (doubt,) = set(found.doubts) - set(plain.doubts)
+    assert "react to the robot" in doubt
+    assert doubt in found.warnings
+    assert doubt in found.to_json()["doubts"]
+
+
+def test_a_doubted_own_bias_widens_the_interval_as_well():
+    check = replace(crossing(100, 0.0), own_bias=0.02, own_error=0.001)
+    assert check.doubted_bias == 0.02
+    assert replace(check, own_error=0.01).doubted_bias == 0.0
+
+
+def test_what_was_never_logged_is_a_doubt_that_says_what_the_interval_leaves_out(logged: Dataset, staircase: Any):
+    (entry,) = estimate(staircase, logged, [TaskSequence("A", ("home", "conveyor"))])
+    cycles = Rolled(np.ones(1), np.ones((1, 1)), np.zeros((1, 1)), np.zeros(0), 0.7, 0.0)
+    (said,) = doubts_of(cycles, entry, None)
+    assert "30% of the cycle" in said
+    assert "not in the interval of the mean" in said
+    (said,) = doubts_of(cycles, replace(entry, extrapolated=True), None)
+    assert said.startswith("EXTRAPOLATED")
+    assert doubts_of(replace(cycles, support=0.95), entry, None) == []
+
+
+def test_too_few_logged_executions_are_said_and_correct_nothing(logged: Dataset, staircase: Any, routes: Any):
+    two = logged.only(logged.executions["execution"].to_list()[:2])
+    sequence = TaskSequence("A", tuple(two.card["executions"][0]["places"][:3]))
+    (found,) = estimate_validated(staircase, two, [sequence], extrapolate=True)
+    assert found.check is None
+    assert any("not validated on logged executions" in text for text in found.doubts)

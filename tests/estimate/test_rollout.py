@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,8 @@ from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate import walk as walking
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import draw_stands
-from cyclekit.estimate.rollout import estimate, lay_out, roll_out
+from cyclekit.estimate.rollout import estimate as estimate_validated
+from cyclekit.estimate.rollout import lay_out, roll_out
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.walk import FINE_STEP_S, TIME_STEP_S
@@ -25,6 +27,9 @@ from cyclekit_sim import random_sequence, simulate_sequence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+estimate = partial(estimate_validated, validate=False)
+"""The rollout itself, without what the logged executions correct."""
 
 SHORT = TaskSequence("short", ("home", "conveyor", "left_1", "home"))
 

@@ -1,0 +1,78 @@
+"""The logged executions as sequences that can be rolled out again: beside their operators, with their stands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.estimate.nominal import slider_losses
+from cyclekit.estimate.program import lay_out
+from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.walk import walk
+from cyclekit.sequences import TaskSequence
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset import Dataset
+    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.tracks import OperatorTracks
+
+    Vector = NDArray[np.float64]
+
+SLIDER_LOSS = 0.002
+"""An execution that lost more than this part of its time to the speed slider judges no rollout at full speed."""
+
+
+def only_tracks(tracks: OperatorTracks, names: set[str]) -> OperatorTracks:
+    """Return the tracks of these executions, in their order."""
+    kept = [k for k, name in enumerate(tracks.executions) if name in names]
+    return replace(
+        tracks,
+        xyz_m=tracks.xyz_m[kept],
+        activity=tracks.activity[kept],
+        logged=tracks.logged[kept],
+        executions=tuple(tracks.executions[k] for k in kept),
+        goal_m=None if tracks.goal_m is None else tracks.goal_m[kept],
+    )
+
+
+def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> list[TaskSequence]:
+    """Return the complete executions of known tasks at full speed slider as sequences, each by its own name."""
+    found = []
+    turned_down = {name for name, part in slider_losses(dataset).items() if part > SLIDER_LOSS}
+    for entry in dataset.card["executions"]:
+        if entry["complete"] and len(entry["places"]) > 1 and entry["execution"] not in turned_down:
+            sequence = TaskSequence(entry["execution"], tuple(entry["places"]))
+            if all(task in nominal for task in sequence.tasks):
+                found.append(sequence)
+    return found
+
+
+def logged_durations(dataset: Dataset, sequences: Sequence[TaskSequence]) -> Vector:
+    """Return how long these executions took, shape (E,), s."""
+    durations = dict(dataset.executions.select("execution", "duration_s").iter_rows())
+    return np.array([durations[sequence.name] for sequence in sequences])
+
+
+def beside_own(
+    model: SafetyModel,
+    dataset: Dataset,
+    sequences: Sequence[TaskSequence],
+    nominal: Mapping[str, NominalTask],
+    tracks: OperatorTracks,
+) -> Vector:
+    """Roll out each execution beside its own operator and with its own stands, shape (E,), s."""
+    programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
+    by_execution = dataset.tasks().sort("execution", "index").group_by(["execution"], maintain_order=True)
+    stands = {str(name): (rows["dwell_s"] + rows["wait_s"]).to_numpy() for (name,), rows in by_execution}
+    own = [np.maximum(stands[sequence.name][: len(sequence.tasks)], 1e-3)[None, :] for sequence in sequences]
+    track = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
+    dynamics = Dynamics.of(dataset.card)
+    walked = walk(model, programs, np.arange(len(programs)), track, own, tracks, dynamics=dynamics, fine=True)
+    return walked.duration_s

@@ -1,0 +1,174 @@
+"""A model of another cell is refused with the reason; a grown, renewed or resampled dataset is the same cell."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cyclekit.dataset import Dataset
+from cyclekit.errors import ModelError
+from cyclekit.estimate.check import Check
+from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.validate import refuse_biased
+from cyclekit.models.cell import cell_of, fingerprint, is_cell, other_cell_of, refuse_other_cell
+from cyclekit.plan import Jobs, plan
+from cyclekit.sequences import TaskSequence
+from cyclekit.whatif import Change, what_if
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def card_of(dataset: Dataset) -> dict[str, Any]:
+    return {"dataset_sha256": fingerprint(dataset), "cell": cell_of(dataset)}
+
+
+def changed(logged: Dataset, change: Callable[[dict[str, Any]], object]) -> Dataset:
+    """Return a dataset with another card; what `change` returns is not looked at."""
+    card = copy.deepcopy(logged.card)
+    change(card)
+    return Dataset(logged.path, card)
+
+
+def newer(card: dict[str, Any]) -> None:
+    """Make the card one of other logs of the same cell."""
+    for number, record in enumerate(card["recordings"]):
+        for source in record["sources"]:
+            source["sha256"] = f"{number:064x}"
+
+
+def move(card: dict[str, Any], metres: float, count: int = 99) -> None:
+    for place in list(card["places"].values())[:count]:
+        place["xyz_m"][0] += metres
+
+
+def grow(card: dict[str, Any]) -> None:
+    more = copy.deepcopy(card["recordings"][0])
+    more["sources"][0]["sha256"] = "f" * 64
+    card["recordings"].append(more)
+    card["executions"].append({**card["executions"][0], "execution": "session_001.001"})
+
+
+def at_20_hz(card: dict[str, Any]) -> None:
+    card["rate_hz"] = 20.0
+    for entry in card["executions"]:
+        entry["end_s"] += 0.03
+
+
+def renamed(card: dict[str, Any]) -> None:
+    newer(card)
+    card["places"] = {
+        f"place_{n}": {**place, "inferred": True} for n, place in enumerate(card["places"].values(), start=1)
+    }
+
+
+def turned(card: dict[str, Any]) -> None:
+    frame = next(record["frame"] for record in card["recordings"] if "xyz_m" in record["frame"])
+    frame["xyz_m"][1] += 0.4
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda card: None,
+        grow,
+        at_20_hz,
+        newer,
+        renamed,
+        lambda card: (newer(card), move(card, 0.3, count=2)),
+        lambda card: (newer(card), card["levels"].pop(0)),
+        lambda card: (newer(card), card["places"].clear()),
+        lambda card: move(card, 0.3),  # the logs are those of the training: the cell file names other places
+    ],
+    ids=["same", "grown", "20 Hz", "newer", "found places", "one moved", "fewer levels", "no places", "renamed"],
+)
+def test_the_same_cell_is_taken(logged: Dataset, change: Callable[[dict[str, Any]], object]):
+    assert other_cell_of(card_of(logged), changed(logged, change)) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda card: (newer(card), move(card, 0.3)), "places are not where it was trained, such as conveyor at (0.90"),
+        (lambda card: (newer(card), card.update(levels=[0.1, 0.4, 0.6])), "has the levels 0.10, 0.40, 0.60"),
+        (turned, "stand in another frame"),
+    ],
+    ids=["places", "levels", "frame"],
+)
+def test_another_cell_is_refused_with_the_reason(
+    logged: Dataset, change: Callable[[dict[str, Any]], object], said: str
+):
+    other = changed(logged, change)
+    with pytest.raises(ModelError) as caught:
+        refuse_other_cell(card_of(logged), other)
+    assert said in str(caught.value)
+    assert "--other-cell" in str(caught.value.cure)
+    refuse_other_cell(card_of(logged), other, other_cell=True)
+    refuse_other_cell({}, other)  # a function that was written by hand is of no cell
+
+
+def test_estimate_plan_and_what_if_refuse_and_answer_where_it_is_meant(logged: Dataset, staircase: Any):
+    elsewhere = changed(logged, lambda card: (newer(card), move(card, 0.3)))
+    staircase.card = card_of(elsewhere)
+    asked = [TaskSequence("A", tuple(logged.card["executions"][0]["places"][:5]))]
+    slots = tuple(place for place in asked[0].places if place not in ("home", "conveyor"))
+    with pytest.raises(ModelError, match="not the cell"):
+        estimate(staircase, logged, asked)
+    with pytest.raises(ModelError, match="not the cell"):
+        what_if(staircase, logged, asked, [Change("seldom", frequency=0.9)])
+    with pytest.raises(ModelError, match="not the cell"):
+        plan(staircase, logged, Jobs(slots, "home", None, "conveyor"))
+    (found,) = estimate(staircase, logged, asked, other_cell=True, validate=False)
+    assert found.expected_s > 0
+    (nominal,) = estimate(staircase, logged, asked, estimator="nominal")  # asks no model
+    assert nominal.safety_loss_s == 0.0
+
+
+BIASED = Check(40, 8, 0.2, 0.01, 0.2, 0.0, (0.0,) * 40, 0.9, None, (0.05, 0.95))
+
+
+def test_a_bias_beyond_ten_percent_is_refused_and_one_beyond_three_stands_above_the_numbers():
+    with pytest.raises(ModelError, match=r"\+20.0% .* off on 40 logged executions") as caught:
+        refuse_biased(BIASED)
+    assert "--other-cell" in str(caught.value.cure)
+    refuse_biased(replace(BIASED, own_error=0.07))  # chance
+    warned = replace(BIASED, own_bias=0.05)
+    refuse_biased(warned)
+    assert warned.alarm is not None
+    assert "+5.0%" in warned.alarm
+    assert replace(warned, own_error=0.02).alarm is None
+    assert replace(warned, own_bias=0.02).alarm is None
+
+
+def test_a_model_far_off_on_the_logs_is_refused_unless_that_is_meant(logged: Dataset, constant: Any):
+    sequence = TaskSequence("A", tuple(logged.card["executions"][0]["places"][:5]))
+    with pytest.raises(ModelError, match="does not fit these logs"):
+        estimate(constant(1.0), logged, [sequence], extrapolate=True)
+    (found,) = estimate(constant(1.0), logged, [sequence], extrapolate=True, other_cell=True)
+    assert found.check is not None
+    assert found.check.alarm is not None
+
+
+STATED = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.text(max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["name", "places", "levels", "logs"]), inner)
+    ),
+    max_leaves=8,
+)
+
+
+@given(STATED)
+def test_whatever_stands_in_a_card_is_a_cell_or_is_not(stated: Any):
+    if is_cell(stated):
+        assert set(stated) >= {"name", "places", "levels", "logs"}
+
+
+def test_the_cell_of_a_dataset_is_one(logged: Dataset):
+    assert is_cell(cell_of(logged))
+    assert not is_cell({**cell_of(logged), "logs": {"a": [1.0]}})

@@ -11,6 +11,7 @@
     ├── ModelError          the model folder is not one, is foreign, or does not fit the dataset
     ├── EstimateError       the question cannot be answered from these logs
     ├── ShapeError          arrays that do not fit together (a mistake of the caller)
+    ├── OutputError         what is to be written would replace an input, or what cyclekit did not write
     ├── BusyPlace           another process is writing where we were told to write
     ├── StorageError        a URL cannot be read or written
     ├── EngineError         the cluster cannot be reached, or a task's worker died again and again
@@ -114,6 +115,10 @@ class EstimateError(CyclekitError):
 
 class ShapeError(CyclekitError):
     """Arrays that do not fit together."""
+
+
+class OutputError(CyclekitError):
+    """What is to be written would replace an input, or what cyclekit did not write."""
 
 
 class BusyPlace(CyclekitError):

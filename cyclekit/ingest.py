@@ -26,6 +26,7 @@ from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, find_all, matches
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import ConfigError, DatasetError, LogError
+from cyclekit.guard import check_output
 from cyclekit.intake import Digests, How, check_shared, read_all
 from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
@@ -101,9 +102,11 @@ def ingest(
     Raises:
         LogError: A log named explicitly cannot be used, or nothing in the folders can.
         ConfigError: The cell file cannot be followed.
+        OutputError: The dataset would replace the logs, or what is no dataset.
         BusyPlace: Another process is writing the dataset.
         CyclekitError: The dataset cannot be written.
     """
+    check_output(out, "dataset", [*logs, cell if isinstance(cell, Path) else None])
     roots = [mirrored(place) for place in logs]
     _check_logs(roots)
     settings = cell if isinstance(cell, Cell) else cell_for(roots, cell)
@@ -118,7 +121,6 @@ def ingest(
 
 
 def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -> IngestReport:
-    _check(roots, out)
     how, count = wanted.how, len(wanted.logs)
     shelf = Shelf(out, "skeletons" if how.skeletons else "plain")
     if not unsettled(out) and not shelf.is_left and (card := _up_to_date(out, wanted)):
@@ -220,15 +222,6 @@ def _check_logs(roots: Sequence[Path]) -> None:
     for path in roots:
         if not path.exists():
             raise LogError(path, "no such file or folder", cure="Check the path.")
-
-
-def _check(roots: Sequence[Path], out: Path) -> None:
-    for path in roots:
-        if path.is_dir() and out.resolve() == path.resolve():
-            raise LogError(path, "is both the logs and the dataset", cure="Give --out a folder of its own.")
-    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not (out / CARD).is_file()):
-        msg = f"{out}: exists and is no cyclekit dataset, so it is not replaced"
-        raise DatasetError(msg, cure="Give --out a new folder.")
 
 
 def _old(out: Path) -> Dataset | None:

@@ -46,13 +46,16 @@ class TableWriter:
         OSError: The file cannot be written.
     """
 
-    def __init__(self, file: Path, columns: Mapping[str, Column], *, more: Sequence[str] = ()) -> None:
+    def __init__(
+        self, file: Path, columns: Mapping[str, Column], *, more: Sequence[str] = (), made_by: str | None = None
+    ) -> None:
         """Open a table.
 
         Args:
             file: Where; its folder is made.
             columns: Its columns, in order.
             more: Columns of numbers behind them (joints).
+            made_by: Who has written it, if the file shall say so.
         """
         types = {name: column.dtype for name, column in columns.items()} | dict.fromkeys(more, pl.Float64())
         self.rows, self._pieces, self._waiting, self._path = 0, list[pl.DataFrame](), 0, file
@@ -64,6 +67,8 @@ class TableWriter:
             file.parent.mkdir(parents=True, exist_ok=True)
             self._file = file.open("wb")
             self._parquet = _writer(self._file, layout, texts, numbers)
+            if made_by:
+                self._parquet.add_key_value_metadata({"made_by": made_by})
 
     def write(self, frame: pl.DataFrame) -> None:
         """Append rows; the frame has exactly the columns of the table."""

@@ -26,7 +26,7 @@ FLOORS = [
     {"places", "stops"},
     {"stored_run"},
     {"motion"},
-    {"adapter", "clock", "dataset", "frames"},
+    {"adapter", "clock", "dataset", "frames", "guard"},
     {"storage"},
     {"atomic", "tables"},
     {"engine"},

@@ -43,14 +43,17 @@ def benchmark(
     from cyclekit.benchmark import Settings, benchmark_paper
     from cyclekit.benchmark.tables import markdown, put_into, write_figures
     from cyclekit.errors import ConfigError
+    from cyclekit.guard import check_output
 
     del what
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
+    check_output(out, "folder", [])
+    check_output(out / "tables.md", "words", [])
     settings = Settings(executions, whole_numbers(seeds), _names(scenes), steps, only, done)
     with terminal.progress("benchmark") as progress:
         results, refused = benchmark_paper(settings, out, partial(_prepared, executions), progress, work)
         text = markdown(results)
-        write_text(out / "tables.md", text)
+        write_text(out / "tables.md", f"{text}\n<!-- written by cyclekit -->\n")
         write_figures(results, out / "figures")
         if page is not None:
             put_into(page, text)

@@ -33,8 +33,10 @@ def convert(
     """
     from cyclekit.config import load_cell
     from cyclekit.convert import convert as convert_log
+    from cyclekit.guard import check_output
 
     terminal = Terminal(json=json, quiet=quiet)
+    check_output(out, "table-csv" if out.suffix == ".csv" else "table-parquet", [log, cell])
     with terminal.progress("converting") as progress:
         done = convert_log(
             log,

@@ -63,6 +63,7 @@ def demo(
     if operator_xyz is not None:
         settings["operator_xyz_m"] = vector(operator_xyz)
     run = _Run(Terminal(json=json, quiet=quiet), out)
+    _check(out, operator_log)
     dataset = _dataset(run, executions, seed, settings)
     model = _model(run, dataset, seed)
     estimates = _estimates(run, dataset, model, seed)
@@ -90,6 +91,24 @@ class _Run:
             yield progress
         self.spent_s[title] = time.monotonic() - began_s
         self.terminal.remark(f"[{len(self.spent_s)}/{STEPS}] {title}: {duration(self.spent_s[title])}")
+
+
+def _check(out: Path, operator_log: Path | None) -> None:
+    """Refuse before any work what would be refused after half of it."""
+    from cyclekit.guard import Kind, check_output
+
+    check_output(out, "folder", [operator_log])
+    parts: dict[str, Kind] = {
+        "logs": "logs",
+        "dataset": "dataset",
+        "model": "model",
+        "sequences.toml": "sequences",
+        "estimates.json": "estimates-json",
+        "replay.rrd": "replay",
+        "report.html": "page",
+    }
+    for name, kind in parts.items():
+        check_output(out / name, kind, [operator_log])
 
 
 def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) -> Dataset:
@@ -142,7 +161,7 @@ def sequences_toml(logged: set[str]) -> str:
         places = ["home", *(place for slot in order for place in ("conveyor", slot)), *(["home"] if last else [])]
         quoted = ", ".join(f'"{place}"' for place in places)
         blocks.append(f'[[sequence]]\nname = "{name}"\nplaces = [{quoted}]\n')
-    return "\n".join(blocks)
+    return "\n".join(["# Written by cyclekit demo", *blocks])
 
 
 def _replay(run: _Run, dataset: Dataset, model: TrainedModel) -> Path:

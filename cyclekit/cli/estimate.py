@@ -65,10 +65,13 @@ def estimate(
     from cyclekit.dataset import Dataset
     from cyclekit.estimate.check import check_rollout
     from cyclekit.estimate.rollout import estimate as estimate_cycles
+    from cyclekit.guard import check_output
     from cyclekit.models.saved import load_model
     from cyclekit.sequences import load_sequences
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
+    as_table = out is not None and out.suffix.lower() == ".csv"
+    check_output(out, "estimates-csv" if as_table else "estimates-json", [model, sequences, dataset])
     wanted = load_sequences(sequences)
     asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
     opened, logs = load_model(model), Dataset.open(dataset)
@@ -95,7 +98,7 @@ def estimate(
     document: dict[str, Any] = {"sequences": [entry.to_json() for entry in found]}
     document["check"] = checks[0].to_json() if checks else None
     if out is not None:
-        write_out(out, as_csv(found) if out.suffix.lower() == ".csv" else document)
+        write_out(out, as_csv(found) if as_table else document)
         terminal.remark(f"written: {out}")
     by_task = tasks_table(found[0]) if len(found) == 1 else ""
     parts = [f"{estimates_table(found)}\n{CAPTION}", ranking(found), takt_table(found), by_task, loses_most(found)]

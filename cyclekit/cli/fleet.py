@@ -36,10 +36,12 @@ def fleet(
     WHAT is ingest, train, report or all. What fails in a cell is told and the others go on; then the exit code is 1.
     """
     from cyclekit.fleet import STAGES, load_fleet, run_fleet
+    from cyclekit.guard import check_output
     from cyclekit.storage import join
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     wanted, stages = load_fleet(file), tuple(STAGES) if what == "all" else (what,)
+    check_output(wanted.out, "folder", [file])
     with terminal.progress(f"fleet {what}") as progress:
         rows = run_fleet(wanted, stages, engine=work, progress=progress)
     failed = [row for row in rows if row.state == "failed"]

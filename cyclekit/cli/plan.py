@@ -31,17 +31,19 @@ def plan(
     Says what the order saves against the logged ones.
     """
     from cyclekit.dataset import Dataset
+    from cyclekit.guard import check_output
     from cyclekit.models.saved import load_model
     from cyclekit.plan import load_jobs
     from cyclekit.plan import plan as search
 
     terminal = Terminal(json=json, quiet=quiet)
+    check_output(out, "sequences", [model, jobs, dataset])
     wanted = load_jobs(jobs)
     with terminal.progress("planning") as progress:
         found = search(load_model(model), Dataset.open(dataset), wanted, seed=seed, progress=progress)
     if out is not None:
         names = ", ".join(f'"{place}"' for place in found.places)
-        write_out(out, f'[[sequence]]\nname = "planned"\nplaces = [{names}]\n')
+        write_out(out, f'# Written by cyclekit plan\n[[sequence]]\nname = "planned"\nplaces = [{names}]\n')
         terminal.remark(f"written: {out}")
     terminal.answer(found.to_json(), _text(found))
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.evaluate import Evaluation
+    from cyclekit.guard import Kind
     from cyclekit.models.saved import TrainedModel
     from cyclekit.plan import Jobs, Plan
     from cyclekit.report import Tried
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = "cyclekit report dataset --model model --sequences sequences.toml --out report.html"
 
+WRITTEN_AS: dict[str, Kind] = {"html": "page", "md": "words", "json": "report-json", "csv": "report-csv"}
 CHECKED = 200
 """Logged executions that are rolled out: how many lie in their intervals is then known to two percent points."""
 
@@ -68,12 +70,17 @@ def report(
     One self-contained file: the cycle times, where they go, why, what would help, and what all of it rests on.
     """
     from cyclekit.dataset import Dataset
+    from cyclekit.guard import check_output
     from cyclekit.models.saved import load_model
     from cyclekit.report import write_pdf, write_report
 
     terminal = Terminal(json=json, quiet=quiet)
     takt_s = seconds(takt) if takt else None
-    chosen, asked = _format(kind, out, pdf), _asked(sequences, what_if or [], plan, check, extrapolate)
+    chosen = _format(kind, out, pdf)
+    read = [dataset, model, sequences, plan, template, *(entry.rpartition("=")[2] for entry in what_if or [])]
+    check_output(out, WRITTEN_AS[chosen], read)
+    check_output(pdf, "pdf", [*read, out], option="--pdf")
+    asked = _asked(sequences, what_if or [], plan, check, extrapolate)
     _refuse_without_model(asked, model)
     data, trained = Dataset.open(dataset), load_model(model) if model else None
     found = _found(terminal, data, trained, asked) if trained else _Found(tried=asked.tried)

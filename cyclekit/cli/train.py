@@ -74,6 +74,7 @@ def train(
     chosen = None if seeds is None else whole_numbers(seeds)
     from functools import partial
 
+    from cyclekit.guard import check_output
     from cyclekit.models.spec import ModelSpec
     from cyclekit.storage import join
     from cyclekit.train import Training, train_at
@@ -84,6 +85,8 @@ def train(
     todo = [Training(dataset, spec(seed=seed), out)]
     if chosen is not None:
         todo = [Training(dataset, spec(seed=one), join(out, f"seed-{one}")) for one in chosen]
+    for each in todo:
+        check_output(each.out, "model", [dataset])
     with terminal.progress("training") as progress:
         here = work.stays_here(len(todo)) and len(todo) == 1
         cards: dict[str, dict[str, Any]] = {}

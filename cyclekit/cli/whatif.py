@@ -36,11 +36,13 @@ def whatif(
     Another staircase or zones, a moved base or place, an operator who comes more or less often.
     """
     from cyclekit.dataset import Dataset
+    from cyclekit.guard import check_output
     from cyclekit.models.saved import load_model
     from cyclekit.sequences import load_sequences
     from cyclekit.whatif import NO_PROOF, load_changes, what_if
 
     terminal = Terminal(json=json, quiet=quiet)
+    check_output(out, "what-if", [model, sequences, changes, dataset])
     wanted, changed = load_sequences(sequences), load_changes(changes)
     with terminal.progress("estimating") as progress:
         found = what_if(

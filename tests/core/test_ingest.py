@@ -17,7 +17,7 @@ from cyclekit.config import Cell, Executions, Source
 from cyclekit.dataset import Dataset
 from cyclekit.discover import suggest_cell
 from cyclekit.engine import Engine
-from cyclekit.errors import ConfigError, CyclekitError, DatasetError, LogError, UnknownFormat, UnknownName
+from cyclekit.errors import ConfigError, CyclekitError, LogError, OutputError, UnknownFormat, UnknownName
 from cyclekit.ingest import ingest
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def test_a_file_that_is_no_log_is_refused_with_its_name_and_a_cure(
 
 def test_the_logs_cannot_be_the_dataset(three_runs: Path):
     before = only_bytes(three_runs)
-    with pytest.raises(LogError, match="both the logs and the dataset"):
+    with pytest.raises(OutputError, match="is an input"):
         ingest([three_runs], three_runs)
     assert only_bytes(three_runs) == before
 
@@ -151,9 +151,9 @@ def test_the_logs_cannot_be_the_dataset(three_runs: Path):
 def test_a_folder_with_other_things_in_it_is_not_replaced(three_runs: Path, tmp_path: Path):
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter_1.tex").write_text("In the beginning", encoding="utf-8")
-    with pytest.raises(DatasetError, match="is not replaced"):
+    with pytest.raises(OutputError, match="is not replaced"):
         ingest([three_runs], tmp_path / "thesis")
-    with pytest.raises(DatasetError, match="is not replaced"):
+    with pytest.raises(OutputError, match="is not replaced"):
         ingest([three_runs], tmp_path / "thesis" / "chapter_1.tex")
     assert [file.name for file in (tmp_path / "thesis").iterdir()] == ["chapter_1.tex"]
 
@@ -165,10 +165,14 @@ def test_a_place_where_nothing_can_be_written_is_told(three_runs: Path, tmp_path
         ingest([three_runs], tmp_path / "locked" / "dataset")
 
 
-def test_a_dataset_may_lie_in_the_folder_of_the_logs(three_runs: Path):
-    ingest([three_runs], three_runs / "dataset")
-    again = ingest([three_runs], three_runs / "dataset")
-    assert again.unchanged
+def test_a_dataset_is_not_put_into_the_folder_of_the_logs_and_one_that_lies_there_is_no_log(
+    three_runs: Path, tmp_path: Path
+):
+    with pytest.raises(OutputError, match="lies in the input"):
+        ingest([three_runs], three_runs / "dataset")
+    ingest([three_runs], tmp_path / "dataset").dataset.rename(three_runs / "dataset")
+    again = ingest([three_runs], tmp_path / "dataset")
+    assert again.recordings_new == 3
     assert again.not_read == ()
 
 

@@ -20,8 +20,9 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.atomic import built, locked, settle, unsettled, write_parquet, write_text
+from cyclekit.checksums import listed, sealed
 from cyclekit.config import Cell
-from cyclekit.dataset import CARD, Dataset
+from cyclekit.dataset import CARD, TASKS, Dataset
 from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, find_all, matches
 from cyclekit.engine import LOCAL, Engine
@@ -32,7 +33,8 @@ from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.privacy import dated_names, without_wall_clock, without_what_names
 from cyclekit.session import group_sessions
-from cyclekit.storage import mirrored, published
+from cyclekit.storage import is_url, mirrored, published
+from cyclekit.storage.cache import cached, of_file_url
 from cyclekit.tables import StoredTable
 
 if TYPE_CHECKING:
@@ -94,7 +96,7 @@ def ingest(
         rate_hz: Rate of the samples, in place of the cell file's.
         pseudonymise: Keep neither the names that trackers give nor wall-clock time (docs/privacy.md).
         keep_skeletons: Keep every joint of every person, where a tracker has them; no estimate needs it.
-        checksums: Keep the SHA-256 of each log: what was read can then be told from what was not.
+        checksums: Keep the BLAKE3 of each log: what was read can then be told from what was not.
         align_clocks: "coarse" = where nothing says how a log's clock relates to the robot's, align on the operator
             being near while the robot slows. Hides the reaction delay, and says so (docs/clocks.md).
         progress: Told the fraction done and what is being done.
@@ -130,12 +132,26 @@ def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -
         if card := _up_to_date(out, wanted):
             shelf.clear()
             return _report(out, card, new=0, kept=count, unchanged=True)
-        with built(out) as staging, Digests(wanted=how.checksums) as digests:
+        if how.pseudonymise:
+            shelf.clear()  # what an earlier ingest left has names in it
+        with shelf.while_making(), built(out) as staging, Digests(wanted=how.checksums) as digests:
             explicit = {path for path in roots if path.is_file()}
             shelved = None if how.pseudonymise else shelf
-            card, kept = _build(wanted, staging, digests, _old(out), explicit, shelved, tell)
-        shelf.clear()
-    return _report(out, card, new=len(card["recordings"]) - kept, kept=kept, unchanged=False)
+            old = _old(out)
+            card, kept = _build(wanted, staging, digests, old, explicit, shelved, tell)
+            repaired = _repaired(old, (out / CARD).exists())
+    report = _report(out, card, new=len(card["recordings"]) - kept, kept=kept, unchanged=False)
+    return replace(report, warnings=(*repaired, *report.warnings))
+
+
+def left_by(out: Path | str) -> Path | None:
+    """Return where an ingest that did not come to its end keeps what it has read, None where it keeps nothing.
+
+    Args:
+        out: Where its dataset was to be made.
+    """
+    path = (of_file_url(str(out)) or cached(str(out))) if is_url(out) else Path(out)
+    return Shelf(path, "").left
 
 
 @dataclass(frozen=True)
@@ -159,7 +175,17 @@ class _Wanted:
 
 def _up_to_date(out: Path, wanted: _Wanted) -> dict[str, Any] | None:
     old = _old(out)
-    return old.card if old is not None and old.card.get("fingerprint") == wanted.fingerprint else None
+    same = old is not None and old.card.get("fingerprint") == wanted.fingerprint
+    return old.card if old is not None and same and not old.damaged() else None
+
+
+def _repaired(old: Dataset | None, there: bool) -> list[str]:
+    """Say what of the dataset that is replaced was damaged: it was made anew, and the disk may be failing."""
+    if old is None:
+        return ["the dataset that was there was damaged, or of another version, and was made anew"] if there else []
+    damaged = list(old.damaged().items())
+    some = ", ".join(f"{name} ({what})" for name, what in damaged[:3]) + (" and more" if len(damaged) > 3 else "")
+    return [f"made anew, since the dataset was not as it was written: {some}"] if damaged else []
 
 
 def _build(
@@ -205,9 +231,9 @@ def _build(
         without_wall_clock(entries, staging)
         derived.warnings.extend(dated_names(entries))
         cell = without_what_names(cell)
-    card = _card(cell, entries, derived, not_read, wanted)
-    write_parquet(derived.tasks, staging / "tasks.parquet")
-    write_text(staging / CARD, json.dumps(card, indent=1, ensure_ascii=False) + "\n")
+    write_parquet(derived.tasks, staging / TASKS)
+    card = _card(cell, entries, derived, not_read, wanted) | {"files": listed(staging)}
+    write_text(staging / CARD, sealed(json.dumps(card, indent=1, ensure_ascii=False) + "\n"))
     return card, kept
 
 

@@ -314,6 +314,25 @@ def _unknown(about: pq.FileMetaData, column: int) -> int:
     return total
 
 
+def spans(file: Path, column: str, least: float, most: float) -> list[tuple[int, int]]:
+    """Return the bytes, from and to before, of the row groups that may hold values of a column from `least` to `most`.
+
+    Where the file does not say what a row group holds, it may.
+    """
+    with pq.ParquetFile(file) as parquet:
+        about, place = parquet.metadata, parquet.schema_arrow.get_field_index(column)
+    found = []
+    for number in range(about.num_row_groups):
+        group = about.row_group(number)
+        known = group.column(place).statistics if place >= 0 else None
+        if known is None or not known.has_min_max or (known.min <= most and known.max >= least):
+            parts = [group.column(index) for index in range(group.num_columns)]
+            begins = [part.dictionary_page_offset or part.data_page_offset for part in parts]
+            ends = [begin + part.total_compressed_size for begin, part in zip(begins, parts, strict=True)]
+            found.append((min(begins), max(ends)))
+    return found
+
+
 def parts_of(file: Path) -> Iterator[pl.DataFrame]:
     """Yield a Parquet table in parts; it may be larger than memory."""
     with pq.ParquetFile(file) as parquet:

@@ -99,11 +99,11 @@ def _of_recording(dataset: Dataset, record: dict[str, Any], at_s: float, logs: P
     own_s = (at_s - offset_s) / rate
     found = []
     for table in ("robot", "people", "events"):
-        file = dataset.path / "recordings" / record["id"] / f"{table}.parquet"
         if table not in record["tables"]:
             continue
-        near = pl.col("t_s").is_between(own_s - AROUND_S / rate, own_s + AROUND_S / rate)
-        rows = pl.scan_parquet(file, glob=False).filter(near).collect()
+        rows = dataset.recorded_between(record["id"], table, own_s - AROUND_S / rate, own_s + AROUND_S / rate)
+        if rows is None:
+            continue
         if table == "robot":  # the row that the sample stands on
             rows = rows.filter(pl.col("t_s") <= own_s + 1e-6).tail(1)
         for row in _nearest(rows, own_s).iter_rows(named=True):

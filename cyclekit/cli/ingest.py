@@ -33,7 +33,7 @@ def ingest(
         bool, typer.Option("--keep-skeletons", help="Keep every joint of every person (docs/privacy.md).")
     ] = False,
     no_checksums: Annotated[
-        bool, typer.Option("--no-checksums", help="Leave out the SHA-256 of the logs, the slowest part of a large one.")
+        bool, typer.Option("--no-checksums", help="Leave out the checksums of the logs (BLAKE3).")
     ] = False,
     align_clocks: Annotated[
         Literal["coarse"] | None,
@@ -46,22 +46,30 @@ def ingest(
 
     The same command again re-reads nothing that has not changed.
     """
+    from cyclekit.errors import ConfigError, LogError
     from cyclekit.ingest import ingest as ingest_logs
+    from cyclekit.ingest import left_by
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
-    with terminal.progress("ingesting") as progress:
-        report = ingest_logs(
-            logs,
-            out,
-            cell=cell,
-            engine=work,
-            rate_hz=rate,
-            keep_skeletons=keep_skeletons,
-            checksums=not no_checksums,
-            pseudonymise=pseudonymise,
-            align_clocks=align_clocks,
-            progress=progress,
-        )
+    try:
+        with terminal.progress("ingesting") as progress:
+            report = ingest_logs(
+                logs,
+                out,
+                cell=cell,
+                engine=work,
+                rate_hz=rate,
+                keep_skeletons=keep_skeletons,
+                checksums=not no_checksums,
+                pseudonymise=pseudonymise,
+                align_clocks=align_clocks,
+                progress=progress,
+            )
+    except (KeyboardInterrupt, ConfigError, LogError):
+        if left := left_by(out):
+            kept = "what was read, people included, is kept for the next ingest; remove it if none follows"
+            terminal.remark(f"{left}: {kept}")
+        raise
     for path, reason in report.not_read:
         terminal.remark(f"not read: {path}: {reason}")
     terminal.warnings(report.warnings)

@@ -15,7 +15,7 @@ from cyclekit.intake.keep import QUARANTINE
 from cyclekit.tables import TableWriter, parts_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Container, Sequence
     from pathlib import Path
 
     from cyclekit.discover import Log
@@ -23,11 +23,17 @@ if TYPE_CHECKING:
 _ALL = f"{QUARANTINE}.parquet"
 
 
-def is_whole(entry: dict[str, Any], old: Path) -> bool:
-    """Tell whether everything that an entry of the dataset `old` speaks of is still there."""
-    folder = old / "recordings" / entry["id"]
-    aside = not entry["rows_set_aside"] or (old / _ALL).is_file()
-    return aside and all((folder / f"{name}.parquet").is_file() for name in entry["tables"])
+def is_whole(entry: dict[str, Any], old: Path, damaged: Container[str] = ()) -> bool:
+    """Tell whether everything that an entry of the dataset `old` speaks of is still there, and as it was written.
+
+    Args:
+        entry: Of a recording.
+        old: The dataset.
+        damaged: Its files that are not what they were.
+    """
+    names = [f"recordings/{entry['id']}/{name}.parquet" for name in entry["tables"]]
+    names += [_ALL] if entry["rows_set_aside"] else []
+    return all((old / name).is_file() and name not in damaged for name in names)
 
 
 def take_over(entry: dict[str, Any], log: Log, old: Path, staging: Path) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shutil
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 import pytest
+from blake3 import blake3
 from ingested import ROUND_TRIP, bytes_and_times, only_bytes
 
 from cyclekit.config import Cell, Executions, Source
@@ -191,7 +191,7 @@ def test_provenance_tells_every_file_by_its_checksum_and_its_rows(three_runs: Pa
     for entry in Dataset.open(out).recordings:
         (source,) = entry["sources"]
         log = three_runs / source["path"]
-        assert source["sha256"] == hashlib.sha256(log.read_bytes()).hexdigest()
+        assert source["blake3"] == blake3(log.read_bytes()).hexdigest()
         assert source["size"] == log.stat().st_size
         rows = len(log.read_text(encoding="utf-8").splitlines()) - 1
         assert entry["rows_read"] == entry["rows"]["robot"] == rows
@@ -366,9 +366,9 @@ def test_another_rate_gives_other_samples_of_the_same_recordings(three_runs: Pat
 
 def test_checksums_can_be_left_out_and_are_made_good_later(three_runs: Path, tmp_path: Path, reads: list[str]):
     def sums(dataset: Path) -> list[str | None]:
-        return [source["sha256"] for entry in Dataset.open(dataset).recordings for source in entry["sources"]]
+        return [source["blake3"] for entry in Dataset.open(dataset).recordings for source in entry["sources"]]
 
-    true = [hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(three_runs.glob("*.csv"))]
+    true = [blake3(file.read_bytes()).hexdigest() for file in sorted(three_runs.glob("*.csv"))]
     assert sums(ingest([three_runs], tmp_path / "dataset", checksums=False).dataset) == [None, None, None]
     reads.clear()
     assert sums(ingest([three_runs], tmp_path / "dataset").dataset) == true

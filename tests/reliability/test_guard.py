@@ -170,3 +170,30 @@ def test_a_link_stays_a_link_and_its_file_is_replaced(tmp_path: Path):
 def test_a_folder_where_a_file_is_to_be_written_is_named(tmp_path: Path):
     with pytest.raises(CyclekitError, match="folder"), replaced(tmp_path):
         pass
+
+
+@pytest.mark.parametrize("ending", ["svg", "png", "pdf"])
+def test_a_picture_that_cyclekit_drew_is_drawn_again(ending: str, cell: dict[str, Path], tmp_path: Path, capsys: Any):
+    for _ in range(2):
+        words = ["levels", str(cell["data"]), "--picture", str(tmp_path / f"x.{ending}"), "--quiet"]
+        assert run(words) == 0, capsys.readouterr().err
+
+
+def test_what_estimate_whatif_and_demo_write_is_known_as_theirs(tmp_path: Path):
+    from cyclekit.cli.demo import sequences_toml
+    from cyclekit.cli.estimate import as_csv
+    from cyclekit.plain_json import json_text
+    from cyclekit.whatif import NO_PROOF
+
+    written: dict[Any, str] = {
+        "estimates-csv": as_csv([]),
+        "estimates-json": json_text({"sequences": [], "check": None}, ascii_only=True),
+        "what-if": json_text({"safety": NO_PROOF, "answers": []}, ascii_only=True),
+        "sequences": sequences_toml(set()),
+    }
+    for kind, text in written.items():
+        (tmp_path / "x").write_text(text, encoding="utf-8")
+        check_output(tmp_path / "x", kind, [])
+        for other in written.keys() - {kind}:
+            with pytest.raises(OutputError, match="is not replaced"):
+                check_output(tmp_path / "x", other, [])

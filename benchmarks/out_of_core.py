@@ -48,6 +48,7 @@ train(Dataset.open(sys.argv[3]), ModelSpec.of(epochs=1))
 def enlarged(dataset: Path, copies: int, out: Path) -> Path:
     """Write a dataset that holds another one several times; the recordings themselves are left out."""
     card = json.loads((dataset / "dataset.json").read_text(encoding="utf-8"))
+    del card["files"], card["card_blake3"]  # of other samples
     frame, tasks = pl.read_parquet(dataset / "samples"), pl.read_parquet(dataset / "tasks.parquet")
     (out / "samples").mkdir(parents=True)
     entries = []

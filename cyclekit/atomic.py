@@ -13,8 +13,10 @@ import os
 import secrets
 import shutil
 import sys
+import tempfile
 import time
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -23,7 +25,6 @@ from cyclekit.errors import BusyPlace, CyclekitError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
     from typing import IO
 
 COMPLETE = ".complete"
@@ -60,10 +61,19 @@ def write_text(file: Path, text: str) -> None:
 def replaced(file: Path) -> Iterator[Path]:
     """Give the name of a file to write; on success it takes the place of `file`, on failure nothing changes.
 
+    A link stays a link: the file that it leads to is replaced. What is there and is no regular file, such as a device
+    or a pipe, is written into when all is complete.
+
     Raises:
         BusyPlace: Another process has been writing there for several seconds.
         CyclekitError: The place cannot be written.
     """
+    if file.exists() and not file.is_file():
+        with _told(file), _poured(file) as temporary:
+            yield temporary
+        return
+    with _told(file):
+        file = Path(os.path.realpath(file))
     with _told(file), locked(file, wait_s=5.0):
         _sweep(file, "tmp")
         temporary = _beside(file, "tmp")
@@ -74,6 +84,18 @@ def replaced(file: Path) -> Iterator[Path]:
         finally:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _poured(place: Path) -> Iterator[Path]:
+    """Give the name of a file whose content goes into a device or a pipe."""
+    if place.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "it is a folder", str(place))
+    with tempfile.TemporaryDirectory(prefix="cyclekit-", ignore_cleanup_errors=True) as folder:
+        temporary = Path(folder) / "whole"
+        yield temporary
+        with temporary.open("rb") as whole, place.open("wb") as sink:
+            shutil.copyfileobj(whole, sink)
 
 
 @contextmanager

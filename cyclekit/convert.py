@@ -7,6 +7,7 @@ is in the log's own clock and frame, checked as every log is (`plausible`), and 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from cyclekit.atomic import replaced
 from cyclekit.config import Cell
 from cyclekit.discover import find_all, options_of
 from cyclekit.errors import ConfigError, LogError, UnknownName
+from cyclekit.guard import check_output
 from cyclekit.plain_text import FORMULA
 from cyclekit.plausible import examined_parts
 from cyclekit.registry import adapter_named
@@ -83,11 +85,13 @@ def convert(
     Raises:
         LogError: The log cannot be used, or has no such table.
         ConfigError: A name, a rate or the kind of output is not known.
+        OutputError: The output would replace the log, or what no conversion wrote.
         CyclekitError: The output cannot be written.
     """
     log, out = Path(log), Path(out)
     if out.suffix.lower() not in (".parquet", ".csv"):
         raise ConfigError(f"{out}: neither .parquet nor .csv", cure="Give --out a name that ends in one of them.")
+    check_output(out, "table-csv" if out.suffix == ".csv" else "table-parquet", [log])
     if table is not None and table not in TABLES:
         raise UnknownName("convert", "table", table, TABLES)
     found, _ = find_all([log], cell or Cell(), follow_links=True)
@@ -173,7 +177,8 @@ class _Output:
         known = TABLES[table]
         columns = {name: known[name] for name in first.columns if name in known}
         more = [name for name in first.columns if name not in known]
-        self._parquet = TableWriter(file, columns, more=more) if suffix == ".parquet" else None
+        as_parquet = partial(TableWriter, file, columns, more=more, made_by="cyclekit convert")
+        self._parquet = as_parquet() if suffix == ".parquet" else None
         self._file = file
 
     def write(self, frame: pl.DataFrame) -> None:

@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
-from cyclekit import schema
+from cyclekit import checksums, schema
 from cyclekit.atomic import recover
 from cyclekit.config import Furniture
+from cyclekit.dataset_files import DatasetFiles
 from cyclekit.errors import DatasetError, UnknownName, command_line
-from cyclekit.inside import inside
 from cyclekit.mistaken import DATASET_CARD, toml_for, what_is
 from cyclekit.plain_text import all_in_one_line, needs_it
 from cyclekit.storage import local
@@ -32,7 +32,7 @@ from cyclekit.storage import local
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-CARD = DATASET_CARD
+CARD, TASKS, QUARANTINE = DATASET_CARD, "tasks.parquet", "quarantine.parquet"
 _NEAR_S = 1e-3
 """Rows so far outside of a span are read too, since its ends in a log's own clock are rounded."""
 
@@ -70,6 +70,7 @@ class Dataset:
         self.card = card
         self.place = place or str(path)
         self.is_part = False
+        self._files = DatasetFiles(path, card.get("files"))
 
     @classmethod
     def open(cls, path: Path | str) -> Dataset:
@@ -93,6 +94,8 @@ class Dataset:
         if version != schema.SCHEMA_VERSION:
             msg = f"{path}: dataset of schema version {version}, this cyclekit reads version {schema.SCHEMA_VERSION}"
             raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
+        if checksums.is_broken(text):
+            raise checksums.unreadable(path / CARD, path, "damaged: it is not as it was written")
         return cls(path, card, place)
 
     def only(self, executions: Sequence[str]) -> Dataset:
@@ -157,69 +160,63 @@ class Dataset:
             UnknownName: An execution is not in the dataset.
         """
         wanted = list(schema.SAMPLES if columns is None else columns)
-        files = self._sample_files()
         if executions is None and self.is_part:
             executions = self.executions["execution"].to_list()
-        if executions is not None:
-            sessions = {self._execution(name)["session"] for name in executions}
-            files = [file for file in files if file.stem in sessions]
+        sessions = None if executions is None else {self._execution(name)["session"] for name in executions}
+        files = self._files.of_samples(sessions)
         if not files:
             return schema.empty(schema.SAMPLES).select(wanted)
         if executions is None:
-            return pl.scan_parquet(files, glob=False).select(wanted).collect()  # many files at a time
+            return self._files.collected(self._files.scan(files, schema.SAMPLES, wanted), "samples")  # many at a time
         mine = pl.col("execution").is_in(list(executions))  # of a file, only what is wanted comes into memory
-        return pl.concat([pl.scan_parquet(file, glob=False).filter(mine).select(wanted).collect() for file in files])
-
-    def _sample_files(self) -> list[Path]:
-        return [inside(self.path, "samples", file.name) for file in sorted((self.path / "samples").glob("*.parquet"))]
+        needed = list(dict.fromkeys(["execution", *wanted]))
+        scans = [self._files.scan([file], schema.SAMPLES, needed).filter(mine).select(wanted) for file in files]
+        return pl.concat([self._files.collected(scan, "samples") for scan in scans])
 
     def scan_samples(self) -> pl.LazyFrame:
         """Return all samples unread, for those who need a few columns of many executions."""
-        files = self._sample_files()
+        files = self._files.of_samples(None)
         if not files:
             return schema.empty(schema.SAMPLES).lazy()
-        return self._mine(pl.scan_parquet(files, glob=False))
+        return self._mine(self._files.scan(files, schema.SAMPLES, list(schema.SAMPLES)))
 
     def tasks(self) -> pl.DataFrame:
         """Return one row per executed robot task (table TASKS)."""
-        return self._mine(pl.scan_parquet(inside(self.path, "tasks.parquet"), glob=False)).collect()
+        return self._files.collected(self._tasks(list(schema.TASKS)), TASKS)
 
     def done_tasks(self) -> pl.DataFrame:
         """Return which tasks were done in which executions: execution, task, each pair once."""
-        rows = self._mine(pl.scan_parquet(inside(self.path, "tasks.parquet"), glob=False))
-        return rows.select("execution", "task").unique(maintain_order=True).collect()
+        rows = self._tasks(["execution", "task"]).unique(maintain_order=True)
+        return self._files.collected(rows, TASKS)
 
     def quarantine(self) -> pl.DataFrame:
         """Return every row that was set aside (table QUARANTINE), in order of recording."""
-        return pl.read_parquet(inside(self.path, "quarantine.parquet"), glob=False)
-
-    def table_file(self, recording: str, table: str) -> Path:
-        """Return where a native-rate table of a recording stands, if it has it.
-
-        Raises:
-            OutsideFolder: The card names something that is not in the dataset.
-        """
-        return inside(self.path, "recordings", recording, f"{table}.parquet")
+        rows = self._files.scan([self._files.whole(QUARANTINE)], schema.QUARANTINE, list(schema.QUARANTINE))
+        return self._files.collected(rows, QUARANTINE)
 
     def recorded(self, recording: str, table: str) -> pl.DataFrame | None:
         """Return one native-rate table (`robot`, `people` or `events`) of a recording, None if it has none."""
-        file = self.table_file(recording, table)
-        return pl.read_parquet(file, glob=False) if file.is_file() else None
+        name = _recorded(recording, table)
+        if not self._files.has(name):
+            return None
+        return self._files.collected(pl.scan_parquet(self._files.whole(name), glob=False), name)
 
     def recorded_between(self, recording: str, table: str, first_s: float, last_s: float) -> pl.DataFrame | None:
         """Return the rows of one native-rate table from `first_s` to `last_s` of the log's clock, None without it."""
-        file = self.table_file(recording, table)
-        if not file.is_file():
+        name = _recorded(recording, table)
+        if not self._files.has(name):
             return None
-        return pl.scan_parquet(file, glob=False).filter(pl.col("t_s").is_between(first_s, last_s)).collect()
+        return self._files.collected(self._files.between(name, first_s, last_s), name)
 
     def times(self, recording: str, table: str) -> Iterator[pl.DataFrame]:
         """Yield the times of one native-rate table (`t_s`), in parts: it may be larger than memory."""
         from cyclekit.tables import StoredTable  # whoever reads a log needs no Arrow to begin
 
-        stored = StoredTable(self.table_file(recording, table), ("t_s",))
-        for begin, end in stored.groups:
-            yield pl.DataFrame({"t_s": stored.column("t_s", begin, end)})
+        file = self._files.whole(_recorded(recording, table))
+        with checksums.reading(file, self.path):
+            stored = StoredTable(file, ("t_s",))
+            for begin, end in stored.groups:
+                yield pl.DataFrame({"t_s": stored.column("t_s", begin, end)})
 
     def native_robot(self, execution: str, columns: Sequence[str] | None = None) -> pl.DataFrame | None:
         """Return the native-rate robot rows of one execution, `t_s` in session time; None without a robot log.
@@ -229,14 +226,13 @@ class Dataset:
         entry = self._execution(execution)
         for record in self.recordings:
             if record["session"] == entry["session"] and "robot" in record["tables"]:
-                file = self.table_file(record["id"], "robot")
+                name = _recorded(record["id"], "robot")
                 rate, offset_s = record["clock"]["rate"], record["clock"]["offset_s"]
                 first, last = ((entry[key] - offset_s) / rate for key in ("start_s", "end_s"))
-                near = pl.col("t_s").is_between(first - _NEAR_S, last + _NEAR_S)  # as stored: others are not unpacked
                 inside = pl.col("t_s").is_between(entry["start_s"], entry["end_s"])
-                rows = pl.scan_parquet(file, glob=False).filter(near).with_columns(t_s=pl.col("t_s") * rate + offset_s)
-                rows = rows.filter(inside)
-                return (rows if columns is None else rows.select(columns)).collect()
+                rows = self._files.between(name, first - _NEAR_S, last + _NEAR_S)  # others are not unpacked
+                rows = rows.with_columns(t_s=pl.col("t_s") * rate + offset_s).filter(inside)
+                return self._files.collected(rows if columns is None else rows.select(columns), name)
         return None
 
     def find_execution(self, name: str) -> str:
@@ -249,6 +245,31 @@ class Dataset:
         if name.isdigit() and name not in names and 1 <= int(name) <= len(names):
             return str(names[int(name) - 1])
         return str(self._execution(name)["execution"])
+
+    def verify(self) -> int:
+        """Check every file of the dataset, and return how many there are.
+
+        Raises:
+            DatasetError: One is missing or damaged, or the dataset keeps no checksums.
+        """
+        cure = f"Ingest the logs again: cyclekit ingest LOGS --out {self.path}"
+        if self._files.listed is None:
+            raise DatasetError(f"{self.path}: keeps no checksums of its files, so they cannot be checked", cure=cure)
+        if damaged := self.damaged():
+            some = "; ".join(f"{name} is {what}" for name, what in list(damaged.items())[:3])
+            more = f"; and {len(damaged) - 3} more" if len(damaged) > 3 else ""
+            raise DatasetError(f"{self.path}: {some}{more}", cure=cure)
+        return len(self._files.listed) + 1
+
+    def damaged(self) -> dict[str, str]:
+        """Return which files are not as they were written, and what is wrong with each.
+
+        None where the dataset keeps no checksums.
+        """
+        return self._files.damaged()
+
+    def _tasks(self, columns: Sequence[str]) -> pl.LazyFrame:
+        return self._mine(self._files.scan([self._files.whole(TASKS)], schema.TASKS, columns))
 
     def _mine(self, rows: pl.LazyFrame) -> pl.LazyFrame:
         """Return the rows of the executions that the dataset holds, if it is only a part of what is on the disk."""
@@ -300,3 +321,7 @@ def _place(name: str, entry: dict[str, Any]) -> Place:
 def _triple(values: Sequence[float]) -> tuple[float, float, float]:
     x, y, z = values
     return x, y, z
+
+
+def _recorded(recording: str, table: str) -> str:
+    return f"recordings/{recording}/{table}.parquet"

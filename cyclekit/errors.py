@@ -12,6 +12,7 @@
     ├── ModelError          the model folder is not one, is foreign, or does not fit the dataset
     ├── EstimateError       the question cannot be answered from these logs
     ├── ShapeError          arrays that do not fit together (a mistake of the caller)
+    ├── OutputError         what is to be written would replace an input, or what cyclekit did not write
     ├── BusyPlace           another process is writing where we were told to write
     ├── StorageError        a URL cannot be read or written
     ├── OutsideFolder       a name found in data would lead out of its folder
@@ -131,6 +132,10 @@ class EstimateError(CyclekitError):
 
 class ShapeError(CyclekitError):
     """Arrays that do not fit together."""
+
+
+class OutputError(CyclekitError):
+    """What is to be written would replace an input, or what cyclekit did not write."""
 
 
 class BusyPlace(CyclekitError):

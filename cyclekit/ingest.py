@@ -20,19 +20,22 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.atomic import built, locked, settle, unsettled, write_parquet, write_text
+from cyclekit.checksums import listed, sealed
 from cyclekit.config import Cell
-from cyclekit.dataset import CARD, Dataset
+from cyclekit.dataset import CARD, TASKS, Dataset
 from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, find_all, matches
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import ConfigError, DatasetError, LogError
+from cyclekit.guard import check_output
 from cyclekit.intake import Digests, How, check_shared, read_all
 from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.one_thread import one_thread
 from cyclekit.privacy import Names, numbered_logs, take_out
 from cyclekit.session import group_sessions
-from cyclekit.storage import mirrored, published
+from cyclekit.storage import is_url, mirrored, published
+from cyclekit.storage.cache import cached, of_file_url
 from cyclekit.tables import StoredTable
 
 if TYPE_CHECKING:
@@ -96,7 +99,7 @@ def ingest(
         rate_hz: Rate of the samples, in place of the cell file's.
         pseudonymise: Keep neither the names that trackers give nor wall-clock time (docs/privacy.md).
         keep_skeletons: Keep every joint of every person, where a tracker has them; no estimate needs it.
-        checksums: Keep the SHA-256 of each log: what was read can then be told from what was not.
+        checksums: Keep the BLAKE3 of each log: what was read can then be told from what was not.
         align_clocks: "coarse" = where nothing says how a log's clock relates to the robot's, align on the operator
             being near while the robot slows. Hides the reaction delay, and says so (docs/clocks.md).
         follow_links: Read what links in a folder of logs lead to outside of it; else they are among `not_read`.
@@ -105,9 +108,11 @@ def ingest(
     Raises:
         LogError: A log named explicitly cannot be used, or nothing in the folders can.
         ConfigError: The cell file cannot be followed.
+        OutputError: The dataset would replace the logs, or what is no dataset.
         BusyPlace: Another process is writing the dataset.
         CyclekitError: The dataset cannot be written.
     """
+    check_output(out, "dataset", [*logs, cell if isinstance(cell, Path) else None])
     roots = [mirrored(place) for place in logs]
     _check_logs(roots)
     settings = cell if isinstance(cell, Cell) else cell_for(roots, cell)
@@ -123,7 +128,6 @@ def ingest(
 
 
 def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -> IngestReport:
-    _check(roots, out)
     how, count = wanted.how, len(wanted.logs)
     shelf = Shelf(out, "skeletons" if how.skeletons else "plain")
     if not unsettled(out) and not shelf.is_left and (card := _up_to_date(out, wanted)):
@@ -133,13 +137,27 @@ def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -
         if card := _up_to_date(out, wanted):
             shelf.clear()
             return _report(out, card, new=0, kept=count, unchanged=True)
-        with built(out) as staging, Digests(wanted=how.checksums) as digests:
+        if how.pseudonymise:
+            shelf.clear()  # what an earlier ingest left has names in it
+        with shelf.while_making(), built(out) as staging, Digests(wanted=how.checksums) as digests:
             explicit = {path for path in roots if path.is_file()}
             shelved = None if how.pseudonymise else shelf
             names = Names(wanted.logs, roots, wanted.cell) if how.pseudonymise else None
-            card, kept = _build(wanted, staging, digests, _old(out), explicit, shelved, names, tell)
-        shelf.clear()
-    return _report(out, card, new=len(card["recordings"]) - kept, kept=kept, unchanged=False)
+            old = _old(out)
+            card, kept = _build(wanted, staging, digests, old, explicit, shelved, names, tell)
+            repaired = _repaired(old, (out / CARD).exists())
+    report = _report(out, card, new=len(card["recordings"]) - kept, kept=kept, unchanged=False)
+    return replace(report, warnings=(*repaired, *report.warnings))
+
+
+def left_by(out: Path | str) -> Path | None:
+    """Return where an ingest that did not come to its end keeps what it has read, None where it keeps nothing.
+
+    Args:
+        out: Where its dataset was to be made.
+    """
+    path = (of_file_url(str(out)) or cached(str(out))) if is_url(out) else Path(out)
+    return Shelf(path, "").left
 
 
 @dataclass(frozen=True)
@@ -163,7 +181,17 @@ class _Wanted:
 
 def _up_to_date(out: Path, wanted: _Wanted) -> dict[str, Any] | None:
     old = _old(out)
-    return old.card if old is not None and old.card.get("fingerprint") == wanted.fingerprint else None
+    same = old is not None and old.card.get("fingerprint") == wanted.fingerprint
+    return old.card if old is not None and same and not old.damaged() else None
+
+
+def _repaired(old: Dataset | None, there: bool) -> list[str]:
+    """Say what of the dataset that is replaced was damaged: it was made anew, and the disk may be failing."""
+    if old is None:
+        return ["the dataset that was there was damaged, or of another version, and was made anew"] if there else []
+    damaged = list(old.damaged().items())
+    some = ", ".join(f"{name} ({what})" for name, what in damaged[:3]) + (" and more" if len(damaged) > 3 else "")
+    return [f"made anew, since the dataset was not as it was written: {some}"] if damaged else []
 
 
 def _build(
@@ -210,9 +238,9 @@ def _build(
         take_out(entries, names, staging)
         derived.warnings[:] = map(names.said, derived.warnings)
         cell, not_read = names.settings(), names.not_read(not_read)
-    card = _card(cell, entries, derived, not_read, wanted)
-    write_parquet(derived.tasks, staging / "tasks.parquet")
-    write_text(staging / CARD, json.dumps(card, indent=1, ensure_ascii=False) + "\n")
+    write_parquet(derived.tasks, staging / TASKS)
+    card = _card(cell, entries, derived, not_read, wanted) | {"files": listed(staging)}
+    write_text(staging / CARD, sealed(json.dumps(card, indent=1, ensure_ascii=False) + "\n"))
     return card, kept
 
 
@@ -227,15 +255,6 @@ def _check_logs(roots: Sequence[Path]) -> None:
     for path in roots:
         if not path.exists():
             raise LogError(path, "no such file or folder", cure="Check the path.")
-
-
-def _check(roots: Sequence[Path], out: Path) -> None:
-    for path in roots:
-        if path.is_dir() and out.resolve() == path.resolve():
-            raise LogError(path, "is both the logs and the dataset", cure="Give --out a folder of its own.")
-    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not (out / CARD).is_file()):
-        msg = f"{out}: exists and is no cyclekit dataset, so it is not replaced"
-        raise DatasetError(msg, cure="Give --out a new folder.")
 
 
 def _old(out: Path) -> Dataset | None:

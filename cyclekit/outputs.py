@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _CURE = "Check the folder, its permissions and the free space."
 
 
-def check_output(place: Path | str | None, kinds: Sequence[str] = ()) -> None:
+def check_writable(place: Path | str | None, kinds: Sequence[str] = ()) -> None:
     """Refuse a file that could not be written, whether it exists already or not; its folders are made later.
 
     Args:
@@ -43,7 +43,7 @@ def check_output(place: Path | str | None, kinds: Sequence[str] = ()) -> None:
         _try(path, path.resolve().parent)
 
 
-def check_output_folder(place: Path | str) -> None:
+def check_writable_folder(place: Path | str) -> None:
     """Refuse a folder that could not be made, or in whose place nothing could be put.
 
     Args:

@@ -46,13 +46,16 @@ class TableWriter:
         OSError: The file cannot be written.
     """
 
-    def __init__(self, file: Path, columns: Mapping[str, Column], *, more: Sequence[str] = ()) -> None:
+    def __init__(
+        self, file: Path, columns: Mapping[str, Column], *, more: Sequence[str] = (), made_by: str | None = None
+    ) -> None:
         """Open a table.
 
         Args:
             file: Where; its folder is made.
             columns: Its columns, in order.
             more: Columns of numbers behind them (joints).
+            made_by: Who has written it, if the file shall say so.
         """
         types = {name: column.dtype for name, column in columns.items()} | dict.fromkeys(more, pl.Float64())
         self.rows, self._pieces, self._waiting, self._path = 0, list[pl.DataFrame](), 0, file
@@ -64,6 +67,8 @@ class TableWriter:
             file.parent.mkdir(parents=True, exist_ok=True)
             self._file = file.open("wb")
             self._parquet = _writer(self._file, layout, texts, numbers)
+            if made_by:
+                self._parquet.add_key_value_metadata({"made_by": made_by})
 
     def write(self, frame: pl.DataFrame) -> None:
         """Append rows; the frame has exactly the columns of the table."""
@@ -307,6 +312,25 @@ def _unknown(about: pq.FileMetaData, column: int) -> int:
         said = about.row_group(group).column(column).statistics
         total += said.null_count if said is not None and said.has_null_count else about.row_group(group).num_rows
     return total
+
+
+def spans(file: Path, column: str, least: float, most: float) -> list[tuple[int, int]]:
+    """Return the bytes, from and to before, of the row groups that may hold values of a column from `least` to `most`.
+
+    Where the file does not say what a row group holds, it may.
+    """
+    with pq.ParquetFile(file) as parquet:
+        about, place = parquet.metadata, parquet.schema_arrow.get_field_index(column)
+    found = []
+    for number in range(about.num_row_groups):
+        group = about.row_group(number)
+        known = group.column(place).statistics if place >= 0 else None
+        if known is None or not known.has_min_max or (known.min <= most and known.max >= least):
+            parts = [group.column(index) for index in range(group.num_columns)]
+            begins = [part.dictionary_page_offset or part.data_page_offset for part in parts]
+            ends = [begin + part.total_compressed_size for begin, part in zip(begins, parts, strict=True)]
+            found.append((min(begins), max(ends)))
+    return found
 
 
 def parts_of(file: Path) -> Iterator[pl.DataFrame]:

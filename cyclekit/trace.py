@@ -105,9 +105,9 @@ def _of_recording(dataset: Dataset, record: dict[str, Any], at_s: float, logs: P
     for table in ("robot", "people", "events"):
         if table not in record["tables"]:
             continue
-        file = dataset.table_file(record["id"], table)
-        near = pl.col("t_s").is_between(own_s - AROUND_S / rate, own_s + AROUND_S / rate)
-        rows = pl.scan_parquet(file, glob=False).filter(near).collect()
+        rows = dataset.recorded_between(record["id"], table, own_s - AROUND_S / rate, own_s + AROUND_S / rate)
+        if rows is None:
+            continue
         if table == "robot":  # the row that the sample stands on
             rows = rows.filter(pl.col("t_s") <= own_s + 1e-6).tail(1)
         for row in _nearest(rows, own_s).iter_rows(named=True):

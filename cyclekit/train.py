@@ -21,6 +21,7 @@ import cyclekit
 from cyclekit import schema
 from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, MissingExtra, command_line
+from cyclekit.guard import check_output
 from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
 from cyclekit.models.cell import cell_of, fingerprint
 from cyclekit.models.metrics import measure
@@ -219,8 +220,10 @@ def train_at(what: Training, *, progress: Progress | None = None) -> dict[str, A
     """Train a model and put it in its place; return its card.
 
     Raises:
+        OutputError: The model would replace what is no model, or lie in the dataset.
         CyclekitError: As `train`, or the model cannot be written.
     """
+    check_output(what.out, "model", [what.dataset])
     check_model_output(what.out)
     model = train(Dataset.open(what.dataset), what.spec, progress=progress)
     save_model(what.out, model)

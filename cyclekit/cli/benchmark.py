@@ -43,20 +43,22 @@ def benchmark(
     from cyclekit.benchmark import Settings, benchmark_paper
     from cyclekit.benchmark.tables import markdown, put_into, write_figures
     from cyclekit.errors import ConfigError
-    from cyclekit.outputs import check_output, check_output_folder
+    from cyclekit.guard import check_output
+    from cyclekit.outputs import check_writable
     from cyclekit.train import need_torch
 
     del what
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     if not done:
         need_torch()
-    check_output_folder(out)
-    check_output(page, (".md",))
+    check_output(out, "folder", [])
+    check_output(out / "tables.md", "words", [])
+    check_writable(page, (".md",))
     settings = Settings(executions, whole_numbers(seeds), _names(scenes), steps, only, done)
     with terminal.progress("benchmark") as progress:
         results, refused = benchmark_paper(settings, out, partial(_prepared, executions), progress, work)
         text = markdown(results)
-        write_text(out / "tables.md", text)
+        write_text(out / "tables.md", f"{text}\n<!-- written by cyclekit -->\n")
         write_figures(results, out / "figures")
         if page is not None:
             put_into(page, text)

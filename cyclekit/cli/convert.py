@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from cyclekit.cli.options import Json, Quiet
 from cyclekit.cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from cyclekit.guard import Kind
 
 EXAMPLE = "cyclekit convert logs/robot.csv --out robot.parquet --rate 10"
 
@@ -33,10 +36,11 @@ def convert(
     """
     from cyclekit.config import load_cell
     from cyclekit.convert import convert as convert_log
-    from cyclekit.outputs import check_output
+    from cyclekit.guard import check_output
 
     terminal = Terminal(json=json, quiet=quiet)
-    check_output(out, (".parquet", ".csv"))
+    kind: Kind = "table-csv" if out.suffix.lower() == ".csv" else "table-parquet"
+    check_output(out, kind, [log, cell], endings=(".parquet", ".csv"))
     with terminal.progress("converting") as progress:
         done = convert_log(
             log,

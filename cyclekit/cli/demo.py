@@ -64,7 +64,7 @@ def demo(
     if operator_xyz is not None:
         settings["operator_xyz_m"] = vector(operator_xyz)
     run = _Run(Terminal(json=json, quiet=quiet), out)
-    _check(out)
+    _check(out, operator_log)
     dataset = _dataset(run, executions, seed, settings)
     model = _model(run, dataset, seed)
     estimates = _estimates(run, dataset, model, seed)
@@ -75,20 +75,6 @@ def demo(
         "seconds": run.spent_s,
     }
     run.terminal.answer(document, _closing(estimates, run))
-
-
-def _check(out: Path) -> None:
-    """Refuse before anything is simulated what would fail at a later step."""
-    from cyclekit.models.saved import check_model_output
-    from cyclekit.outputs import check_output, check_output_folder
-    from cyclekit.train import need_torch
-
-    need_torch()
-    check_output_folder(out)
-    check_output_folder(out / "dataset")
-    check_model_output(out / "model")
-    for name in ("sequences.toml", "estimates.json", "replay.rrd", "report.html"):
-        check_output(out / name)
 
 
 @dataclass
@@ -106,6 +92,26 @@ class _Run:
             yield progress
         self.spent_s[title] = time.monotonic() - began_s
         self.terminal.remark(f"[{len(self.spent_s)}/{STEPS}] {title}: {duration(self.spent_s[title])}")
+
+
+def _check(out: Path, operator_log: Path | None) -> None:
+    """Refuse before any work what would be refused after half of it."""
+    from cyclekit.guard import Kind, check_output
+    from cyclekit.train import need_torch
+
+    need_torch()
+    check_output(out, "folder", [operator_log])
+    parts: dict[str, Kind] = {
+        "logs": "logs",
+        "dataset": "dataset",
+        "model": "model",
+        "sequences.toml": "sequences",
+        "estimates.json": "estimates-json",
+        "replay.rrd": "replay",
+        "report.html": "page",
+    }
+    for name, kind in parts.items():
+        check_output(out / name, kind, [operator_log])
 
 
 def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) -> Dataset:
@@ -158,7 +164,7 @@ def sequences_toml(logged: set[str]) -> str:
         places = ["home", *(place for slot in order for place in ("conveyor", slot)), *(["home"] if last else [])]
         quoted = ", ".join(f'"{place}"' for place in places)
         blocks.append(f'[[sequence]]\nname = "{name}"\nplaces = [{quoted}]\n')
-    return "\n".join(blocks)
+    return "\n".join(["# Written by cyclekit demo", *blocks])
 
 
 def _replay(run: _Run, dataset: Dataset, model: TrainedModel) -> Path:

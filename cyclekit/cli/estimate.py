@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.guard import Kind
 
 EXAMPLE = "cyclekit estimate model sequences.toml --dataset dataset"
 CAPTION = "seconds: motion at full speed + slow-down for safety + dwell + wait = expected"
@@ -67,12 +68,14 @@ def estimate(
     """
     from cyclekit.dataset import Dataset
     from cyclekit.estimate.rollout import estimate as estimate_cycles
+    from cyclekit.guard import check_output
     from cyclekit.models.saved import load_model
-    from cyclekit.outputs import check_output
     from cyclekit.sequences import load_sequences
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
-    check_output(out, (".json", ".csv"))
+    as_table = out is not None and out.suffix.lower() == ".csv"
+    kind: Kind = "estimates-csv" if as_table else "estimates-json"
+    check_output(out, kind, [model, sequences, dataset], endings=(".json", ".csv"))
     wanted = load_sequences(sequences)
     asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
     opened, logs = load_model(model), Dataset.open(dataset)
@@ -95,7 +98,7 @@ def estimate(
     document: dict[str, Any] = {"warnings": alarms, "sequences": [entry.to_json() for entry in found]}
     document["check"] = checked.to_json() if checked else None
     if out is not None:
-        write_out(out, as_csv(found) if out.suffix.lower() == ".csv" else document)
+        write_out(out, as_csv(found) if as_table else document)
         terminal.remark(f"written: {out}")
     by_task = tasks_table(found[0]) if len(found) == 1 else ""
     numbers = f"{estimates_table(found)}\n{CAPTION}\n{doubted(found)}".rstrip()

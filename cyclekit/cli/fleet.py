@@ -36,13 +36,13 @@ def fleet(
     WHAT is ingest, train, report or all. What fails in a cell is told and the others go on; then the exit code is 1.
     """
     from cyclekit.fleet import STAGES, load_fleet, run_fleet
-    from cyclekit.outputs import check_output_folder
+    from cyclekit.guard import check_output
     from cyclekit.storage import join
     from cyclekit.train import need_torch
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     wanted, stages = load_fleet(file), tuple(STAGES) if what == "all" else (what,)
-    check_output_folder(wanted.out)
+    check_output(wanted.out, "folder", [file])
     if "train" in stages:
         need_torch()
     with terminal.progress(f"fleet {what}") as progress:

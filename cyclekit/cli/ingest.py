@@ -35,7 +35,7 @@ def ingest(
         bool, typer.Option("--keep-skeletons", help="Keep every joint of every person (docs/privacy.md).")
     ] = False,
     no_checksums: Annotated[
-        bool, typer.Option("--no-checksums", help="Leave out the SHA-256 of the logs, the slowest part of a large one.")
+        bool, typer.Option("--no-checksums", help="Leave out the checksums of the logs (BLAKE3).")
     ] = False,
     align_clocks: Annotated[
         Literal["coarse"] | None,
@@ -49,23 +49,31 @@ def ingest(
 
     The same command again re-reads nothing that has not changed.
     """
+    from cyclekit.errors import ConfigError, LogError
     from cyclekit.ingest import ingest as ingest_logs
+    from cyclekit.ingest import left_by
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
-    with terminal.progress("ingesting") as progress:
-        report = ingest_logs(
-            logs,
-            out,
-            cell=cell,
-            engine=work,
-            rate_hz=rate,
-            keep_skeletons=keep_skeletons,
-            checksums=not no_checksums,
-            pseudonymise=pseudonymise,
-            align_clocks=align_clocks,
-            follow_links=follow_links,
-            progress=progress,
-        )
+    try:
+        with terminal.progress("ingesting") as progress:
+            report = ingest_logs(
+                logs,
+                out,
+                cell=cell,
+                engine=work,
+                rate_hz=rate,
+                keep_skeletons=keep_skeletons,
+                checksums=not no_checksums,
+                pseudonymise=pseudonymise,
+                align_clocks=align_clocks,
+                follow_links=follow_links,
+                progress=progress,
+            )
+    except (KeyboardInterrupt, ConfigError, LogError):
+        if left := left_by(out):
+            kept = "what was read, people included, is kept for the next ingest; remove it if none follows"
+            terminal.remark(f"{left}: {kept}")
+        raise
     for line in grouped(report.not_read):
         terminal.remark(f"not read: {line}")
     terminal.warnings(grouped(map(named, report.warnings)))

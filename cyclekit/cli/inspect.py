@@ -18,6 +18,9 @@ def inspect(
         bool, typer.Option("--write-cell", help="Print the cell file that fits these logs, and nothing else.")
     ] = False,
     follow_links: FollowLinks = False,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Check that every file of a dataset is as it was written.")
+    ] = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -35,9 +38,21 @@ def inspect(
         text = cell_to_toml(suggest_cell([local(path)], follow_links=follow_links))
         terminal.answer({"cell": text}, text.rstrip("\n"))
         return
+    checked = _verified(path, terminal) if verify else None
     from cyclekit.cli.facts import page
     from cyclekit.describe import describe
 
     with terminal.progress("looking") as progress:
         found = describe(local(path), progress=progress, follow_links=follow_links)
-    terminal.answer(found.to_json(), page(found))
+    if checked is None:
+        terminal.answer(found.to_json(), page(found))
+    else:
+        terminal.answer({**found.to_json(), "verified": checked}, page(found), f"{checked} files, all as written")
+
+
+def _verified(path: str, terminal: Terminal) -> int:
+    """Check a dataset, and return how many files it has."""
+    from cyclekit.dataset import Dataset
+
+    with terminal.progress("checking"):
+        return Dataset.open(path).verify()

@@ -31,12 +31,12 @@ def levels(
     Each execution is looked at for itself, never across a gap. Levels fixed in the cell file are only counted.
     """
     from cyclekit.dataset import Dataset
+    from cyclekit.guard import check_output
     from cyclekit.labelling import scaling_in_time, staircase_of
-    from cyclekit.outputs import check_output
     from cyclekit.steps import second_opinion
 
     terminal = Terminal(json=json, quiet=quiet)
-    check_output(picture, (".svg", ".png", ".pdf"))
+    check_output(picture, "picture", [dataset], option="--picture", endings=(".svg", ".png", ".pdf"))
     with terminal.progress("looking for levels"):
         opened = Dataset.open(dataset)
         frame = opened.samples(columns=["execution", "t_s", "scaling"])

@@ -34,13 +34,13 @@ def plan(
     Says what the order saves against the logged ones.
     """
     from cyclekit.dataset import Dataset
+    from cyclekit.guard import check_output
     from cyclekit.models.saved import load_model
-    from cyclekit.outputs import check_output
     from cyclekit.plan import load_jobs
     from cyclekit.plan import plan as search
 
     terminal = Terminal(json=json, quiet=quiet)
-    check_output(out, (".toml",))
+    check_output(out, "sequences", [model, jobs, dataset], endings=(".toml",))
     wanted = load_jobs(jobs)
     with terminal.progress("planning") as progress:
         found = search(
@@ -54,7 +54,7 @@ def plan(
         )
     if out is not None:
         names = ", ".join(f'"{place}"' for place in found.places)
-        write_out(out, f'[[sequence]]\nname = "planned"\nplaces = [{names}]\n')
+        write_out(out, f'# Written by cyclekit plan\n[[sequence]]\nname = "planned"\nplaces = [{names}]\n')
         terminal.remark(f"written: {out}")
     alarms = [found.alarm] if found.alarm else []
     doubts = bullet(found.doubts, mark=DOUBTED)

@@ -51,13 +51,13 @@ def replay(
     Robot, operator, places and speed scaling, in 3-D and over time; with the prediction of a model if one is given.
     """
     from cyclekit.dataset import Dataset
+    from cyclekit.guard import check_output
     from cyclekit.models.saved import load_model
-    from cyclekit.outputs import check_output
     from cyclekit.replay import open_viewer, serve, write_replay
 
     terminal = Terminal(json=json, quiet=quiet)
     focus = _focus(at)
-    check_output(out, (".rrd",))
+    check_output(out, "replay", [dataset, model], endings=(".rrd",))
     opened = Dataset.open(dataset)
     trained = load_model(model) if model else None
     with terminal.progress("replaying") as progress:

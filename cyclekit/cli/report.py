@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.evaluate import Evaluation
+    from cyclekit.guard import Kind
     from cyclekit.models.saved import TrainedModel
     from cyclekit.plan import Jobs, Plan
     from cyclekit.report import Tried
@@ -30,6 +31,7 @@ EXAMPLE = "cyclekit report dataset --model model --sequences sequences.toml --ou
 
 ORDER = "order found"
 """How the order that --plan found is named among the sequences."""
+WRITTEN_AS: dict[str, Kind] = {"html": "page", "md": "words", "json": "report-json", "csv": "report-csv"}
 
 
 def report(
@@ -70,19 +72,20 @@ def report(
     One self-contained file: the cycle times, where they go, why, what would help, and how sure that is.
     """
     from cyclekit.dataset import Dataset
+    from cyclekit.guard import check_output
     from cyclekit.models.cell import refuse_other_cell
     from cyclekit.models.saved import load_model
-    from cyclekit.outputs import check_output
     from cyclekit.report import Template, need_browser, write_pdf, write_report
 
     terminal = Terminal(json=json, quiet=quiet)
     takt_s = seconds(takt) if takt else None
-    chosen, asked = _format(kind, out, pdf), _asked(sequences, what_if or [], plan, check, extrapolate)
-    asked = replace(asked, other_cell=other_cell)
+    chosen = _format(kind, out, pdf)
+    read = [dataset, model, sequences, plan, template, *(entry.rpartition("=")[2] for entry in what_if or [])]
+    check_output(out, WRITTEN_AS[chosen], read)
+    check_output(pdf, "pdf", [*read, out], option="--pdf", endings=(".pdf",))
+    asked = replace(_asked(sequences, what_if or [], plan, check, extrapolate), other_cell=other_cell)
     _refuse_without_model(asked, model)
-    check_output(out)
     if pdf is not None:
-        check_output(pdf, (".pdf",))
         need_browser()
     Template(template)
     data, trained = Dataset.open(dataset), load_model(model) if model else None

@@ -104,11 +104,11 @@ def simulated(scene: str, out: Path, executions: int, seed: int, settings: dict[
         CyclekitError: The simulator refuses the settings, or the operator's recording.
     """
     from cyclekit.errors import CyclekitError
-    from cyclekit.outputs import check_output_folder
+    from cyclekit.guard import check_output
     from cyclekit_sim import SimulationOptions, simulate
     from cyclekit_sim.errors import SimulationError
 
-    check_output_folder(out)
+    check_output(out, "logs", [settings.get("operator_log")])
     try:
         options = SimulationOptions(**settings)
         return simulate(scene, out, executions=executions, seed=seed, options=options, progress=progress)

@@ -75,6 +75,7 @@ def train(
     from functools import partial
 
     from cyclekit.errors import command_line
+    from cyclekit.guard import check_output
     from cyclekit.models.saved import check_model_output
     from cyclekit.models.spec import ModelSpec
     from cyclekit.storage import join
@@ -88,6 +89,7 @@ def train(
         todo = [Training(dataset, spec(seed=one), join(out, f"seed-{one}")) for one in chosen]
     need_torch()
     for each in todo:
+        check_output(each.out, "model", [dataset])
         check_model_output(each.out)
     with terminal.progress("training") as progress:
         here = work.stays_here(len(todo)) and len(todo) == 1

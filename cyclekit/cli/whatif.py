@@ -42,13 +42,13 @@ def whatif(
     """
     from cyclekit.dataset import Dataset
     from cyclekit.errors import EstimateError
+    from cyclekit.guard import check_output
     from cyclekit.models.saved import load_model
-    from cyclekit.outputs import check_output
     from cyclekit.sequences import load_sequences
     from cyclekit.whatif import NO_PROOF, load_changes, what_if
 
     terminal = Terminal(json=json, quiet=quiet)
-    check_output(out, (".json",))
+    check_output(out, "what-if", [model, sequences, changes, dataset], endings=(".json",))
     wanted, changed = load_sequences(sequences), load_changes(changes)
     refused: dict[str, EstimateError] = {}
     with terminal.progress("estimating") as progress:

@@ -30,12 +30,12 @@ def zones(
     Thresholds in metres where a distance explains the slow-down; a map of the floor where it does not. No safety proof.
     """
     from cyclekit.dataset import Dataset
+    from cyclekit.guard import check_output
     from cyclekit.models.saved import load_model
-    from cyclekit.outputs import check_output
     from cyclekit.zones import read_zones, zones_svg
 
     terminal = Terminal(json=json, quiet=quiet)
-    check_output(out, (".svg",))
+    check_output(out, "picture", [model, dataset], endings=(".svg",))
     with terminal.progress("reading zones"):
         found = read_zones(load_model(model), Dataset.open(dataset), seed=seed, other_cell=other_cell)
     if out is not None:

@@ -42,7 +42,9 @@ def canvas(path: Path, width_in: float, height_in: float, columns: int = 1) -> I
     yield list(figure.subplots(1, columns, squeeze=False)[0])
     content = BytesIO()
     with mpl.rc_context({"svg.hashsalt": "cyclekit"}):
-        dates = {"Date": None} if path.suffix.lower() == ".svg" else {}
-        figure.savefig(content, format=path.suffix[1:].lower(), dpi=120, metadata=dates)
+        kind = path.suffix[1:].lower()
+        about: dict[str, str | None] = {"Software" if kind == "png" else "Creator": "written by cyclekit"}
+        about |= {"Date": None} if kind == "svg" else {}
+        figure.savefig(content, format=kind, dpi=120, metadata=about)
     with replaced(path) as staging:
         staging.write_bytes(content.getvalue())

@@ -30,7 +30,7 @@ class FleetCell:
         cell_file: Its cell file, None for the one beside the logs.
         sequences: Sequence file whose estimates go into its report.
         pseudonymise: Keep neither names nor times of day; then no day is kept of a log either.
-        checksums: Keep the SHA-256 of each log.
+        checksums: Keep the BLAKE3 of each log.
         follow_links: Read what links in a folder of logs lead to outside of it.
         seed: Of training and split.
         epochs: Passes of the training, None for as many as the rows need.

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import CyclekitError
-from cyclekit.fleet.stages import REPORT, STAGES, Row, note, read_ledger, work_on
+from cyclekit.fleet.stages import LEDGER, REPORT, STAGES, Row, note, read_ledger, work_on
+from cyclekit.guard import check_output
 from cyclekit.report.fleet_page import CellLine, fleet_page
 from cyclekit.storage import join, write_text
 
@@ -43,8 +44,10 @@ def run_fleet(
         What came of each stage, in the order of the cells.
 
     Raises:
+        OutputError: Something that is not the fleet's would be replaced.
         CyclekitError: The engine cannot be reached, or the page cannot be written.
     """
+    _check(fleet, stages)
     rows: dict[str, list[Row]] = {}
     for done in engine.map(partial(work_on, stages=tuple(stages)), fleet.cells):
         cell = done.item
@@ -59,6 +62,17 @@ def run_fleet(
     if "report" in stages:
         write_page(fleet, today or dt.datetime.now(tz=dt.UTC).date())
     return [row for cell in fleet.cells for row in rows[cell.name]]
+
+
+def _check(fleet: Fleet, stages: Sequence[str]) -> None:
+    """Refuse to work where something that is not the fleet's would be replaced, datasets and models apart."""
+    for cell in fleet.cells:
+        check_output(join(cell.folder, LEDGER), "cell", cell.sources, option="`out`")
+        if "report" in stages:
+            check_output(join(cell.folder, REPORT), "page", cell.sources, option="`out`")
+    if "report" in stages:
+        check_output(join(fleet.out, PAGE), "page", [], option="`out`")
+        check_output(join(fleet.out, SUMMARY), "fleet", [], option="`out`")
 
 
 def write_page(fleet: Fleet, today: dt.date) -> None:

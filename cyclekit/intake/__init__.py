@@ -68,12 +68,13 @@ def read_all(
         tell: Told the fraction done and what is being done.
     """
     how = how or How()
+    damaged = old.damaged() if old else {}
     known = {entry["key"]: entry for entry in old.card["recordings"]} if old else {}
     entries: dict[str, dict[str, Any]] = {}
     todo = []
     for log in logs:
         before = known.get(log.key)
-        if old is not None and before is not None and is_whole(before, old.path):
+        if old is not None and before is not None and is_whole(before, old.path, damaged):
             entries[log.id] = digests.completed(take_over(before, log, old.path, staging), log)
         elif shelf is not None and (found := shelf.find(log)) is not None:
             entries[log.id] = digests.completed(shelf.take(found, log, staging), log)

@@ -1,29 +1,30 @@
 """Checksums of the logs, computed beside the reading: a second look at a file that is in memory anyway.
 
-SHA-256 is what a customer can check with any tool. On a processor without instructions for it, it takes longer than
-the reading itself, so nothing waits for it before the card of the dataset is written.
+BLAKE3, which `b3sum` prints: SHA-256 takes longer than the reading on a processor without instructions for it. What an
+earlier version has put into a dataset stays what it is; the name of the entry says by which function it was made.
+Nothing waits for a checksum before the card of the dataset is written.
 """
 
 from __future__ import annotations
 
-import hashlib
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Self
 
+from cyclekit.checksums import digest_of
 from cyclekit.discover import Log, files_of, key_of
 from cyclekit.errors import LogError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
-_STEP = 1 << 20
+KINDS = ("blake3", "sha256")
+"""Functions by which the checksum of a log can have been made."""
 CHANGED = "the log changed while it was read: is it still being written? ingest again when it is complete"
 
 
 class Digests:
-    """Computes the SHA-256 of files in the background, one after the other, until its `with` block is left.
+    """Computes the checksums of files in the background, one after the other, until its `with` block is left.
 
     Attributes:
         wanted: Whether it does.
@@ -41,7 +42,7 @@ class Digests:
         self._pending: dict[str, tuple[Log, list[Future[str]]]] = {}
 
     def sources(self, log: Log) -> list[dict[str, Any]]:
-        """Return where a log comes from, file by file; `sha256` is filled in by `settle`.
+        """Return where a log comes from, file by file; `blake3` is filled in by `settle`.
 
         Raises:
             OSError: A file has gone.
@@ -50,9 +51,9 @@ class Digests:
         for file in files_of(log.path):
             if self.wanted:
                 self._worker = self._worker or ThreadPoolExecutor(1)
-                digests.append(self._worker.submit(_sha256, file, self._given_up))
+                digests.append(self._worker.submit(digest_of, file, self._given_up))
             shown = log.shown if file == log.path else f"{log.shown}/{file.relative_to(log.path).as_posix()}"
-            found.append({"path": shown, "sha256": None, "size": file.stat().st_size})
+            found.append({"path": shown, "blake3": None, "size": file.stat().st_size})
         self._pending[log.id] = (log, digests)
         return found
 
@@ -62,7 +63,7 @@ class Digests:
         Raises:
             OSError: A file has gone.
         """
-        if self.wanted and not all(source["sha256"] for source in entry["sources"]):
+        if self.wanted and any(not any(map(source.get, KINDS)) for source in entry["sources"]):
             return {**entry, "sources": self.sources(log)}
         return entry
 
@@ -78,7 +79,7 @@ class Digests:
             log, digests = self._pending.pop(entry["id"])
             for source, digest in zip(entry["sources"], digests, strict=self.wanted):
                 try:
-                    source["sha256"] = digest.result()
+                    source["blake3"] = digest.result()
                 except OSError as error:
                     raise LogError(log.path, f"cannot be read ({error.strerror})", cure="Check the file.") from error
             if _has_changed(log) and CHANGED not in entry["warnings"]:
@@ -91,17 +92,6 @@ class Digests:
         self._given_up.set()
         if self._worker is not None:
             self._worker.shutdown(wait=False, cancel_futures=True)
-
-
-def _sha256(file: Path, given_up: threading.Event) -> str:
-    digest, buffer = hashlib.sha256(), bytearray(_STEP)
-    view = memoryview(buffer)
-    with file.open("rb", buffering=0) as handle:
-        while count := handle.readinto(buffer):
-            digest.update(view[:count])
-            if given_up.is_set():  # else who interrupts the reading of a large log would wait for the rest of this
-                break
-    return digest.hexdigest()
 
 
 def _has_changed(log: Log) -> bool:

@@ -53,7 +53,7 @@ class How:
     Attributes:
         pseudonymise: Replace the names that trackers give.
         skeletons: Keep every joint of every person, where a tracker has them.
-        checksums: Compute the SHA-256 of each file.
+        checksums: Compute the BLAKE3 of each file.
     """
 
     pseudonymise: bool = False

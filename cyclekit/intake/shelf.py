@@ -1,5 +1,7 @@
 """Recordings that an ingest has read, kept beside the dataset until it is in place: a killed ingest goes on from here.
 
+They hold people as logged, so they go as soon as they are of no use: docs/privacy.md says when.
+
 One folder per recording under `.NAME.read`, named by the key of its log: the tables and the entry. What is there is
 whole, since it is put there by a rename. The key changes when the log, its reader or its options do, so that nothing
 else is ever taken for it.
@@ -11,15 +13,17 @@ import json
 import os
 import secrets
 import shutil
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from cyclekit import schema
+from cyclekit.errors import ConfigError, LogError
 from cyclekit.intake.keep import QUARANTINE
 from cyclekit.intake.take_over import as_read, link_files, named_anew
 from cyclekit.tables import TableWriter, parts_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from cyclekit.discover import Log
@@ -81,12 +85,37 @@ class Shelf:
         """Tell whether a killed ingest (or one at work) has left something."""
         return self._folder.exists() or self._gone.exists()
 
+    @property
+    def left(self) -> Path | None:
+        """Where recordings wait for the next ingest, None if there are none."""
+        return self._folder if self._folder.exists() else None
+
+    @contextmanager
+    def while_making(self) -> Iterator[None]:
+        """Have everything forgotten when the dataset is made, or cannot be; not where the next ingest shall go on.
+
+        That is so where it was interrupted, and where the cell file or a log is wrong: both are mended in a minute.
+        """
+        try:
+            yield
+        except (KeyboardInterrupt, ConfigError, LogError):
+            raise
+        except BaseException:
+            self.clear()
+            raise
+        self.clear()
+
     def clear(self) -> None:
-        """Forget everything: the dataset is in place.
+        """Forget everything.
 
         Under another name first, so that one who is killed here leaves no recording that has lost a table.
         """
         shutil.rmtree(self._gone, ignore_errors=True)
-        with suppress(OSError):
+        try:
             self._folder.rename(self._gone)
-            shutil.rmtree(self._gone, ignore_errors=True)
+        except OSError:  # there is none, or the disk refuses: what has lost its entry is not used
+            for entry in self._folder.glob(f"*/{_ENTRY}"):
+                with suppress(OSError):
+                    entry.unlink()
+            shutil.rmtree(self._folder, ignore_errors=True)
+        shutil.rmtree(self._gone, ignore_errors=True)

@@ -17,7 +17,7 @@ from cyclekit.intake.keep import QUARANTINE
 from cyclekit.tables import TableWriter, parts_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Container, Iterable, Sequence
     from pathlib import Path
 
     from cyclekit.discover import Log
@@ -25,11 +25,18 @@ if TYPE_CHECKING:
 _ALL = f"{QUARANTINE}.parquet"
 
 
-def is_whole(entry: dict[str, Any], old: Path) -> bool:
-    """Tell whether everything that an entry of the dataset `old` speaks of is still there, in it."""
+def is_whole(entry: dict[str, Any], old: Path, damaged: Container[str] = ()) -> bool:
+    """Tell whether everything that an entry of the dataset `old` speaks of is still there, and as it was written.
+
+    Args:
+        entry: Of a recording.
+        old: The dataset.
+        damaged: Its files that are not what they were.
+    """
+    names = [f"recordings/{entry['id']}/{name}.parquet" for name in entry["tables"]]
+    names += [_ALL] if entry["rows_set_aside"] else []
     try:
-        aside = not entry["rows_set_aside"] or inside(old, _ALL).is_file()
-        return aside and all(file.is_file() for file in _tables(entry, old))
+        return all(inside(old, *name.split("/")).is_file() and name not in damaged for name in names)
     except OutsideFolder:  # what the card names was never ours
         return False
 

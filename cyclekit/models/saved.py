@@ -25,7 +25,7 @@ from cyclekit.mistaken import MODEL_CARD, toml_for, what_is
 from cyclekit.models.layout import Layout, NotAModel, parse_model
 from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
 from cyclekit.one_thread import one_thread
-from cyclekit.outputs import check_output_folder
+from cyclekit.outputs import check_writable_folder
 from cyclekit.plain_text import all_in_one_line
 from cyclekit.samples import GROUPS, INPUTS
 from cyclekit.storage import is_url, local, published
@@ -141,7 +141,7 @@ def check_model_output(place: Path | str) -> None:
         ModelError: The path is there already and is no model.
         CyclekitError: The place cannot be written.
     """
-    check_output_folder(place)
+    check_writable_folder(place)
     if not is_url(place):
         _refuse_other(Path(place))
 

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from cyclekit.report.verdict import Verdict
 
 PARTS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
+MARK = "<!-- written by cyclekit -->"
+"""Tells a later report that it may replace the file."""
 ORDER = ("answer", "where", "why", "helps", "trust")
 
 
@@ -128,7 +130,7 @@ def as_markdown(texts: Texts, cell: str, made: str, sections: Mapping[str, Any])
         for table in _tables(section):
             lines += _table(table)
         lines += [f"- {markdown(text)}" for text in section.get("warnings", ())]
-    return "\n".join(lines).rstrip() + "\n"
+    return "\n".join(lines).rstrip() + f"\n\n{MARK}\n"
 
 
 def _tables(value: object) -> Iterator[Table]:

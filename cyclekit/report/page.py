@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.atomic import write_text
 from cyclekit.one_thread import one_thread
 from cyclekit.report import answer, helps, trust, where, why
-from cyclekit.report.document import Found, as_csv, as_json, as_markdown
+from cyclekit.report.document import MARK, Found, as_csv, as_json, as_markdown
 from cyclekit.report.findings import overview
 from cyclekit.report.template import Template
 from cyclekit.report.verdict import verdict
@@ -132,7 +132,7 @@ def write_report(
     elif kind == "md":
         content = as_markdown(texts, name, made, sections)
     else:
-        content = look.render(cell=name, made=made, version=installed("cyclekit"), **sections)
+        content = look.render(cell=name, made=made, version=installed("cyclekit"), **sections) + f"\n{MARK}\n"
     write_text(out, content)
     said = tuple(missing) + tuple(text for section in sections.values() for text in section.get("missing", ()))
     return ReportFacts(out, out.stat().st_size, sections["answer"]["headline"], content.count("<figure>"), said)

@@ -81,5 +81,5 @@ def write_pdf(page: Path, out: Path) -> int:
             said = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or [f"code {done.returncode}"]
             msg = f"{browser} does not print the page ({said[0]})"
             raise CyclekitError(msg, cure="Open the page in a browser and print it to PDF.")
-        temporary.write_bytes(printed.read_bytes())
+        temporary.write_bytes(printed.read_bytes() + b"\n% written by cyclekit\n")  # a remark: readers skip it
     return out.stat().st_size

@@ -50,7 +50,7 @@ class Provenance:
 
     Attributes:
         sources: Recordings, put together where alike.
-        files: Path and SHA-256 of the first files; `more_files` others are in the dataset's card.
+        files: Path and checksum of the first files; `more_files` others are in the dataset's card.
         set_aside: Reason and number of rows, most frequent first.
         warnings: Text and how often, most frequent first; `more_warnings` others.
         not_read: Path and reason.
@@ -80,7 +80,7 @@ def provenance(dataset: Dataset, versions: Mapping[str, str]) -> Provenance:
         for entry in _set_aside(record):
             aside[str(entry.get("reason", "no reason given"))] += int(entry.get("count", 1))
         warned.update(str(text) for text in record.get("warnings", ()))
-        files.extend((str(f.get("path", "")), str(f.get("sha256", ""))) for f in record.get("sources", ()))
+        files.extend((str(f.get("path", "")), _checksum(f)) for f in record.get("sources", ()))
     unread = card.get("not_read", ())
     common = warned.most_common()
     return Provenance(
@@ -93,6 +93,11 @@ def provenance(dataset: Dataset, versions: Mapping[str, str]) -> Provenance:
         not_read=tuple((str(e.get("path", "")), str(e.get("reason", ""))) for e in unread),
         versions=tuple(versions.items()),
     )
+
+
+def _checksum(source: Mapping[str, Any]) -> str:
+    """Return the checksum of a log, and by which function it was made if that is said."""
+    return next((f"{kind}:{source[kind]}" for kind in ("blake3", "sha256") if source.get(kind)), "")
 
 
 def _kind(record: Mapping[str, Any]) -> tuple[str, ...]:

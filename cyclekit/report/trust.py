@@ -241,9 +241,9 @@ def _data_tables(texts: Texts, origin: Provenance) -> list[Table]:
         title, heads = texts("trust.not_read"), [texts("trust.path"), texts("trust.reason")]
         tables.append(Table(title, heads, [list(pair) for pair in origin.not_read[:50]], silent=True, title=title))
     if origin.files:
-        title, heads = texts("trust.files"), [texts("trust.path"), "SHA-256"]
+        title, heads = texts("trust.files"), [texts("trust.path"), texts("trust.checksum")]
         more = texts("trust.more_files", count=origin.more_files) if origin.more_files else ""
-        files = [[path, f"{digest[:16]}…" if digest else "–"] for path, digest in origin.files]
+        files = [[path, f"{digest[:23]}…" if digest else "–"] for path, digest in origin.files]
         tables.append(Table(title, heads, files, silent=True, title=title, after=more))
     return tables
 

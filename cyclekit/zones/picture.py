@@ -25,7 +25,15 @@ def zones_svg(zones: Zones) -> str:
     style = "<style>text{font:12px sans-serif;fill:#222}</style>"
     title = f"<title>{escape(zones.rule)}</title>"
     note = f'<text x="{EDGE}" y="{HEIGHT + 30}">Read back from logs. No safety proof.</text>'
-    parts = [f'<svg xmlns="http://www.w3.org/2000/svg" {size}>', title, style, *body, note, "</svg>"]
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size}>',
+        "<!-- written by cyclekit -->",
+        title,
+        style,
+        *body,
+        note,
+        "</svg>",
+    ]
     return "\n".join(parts) + "\n"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shutil
@@ -11,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 import pytest
+from blake3 import blake3
 from ingested import ROUND_TRIP, bytes_and_times, only_bytes
 
 from cyclekit.config import Cell, Executions, Source
 from cyclekit.dataset import Dataset
 from cyclekit.discover import suggest_cell
 from cyclekit.engine import Engine
-from cyclekit.errors import ConfigError, CyclekitError, DatasetError, LogError, UnknownFormat, UnknownName
+from cyclekit.errors import ConfigError, CyclekitError, LogError, OutputError, UnknownFormat, UnknownName
 from cyclekit.ingest import ingest
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def test_a_file_that_is_no_log_is_refused_with_its_name_and_a_cure(
 
 def test_the_logs_cannot_be_the_dataset(three_runs: Path):
     before = only_bytes(three_runs)
-    with pytest.raises(LogError, match="both the logs and the dataset"):
+    with pytest.raises(OutputError, match="is an input"):
         ingest([three_runs], three_runs)
     assert only_bytes(three_runs) == before
 
@@ -151,9 +151,9 @@ def test_the_logs_cannot_be_the_dataset(three_runs: Path):
 def test_a_folder_with_other_things_in_it_is_not_replaced(three_runs: Path, tmp_path: Path):
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter_1.tex").write_text("In the beginning", encoding="utf-8")
-    with pytest.raises(DatasetError, match="is not replaced"):
+    with pytest.raises(OutputError, match="is not replaced"):
         ingest([three_runs], tmp_path / "thesis")
-    with pytest.raises(DatasetError, match="is not replaced"):
+    with pytest.raises(OutputError, match="is not replaced"):
         ingest([three_runs], tmp_path / "thesis" / "chapter_1.tex")
     assert [file.name for file in (tmp_path / "thesis").iterdir()] == ["chapter_1.tex"]
 
@@ -165,10 +165,14 @@ def test_a_place_where_nothing_can_be_written_is_told(three_runs: Path, tmp_path
         ingest([three_runs], tmp_path / "locked" / "dataset")
 
 
-def test_a_dataset_may_lie_in_the_folder_of_the_logs(three_runs: Path):
-    ingest([three_runs], three_runs / "dataset")
-    again = ingest([three_runs], three_runs / "dataset")
-    assert again.unchanged
+def test_a_dataset_is_not_put_into_the_folder_of_the_logs_and_one_that_lies_there_is_no_log(
+    three_runs: Path, tmp_path: Path
+):
+    with pytest.raises(OutputError, match="lies in the input"):
+        ingest([three_runs], three_runs / "dataset")
+    ingest([three_runs], tmp_path / "dataset").dataset.rename(three_runs / "dataset")
+    again = ingest([three_runs], tmp_path / "dataset")
+    assert again.recordings_new == 3
     assert again.not_read == ()
 
 
@@ -187,7 +191,7 @@ def test_provenance_tells_every_file_by_its_checksum_and_its_rows(three_runs: Pa
     for entry in Dataset.open(out).recordings:
         (source,) = entry["sources"]
         log = three_runs / source["path"]
-        assert source["sha256"] == hashlib.sha256(log.read_bytes()).hexdigest()
+        assert source["blake3"] == blake3(log.read_bytes()).hexdigest()
         assert source["size"] == log.stat().st_size
         rows = len(log.read_text(encoding="utf-8").splitlines()) - 1
         assert entry["rows_read"] == entry["rows"]["robot"] == rows
@@ -362,9 +366,9 @@ def test_another_rate_gives_other_samples_of_the_same_recordings(three_runs: Pat
 
 def test_checksums_can_be_left_out_and_are_made_good_later(three_runs: Path, tmp_path: Path, reads: list[str]):
     def sums(dataset: Path) -> list[str | None]:
-        return [source["sha256"] for entry in Dataset.open(dataset).recordings for source in entry["sources"]]
+        return [source["blake3"] for entry in Dataset.open(dataset).recordings for source in entry["sources"]]
 
-    true = [hashlib.sha256(file.read_bytes()).hexdigest() for file in sorted(three_runs.glob("*.csv"))]
+    true = [blake3(file.read_bytes()).hexdigest() for file in sorted(three_runs.glob("*.csv"))]
     assert sums(ingest([three_runs], tmp_path / "dataset", checksums=False).dataset) == [None, None, None]
     reads.clear()
     assert sums(ingest([three_runs], tmp_path / "dataset").dataset) == true

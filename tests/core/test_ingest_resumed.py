@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from ingested import ROUND_TRIP, only_bytes
 
+from cyclekit.cli import run
 from cyclekit.config import Cell, Executions
 from cyclekit.discover import Log
-from cyclekit.errors import UnknownName
+from cyclekit.errors import CyclekitError, UnknownName
 from cyclekit.ingest import ingest
 from cyclekit.intake import Digests
 from cyclekit.registry import Registered
@@ -135,6 +137,52 @@ def test_a_recording_that_lost_a_table_while_it_was_removed_is_never_used(
     rmtree(out)
     ingest([three_runs], out)
     assert only_bytes(out) == first
+
+
+@pytest.mark.usefixtures("large")
+def test_after_a_full_disk_nothing_that_was_read_stays_beside_the_dataset(
+    three_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def full(*_: Any) -> None:
+        assert (tmp_path / "out" / ".dataset.read").is_dir()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("cyclekit.ingest.write_parquet", full)
+    with pytest.raises(CyclekitError, match="No space left"):
+        ingest([three_runs], tmp_path / "out" / "dataset")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.usefixtures("large")
+def test_a_disk_on_which_nothing_can_be_renamed_keeps_no_readings_either(
+    three_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    rename = Path.rename
+
+    def refused(path: Path, target: Path) -> Path:
+        if path.name.endswith("dataset.read"):
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", refused)
+    ingest([three_runs], tmp_path / "out" / "dataset")
+    assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["dataset"]
+
+
+@pytest.mark.usefixtures("large")
+def test_what_is_kept_of_an_interrupted_ingest_is_said_and_goes_when_names_shall(
+    three_runs: Path, tmp_path: Path, reads: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Any
+):
+    out = tmp_path / "out" / "dataset"
+    stop_at(monkeypatch, "run_2.csv", reads)
+    assert run(["ingest", str(three_runs), "--out", str(out)]) == 130
+    left = out.with_name(".dataset.read")
+    assert f"{left}: what was read, people included, is kept" in capsys.readouterr().err
+    assert left.is_dir()
+    stop_at(monkeypatch, "run_0.csv", reads)
+    assert run(["ingest", str(three_runs), "--out", str(out), "--pseudonymise"]) == 130
+    assert "is kept" not in capsys.readouterr().err
+    assert list(out.parent.iterdir()) == []
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="a file without an end is a thing of Unix")

@@ -11,7 +11,6 @@ A dataset is put in place as a whole (`atomic`). What goes into the tables is de
 
 from __future__ import annotations
 
-import json
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +21,7 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.atomic import recover
+from cyclekit.cards import BadCard, DatasetCard, checked, read_json
 from cyclekit.config import Furniture
 from cyclekit.errors import DatasetError, UnknownName
 from cyclekit.storage import local
@@ -77,21 +77,17 @@ class Dataset:
             StorageError: The URL cannot be read.
         """
         place, path = str(path), local(path)
-        text = _card_text(path)
-        if text is None:
-            seen = "no such folder" if not path.exists() else f"no {CARD} in it, so it is no cyclekit dataset"
-            msg = f"{path}: {seen}"
-            raise DatasetError(msg, cure=f"Make one: cyclekit ingest LOGS --out {path}")
         try:
-            card = json.loads(text)
-            version = card["schema_version"]
-        except (ValueError, KeyError, TypeError) as error:
+            card = _card_of(path)
+            if card["schema_version"] == schema.SCHEMA_VERSION:
+                checked(card, DatasetCard)
+                return cls(path, card, place)
+        except BadCard as error:
             msg = f"{path / CARD}: not a dataset card ({error})"
             raise DatasetError(msg, cure="Ingest the logs again into a new folder.") from error
-        if version != schema.SCHEMA_VERSION:
-            msg = f"{path}: dataset of schema version {version}, this cyclekit reads version {schema.SCHEMA_VERSION}"
-            raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
-        return cls(path, card, place)
+        theirs = f"dataset of schema version {card['schema_version']!s:.40}"
+        msg = f"{path}: {theirs}, this cyclekit reads version {schema.SCHEMA_VERSION}"
+        raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
 
     def only(self, executions: Sequence[str]) -> Dataset:
         """Return the dataset as if it held these executions alone: their samples, tasks and entries.
@@ -255,13 +251,23 @@ class Dataset:
         return dict(by_name[name])
 
 
-def _card_text(path: Path) -> str | None:
-    """Return the card of the dataset at `path`, None if there is none; looks again if it is just being replaced."""
+def _card_of(path: Path) -> dict[str, Any]:
+    """Return what the card of the dataset at `path` says; looks again if it is just being replaced.
+
+    Raises:
+        DatasetError: There is none.
+        BadCard: It cannot be read.
+    """
     for _ in range(3):
         recover(path)
-        with suppress(OSError):
-            return (path / CARD).read_text(encoding="utf-8", errors="replace")
-    return None
+        with suppress(FileNotFoundError):
+            card = read_json(path / CARD)
+            if "schema_version" not in card:
+                raise BadCard("no schema_version")
+            return card
+    seen = f"no {CARD} in it, so it is no cyclekit dataset" if path.is_dir() else "no such folder"
+    msg = f"{path}: {seen}"
+    raise DatasetError(msg, cure=f"Make one: cyclekit ingest LOGS --out {path}")
 
 
 def _place(name: str, entry: dict[str, Any]) -> Place:

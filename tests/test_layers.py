@@ -31,8 +31,8 @@ FLOORS = [
     {"atomic", "tables"},
     {"engine"},
     {"config", "schema", "sequences"},
-    {"toml_file"},
-    {"ahead", "behind", "colours", "errors", "labels", "plain_json"},
+    {"cards", "toml_file"},
+    {"ahead", "behind", "colours", "errors", "labels", "plain_json", "regular"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
 

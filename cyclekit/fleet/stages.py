@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import cyclekit
+from cyclekit.cards import BadCard, CellLedger, checked, parse_json
 from cyclekit.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, ModelError, StorageError
 from cyclekit.estimate.rollout import estimate
@@ -76,10 +77,11 @@ def work_on(cell: FleetCell, *, stages: Sequence[str]) -> list[Row]:
 def read_ledger(cell: FleetCell) -> dict[str, Any]:
     """Return what is known of a cell; nothing where nothing was done, or it cannot be read."""
     try:
-        found = json.loads(read_text(join(cell.folder, LEDGER)) or "{}")
-    except (ValueError, StorageError):
+        found = parse_json((read_text(join(cell.folder, LEDGER)) or "{}").encode())
+        checked(found, CellLedger)
+    except (BadCard, StorageError, OSError, UnicodeError):
         found = {}
-    return {"stages": {}, "days": {}, "figures": {}, **(found if isinstance(found, dict) else {}), "cell": cell.name}
+    return {"stages": {}, "days": {}, "figures": {}, **found, "cell": cell.name}
 
 
 def note(cell: FleetCell, ledger: dict[str, Any], row: Row) -> None:

@@ -20,8 +20,9 @@ import numpy as np
 
 from cyclekit import schema
 from cyclekit.atomic import recover, staged
+from cyclekit.cards import BadCard, ModelCard, checked, read_json
 from cyclekit.errors import ModelError, ShapeError
-from cyclekit.models.layout import Layout, NotAModel, parse_model
+from cyclekit.models.layout import Layout, NotAModel
 from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
 from cyclekit.samples import GROUPS, INPUTS
 from cyclekit.storage import is_url, local, published
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 FORMAT, MODEL_VERSION = "cyclekit-model", 2
 CARD, WEIGHTS = "model.json", "weights.safetensors"
+_MAX_CARD_BYTES = 16 << 20
 _RETRAIN = "Train it again: cyclekit train DATASET --out MODEL"
 
 
@@ -79,6 +81,7 @@ class TrainedModel:
 
         Raises:
             ShapeError: X has another shape, or holds a value that is not finite where it must be known.
+            ModelError: The weights are too large for numbers to come out.
         """
         out = self._run(X)
         values = np.matmul(out, np.array(self.levels)) if self.network == "classifier" else out[:, 0]
@@ -118,7 +121,7 @@ class TrainedModel:
             msg = f"inputs {X.shape} must be ({', '.join(map(str, wanted))}): {', '.join(self.inputs)}"
             raise ShapeError(msg)
         if np.isfinite(X).all():
-            return self.weights.run(X)
+            return self._finite(X)
         needed = np.ones(len(self.inputs), np.bool_)
         for group in self.weights.known:
             needed[GROUPS[group]] = False
@@ -127,7 +130,20 @@ class TrainedModel:
             rows = int(bad.reshape(len(X), -1).any(axis=1).sum())
             msg = f"{rows} of {len(X)} rows hold an unknown input (NaN or infinite)"
             raise ShapeError(msg, cure="Leave these rows out; where nobody is there, use scaling_without_operator.")
-        return self.weights.run(X)
+        return self._finite(X)
+
+    def _finite(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+        """Run the network; weights may be finite and still so large that no number comes out.
+
+        Raises:
+            ModelError: That is so.
+        """
+        out = self.weights.run(X)
+        if not np.isfinite(out).all():
+            bad = int((~np.isfinite(out)).any(axis=1).sum())
+            msg = f"the network gives no number in {bad} of {len(out)} rows: its weights are too large"
+            raise ModelError(msg, cure=_RETRAIN)
+        return out
 
 
 def save_model(place: Path | str, model: TrainedModel) -> None:
@@ -178,19 +194,20 @@ def load_model(place: Path | str) -> TrainedModel:
     """
     path = local(place)
     recover(path)
-    if not path.is_dir() or not (path / CARD).is_file():
-        seen = "no such folder" if not path.exists() else f"no {CARD} in it, so it is no cyclekit model"
-        msg = f"{path}: {seen if path.is_dir() or not path.exists() else 'a file, not a model folder'}"
-        raise ModelError(msg, cure=_RETRAIN)
     file = path / CARD
     try:
-        about = parse_model(file)
+        about = read_json(file, most_bytes=_MAX_CARD_BYTES)
         _check_versions(about)
-        layout = Layout.of(about)
+        card = checked(about, ModelCard)
+        layout = Layout.of(card)
         file = path / WEIGHTS
-        weights = parse_weights(file, layout, str(about.get("weights_sha256")))
-    except NotAModel as cause:
+        weights = parse_weights(file, layout, card.weights_sha256)
+    except (BadCard, NotAModel) as cause:
         msg = f"{file}: {cause}"
+        raise ModelError(msg, cure=_RETRAIN) from cause
+    except FileNotFoundError as cause:
+        seen = f"no {CARD} in it, so it is no cyclekit model" if path.is_dir() else "no such folder"
+        msg = f"{path}: {'a file, not a model folder' if path.is_file() else seen}"
         raise ModelError(msg, cure=_RETRAIN) from cause
     made = (layout.problem, layout.network, layout.horizon_s, layout.levels)
     return TrainedModel(*made, weights, dict(about["card"]), layout.history)

@@ -15,6 +15,7 @@ from safetensors.numpy import load, save
 
 from cyclekit.models.layout import Layout, NotAModel
 from cyclekit.models.weights import Weights
+from cyclekit.regular import regular
 from cyclekit.samples import INPUTS
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def parse_weights(file: Path, layout: Layout, sha256: str) -> Weights:
     shapes = _shapes(layout)
     numbers = 4 * sum(math.prod(shape) for shape in shapes.values())
     try:
-        with file.open("rb") as handle:
+        with regular(file).open("rb") as handle:
             content = handle.read(8 + _MAX_HEADER_BYTES + numbers + 1)
     except OSError as error:
         raise NotAModel(f"cannot be read ({error.strerror})") from error

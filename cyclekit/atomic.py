@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.errors import BusyPlace, CyclekitError
+from cyclekit.files import fitting, resolved
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -84,7 +85,8 @@ def staged(path: Path) -> Iterator[Path]:
         BusyPlace: Another process is writing there.
         CyclekitError: The place cannot be written.
     """
-    path = path.resolve()  # "." has no name to put a folder beside, and a link shall stay a link
+    with _told(path):
+        path = resolved(path)  # "." has no name to put a folder beside, and a link shall stay a link
     with _told(path), locked(path):
         settle(path)
         with built(path) as staging:
@@ -98,7 +100,8 @@ def built(path: Path) -> Iterator[Path]:
     The swap is two renames. A process killed between them leaves the new folder complete under its staging name, and
     `recover` finishes the work at the next opening.
     """
-    path = path.resolve()
+    with _told(path):
+        path = resolved(path)
     staging = _beside(path, "new")
     with _told(path):
         try:
@@ -121,8 +124,8 @@ def recover(path: Path) -> None:
 
     For readers: it acts only where nothing is at `path`, so that it cannot get into the way of a running writer.
     """
-    path = path.resolve()
     with suppress(OSError):
+        path = resolved(path)
         if path.exists():
             return
         finished = [folder for folder in _leftovers(path, "new") if (folder / COMPLETE).is_file()]
@@ -132,7 +135,7 @@ def recover(path: Path) -> None:
 
 def settle(path: Path) -> None:
     """Finish or undo whatever killed processes left beside `path`; for one who holds its lock."""
-    path = path.resolve()
+    path = resolved(path)
     recover(path)
     for folder in _leftovers(path, "new"):
         if (folder / COMPLETE).is_file():
@@ -145,7 +148,7 @@ def settle(path: Path) -> None:
 
 def unsettled(path: Path) -> bool:
     """Tell whether a killed process (or one at work) has left something beside `path`."""
-    return any(_leftovers(path.resolve(), kind) for kind in ("new", "old"))
+    return any(_leftovers(resolved(path), kind) for kind in ("new", "old"))
 
 
 @contextmanager
@@ -156,9 +159,9 @@ def locked(path: Path, *, wait_s: float = 0.2) -> Iterator[None]:
         BusyPlace: Another process is writing there, and still is after `wait_s`.
         CyclekitError: Nothing can be written beside `path`.
     """
-    path = path.resolve()
-    lock = path.with_name(f".{path.name}.lock")
     with _told(path):
+        path = resolved(path)
+        lock = beside(path, "lock")
         path.parent.mkdir(parents=True, exist_ok=True)
     end = time.monotonic() + wait_s
     while (handle := _try(lock, path)) is None:
@@ -248,12 +251,17 @@ def _told(path: Path) -> Iterator[None]:
         raise CyclekitError(msg, cure=_CURE) from error
 
 
+def beside(path: Path, kind: str) -> Path:
+    """Return the hidden name beside `path` that something of ours has there, however long the name of `path` is."""
+    return path.with_name(f".{fitting(path.name)}.{kind}")
+
+
 def _beside(path: Path, kind: str) -> Path:
-    return path.with_name(f".{path.name}.{kind}-{os.getpid()}-{secrets.token_hex(3)}")
+    return beside(path, f"{kind}-{os.getpid()}-{secrets.token_hex(3)}")
 
 
 def _leftovers(path: Path, kind: str) -> list[Path]:
-    begin = f".{path.name}.{kind}-"
+    begin = beside(path, f"{kind}-").name
     try:
         return sorted(entry for entry in path.parent.iterdir() if entry.name.startswith(begin))
     except OSError:

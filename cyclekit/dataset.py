@@ -85,6 +85,9 @@ class Dataset:
         except BadCard as error:
             msg = f"{path / CARD}: not a dataset card ({error})"
             raise DatasetError(msg, cure="Ingest the logs again into a new folder.") from error
+        except OSError as error:
+            msg = f"{path / CARD}: cannot be read ({error.strerror or error})"
+            raise DatasetError(msg, cure="Check the path and its permissions.") from error
         theirs = f"dataset of schema version {card['schema_version']!s:.40}"
         msg = f"{path}: {theirs}, this cyclekit reads version {schema.SCHEMA_VERSION}"
         raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
@@ -256,11 +259,12 @@ def _card_of(path: Path) -> dict[str, Any]:
 
     Raises:
         DatasetError: There is none.
-        BadCard: It cannot be read.
+        BadCard: It is no card.
+        OSError: It cannot be read.
     """
     for _ in range(3):
         recover(path)
-        with suppress(FileNotFoundError):
+        with suppress(FileNotFoundError, NotADirectoryError):
             card = read_json(path / CARD)
             if "schema_version" not in card:
                 raise BadCard("no schema_version")

@@ -26,6 +26,7 @@ from cyclekit.derive import Derived, derive
 from cyclekit.discover import Log, cell_for, find_all, matches
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import ConfigError, DatasetError, LogError
+from cyclekit.files import resolved
 from cyclekit.intake import Digests, How, check_shared, read_all
 from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
@@ -224,7 +225,7 @@ def _check_logs(roots: Sequence[Path]) -> None:
 
 def _check(roots: Sequence[Path], out: Path) -> None:
     for path in roots:
-        if path.is_dir() and out.resolve() == path.resolve():
+        if path.is_dir() and resolved(out) == resolved(path):
             raise LogError(path, "is both the logs and the dataset", cure="Give --out a folder of its own.")
     if out.is_file() or (out.is_dir() and any(out.iterdir()) and not (out / CARD).is_file()):
         msg = f"{out}: exists and is no cyclekit dataset, so it is not replaced"

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import ConfigError
+from cyclekit.files import fitting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -81,7 +82,7 @@ def _in_folder(folder: str, robots: list[dict[str, Any]], others: list[dict[str,
 
 
 def _session_name(group: list[dict[str, Any]], taken: set[str]) -> str:
-    folder = _folder(group[0]).replace("/", ".")
+    folder = fitting(_folder(group[0]).replace("/", "."))
     name = folder if folder and folder not in taken else group[0]["id"]
     number = 1
     while name in taken:

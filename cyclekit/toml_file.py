@@ -9,7 +9,7 @@ import tomllib
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import ConfigError
-from cyclekit.regular import regular
+from cyclekit.files import regular
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

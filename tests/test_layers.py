@@ -32,7 +32,7 @@ FLOORS = [
     {"engine"},
     {"config", "schema", "sequences"},
     {"cards", "toml_file"},
-    {"ahead", "behind", "colours", "errors", "labels", "plain_json", "regular"},
+    {"ahead", "behind", "colours", "errors", "files", "labels", "plain_json"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
 

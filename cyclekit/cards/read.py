@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import msgspec
 
 from cyclekit.cards.quantities import Card
-from cyclekit.regular import regular
+from cyclekit.files import regular
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,18 +37,12 @@ def read_json(file: Path, *, most_bytes: int = MAX_BYTES) -> dict[str, Any]:
     """Return the JSON object in a file.
 
     Raises:
-        FileNotFoundError: There is no such file.
-        BadCard: The file cannot be read, or holds something else.
+        OSError: It cannot be read, or is no regular file.
+        BadCard: It holds something else.
     """
-    try:
-        if regular(file).stat().st_size > most_bytes:
-            raise BadCard(f"larger than {most_bytes >> 20} MB, which no card is")
-        content = file.read_bytes()
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise FileNotFoundError(error.errno, error.strerror, str(file)) from error
-    except OSError as error:
-        raise BadCard(f"cannot be read ({error.strerror or error})") from error
-    return parse_json(content)
+    if regular(file).stat().st_size > most_bytes:
+        raise BadCard(f"larger than {most_bytes >> 20} MB, which no card is")
+    return parse_json(file.read_bytes())
 
 
 def parse_json(content: bytes) -> dict[str, Any]:

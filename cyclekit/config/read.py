@@ -22,6 +22,7 @@ from cyclekit.config.cells import (
     Sync,
 )
 from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.files import resolved
 from cyclekit.toml_file import list_at, read_toml
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def load_cell(path: Path) -> Cell:
     _only(where, raw, Cell)
     sources = tuple(_source(f"{where} sources[{i}]", entry) for i, entry in enumerate(list_at(where, raw, "sources")))
     return Cell(
-        name=_text(where, raw, "name") or path.resolve().parent.name,
+        name=_text(where, raw, "name") or resolved(path).parent.name,
         sources=sources,
         ignore=tuple(map(str, list_at(where, raw, "ignore"))),
         reference=tuple(map(str, list_at(where, raw, "reference"))),

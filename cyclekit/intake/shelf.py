@@ -15,7 +15,9 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from cyclekit import schema
+from cyclekit.atomic import beside
 from cyclekit.cards import BadCard, LogCard, checked, read_json
+from cyclekit.files import resolved
 from cyclekit.intake.keep import QUARANTINE
 from cyclekit.intake.take_over import as_read, link_folder, named_anew
 from cyclekit.tables import TableWriter, parts_of
@@ -40,8 +42,8 @@ class Shelf:
             out: The dataset.
             options: What else than the log decides what is kept of it; other options, another recording.
         """
-        out = out.resolve()
-        self._folder, self._gone = out.with_name(f".{out.name}.read"), out.with_name(f".{out.name}.read-gone")
+        out = resolved(out)
+        self._folder, self._gone = beside(out, "read"), beside(out, "read-gone")
         self._options = options
 
     def find(self, log: Log) -> Path | None:
@@ -51,7 +53,7 @@ class Shelf:
             entry = checked(read_json(place / _ENTRY), LogCard)
         except FileNotFoundError:
             return None
-        except BadCard:
+        except (BadCard, OSError):
             entry = None
         if entry is not None and all((place / f"{name}.parquet").is_file() for name in entry.tables):
             return place

@@ -205,10 +205,13 @@ def load_model(place: Path | str) -> TrainedModel:
     except (BadCard, NotAModel) as cause:
         msg = f"{file}: {cause}"
         raise ModelError(msg, cure=_RETRAIN) from cause
-    except FileNotFoundError as cause:
+    except (FileNotFoundError, NotADirectoryError) as cause:
         seen = f"no {CARD} in it, so it is no cyclekit model" if path.is_dir() else "no such folder"
         msg = f"{path}: {'a file, not a model folder' if path.is_file() else seen}"
         raise ModelError(msg, cure=_RETRAIN) from cause
+    except OSError as cause:
+        msg = f"{file}: cannot be read ({cause.strerror or cause})"
+        raise ModelError(msg, cure="Check the path and its permissions.") from cause
     made = (layout.problem, layout.network, layout.horizon_s, layout.levels)
     return TrainedModel(*made, weights, dict(about["card"]), layout.history)
 

@@ -223,23 +223,38 @@ def _is_still(lock: Path, handle: IO[str]) -> bool:
 if sys.platform == "win32":
     import msvcrt
 
-    def _take(descriptor: int) -> bool:
+    _OTHERS = (errno.EACCES, errno.EDEADLK)
+
+    def lock_open_file(descriptor: int) -> None:
+        """Lock an open file until it is closed or the process ends, without waiting.
+
+        Raises:
+            OSError: Another process holds the lock, or the file system knows none.
+        """
         os.lseek(descriptor, _FAR, os.SEEK_SET)
-        try:
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        except OSError as error:
-            return error.errno not in (errno.EACCES, errno.EDEADLK)
-        return True
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
 
 else:
     import fcntl
 
-    def _take(descriptor: int) -> bool:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            return error.errno not in (errno.EWOULDBLOCK, errno.EACCES)
-        return True
+    _OTHERS = (errno.EWOULDBLOCK, errno.EACCES)
+
+    def lock_open_file(descriptor: int) -> None:
+        """Lock an open file until it is closed or the process ends, without waiting.
+
+        Raises:
+            OSError: Another process holds the lock, or the file system knows none.
+        """
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _take(descriptor: int) -> bool:
+    """Tell whether the lock is ours now; where a file system knows no locks, it is."""
+    try:
+        lock_open_file(descriptor)
+    except OSError as error:
+        return error.errno not in _OTHERS
+    return True
 
 
 @contextmanager

@@ -27,7 +27,7 @@ FLOORS = [
     {"stored_run"},
     {"motion"},
     {"adapter", "clock", "dataset", "frames"},
-    {"storage"},
+    {"scratch", "storage"},
     {"atomic", "tables"},
     {"engine"},
     {"config", "schema", "sequences"},

@@ -9,9 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
-import tempfile
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import cyclekit
@@ -26,6 +24,7 @@ from cyclekit.ingest import ingest
 from cyclekit.models.saved import TrainedModel, load_model
 from cyclekit.models.spec import ModelSpec
 from cyclekit.report import write_report
+from cyclekit.scratch import Scratch
 from cyclekit.sequences import load_sequences
 from cyclekit.storage import join, mirrored, read_text, write_text
 from cyclekit.train import Training, fingerprint, train_at
@@ -152,8 +151,8 @@ def _report(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
     if model is not None and wanted:
         found = _or_missing(lambda: estimate(model, dataset, wanted), missing) or []
     judged = None if model is None else _or_missing(lambda: evaluate(model, dataset, boosting=False), missing)
-    with tempfile.TemporaryDirectory() as folder:
-        page = Path(folder) / REPORT
+    with Scratch() as scratch:
+        page = scratch.path / REPORT
         facts = write_report(
             dataset, model, page, estimates=found, evaluation=judged, missing=missing, cell_name=cell.name
         )

@@ -24,6 +24,7 @@ from cyclekit.atomic import recover
 from cyclekit.cards import BadCard, DatasetCard, checked, read_json
 from cyclekit.config import Furniture
 from cyclekit.errors import DatasetError, UnknownName
+from cyclekit.footers import check_tables
 from cyclekit.storage import local
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ class Dataset:
         try:
             card = _card_of(path)
             if card["schema_version"] == schema.SCHEMA_VERSION:
-                checked(card, DatasetCard)
+                check_tables(path, checked(card, DatasetCard))
                 return cls(path, card, place)
         except BadCard as error:
             msg = f"{path / CARD}: not a dataset card ({error})"

@@ -28,7 +28,7 @@ FLOORS = [
     {"motion"},
     {"adapter", "clock", "dataset", "frames"},
     {"scratch", "storage"},
-    {"atomic", "tables"},
+    {"atomic", "footers", "tables"},
     {"engine"},
     {"config", "schema", "sequences"},
     {"cards", "toml_file"},

@@ -10,13 +10,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+import numpy as np
+import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cyclekit import Dataset
 from cyclekit.cards import BadCard, DatasetCard, checked, parse_json
-from cyclekit.errors import DatasetError
+from cyclekit.config import load_cell
+from cyclekit.discover import Log
+from cyclekit.errors import ConfigError, DatasetError, ModelError
+from cyclekit.fleet.read import FleetCell
+from cyclekit.fleet.stages import read_ledger
+from cyclekit.intake.shelf import Shelf
+from cyclekit.models.saved import TrainedModel, load_model, save_model
+from cyclekit.models.weights import Weights
+from cyclekit.sequences import load_sequences
 
 if TYPE_CHECKING:
     from conftest import SimulatedCell
@@ -98,7 +108,7 @@ def test_a_card_that_is_no_json_is_refused(copied: Path, content: bytes):
 def test_a_pipe_in_place_of_a_card_is_refused_and_not_waited_for(copied: Path):
     (copied / "dataset.json").unlink()
     os.mkfifo(copied / "dataset.json")
-    with pytest.raises(DatasetError, match="is a named pipe, not a file"):
+    with pytest.raises(DatasetError, match=r"dataset\.json: cannot be read \(is a named pipe, not a file\)"):
         Dataset.open(copied)
 
 
@@ -136,3 +146,65 @@ def test_a_real_card_with_any_value_in_any_place_is_a_card_or_one_sentence(boxes
     except BadCard as error:
         said = str(error)
     assert said
+
+
+@pytest.mark.parametrize("name", ["samples/session_000.parquet", "tasks.parquet", "quarantine.parquet"])
+def test_a_table_with_more_rows_than_the_card_says_is_refused_before_it_is_read(copied: Path, name: str):
+    one = pl.read_parquet(file := copied / name).clear(1)
+    one.select(pl.all().repeat_by(3_000_000).explode()).write_parquet(file)
+    with pytest.raises(DatasetError, match=r"holds 3,000,000 rows, and dataset\.json speaks of "):
+        Dataset.open(copied)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+@pytest.mark.parametrize("name", ["samples/session_000.parquet", "tasks.parquet"])
+def test_a_pipe_in_place_of_a_table_is_refused_and_not_waited_for(copied: Path, name: str):
+    (copied / name).unlink()
+    os.mkfifo(copied / name)
+    with pytest.raises(DatasetError, match="is a named pipe, not a file"):
+        Dataset.open(copied)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_pipe_in_place_of_a_cell_or_sequence_file_or_weights_is_refused(tmp_path: Path):
+    os.mkfifo(tmp_path / "pipe.toml")
+    for load in (load_cell, load_sequences):
+        with pytest.raises(ConfigError, match="is a named pipe, not a file"):
+            load(tmp_path / "pipe.toml")
+    layer = (np.zeros((6, 2), np.float32), np.zeros(2, np.float32))
+    weights = Weights((layer, (np.zeros((2, 1), np.float32), np.zeros(1, np.float32))))
+    save_model(tmp_path / "m", TrainedModel("now", "regressor", 0.0, (), weights))
+    (tmp_path / "m" / "weights.safetensors").unlink()
+    os.mkfifo(tmp_path / "m" / "weights.safetensors")
+    with pytest.raises(ModelError, match=r"weights\.safetensors: .*is a named pipe, not a file"):
+        load_model(tmp_path / "m")
+
+
+@pytest.mark.parametrize("rows", [1, 60_000])
+def test_weights_so_large_that_no_number_comes_out_are_a_message(rows: int):
+    layer = (np.full((6, 2), 3.4e38, np.float32), np.zeros(2, np.float32))
+    weights = Weights((layer, (np.array([[1.0], [-1.0]], np.float32), np.zeros(1, np.float32))))
+    with pytest.raises(ModelError, match=f"gives no number in {rows} of {rows} rows: its weights are too large"):
+        TrainedModel("now", "regressor", 0.0, (), weights).predict(np.ones((rows, 6)))
+
+
+ENTRIES = ["", "{}", "[]", '{"id": 3}', "[" * 100_000, '{"id": "x", "tables": ["robot"]}']
+
+
+@pytest.mark.parametrize("text", ENTRIES)
+def test_a_kept_recording_whose_card_is_none_is_not_taken_over(tmp_path: Path, text: str):
+    log = Log("a", tmp_path / "a.csv", "a.csv", "csv", "cyclekit", "0", None, "k" * 64)
+    place = tmp_path / ".out.read" / f"{'k' * 32}-plain"
+    place.mkdir(parents=True)
+    (place / "entry.json").write_text(text, encoding="utf-8")
+    assert Shelf(tmp_path / "out", "plain").find(log) is None
+    assert not place.exists()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", '{"stages": 3}', '{"days": {"s": "2026-02-31"}}', '{"figures": {"cycle_s": "x"}}', "[" * 100_000]
+)
+def test_a_cell_of_a_fleet_that_says_nonsense_is_one_of_which_nothing_is_known(tmp_path: Path, text: str):
+    (tmp_path / "cell.json").write_text(text, encoding="utf-8")
+    found = read_ledger(FleetCell("press-1", ("logs",), str(tmp_path)))
+    assert found == {"stages": {}, "days": {}, "figures": {}, "cell": "press-1"}

@@ -15,9 +15,9 @@ Seconds = Annotated[float, Meta(ge=-1e19, le=1e19)]
 """A time or a difference of times, s; a clock that counts nanoseconds and was read as seconds still fits."""
 Duration = Annotated[float, Meta(ge=0.0, le=1e19)]
 """A length of time, s."""
-Metres = Annotated[float, Meta(ge=-1e9, le=1e9)]
+Metres = Annotated[float, Meta(ge=-1e15, le=1e15)]
 """A coordinate, m."""
-Length = Annotated[float, Meta(ge=0.0, le=1e9)]
+Length = Annotated[float, Meta(ge=0.0, le=1e15)]
 """A distance, radius or size, m."""
 Hertz = Annotated[float, Meta(gt=0.0, le=1e6)]
 """A sampling rate, 1/s."""

@@ -60,7 +60,7 @@ class ClockCard(LogClock, frozen=True, kw_only=True):
 
     method: ClockMethod
     offset_s: Seconds
-    rate: Annotated[float, Meta(gt=0.0, le=1e12)] = 1.0
+    rate: Annotated[float, Meta(gt=0.0, le=1e15)] = 1.0
     residual_s: Duration | None = None
     events: Count | None = None
     events_rejected: Count | None = None

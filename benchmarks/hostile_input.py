@@ -23,7 +23,7 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -300,7 +300,8 @@ class Lab:
 
 def _cell_beside(folder: Path) -> Path:
     file = folder / "cell.toml"
-    source = '[[sources]]\npath = "*"\nadapter = "csv"\nrole = "robot"\nmap = {time = "t", time_unit = "s", x = "x", y = "y", z = "z"}'
+    columns = 'time = "t", time_unit = "s", x = "x", y = "y", z = "z"'
+    source = f'[[sources]]\npath = "*"\nadapter = "csv"\nrole = "robot"\nmap = {{{columns}}}'
     file.write_text(source, encoding="utf-8")
     return file
 
@@ -371,12 +372,14 @@ def _trial(kind: Callable[[Any], Iterator[str]], count: Count) -> Callable[[Any]
     return trial
 
 
-def run(examples: int, number: int) -> dict[str, Count]:
-    """Try so many inputs of each kind, and return what came of them."""
+def run(examples: int, number: int, only: Collection[str] | None = None) -> dict[str, Count]:
+    """Try so many inputs of each kind, all of them or only some, and return what came of them."""
     counts: dict[str, Count] = {}
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         lab = Lab(Path(folder))
         for name, (inputs, kind) in lab.kinds().items():
+            if only is not None and name not in only:
+                continue
             count = counts[name] = Count()
 
             trial = given(content=inputs)(_trial(kind, count))

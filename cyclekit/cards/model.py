@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from msgspec import Meta, field
+from msgspec import UNSET, Meta, UnsetType, field
 
 from cyclekit.cards.quantities import Card, Count, Duration, Fraction, Hertz, Positive, Scaling, Sha256, ascending
 
@@ -103,7 +103,7 @@ class SpecCard(Card, frozen=True, kw_only=True):
 
 
 class TrainingCard(Card, frozen=True, kw_only=True):
-    """How a model came about. A model need not say all of it; None = it does not.
+    """How a model came about. A model need not say all of it; None and UNSET = it does not.
 
     Attributes:
         cyclekit: Version that trained it.
@@ -128,19 +128,19 @@ class TrainingCard(Card, frozen=True, kw_only=True):
     seed: Count | None = None
     dataset: str | None = None
     dataset_sha256: str | None = None
-    metrics: MetricsCard | None = None
-    levels: tuple[LevelShare, ...] | None = None
+    metrics: MetricsCard | UnsetType = UNSET
+    levels: tuple[LevelShare, ...] | UnsetType = UNSET
     warnings: tuple[str, ...] = ()
     rate_hz: Hertz = 10.0
     temperature: float | None = None
     may_be_unknown: tuple[str, ...] = ()
     scaling_without_operator: Scaling | None = None
     mean_scaling: Scaling | None = None
-    rows: RowsCard | None = None
+    rows: RowsCard | UnsetType = UNSET
     dropped: dict[str, Count] = field(default_factory=dict)
     inputs: tuple[str, ...] | None = None
     standardisation: StandardisationCard | None = None
-    split: SplitCard | None = None
+    split: SplitCard | UnsetType = UNSET
     history: tuple[EpochCard, ...] | None = None
 
 

@@ -263,6 +263,7 @@ HOSTILE_CARDS = {
     "LSTM layers of a terabyte": ({"recurrent": [[6, 10**9]]}, r"recurrent\[0\]\[1\]: expected a whole number <= 4096"),
     "a training seed of text": ({"card": {"seed": "0"}}, r"card\.seed: expected a whole number, got a text"),
     "metrics that are a list": ({"card": {"metrics": []}}, r"card\.metrics: expected a table, got a list"),
+    "no metrics": ({"card": {"metrics": None}}, r"card\.metrics: expected a table, got null"),
     "a split of numbers": ({"card": {"split": {"test": [1]}}}, r"card\.split\.test\[0\]: expected a text"),
     "a rate of 0": ({"card": {"rate_hz": 0}}, r"card\.rate_hz: expected a number > 0"),
     "a rate of 400 digits": ({"card": {"rate_hz": 10**400}}, r"card\.rate_hz: number out of range"),

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.errors import BusyPlace, CyclekitError
+from cyclekit.files import resolved, shortened
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -106,7 +107,8 @@ def staged(path: Path) -> Iterator[Path]:
         BusyPlace: Another process is writing there.
         CyclekitError: The place cannot be written.
     """
-    path = path.resolve()  # "." has no name to put a folder beside, and a link shall stay a link
+    with _told(path):
+        path = resolved(path)  # "." has no name to put a folder beside, and a link shall stay a link
     with _told(path), locked(path):
         settle(path)
         with built(path) as staging:
@@ -120,7 +122,8 @@ def built(path: Path) -> Iterator[Path]:
     The swap is two renames. A process killed between them leaves the new folder complete under its staging name, and
     `recover` finishes the work at the next opening.
     """
-    path = path.resolve()
+    with _told(path):
+        path = resolved(path)
     staging = _beside(path, "new")
     with _told(path):
         try:
@@ -143,8 +146,8 @@ def recover(path: Path) -> None:
 
     For readers: it acts only where nothing is at `path`, so that it cannot get into the way of a running writer.
     """
-    path = path.resolve()
     with suppress(OSError):
+        path = resolved(path)
         if path.exists():
             return
         finished = [folder for folder in _leftovers(path, "new") if (folder / COMPLETE).is_file()]
@@ -154,7 +157,7 @@ def recover(path: Path) -> None:
 
 def settle(path: Path) -> None:
     """Finish or undo whatever killed processes left beside `path`; for one who holds its lock."""
-    path = path.resolve()
+    path = resolved(path)
     recover(path)
     for folder in _leftovers(path, "new"):
         if (folder / COMPLETE).is_file():
@@ -167,7 +170,7 @@ def settle(path: Path) -> None:
 
 def unsettled(path: Path) -> bool:
     """Tell whether a killed process (or one at work) has left something beside `path`."""
-    return any(_leftovers(path.resolve(), kind) for kind in ("new", "old"))
+    return any(_leftovers(resolved(path), kind) for kind in ("new", "old"))
 
 
 @contextmanager
@@ -178,9 +181,9 @@ def locked(path: Path, *, wait_s: float = 0.2) -> Iterator[None]:
         BusyPlace: Another process is writing there, and still is after `wait_s`.
         CyclekitError: Nothing can be written beside `path`.
     """
-    path = path.resolve()
-    lock = path.with_name(f".{path.name}.lock")
     with _told(path):
+        path = resolved(path)
+        lock = beside(path, "lock")
         path.parent.mkdir(parents=True, exist_ok=True)
     end = time.monotonic() + wait_s
     while (handle := _try(lock, path)) is None:
@@ -242,23 +245,38 @@ def _is_still(lock: Path, handle: IO[str]) -> bool:
 if sys.platform == "win32":
     import msvcrt
 
-    def _take(descriptor: int) -> bool:
+    _OTHERS = (errno.EACCES, errno.EDEADLK)
+
+    def lock_open_file(descriptor: int) -> None:
+        """Lock an open file until it is closed or the process ends, without waiting.
+
+        Raises:
+            OSError: Another process holds the lock, or the file system knows none.
+        """
         os.lseek(descriptor, _FAR, os.SEEK_SET)
-        try:
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        except OSError as error:
-            return error.errno not in (errno.EACCES, errno.EDEADLK)
-        return True
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
 
 else:
     import fcntl
 
-    def _take(descriptor: int) -> bool:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            return error.errno not in (errno.EWOULDBLOCK, errno.EACCES)
-        return True
+    _OTHERS = (errno.EWOULDBLOCK, errno.EACCES)
+
+    def lock_open_file(descriptor: int) -> None:
+        """Lock an open file until it is closed or the process ends, without waiting.
+
+        Raises:
+            OSError: Another process holds the lock, or the file system knows none.
+        """
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _take(descriptor: int) -> bool:
+    """Tell whether the lock is ours now; where a file system knows no locks, it is."""
+    try:
+        lock_open_file(descriptor)
+    except OSError as error:
+        return error.errno not in _OTHERS
+    return True
 
 
 @contextmanager
@@ -270,12 +288,17 @@ def _told(path: Path) -> Iterator[None]:
         raise CyclekitError(msg, cure=_CURE) from error
 
 
+def beside(path: Path, kind: str) -> Path:
+    """Return the hidden name beside `path` that something of ours has there, however long the name of `path` is."""
+    return path.with_name(f".{shortened(path.name)}.{kind}")
+
+
 def _beside(path: Path, kind: str) -> Path:
-    return path.with_name(f".{path.name}.{kind}-{os.getpid()}-{secrets.token_hex(3)}")
+    return beside(path, f"{kind}-{os.getpid()}-{secrets.token_hex(3)}")
 
 
 def _leftovers(path: Path, kind: str) -> list[Path]:
-    begin = f".{path.name}.{kind}-"
+    begin = beside(path, f"{kind}-").name
     try:
         return sorted(entry for entry in path.parent.iterdir() if entry.name.startswith(begin))
     except OSError:

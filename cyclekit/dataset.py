@@ -11,7 +11,6 @@ A dataset is put in place as a whole (`atomic`). What goes into the tables is de
 
 from __future__ import annotations
 
-import json
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,15 +21,17 @@ import polars as pl
 
 from cyclekit import checksums, schema
 from cyclekit.atomic import recover
+from cyclekit.cards import BadCard, DatasetCard, checked, parse_json, read_content
 from cyclekit.config import Furniture
 from cyclekit.dataset_files import DatasetFiles
 from cyclekit.errors import DatasetError, UnknownName, command_line
+from cyclekit.footers import check_tables
 from cyclekit.mistaken import DATASET_CARD, toml_for, what_is
 from cyclekit.plain_text import all_in_one_line, needs_it
 from cyclekit.storage import local
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
 CARD, TASKS, QUARANTINE = DATASET_CARD, "tasks.parquet", "quarantine.parquet"
 _NEAR_S = 1e-3
@@ -81,22 +82,27 @@ class Dataset:
             StorageError: The URL cannot be read.
         """
         place, path = str(path), local(path)
-        text = _card_text(path)
-        if text is None:
-            raise _no_dataset(path)
         try:
-            card = all_in_one_line(json.loads(text)) if needs_it(text) else json.loads(text)
-            version = card["schema_version"]
-        except (ValueError, KeyError, TypeError) as error:
+            content = _card_of(path)
+            card = parse_json(content)
+            version = _version(card)
+            if version == schema.SCHEMA_VERSION:
+                text = content.decode(errors="replace")
+                if checksums.is_broken(text):
+                    raise checksums.unreadable(path / CARD, path, "damaged: it is not as it was written")
+                card = all_in_one_line(card) if needs_it(text) else card
+                check_tables(path, checked(card, DatasetCard))
+                return cls(path, card, place)
+        except BadCard as error:
             msg = f"{path / CARD}: not a dataset card ({error})"
             again = command_line("ingest", "LOGS", "--out", "DATASET")
             raise DatasetError(msg, cure=f"Ingest the logs again into a new folder: {again}") from error
-        if version != schema.SCHEMA_VERSION:
-            msg = f"{path}: dataset of schema version {version}, this cyclekit reads version {schema.SCHEMA_VERSION}"
-            raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
-        if checksums.is_broken(text):
-            raise checksums.unreadable(path / CARD, path, "damaged: it is not as it was written")
-        return cls(path, card, place)
+        except OSError as error:
+            msg = f"{path / CARD}: cannot be read ({error.strerror or error})"
+            raise DatasetError(msg, cure="Check the path and its permissions.") from error
+        theirs = f"dataset of schema version {version!s:.40}"
+        msg = f"{path}: {theirs}, this cyclekit reads version {schema.SCHEMA_VERSION}"
+        raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
 
     def only(self, executions: Sequence[str]) -> Dataset:
         """Return the dataset as if it held these executions alone: their samples, tasks and entries.
@@ -305,13 +311,25 @@ def _no_dataset(path: Path) -> DatasetError:
     return DatasetError(seen, cure=f"Make one: {command_line('ingest', 'LOGS', '--out', 'DATASET')}")
 
 
-def _card_text(path: Path) -> str | None:
-    """Return the card of the dataset at `path`, None if there is none; looks again if it is just being replaced."""
+def _version(card: Mapping[str, Any]) -> object:
+    if "schema_version" not in card:
+        raise BadCard("no schema_version")
+    return card["schema_version"]
+
+
+def _card_of(path: Path) -> bytes:
+    """Return the card of the dataset at `path`, as it lies there; looks again if it is just being replaced.
+
+    Raises:
+        DatasetError: There is none.
+        BadCard: It is too large for one.
+        OSError: It cannot be read.
+    """
     for _ in range(3):
         recover(path)
-        with suppress(OSError):
-            return (path / CARD).read_text(encoding="utf-8", errors="replace")
-    return None
+        with suppress(FileNotFoundError, NotADirectoryError):
+            return read_content(path / CARD)
+    raise _no_dataset(path)
 
 
 def _place(name: str, entry: dict[str, Any]) -> Place:

@@ -39,7 +39,8 @@ class DatasetFiles:
 
     def has(self, name: str) -> bool:
         """Tell whether the dataset has a file; one that is listed and has gone counts."""
-        return self._file(name).is_file() if self._listed is None else name in self._listed
+        file = self._file(name)
+        return file.is_file() if self._listed is None else name in self._listed
 
     def of_samples(self, sessions: AbstractSet[str] | None) -> list[Path]:
         """Return the files of some sessions, None = all, in order of name.

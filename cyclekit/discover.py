@@ -19,6 +19,7 @@ from cyclekit.adapter import ReadOptions
 from cyclekit.config import Cell, NamedPlace, Source, load_cell
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, LogError
+from cyclekit.files import resolved
 from cyclekit.inside import fitting, leads_out, real
 from cyclekit.plain_text import one_line
 from cyclekit.registry import Registered, adapter_named, find_logs, why_unknown
@@ -57,7 +58,7 @@ def cell_for(roots: Sequence[Path], given: Path | None) -> Cell:
     if len(files) > 1:
         msg = f"two cell files beside the logs: {files[0]} and {files[1]}"
         raise ConfigError(msg, cure="Choose one with --cell.")
-    return load_cell(files[0]) if files else Cell(name=roots[0].resolve().stem)
+    return load_cell(files[0]) if files else Cell(name=resolved(roots[0]).stem)
 
 
 def suggest_cell(paths: Sequence[Path], *, follow_links: bool = False) -> Cell:
@@ -163,7 +164,7 @@ def _some(not_read: Sequence[tuple[str, str]], count: int = 3) -> str:
 def _prefixes(roots: Sequence[Path]) -> dict[Path, str]:
     """What tells the logs of several folders apart, by folder: its path below what all have in common."""
     bases = dict.fromkeys(root if root.is_dir() else root.parent for root in roots)
-    whole = {base: base.resolve() for base in bases}
+    whole = {base: resolved(base) for base in bases}
     if len(set(whole.values())) == 1:
         return dict.fromkeys(bases, "")
     common = Path(os.path.commonpath(whole.values())) if len({path.drive for path in whole.values()}) == 1 else None
@@ -200,7 +201,7 @@ def key_of(log: Log) -> str:
     Raises:
         OSError: A file of the log has gone.
     """
-    facts = [str(log.path.resolve()), log.adapter, log.version, repr(options_of(log.source)), schema.SCHEMA_VERSION]
+    facts = [str(resolved(log.path)), log.adapter, log.version, repr(options_of(log.source)), schema.SCHEMA_VERSION]
     stats = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files_of(log.path)]
     return hashlib.sha256(json.dumps([facts, stats]).encode()).hexdigest()
 

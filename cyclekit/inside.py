@@ -11,11 +11,10 @@ import re
 from pathlib import Path
 
 from cyclekit.errors import OutsideFolder
+from cyclekit.files import shortened
 
 MAX_BYTES = 255
 """The longest name that the usual file systems take, in UTF-8."""
-_ROOM = 55
-"""Of them so many are left by `fitting` for what is put before and behind a name."""
 _DRIVE = re.compile(r"[A-Za-z]:")
 _DEVICE = re.compile(r"(con|prn|aux|nul|con(in|out)\$|(com|lpt)[0-9¹²³])[ ]*(\..*)?", re.IGNORECASE | re.DOTALL)
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
@@ -66,7 +65,7 @@ def fitting(name: str) -> str:
 
     Two names may become one; who needs them apart numbers them.
     """
-    plain = _UNFIT.sub("_", name).encode()[: MAX_BYTES - _ROOM].decode(errors="ignore").rstrip(". ")
+    plain = shortened(_UNFIT.sub("_", name).rstrip(". "))
     return plain if unfit(plain) is None else f"_{plain}"
 
 

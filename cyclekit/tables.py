@@ -21,6 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from cyclekit.behind import Behind
+from cyclekit.files import regular
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -158,7 +159,7 @@ class StoredTable:
         """
         self._file, self._columns = file, list(columns)
         self.columns = tuple(columns)
-        self.names, starts, unknown = _layout(file, file.stat().st_mtime_ns)
+        self.names, starts, unknown = _layout(file, regular(file).stat().st_mtime_ns)
         self.rows = starts[-1]
         self.groups = [(begin, end) for begin, end in pairwise(starts) if end > begin]
         self._unknown = {name: unknown[name] for name in columns}

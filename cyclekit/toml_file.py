@@ -10,6 +10,7 @@ import tomllib
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import ConfigError
+from cyclekit.files import regular
 from cyclekit.plain_text import all_in_one_line
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         ConfigError: The file cannot be read or is no TOML.
     """
     try:
-        content = path.read_bytes()
+        content = regular(path).read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})", cure="Check the path.") from error
     try:

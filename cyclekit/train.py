@@ -8,7 +8,6 @@ to learn from alone. How a network is built is in `models.network`; what comes o
 from __future__ import annotations
 
 import json
-import tempfile
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -37,6 +36,7 @@ from cyclekit.samples import (
     scaling_without_operator,
     split_executions,
 )
+from cyclekit.scratch import Scratch
 from cyclekit.steps import Staircase, second_opinion
 
 if TYPE_CHECKING:
@@ -89,11 +89,11 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
     from cyclekit.models.fitting import fit  # here, so that this module can be imported without torch
 
     spec = spec.at_rate(dataset.rate_hz)
-    with tempfile.TemporaryDirectory(prefix="cyclekit-") as folder:
+    with Scratch() as scratch:
         if rows_of(dataset) <= memory_rows():
             found = _in_memory(dataset, spec)
         else:
-            found = _in_parts(dataset, spec, Path(folder), memory_rows())
+            found = _in_parts(dataset, spec, scratch.path, memory_rows())
         _check_learnable(dataset, found.learn, found.check, found.held_out, spec)
         fitted = fit(spec, found.learn, found.check, found.levels, progress, known=found.known)
         made = (spec.problem, spec.network, spec.horizon_s, found.levels, fitted.weights)

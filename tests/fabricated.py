@@ -166,6 +166,8 @@ def _card(entries: list[dict[str, Any]], rows: dict[str, int]) -> dict[str, Any]
 
     return {
         "schema_version": schema.SCHEMA_VERSION,
+        "name": "fabricated",
+        "rows": {"samples": 0, "tasks": 10_000},
         "executions": entries,
         "places": {name: place(xyz, 0.1) for name, xyz in PLACES.items()},
         "human_places": {name: place(xyz, 0.5) for name, xyz in HUMAN_PLACES.items()},
@@ -174,13 +176,15 @@ def _card(entries: list[dict[str, Any]], rows: dict[str, int]) -> dict[str, Any]
             {
                 "id": f"{session}-robot",
                 "session": session,
-                "sources": [],
-                "adapter": "fabricated",
-                "clock": {"kind": "relative", "offset_s": 0.0, "rate": 1.0},
-                "frame": {"xyz_m": [0.0, 0.0, 0.0], "yaw_rad": 0.0},
+                "sources": [{"path": f"{session}.csv", "sha256": None, "size": 0}],
+                **{"adapter": "fabricated", "adapter_package": "tests", "adapter_version": "0"},
+                "clock": {"kind": "relative", "method": "own", "offset_s": 0.0, "rate": 1.0},
+                "frame": {"method": "assumed base frame", "up": "z"},
+                **{"up": "z", "joint_names": [], "facts": {}, "key": "", "warnings": []},
                 "rows": {"robot": count, "people": count},
+                **{"rows_are": "row", "rows_read": count, "rows_set_aside": []},
+                **{"first_s": 0.0, "last_s": count / NATIVE_HZ, "duration_s": count / NATIVE_HZ, "rate_hz": NATIVE_HZ},
                 "tables": ["robot", "people"],
-                "warnings": [],
             }
             for session, count in rows.items()
         ],

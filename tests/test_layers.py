@@ -28,13 +28,13 @@ FLOORS = [
     {"motion"},
     {"adapter", "clock", "dataset", "frames", "guard"},
     {"dataset_files", "outputs"},
-    {"storage"},
-    {"atomic", "checksums", "tables"},
+    {"scratch", "storage"},
+    {"atomic", "checksums", "footers", "tables"},
     {"engine"},
     {"config", "schema", "sequences"},
-    {"mistaken", "toml_file"},
+    {"cards", "mistaken", "toml_file"},
     {"inside"},
-    {"ahead", "behind", "colours", "errors", "labels", "one_thread", "plain_json", "rate", "work"},
+    {"ahead", "behind", "colours", "errors", "files", "labels", "one_thread", "plain_json", "rate", "work"},
     {"plain_text"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""

@@ -14,8 +14,17 @@ from __future__ import annotations
 
 import gc
 import sys
-from io import TextIOWrapper
 from typing import TYPE_CHECKING
+
+from cyclekit.cli.surroundings import (
+    check_working_directory,
+    complete_streams,
+    drop_output,
+    explained,
+    flush,
+    is_of_output,
+    restart_in_utf8,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,11 +46,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: Words after `cyclekit`; None takes them from the process.
     """
     gc.disable()  # nothing that is imported is garbage; it is looked for as soon as a command works (`Terminal`)
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # a place called Kühlregal must not end in a traceback on an old terminal
-            stream.reconfigure(errors="backslashreplace")
-    code = run(words)
+    if arguments is None:
+        restart_in_utf8()
+    complete_streams()
+    code = run(list(sys.argv[1:] if arguments is None else arguments))
     gc.freeze()  # nor need it be looked for at the end: with all that was imported that takes a tenth of a second
     sys.exit(code)
 
@@ -52,6 +60,13 @@ def run(words: list[str]) -> int:
     Args:
         words: Words after `cyclekit`.
     """
+    try:
+        return _run(words)
+    except OSError as error:
+        return _refused(error, as_json="--json" in words)
+
+
+def _run(words: list[str]) -> int:
     import typer
 
     from cyclekit.cli.terminal import say_failure, say_usage
@@ -59,8 +74,10 @@ def run(words: list[str]) -> int:
 
     as_json = "--json" in words
     try:
+        check_working_directory()
         wanted = words[:1] if words and words[0] in ORDER else ORDER
         code = app(wanted)(args=words or ["--help"], prog_name="cyclekit", standalone_mode=False)
+        flush()
     except CyclekitError as error:
         return say_failure(str(error), kind=type(error).__name__, as_json=as_json)
     except typer.TyperException as error:
@@ -82,6 +99,18 @@ def _say_left_out() -> None:
     from cyclekit.cli.terminal import Terminal
 
     Terminal(json=False, quiet=False).warnings([str(adapter) for adapter in registry.noticed()])
+
+
+def _refused(error: OSError, *, as_json: bool) -> int:
+    """Say what the system has refused, and return the exit code; of a reader that has gone nothing need be said."""
+    from cyclekit.cli.terminal import say_failure
+
+    if isinstance(error, BrokenPipeError):
+        drop_output()
+        return 1
+    if is_of_output(error):  # then it takes no document either
+        drop_output()
+    return say_failure(explained(error), kind="SystemRefused", as_json=as_json)
 
 
 def app(wanted: Sequence[str] = ORDER) -> typer.Typer:

@@ -22,10 +22,15 @@ from cyclekit.config.cells import (
     Sync,
 )
 from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.files import resolved
 from cyclekit.toml_file import list_at, read_toml
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+_LARGEST = 1e15
+"""No number of a cell is larger; NaN and infinity are not either."""
+_FASTEST_HZ = 1e6
 
 
 def load_cell(path: Path) -> Cell:
@@ -40,7 +45,7 @@ def load_cell(path: Path) -> Cell:
     _only(where, raw, Cell)
     sources = tuple(_source(f"{where} sources[{i}]", entry) for i, entry in enumerate(list_at(where, raw, "sources")))
     return Cell(
-        name=_text(where, raw, "name") or path.resolve().parent.name,
+        name=_text(where, raw, "name") or resolved(path).parent.name,
         sources=sources,
         ignore=tuple(map(str, list_at(where, raw, "ignore"))),
         reference=tuple(map(str, list_at(where, raw, "reference"))),
@@ -48,7 +53,7 @@ def load_cell(path: Path) -> Cell:
         human_places=_places(f"{where} [human_places]", raw.get("human_places", {})),
         furniture=_furniture(f"{where} [furniture]", raw.get("furniture", {})),
         executions=_executions(f"{where} [executions]", raw.get("executions", {})),
-        rate_hz=_positive(where, raw, "rate_hz", 10.0),
+        rate_hz=_rate(where, raw),
         bridge_s=_number(where, raw, "bridge_s", 0.3),
         levels=_levels(where, raw),
     )
@@ -76,7 +81,7 @@ def _only(where: str, raw: object, shape: type) -> None:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
 
 
 def _number(where: str, raw: Mapping[str, Any], key: str, default: float) -> float:
@@ -91,6 +96,13 @@ def _positive(where: str, raw: Mapping[str, Any], key: str, default: float) -> f
     if value <= 0:
         raise ConfigError(f"{where}: {key} = {value!r} must be a positive number", cure=f"{key} = {default:g}")
     return value
+
+
+def _rate(where: str, raw: Mapping[str, Any]) -> float:
+    rate_hz = _positive(where, raw, "rate_hz", 10.0)
+    if rate_hz > _FASTEST_HZ:
+        raise ConfigError(f"{where}: rate_hz = {rate_hz:g} is no rate of samples", cure="rate_hz = 10")
+    return rate_hz
 
 
 def _text(where: str, raw: Mapping[str, Any], key: str) -> str | None:
@@ -142,8 +154,24 @@ def _source(where: str, entry: Mapping[str, Any]) -> Source:
         frame=_frame(f"{where} frame", entry["frame"]) if "frame" in entry else None,
         body=_text(where, entry, "body"),
         rate_hz=_positive(where, entry, "rate_hz", 100.0) if "rate_hz" in entry else None,
-        map=dict(_table(f"{where} map", entry.get("map", {}))),
+        map=_map(f"{where} map", entry.get("map", {})),
     )
+
+
+def _map(where: str, raw: object) -> dict[str, object]:
+    """Return what adapters are told; all of it can be kept as JSON."""
+    found = dict(_table(where, raw))
+    waiting: list[tuple[str, object]] = list(found.items())
+    while waiting:
+        key, value = waiting.pop()
+        if isinstance(value, Mapping):
+            waiting += [(f"{key}.{name}", inner) for name, inner in value.items()]
+        elif isinstance(value, list):
+            waiting += [(key, inner) for inner in value]
+        elif not isinstance(value, str | bool) and not _is_number(value):
+            cure = f'Put it into quotes: {key} = "{value}"'
+            raise ConfigError(f"{where}: {key} = {value} is neither a text nor a finite number", cure=cure)
+    return found
 
 
 def _one_clock(where: str, entry: Mapping[str, Any]) -> None:

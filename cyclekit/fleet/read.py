@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.files import resolved
 from cyclekit.inside import unfit
 from cyclekit.storage import is_url, join
 from cyclekit.toml_file import list_at, read_toml
@@ -97,7 +98,7 @@ def load_fleet(path: Path) -> Fleet:
         ConfigError: It cannot be read, names no cell, or says something that cannot be followed.
         UnknownName: A key is not known.
     """
-    raw, here = read_toml(path), path.resolve().parent
+    raw, here = read_toml(path), resolved(path).parent
     _only(str(path), raw, ("fleet", "cell"))
     shared = raw.get("fleet", {})
     if not isinstance(shared, dict):

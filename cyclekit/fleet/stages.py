@@ -9,12 +9,11 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
-import tempfile
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import cyclekit
+from cyclekit.cards import BadCard, CellLedger, checked, parse_json
 from cyclekit.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, ModelError, StorageError
 from cyclekit.estimate.rollout import estimate
@@ -27,6 +26,7 @@ from cyclekit.models.metrics import large_error
 from cyclekit.models.saved import TrainedModel, load_model
 from cyclekit.models.spec import ModelSpec
 from cyclekit.report import write_report
+from cyclekit.scratch import Scratch
 from cyclekit.sequences import load_sequences
 from cyclekit.storage import join, mirrored, read_text, write_text
 from cyclekit.train import Training, train_at
@@ -78,10 +78,11 @@ def work_on(cell: FleetCell, *, stages: Sequence[str]) -> list[Row]:
 def read_ledger(cell: FleetCell) -> dict[str, Any]:
     """Return what is known of a cell; nothing where nothing was done, or it cannot be read."""
     try:
-        found = json.loads(read_text(join(cell.folder, LEDGER)) or "{}")
-    except (ValueError, StorageError):
+        found = parse_json((read_text(join(cell.folder, LEDGER)) or "{}").encode())
+        checked(found, CellLedger)
+    except (BadCard, StorageError, OSError, UnicodeError):
         found = {}
-    return {"stages": {}, "days": {}, "figures": {}, **(found if isinstance(found, dict) else {}), "cell": cell.name}
+    return {"stages": {}, "days": {}, "figures": {}, **found, "cell": cell.name}
 
 
 def note(cell: FleetCell, ledger: dict[str, Any], row: Row) -> None:
@@ -159,8 +160,8 @@ def _report(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
     ledger["figures"] = asdict(figures_of(dataset, drift, ledger["days"], _doubt(model, judged)))
     found = estimate(model, dataset, wanted) if model is not None and wanted else []
     check = found[0].check if found else None
-    with tempfile.TemporaryDirectory() as folder:
-        page = Path(folder) / REPORT
+    with Scratch() as scratch:
+        page = scratch.path / REPORT
         facts = write_report(
             dataset, model, page, estimates=found, evaluation=judged, check=check, missing=missing, cell_name=cell.name
         )

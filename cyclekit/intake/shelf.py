@@ -17,7 +17,10 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from cyclekit import schema
+from cyclekit.atomic import beside
+from cyclekit.cards import BadCard, LogCard, checked, read_json
 from cyclekit.errors import ConfigError, LogError
+from cyclekit.files import resolved
 from cyclekit.intake.keep import QUARANTINE
 from cyclekit.intake.take_over import as_read, link_files, named_anew
 from cyclekit.tables import TableWriter, parts_of
@@ -43,18 +46,27 @@ class Shelf:
             out: The dataset.
             options: What else than the log decides what is kept of it; other options, another recording.
         """
-        out = out.resolve()
-        self._folder, self._gone = out.with_name(f".{out.name}.read"), out.with_name(f".{out.name}.read-gone")
+        out = resolved(out)
+        self._folder, self._gone = beside(out, "read"), beside(out, "read-gone")
         self._options = options
 
     def find(self, log: Log) -> Path | None:
-        """Return where the recording of a log stands, None if it does not."""
+        """Return where the recording of a log stands, None if it does not, or cannot be used: then it is removed."""
         place = self._folder / f"{log.key[:32]}-{self._options}"
-        return place if (place / _ENTRY).is_file() else None
+        try:
+            entry = checked(read_json(place / _ENTRY), LogCard)
+        except FileNotFoundError:
+            return None
+        except (BadCard, OSError):
+            entry = None
+        if entry is not None and all((place / f"{name}.parquet").is_file() for name in entry.tables):
+            return place
+        shutil.rmtree(place, ignore_errors=True)
+        return None
 
     def take(self, place: Path, log: Log, staging: Path) -> dict[str, Any]:
         """Link a recording into the dataset in the making; return its entry."""
-        entry: dict[str, Any] = json.loads((place / _ENTRY).read_text(encoding="utf-8"))
+        entry = read_json(place / _ENTRY)
         target = staging / "recordings" / log.id
         link_files(sorted(place.iterdir()), target)
         (target / _ENTRY).unlink()

@@ -25,8 +25,6 @@ LEVEL = 0.05
 """Two levels are the same within this."""
 SAME = 0.5
 """The part of the places, and of the levels, that must be found again."""
-NO_CELL: dict[str, Any] = {"name": "", "places": {}, "levels": [], "logs": {}}
-"""Of a model that was written by hand."""
 FRAME_M, FRAME_TURN = 0.05, 0.05
 """A frame has moved beyond this many metres, or where an entry of its rotation differs by more than this."""
 
@@ -40,7 +38,7 @@ def fingerprint(dataset: Dataset) -> str:
 def cell_of(dataset: Dataset) -> dict[str, Any]:
     """Return what is known of the cell of a dataset, as JSON values: name, places, levels, and logs with their frames.
 
-    `places` by name: x, y, z, radius in m, and whether it was found in the logs; `logs` by the SHA-256 of each file:
+    `places` by name: x, y, z, radius in m, and whether it was found in the logs; `logs` by the checksum of each file:
     where the origin of its frame stands in the base frame, x, y, z in m and the rotation by rows; None: unknown.
     """
     return {
@@ -48,29 +46,12 @@ def cell_of(dataset: Dataset) -> dict[str, Any]:
         "places": {name: [*place.xyz_m, place.radius_m, place.inferred] for name, place in dataset.places.items()},
         "levels": list(dataset.levels),
         "logs": {
-            str(source["sha256"]): _frame(record.get("frame") or {})
+            str(checksum): _frame(record.get("frame") or {})
             for record in dataset.recordings
             for source in record["sources"]
-            if source.get("sha256")
+            if (checksum := source.get("blake3") or source.get("sha256"))
         },
     }
-
-
-def is_cell(stated: object) -> bool:
-    """Tell whether a value read from a file has the form that `cell_of` gives."""
-
-    def numbers(values: object, count: int | None = None) -> bool:
-        fits = isinstance(values, list) and count in (None, len(values))
-        return fits and all(isinstance(value, int | float) for value in values)  # type: ignore[attr-defined]
-
-    if not isinstance(stated, dict) or not isinstance(stated.get("name"), str):
-        return False
-    places, logs = stated.get("places"), stated.get("logs")
-    if not isinstance(places, dict) or not isinstance(logs, dict) or not numbers(stated.get("levels")):
-        return False
-    return all(numbers(place, 5) for place in places.values()) and all(
-        frame is None or numbers(frame, 12) for frame in logs.values()
-    )
 
 
 def refuse_other_cell(card: Mapping[str, Any], dataset: Dataset, *, other_cell: bool = False) -> None:

@@ -20,9 +20,10 @@ import numpy as np
 
 from cyclekit import schema
 from cyclekit.atomic import recover, staged
+from cyclekit.cards import BadCard, ModelCard, checked, read_json
 from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.mistaken import MODEL_CARD, toml_for, what_is
-from cyclekit.models.layout import Layout, NotAModel, parse_model
+from cyclekit.models.layout import Layout, NotAModel
 from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
 from cyclekit.one_thread import one_thread
 from cyclekit.outputs import check_writable_folder
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
 FORMAT, MODEL_VERSION = "cyclekit-model", 3
 CARD, WEIGHTS = MODEL_CARD, "weights.safetensors"
+_MAX_CARD_BYTES = 16 << 20
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class TrainedModel:
 
         Raises:
             ShapeError: X has another shape, or holds a value that is not finite where it must be known.
+            ModelError: The weights are too large for numbers to come out.
         """
         out = self._run(X)
         values = np.matmul(out, np.array(self.levels)) if self.network == "classifier" else out[:, 0]
@@ -122,7 +125,7 @@ class TrainedModel:
             msg = f"inputs {X.shape} must be ({', '.join(map(str, wanted))}): {', '.join(self.inputs)}"
             raise ShapeError(msg)
         if np.isfinite(X).all():
-            return self.weights.run(X)
+            return self._finite(X)
         needed = np.ones(len(self.inputs), np.bool_)
         for group in self.weights.known:
             needed[GROUPS[group]] = False
@@ -131,7 +134,20 @@ class TrainedModel:
             rows = int(bad.reshape(len(X), -1).any(axis=1).sum())
             msg = f"{rows} of {len(X)} rows hold an unknown input (NaN or infinite)"
             raise ShapeError(msg, cure="Leave these rows out; where nobody is there, use scaling_without_operator.")
-        return self.weights.run(X)
+        return self._finite(X)
+
+    def _finite(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+        """Run the network; weights may be finite and still so large that no number comes out.
+
+        Raises:
+            ModelError: That is so.
+        """
+        out = self.weights.run(X)
+        if not np.isfinite(out).all():
+            bad = int((~np.isfinite(out)).any(axis=1).sum())
+            msg = f"the network gives no number in {bad} of {len(out)} rows: its weights are too large"
+            raise ModelError(msg, cure=f"Train it again: {command_line('train', 'DATASET', '--out', 'MODEL')}")
+        return out
 
 
 def check_model_output(place: Path | str) -> None:
@@ -198,19 +214,23 @@ def load_model(place: Path | str) -> TrainedModel:
     """
     path = local(place)
     recover(path)
-    if not path.is_dir() or not (path / CARD).is_file():
-        raise _no_model(path)
     file = path / CARD
     try:
-        about = parse_model(file)
+        about = read_json(file, most_bytes=_MAX_CARD_BYTES)
         _check_versions(about)
-        layout = Layout.of(about)
+        card = checked(about, ModelCard)
+        layout = Layout.of(card)
         file = path / WEIGHTS
-        weights = parse_weights(file, layout, str(about.get("weights_sha256")))
-    except NotAModel as cause:
+        weights = parse_weights(file, layout, card.weights_sha256)
+    except (BadCard, NotAModel) as cause:
         msg = f"{file}: {cause}"
         again = command_line("train", "DATASET", "--out", place)
         raise ModelError(msg, cure=f"Train it again: {again}") from cause
+    except (FileNotFoundError, NotADirectoryError) as cause:
+        raise _no_model(path) from cause
+    except OSError as cause:
+        msg = f"{file}: cannot be read ({cause.strerror or cause})"
+        raise ModelError(msg, cure="Check the path and its permissions.") from cause
     made = (layout.problem, layout.network, layout.horizon_s, layout.levels)
     return TrainedModel(*made, weights, all_in_one_line(dict(about["card"])), layout.history)
 

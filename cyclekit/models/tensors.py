@@ -13,6 +13,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from cyclekit.files import regular
 from cyclekit.models.layout import Layout, NotAModel
 from cyclekit.models.weights import Weights
 from cyclekit.samples import INPUTS
@@ -31,14 +32,14 @@ def parse_weights(file: Path, layout: Layout, sha256: str) -> Weights:
 
     Raises:
         NotAModel: The file is not exactly the safetensors file that the layout calls for.
+        OSError: It cannot be read.
     """
     shapes = _shapes(layout)
     numbers = 4 * sum(math.prod(shape) for shape in shapes.values())
-    try:
-        with file.open("rb") as handle:
-            content = handle.read(8 + _MAX_HEADER_BYTES + numbers + 1)
-    except OSError as error:
-        raise NotAModel(f"cannot be read ({error.strerror})") from error
+    if not file.exists():
+        raise NotAModel("no such file")
+    with regular(file).open("rb") as handle:
+        content = handle.read(8 + _MAX_HEADER_BYTES + numbers + 1)
     header = int.from_bytes(content[:8], "little")
     if len(content) < 8 or header > _MAX_HEADER_BYTES or len(content) != 8 + header + numbers:
         raise NotAModel(f"not a safetensors file of {numbers} bytes of weights, as {file.parent.name} calls for")

@@ -82,8 +82,9 @@ class Weights:
 
     def _fill(self, out: Matrix, X: NDArray[np.floating[Any]]) -> None:
         """Put the last layer's outputs for `X` into `out`, block by block."""
-        for start in range(0, len(X), _BLOCK):
-            out[start : start + _BLOCK] = self._block(self._completed(X[start : start + _BLOCK]))
+        with np.errstate(over="ignore", invalid="ignore"):  # of weights too large, which whoever asks is told
+            for start in range(0, len(X), _BLOCK):
+                out[start : start + _BLOCK] = self._block(self._completed(X[start : start + _BLOCK]))
 
     def _completed(self, X: NDArray[np.floating[Any]]) -> Matrix:
         """Return the inputs with the unknown ones replaced, and one more per group that says whether it is known."""

@@ -10,11 +10,11 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
 from cyclekit.atomic import replaced
 from cyclekit.errors import CyclekitError
+from cyclekit.scratch import Scratch
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge", "microsoft-edge")
 _PLACES = (
@@ -67,9 +67,9 @@ def write_pdf(page: Path, out: Path) -> int:
         CyclekitError: No browser is installed, or it fails, or the file cannot be written.
     """
     browser = need_browser()
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder, replaced(out) as temporary:
-        printed = Path(folder) / "page.pdf"
-        options = [*browser_options(Path(folder) / "profile"), "--no-pdf-header-footer", f"--print-to-pdf={printed}"]
+    with Scratch() as scratch, replaced(out) as temporary:
+        printed = scratch.path / "page.pdf"
+        options = [*browser_options(scratch.path / "profile"), "--no-pdf-header-footer", f"--print-to-pdf={printed}"]
         try:
             done = subprocess.run(
                 [str(browser), *options, page.resolve().as_uri()], capture_output=True, timeout=PATIENCE_S, check=False

@@ -7,15 +7,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
+from cyclekit.cards import BadCard, CellCard, checked
 from cyclekit.dataset import Dataset
 from cyclekit.errors import ModelError
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.validate import refuse_biased
-from cyclekit.models.cell import cell_of, fingerprint, is_cell, other_cell_of, refuse_other_cell
+from cyclekit.models.cell import cell_of, fingerprint, other_cell_of, refuse_other_cell
 from cyclekit.plan import Jobs, plan
 from cyclekit.sequences import TaskSequence
 from cyclekit.whatif import Change, what_if
@@ -154,21 +153,8 @@ def test_a_model_far_off_on_the_logs_is_refused_unless_that_is_meant(logged: Dat
     assert found.check.alarm is not None
 
 
-STATED = st.recursive(
-    st.none() | st.booleans() | st.floats() | st.text(max_size=3),
-    lambda inner: (
-        st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["name", "places", "levels", "logs"]), inner)
-    ),
-    max_leaves=8,
-)
-
-
-@given(STATED)
-def test_whatever_stands_in_a_card_is_a_cell_or_is_not(stated: Any):
-    if is_cell(stated):
-        assert set(stated) >= {"name", "places", "levels", "logs"}
-
-
 def test_the_cell_of_a_dataset_is_one(logged: Dataset):
-    assert is_cell(cell_of(logged))
-    assert not is_cell({**cell_of(logged), "logs": {"a": [1.0]}})
+    stated = cell_of(logged)
+    assert dict(checked(stated, CellCard).places) == {name: tuple(place) for name, place in stated["places"].items()}
+    with pytest.raises(BadCard, match="logs"):
+        checked({**stated, "logs": {"a": [1.0]}}, CellCard)

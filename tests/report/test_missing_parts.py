@@ -55,7 +55,7 @@ def test_a_dataset_without_tasks_executions_or_provenance_still_gives_a_page(dat
     path = tmp_path / "bare"
     shutil.copytree(dataset.path, path)
     card = json.loads((path / CARD).read_text())
-    bare = {key: card[key] for key in ("schema_version", "places", "human_places")}
+    bare = {key: card[key] for key in ("schema_version", "name", "rows", "places", "human_places")}
     (path / CARD).write_text(json.dumps({**bare, "executions": [], "levels": [], "recordings": []}))
     write_parquet(pl.read_parquet(path / "tasks.parquet").head(0), path / "tasks.parquet")
     for file in (path / "samples").glob("*.parquet"):
@@ -77,12 +77,12 @@ def test_provenance_is_put_together_where_alike_and_counted(dataset, tmp_path):
         "adapter_package": "cyclekit",
         "adapter_version": "0.1.0",
         "sources": [{"path": "run.csv", "sha256": "ab" * 32, "size": 3}],
-        "clock": {"kind": "uptime", "method": "own clock", "offset_s": 0.0, "rate": 1.0},
+        "clock": {"kind": "uptime", "method": "own", "offset_s": 0.0, "rate": 1.0},
         "frame": {"method": "robot base"},
+        **{"up": "z", "joint_names": [], "facts": {}, "key": "", "rows": {"robot": 998}, "rows_are": "row"},
         "rows_read": 1000,
         "rows_set_aside": [{"reason": "time goes back", "count": 2}],
-        "rate_hz": 125.0,
-        "duration_s": 8.0,
+        **{"rate_hz": 125.0, "first_s": 0.0, "last_s": 8.0, "duration_s": 8.0},
         "warnings": ["Scaling is null while the program is paused."],
     }
     card["recordings"] = [{**record, "id": f"r{n}"} for n in range(40)]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
-import tempfile
 import weakref
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,6 +19,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from cyclekit.adapter import Scratch
 from cyclekit_adapters.rosbag.chunks import moment
 from cyclekit_adapters.rosbag.payloads import BLOCK_BYTES, Channel, Damage, Ints, Payloads
 from cyclekit_adapters.rosbag.sqlite_pages import NoPages, Pages, Value
@@ -149,8 +149,9 @@ def look(path: Path) -> SqliteFile:
 
 def _recovered(found: SqliteFile, beside: Path) -> Path | None:
     """Let sqlite put what a killed recorder had not yet moved into the bag into a copy of it; None if it cannot."""
-    folder = tempfile.mkdtemp(prefix="cyclekit-")
-    weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
+    scratch = Scratch()
+    folder = scratch.path
+    weakref.finalize(found, scratch.remove)
     copy = Path(folder, found.path.name)
     try:
         for file in (found.path, beside):

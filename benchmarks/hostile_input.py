@@ -1,0 +1,413 @@
+"""Random cards, manifests, cell files, sequence files and names: what comes of each, counted.
+
+Each input is a real one with one or two places replaced by hostile values (Hypothesis draws both), or any JSON, or
+any bytes. It is opened as the commands open it, in this process, and what a command would print is printed. Counted are
+tracebacks (any exception but CyclekitError), data read from or written outside of the folder it belongs to, and control
+characters that would reach the terminal raw. All three must be 0.
+
+    python benchmarks/hostile_input.py [--examples 2000] [--seed 0]
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import copy
+import io
+import json
+import os
+import re
+import shutil
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hypothesis import HealthCheck, given, seed, settings
+from hypothesis import strategies as st
+from rich.console import Console
+from rich.table import Table
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from cyclekit.atomic import write_text
+from cyclekit.cli.facts import page
+from cyclekit.cli.terminal import Terminal, say_failure
+from cyclekit.config import load_cell
+from cyclekit.dataset import Dataset
+from cyclekit.describe import describe
+from cyclekit.discover import find_all
+from cyclekit.errors import CyclekitError
+from cyclekit.models.saved import TrainedModel, save_model
+from cyclekit.sequences import load_sequences
+from cyclekit.storage import local
+
+RAW = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]|^FORGED", re.MULTILINE)
+"""Steers a terminal, turns text around, or is a line of its own that nobody printed."""
+_HEALTH = list(HealthCheck)
+SECRET = "secret of another folder"
+TEXTS = (
+    "", "a", "../../outside", "..", "/etc/passwd", "C:/x", "C:\\x", "..\\..\\x", "a/b", "\x1b]0;title\x07", "\x1b[2J",
+    "x\nFORGED: all is well", "x\rFORGED", "\u202egnp.exe", "\u0000", "\x9b31m", "n" * 300, "ü" * 130, "<script>",
+    "\ud800", "NaN", "2026-02-31", "0" * 64, "CON", "x:y", "../secret.txt", "=1+1",
+)  # fmt: skip
+NUMBERS = (0, -1, 1, 3.4e38, -3.4e38, 1e308, 1e-308, 10**400, 2**63, 2**64, -(2**63), 10**18, 0.5, 1.0, True, False)
+VALUES = st.one_of(
+    st.sampled_from([*TEXTS, *NUMBERS, None]),
+    st.text(max_size=8),
+    st.recursive(
+        st.sampled_from([*TEXTS, *NUMBERS, None]),
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(TEXTS), inner, max_size=3),
+        max_leaves=4,
+    ),
+)
+TOML_VALUES = (
+    '""', "nan", "-inf", "1e308", "0", "-1", "2026-01-01", "07:30:00", "true", "[]", "{}", "[[]]", "[1, 'a']",
+    f"{10**400}", '"\\u001b[2J"', '"x\\nFORGED"', '"../../x"', '"\\u202ex"', f'"{"n" * 300}"', "[" * 2000,
+    "{a = 1979-05-27T07:32:00Z}", "{a = nan}", "[nan, nan, nan]", "[0, 0]", "[1e300, 0, 0]", "'home'", '"\\u0000"',
+)  # fmt: skip
+CELL = """
+name = "cell"
+ignore = ["*.txt"]
+reference = ["free/*"]
+levels = [0.0, 0.5, 1.0]
+rate_hz = 10.0
+bridge_s = 0.3
+[[sources]]
+path = "robot.csv"
+adapter = "csv"
+role = "robot"
+clock_rate = 1.0
+clock_offset_s = 0.5
+rate_hz = 125.0
+frame = {xyz_m = [0, 0, 0], yaw_deg = 90}
+map = {time = "t", x = "x"}
+[[sources]]
+path = "people.csv"
+sync = {robot = "register", other = "button"}
+start = "2026-03-02T14:03:11+01:00"
+[[sources]]
+path = "other.csv"
+sync_events = [[1.0, 2.0], [3.0, 4.0]]
+[places.home]
+xyz_m = [0.4, 0.0, 0.4]
+radius_m = 0.05
+[human_places.desk]
+xyz_m = [1.4, 0.0, 0.4]
+[furniture.table]
+xyz_m = [1.4, 0.0, 0.4]
+size_m = [1, 1, 1]
+yaw_deg = 30
+[executions]
+begin = "signal"
+gap_s = 2.0
+home = "home"
+bit = 3
+signal = "start=1"
+"""
+SEQUENCES = """
+[[sequence]]
+name = "A"
+places = ["home", "left", "home"]
+operator = ["desk", "shelf"]
+[[sequence]]
+name = "B"
+tasks = ["home->left", "left->home"]
+"""
+TABLE = "t,x,y,z\n" + "".join(f"{k / 10:.1f},0.{k % 10},0,0\n" for k in range(20))
+
+
+@dataclass
+class Count:
+    """What came of the inputs of one kind."""
+
+    inputs: int = 0
+    accepted: int = 0
+    tracebacks: Counter[str] = field(default_factory=Counter)
+    outside: int = 0
+    raw: int = 0
+    seconds: float = 0.0
+    examples: dict[str, str] = field(default_factory=dict)
+
+
+def places_in(value: object, way: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Yield the way to every value in a JSON document."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in items:
+        yield (*way, key)
+        yield from places_in(inner, (*way, key))
+
+
+def documents(real: dict[str, Any]) -> st.SearchStrategy[bytes]:
+    """Return a strategy of texts: `real` with places replaced, any JSON, any bytes."""
+    ways = list(places_in(real))
+
+    def changed(changes: list[tuple[tuple[str | int, ...], Any]]) -> bytes:
+        document = copy.deepcopy(real)
+        for way, value in changes:
+            inner: Any = document
+            with contextlib.suppress(KeyError, IndexError, TypeError):
+                for key in way[:-1]:
+                    inner = inner[key]
+                if value == "\ud800":
+                    del inner[way[-1]]
+                else:
+                    inner[way[-1]] = value
+        return json.dumps(document).encode()
+
+    def at(way: tuple[str | int, ...]) -> object:
+        found: Any = real
+        for key in way:
+            found = found[key]
+        return found
+
+    def alike(way: tuple[str | int, ...]) -> st.SearchStrategy[tuple[tuple[str | int, ...], Any]]:
+        old = at(way)
+        kind = TEXTS if isinstance(old, str) else NUMBERS if isinstance(old, int | float) else None
+        return st.tuples(st.just(way), st.sampled_from(kind) if kind else VALUES)  # else nearly all are refused at once
+
+    some, texts = st.sampled_from(ways), st.sampled_from([way for way in ways if isinstance(at(way), str)])
+    change = st.one_of(some.flatmap(alike), texts.flatmap(alike), texts.flatmap(alike), st.tuples(some, VALUES))
+    plain = st.lists(change, min_size=1, max_size=2).map(changed)
+    cut = st.tuples(plain, st.integers(0, 200)).map(lambda found: found[0][: -found[1] or None])
+    deep = st.sampled_from([b"[" * 100_000, b'{"a":' * 5000, b"NaN", b"", b"\xff\xfe", b'{"a": 1e999}'])
+    anything = VALUES.map(lambda value: json.dumps(value).encode())
+    return mostly(plain, st.one_of(cut, anything, st.binary(), deep))
+
+
+def mostly(usual: st.SearchStrategy[bytes], other: st.SearchStrategy[bytes]) -> st.SearchStrategy[bytes]:
+    """Return a strategy that draws from `usual` nine times of ten."""
+    return st.integers(0, 9).flatmap(lambda number: usual if number else other)
+
+
+def toml_texts(real: str) -> st.SearchStrategy[bytes]:
+    """Return a strategy of texts: `real` with values of lines replaced, lines doubled and dropped, any bytes."""
+    lines = real.strip().splitlines()
+
+    def changed(changes: list[tuple[int, str, str]]) -> bytes:
+        text = list(lines)
+        for at, how, value in changes:
+            key = text[at].partition("=")[0]
+            ways = {"value": f"{key}= {value}", "drop": "", "twice": f"{text[at]}\n{text[at]}", "key": f"{value} = 1"}
+            text[at] = ways[how]
+        return "\n".join(text).encode("utf-8", "surrogatepass")
+
+    hows = st.sampled_from(["value", "value", "value", "drop", "twice", "key"])
+    change = st.tuples(st.integers(0, len(lines) - 1), hows, st.sampled_from(TOML_VALUES))
+    return mostly(st.lists(change, min_size=1, max_size=2).map(changed), st.binary())
+
+
+class Lab:
+    """The folders that inputs are put into, and what is tried with each kind."""
+
+    def __init__(self, folder: Path) -> None:
+        from fabricated import fabricate_dataset
+
+        self.folder = folder
+        self.dataset = folder / "in" / "here" / "dataset"
+        fabricate_dataset(self.dataset, executions=2, rounds=1)
+        outside = folder / "in" / "here" / "outside"
+        shutil.copytree(next((self.dataset / "recordings").iterdir()), outside)
+        self.model = folder / "in" / "here" / "model"
+        save_model(self.model, _model())
+        self.logs = folder / "in" / "logs"
+        self.memory = _published()
+        os.environ["CYCLEKIT_CACHE"] = str(folder / "in" / "cache")
+
+    def kinds(self) -> dict[str, tuple[st.SearchStrategy[Any], Callable[[Any], Iterator[str]]]]:
+        """Return of each kind how inputs are drawn, and what is done with one; it yields what a command would print."""
+        card = json.loads((self.dataset / "dataset.json").read_text(encoding="utf-8"))
+        card |= {"settings": {"furniture": {"table": {"xyz_m": [0, 0, 0], "size_m": [1, 1, 1], "yaw_deg": 0}}}}
+        model = json.loads((self.model / "model.json").read_text(encoding="utf-8"))
+        names = st.one_of(st.sampled_from(TEXTS), st.text(min_size=1, max_size=80))
+        return {
+            "dataset card": (documents(card), self.open_dataset),
+            "model card": (documents(model), self.open_model),
+            "manifest": (documents(json.loads(self.memory["manifest.json"])), self.fetch),
+            "cell file": (toml_texts(CELL), self.open_cell),
+            "sequence file": (toml_texts(SEQUENCES), self.open_sequences),
+            "name of a log": (names, self.name_log),
+        }
+
+    def open_dataset(self, content: bytes) -> Iterator[str]:
+        """Open a dataset with this card, and look at what a command shows of it."""
+        (self.dataset / "dataset.json").write_bytes(content)
+        found = Dataset.open(self.dataset)
+        yield page(describe(self.dataset))
+        assert found.furniture is not None
+        for record in found.recordings:
+            there = os.path.normpath(self.dataset / "recordings" / record["id"])
+            with contextlib.suppress(CyclekitError):
+                if found.recorded(record["id"], "robot") is not None and not there.startswith(str(self.dataset)):
+                    yield SECRET
+        found.samples()
+
+    def open_model(self, content: bytes) -> Iterator[str]:
+        """Open a model with this card."""
+        (self.model / "model.json").write_bytes(content)
+        yield page(describe(self.model))
+
+    def fetch(self, content: bytes) -> Iterator[str]:
+        """Fetch the folder with this manifest."""
+        self.memory["manifest.json"] = content
+        _put(self.memory)
+        before = {file for file in self.folder.rglob("*") if "cache" not in file.parts}
+        try:
+            found = local("memory://bucket/folder")
+        finally:
+            if {file for file in self.folder.rglob("*") if "cache" not in file.parts} - before:
+                yield SECRET
+        for file in found.rglob("*"):
+            if file.is_file() and file.read_bytes() == SECRET.encode():
+                yield SECRET
+
+    def open_cell(self, content: bytes) -> Iterator[str]:
+        """Read a cell file."""
+        file = self.folder / "cell.toml"
+        file.write_bytes(content)
+        found = load_cell(file)
+        json.dumps(found, default=lambda value: vars(value), allow_nan=False)  # as the card of the dataset keeps it
+        yield f"{found.name} {', '.join(found.places)}"
+
+    def open_sequences(self, content: bytes) -> Iterator[str]:
+        """Read a sequence file."""
+        file = self.folder / "sequences.toml"
+        file.write_bytes(content)
+        for found in load_sequences(file):
+            yield f"{found.shown}: {', '.join(found.tasks)}"
+
+    def name_log(self, name: str) -> Iterator[str]:
+        """Find a log of this name, and write a file of this name."""
+        shutil.rmtree(self.logs, ignore_errors=True)
+        self.logs.mkdir()
+        file = self.logs / f"{name.replace('/', '_')}.csv"
+        try:
+            file.write_text(TABLE, encoding="utf-8")
+        except (OSError, ValueError):
+            return  # no such file can be
+        logs, _ = find_all([self.logs], load_cell(_cell_beside(self.logs)))
+        for log in logs:
+            if not re.fullmatch(r"[A-Za-z0-9_.-]+", log.id) or log.id in (".", ".."):
+                yield SECRET
+        yield page(describe(self.logs))
+        write_text(self.logs / f"{name.replace('/', '_')}.out", "x")
+
+
+def _cell_beside(folder: Path) -> Path:
+    file = folder / "cell.toml"
+    columns = 'time = "t", time_unit = "s", x = "x", y = "y", z = "z"'
+    source = f'[[sources]]\npath = "*"\nadapter = "csv"\nrole = "robot"\nmap = {{{columns}}}'
+    file.write_text(source, encoding="utf-8")
+    return file
+
+
+def _model() -> TrainedModel:
+    import numpy as np
+
+    from cyclekit.models.weights import Weights
+
+    layers = [(np.ones((a, b), np.float32), np.zeros(b, np.float32)) for a, b in ((6, 4), (4, 3))]
+    split = {"train": ["a"], "validation": ["b"], "test": ["c"]}
+    metrics = {"rows": 3, "mse_mean": 0.1, "mse_argmax": 0.1, "mae": 0.1, "bias": 0.0, "accuracy": 0.9}
+    card = {"dataset": "d", "seed": 0, "split": split, "metrics": metrics, "warnings": ["w"], "dropped": {"why": 3}}
+    return TrainedModel("now", "classifier", 0.0, (0.0, 0.5, 1.0), Weights(tuple(layers), 1), card)
+
+
+def _published() -> dict[str, bytes]:
+    """Return the objects of a published folder by name, the manifest among them."""
+    from hashlib import sha256
+
+    contents = {"a.txt": b"one", "b/c.txt": b"two"}
+    parts = {name: f"parts/{sha256(data).hexdigest()[:20]}" for name, data in contents.items()}
+    files = {n: {"part": parts[n], "size": len(d), "sha256": sha256(d).hexdigest()} for n, d in contents.items()}
+    manifest = json.dumps({"format": "cyclekit-folder", "version": 1, "files": files}).encode()
+    return {"manifest.json": manifest, "../secret.txt": SECRET.encode(), **{parts[n]: d for n, d in contents.items()}}
+
+
+def _put(objects: dict[str, bytes]) -> None:
+    import fsspec
+
+    memory = fsspec.filesystem("memory")
+    for name, content in objects.items():
+        place = f"/bucket/{name.removeprefix('../')}" if name.startswith("../") else f"/bucket/folder/{name}"
+        memory.pipe_file(place, content)
+
+
+def attempt(content: object, kind: Callable[[Any], Iterator[str]], count: Count) -> None:
+    """Try one input, and count what comes of it."""
+    said, errors = io.StringIO(), io.StringIO()
+    count.inputs += 1
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(errors):
+        terminal = Terminal(json=False, quiet=False)
+        try:
+            for text in kind(content):
+                if text == SECRET:
+                    count.outside += 1
+                    count.examples.setdefault("outside", repr(content)[:300])
+                    continue
+                terminal.done({}, text)
+                terminal.remark(text)
+            count.accepted += 1
+        except CyclekitError as error:
+            say_failure(str(error), kind=type(error).__name__, as_json=False)
+        except Exception as error:  # what a user would see as a traceback
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            named = f"{type(error).__name__} in {Path(where.filename).name}:{where.lineno}"
+            count.tracebacks[named] += 1
+            count.examples.setdefault(named, repr(content)[:300])
+    if found := RAW.search(said.getvalue() + errors.getvalue()):
+        count.raw += 1
+        count.examples.setdefault("raw", repr(said.getvalue() + errors.getvalue())[:200] + repr(found[0]))
+
+
+def _trial(kind: Callable[[Any], Iterator[str]], count: Count) -> Callable[[Any], None]:
+    def trial(content: object) -> None:
+        attempt(content, kind, count)
+
+    return trial
+
+
+def run(examples: int, number: int, only: Collection[str] | None = None) -> dict[str, Count]:
+    """Try so many inputs of each kind, all of them or only some, and return what came of them."""
+    counts: dict[str, Count] = {}
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        lab = Lab(Path(folder))
+        for name, (inputs, kind) in lab.kinds().items():
+            if only is not None and name not in only:
+                continue
+            count = counts[name] = Count()
+
+            trial = given(content=inputs)(_trial(kind, count))
+            trial = settings(max_examples=examples, database=None, deadline=None, suppress_health_check=_HEALTH)(trial)
+            trial = seed(number)(trial)
+            began_s = time.perf_counter()
+            trial()
+            count.seconds = time.perf_counter() - began_s
+    return counts
+
+
+def main() -> None:
+    """Try them and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--examples", type=int, default=2000, help="inputs of each of six kinds")
+    parser.add_argument("--seed", type=int, default=0)
+    wanted = parser.parse_args()
+    counts = run(wanted.examples, wanted.seed)
+    grid = Table("kind", "inputs", "accepted", "tracebacks", "outside", "raw control characters", "s", box=None)
+    for name, c in counts.items():
+        values = (c.inputs, c.accepted, c.tracebacks.total(), c.outside, c.raw, f"{c.seconds:.0f}")
+        grid.add_row(name, *map(str, values))
+    Console(width=110).print(grid)
+    for name, c in counts.items():
+        for what, example in c.examples.items():
+            print(f"{name}: {what} ({c.tracebacks.get(what, '')}): {example}")
+    sys.exit(any(c.tracebacks or c.outside or c.raw for c in counts.values()))
+
+
+if __name__ == "__main__":
+    main()

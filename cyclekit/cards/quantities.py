@@ -1,0 +1,56 @@
+"""The kinds of values that stand in cards, with their units and limits.
+
+JSON has no NaN and no infinity, so every number here is finite. The limits are far outside of anything real; they keep
+arithmetic with the numbers of a damaged or forged card from overflowing.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+Seconds = Annotated[float, Meta(ge=-1e19, le=1e19)]
+"""A time or a difference of times, s; a clock that counts nanoseconds and was read as seconds still fits."""
+Duration = Annotated[float, Meta(ge=0.0, le=1e19)]
+"""A length of time, s."""
+Metres = Annotated[float, Meta(ge=-1e15, le=1e15)]
+"""A coordinate, m."""
+Length = Annotated[float, Meta(ge=0.0, le=1e15)]
+"""A distance, radius or size, m."""
+Hertz = Annotated[float, Meta(gt=0.0, le=1e6)]
+"""A sampling rate, 1/s."""
+Scaling = Annotated[float, Meta(ge=-0.5, le=1.5)]
+"""A speed scaling: fraction of the programmed speed. Logged values may lie a little outside of 0 to 1."""
+Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
+"""A part of a whole."""
+Count = Annotated[int, Meta(ge=0, le=2**53)]
+"""A number of things."""
+Positive = Annotated[int, Meta(ge=1, le=2**31)]
+"""A number of things of which there is at least one."""
+Digest = Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
+"""A BLAKE3 or SHA-256 checksum, hexadecimal."""
+Name = Annotated[str, Meta(min_length=1)]
+"""A text that names something."""
+
+Point = tuple[Metres, Metres, Metres]
+"""x, y, z, m."""
+Rotation = tuple[Point, Point, Point]
+"""Rows of a rotation matrix."""
+
+
+class Card(Struct, frozen=True, kw_only=True):
+    """What all cards have in common: they are never changed, and keys that they do not know are passed over."""
+
+
+def ascending(values: tuple[float, ...]) -> tuple[float, ...]:
+    """Return the values if each is larger than the one before it.
+
+    Raises:
+        ValueError: They are not.
+    """
+    if any(a >= b for a, b in pairwise(values)):
+        msg = "levels must be ascending"
+        raise ValueError(msg)
+    return values

@@ -1,0 +1,57 @@
+"""How many rows the tables of a dataset hold, looked up in the ends of their files before any row is read.
+
+A file of megabytes can hold more rows than memory takes. The card of the dataset says how many there are to be; a table
+with more of them is not the one that was written.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.errors import DatasetError
+from cyclekit.files import regular
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from cyclekit.cards import DatasetCard
+
+_CURE = "Ingest the logs again."
+
+
+def check_tables(path: Path, card: DatasetCard) -> None:
+    """Refuse a dataset whose shared tables hold more rows than its card speaks of, or are no files.
+
+    Args:
+        path: Folder of the dataset. What is missing in it, or is no table, is left to whoever reads it.
+        card: Its card.
+
+    Raises:
+        DatasetError: A table holds too many rows, or is a pipe or a device.
+    """
+    seconds = sum(one.end_s - one.start_s for one in card.executions)
+    samples = int(seconds * card.rate_hz) + 2 * len(card.executions)
+    aside = sum(part.count for one in card.recordings for part in one.rows_set_aside)
+    _check(sorted((path / "samples").glob("*.parquet")), samples, "samples")
+    _check([path / "tasks.parquet"], card.rows.tasks, "tasks")
+    _check([path / "quarantine.parquet"], aside, "rows set aside")
+
+
+def _check(files: Sequence[Path], most: int, what: str) -> None:
+    files = [file for file in files if os.path.lexists(file)]
+    for file in files:
+        try:
+            regular(file)
+        except OSError as error:
+            raise DatasetError(f"{file}: {error.strerror}", cure=_CURE) from error
+    try:
+        rows = pl.scan_parquet(files, glob=False).select(pl.len()).collect().item() if files else 0
+    except (pl.exceptions.PolarsError, OSError):
+        return
+    if rows > most:
+        where = files[0] if len(files) == 1 else files[0].parent
+        raise DatasetError(f"{where}: holds {rows:,} rows, and dataset.json speaks of {most:,} {what}", cure=_CURE)

@@ -76,7 +76,8 @@ def entry_of(
     durations = cycles.duration_s
     shares = tuple(_shares(program, cycles))
     expected = float(durations.mean())
-    low, high = interval_of_mean(durations, weights, model_error=check.model_error if check else 0.0, seed=ask.seed)
+    means = cycles.resampled_means(weights)
+    low, high = interval_of_mean(means, model_error=check.model_error if check else 0.0, seed=ask.seed)
     activities = [*tracks.activities, "unknown"] if tracks else []
     by_activity = zip(activities, (cycles.by_activity_s * slower).tolist(), strict=False)
     logged = tracks.executions if tracks else tuple(ask.dataset.executions["execution"])

@@ -41,12 +41,15 @@ def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> NDA
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
-def interval_of_mean(
-    durations_s: Vector, weights: NDArray[np.float64], *, model_error: float, seed: int
-) -> tuple[float, float]:
-    """Return the 95 % interval of the mean of K cycles: finite logs, and the network's error as part of the mean."""
-    means = weights @ durations_s
-    means *= 1.0 + model_error * np.random.default_rng(seed + 1).standard_normal(len(means))
+def interval_of_mean(means_s: Vector, *, model_error: float, seed: int) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of K cycles: finite logs, and the network's error as part of the mean.
+
+    Args:
+        means_s: The mean in each resample of the logs, shape (resamples,), s.
+        model_error: Standard error of the mean that the network stands for, as part of it.
+        seed: Same seed, same draw.
+    """
+    means = means_s * (1.0 + model_error * np.random.default_rng(seed + 1).standard_normal(len(means_s)))
     return float(np.quantile(means, 0.025)), float(np.quantile(means, 0.975))
 
 

@@ -116,7 +116,7 @@ def estimate(
         for sequence, cycles in zip(mine, rolled, strict=True):
             entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights)
             found.append(replace(entry, warnings=(*limits_of_cycles(cycles, entry, checked), *limits)))
-            means.append(weights @ cycles.duration_s)
+            means.append(cycles.resampled_means(weights))
     tell(1.0, "done")
     order = sorted(range(len(found)), key=lambda i: (found[i].expected_s, found[i].name))
     return _ranked([found[i] for i in order], [means[i] for i in order])
@@ -221,8 +221,7 @@ def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> ND
     """Weights of the cycles in each resample of the logs, shape (resamples, K)."""
     if tracks is None:  # cycles put together of tasks: each draw is one
         return resampled([str(k) for k in range(len(cycles.duration_s))], ask.seed)
-    runs_on = len(set(tracks.executions)) < len(tracks.executions) or tracks.phase_free
-    return resampled(tracks.executions, ask.seed, together=TOGETHER if runs_on else 1)
+    return resampled(tracks.executions, ask.seed, together=TOGETHER if tracks.runs_on else 1)
 
 
 def _ranked(found: list[CycleEstimate], means: list[Vector]) -> list[CycleEstimate]:

@@ -159,7 +159,7 @@ class Continuation:
     def _states(self, track: Stretch, at: Whole, since_s: Vector) -> Points:
         """Return the states of a track at these instants (N,), `since_s` after the cycle began; shape (N, features)."""
         xy = track.where[:, :2]
-        there = np.isfinite(xy).all(axis=1)
+        there = np.asarray(np.isfinite(xy).all(axis=1))
         back = np.maximum(at - max(1, round(0.5 / self._step_s)), 0)
         speed = (xy[at] - xy[back]) / (np.maximum(at - back, 1) * self._step_s)[:, None]
         speed[~np.isfinite(speed).all(axis=1)] = 0.0

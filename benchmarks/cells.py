@@ -92,7 +92,14 @@ def unseen_sequences(dataset: Dataset, scene: str, count: int, *, first: int = F
 
 
 def fresh(
-    work: Path, scene: str, places: Sequence[str], executions: int, *, kind: str = "", paired: bool = False
+    work: Path,
+    scene: str,
+    places: Sequence[str],
+    executions: int,
+    *,
+    kind: str = "",
+    paired: bool = False,
+    options: SimulationOptions = PLAIN,
 ) -> pl.DataFrame:
     """Return fresh executions of a sequence, one row per task; simulated once per folder `work`.
 
@@ -106,7 +113,7 @@ def fresh(
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
         seed = JUDGED_SEED + (0 if paired else int(name[:6], 16))
-        run = prepare(BUILT_IN[scene], seed, PLAIN, executions=executions, places=places)
+        run = prepare(BUILT_IN[scene], seed, options, executions=executions, places=places)
         rows = pl.DataFrame([row for trace in run_alone(run, run.executions) for row in task_rows(trace, 0.0)])
         rows.select("execution", "index", s=pl.col("end_s") - pl.col("start_s")).write_parquet(file)
     return pl.read_parquet(file)

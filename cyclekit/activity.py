@@ -28,6 +28,7 @@ from cyclekit.people import (
     nearest_person,
     without_jumps,
 )
+from cyclekit.silence import Silence
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -59,6 +60,7 @@ class _Log:
 
     entry: dict[str, Any]
     tracks: list[Track]
+    silence: Silence
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,11 @@ class Watch:
         stays = Stays(len(t_s), spans, at_m, middles, told=bool(goals))
         return Seen(human_m, np.min(found, axis=0) if found else None, goals, stays)
 
+    @property
+    def silences(self) -> list[Silence]:
+        """How each log of people begins, ends and pauses."""
+        return [log.silence for log in self._logs]
+
     def note(self) -> None:
         """Note in the entries of the session how many samples saw the operator, and why the others did not."""
         for log, counts in zip(self._logs, self._counts, strict=True):
@@ -193,7 +200,7 @@ def _operator_logs(
     for entry in session.entries:
         clock = entry["clock"]
         if "people" in entry["tables"]:
-            logs.append(_Log(entry, _tracks(entry, read, sources[entry["id"]])))
+            logs.append(_log(entry, read, sources[entry["id"]]))
         said = read(entry["id"], "events") if "events" in entry["tables"] else None
         if said is not None:
             said = said.filter(pl.col("signal").str.contains(GOAL_SIGNAL, literal=True)).sort("t_s")
@@ -204,7 +211,7 @@ def _operator_logs(
     return logs, (t_event[order], [values[i] for i in order.tolist()])
 
 
-def _tracks(entry: dict[str, Any], read: Read, source: Source | None) -> list[Track]:
+def _log(entry: dict[str, Any], read: Read, source: Source | None) -> _Log:
     """Return the tracks of the people in a recording, without what cannot have been.
 
     A body on the robot's flange is nobody. Ids that do not last are replaced by tracks linked by motion.
@@ -231,7 +238,7 @@ def _tracks(entry: dict[str, Any], read: Read, source: Source | None) -> list[Tr
         told = f"the height of a person changes by {height_m:.1f} m: check which axis points up, and frame in cell.toml"
         entry["warnings"].append(f"{OPERATOR}{told}")
     entry["operator"] = {"not_believed": disbelieved}
-    return tracks
+    return _Log(entry, tracks, Silence.of(t, xyz, None if source is None else source.silence))
 
 
 def _height_range(tracks: Sequence[Track]) -> float:

@@ -11,6 +11,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from cyclekit.dataset import Place
 from cyclekit.motion import pieces
@@ -119,20 +120,31 @@ def _radius(members: Points, centre: Vector) -> float:
 def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArray[np.int64]]:
     """Group positions that lie within `radius_m` of the densest spots, densest first; an unknown one is in no group.
 
+    Nothing depends on where the axes lie: a spot is the median of all that is within half the radius of the position
+    with the most neighbours there.
+
     Args:
         xyz: Positions, shape (M, 3), metres.
         rows: Which of them to group.
-        radius_m: Reach of a group around its densest cell's median.
+        radius_m: Reach of a group around its spot.
     """
     groups: list[NDArray[np.int64]] = []
-    rest = rows[np.isfinite(xyz[rows]).all(axis=1)]
-    while len(rest):
-        cells = np.floor(xyz[rest] / radius_m).astype(np.int64)
-        _, index, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-        core = np.median(xyz[rest[index.ravel() == int(counts.argmax())]], axis=0)
-        near = np.linalg.norm(xyz[rest] - core, axis=1) <= radius_m
-        groups.append(rest[near])
-        rest = rest[~near]
+    rows = rows[np.isfinite(xyz[rows]).all(axis=1)]
+    if not len(rows):
+        return groups
+    points = xyz[rows]
+    tree = cKDTree(points)
+    dense = tree.query_ball_point(points, 0.5 * radius_m, return_length=True)
+    left = np.ones(len(rows), dtype=np.bool_)
+    for seed in np.argsort(-dense, kind="stable").tolist():
+        if not left[seed]:
+            continue
+        around = np.array(tree.query_ball_point(points[seed], 0.5 * radius_m), dtype=np.int64)
+        core = np.median(points[around[left[around]]], axis=0)
+        near = np.array(tree.query_ball_point(core, radius_m), dtype=np.int64)
+        near = np.union1d(near[left[near]], [seed])
+        groups.append(rows[near])
+        left[near] = False
     return groups
 
 
@@ -156,7 +168,7 @@ def count_passes(runs: Sequence[Run], centres: Points) -> Rows:
     """Count how often the robot comes within MERGE_M of each spot, standing or not; centres (C, 3), counts (C,)."""
     counts = np.zeros(len(centres), np.int64)
     around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    cells = _cell(centres[:, None] + MERGE_M * around[None]).ravel()  # of each spot all that it reaches into
+    cells = _packed(_cell(centres)[:, None] + around[None]).ravel()  # of each spot all that it reaches into
     order = np.argsort(cells, kind="stable")
     cells, owners = cells[order], order // len(around)
     for run in runs if len(centres) else ():
@@ -180,7 +192,7 @@ def _near(xyz_m: Points, centres: Points, cells: Rows, owners: Rows) -> tuple[Ro
         owners: Whose each cell is, an index into the centres.
     """
     known = np.flatnonzero(np.isfinite(xyz_m).all(axis=1))
-    cell = _cell(xyz_m[known])
+    cell = _packed(_cell(xyz_m[known]))
     first, end = np.searchsorted(cells, cell, side="left"), np.searchsorted(cells, cell, side="right")
     many = end - first
     row = np.repeat(known, many)
@@ -192,6 +204,14 @@ def _near(xyz_m: Points, centres: Points, cells: Rows, owners: Rows) -> tuple[Ro
 
 
 def _cell(xyz_m: Points) -> Rows:
-    """Return the number of the cube of MERGE_M that each position (..., 3) lies in, shape (...)."""
-    index = np.floor(xyz_m / MERGE_M).astype(np.int64) + (1 << 20)
+    """Return in which cube of MERGE_M each position (..., 3) lies, shape (..., 3).
+
+    Neighbours are told by these numbers and not by positions: 0.61 / 0.01 and 0.60 / 0.01 are rounded apart or not.
+    """
+    return np.asarray(np.floor(xyz_m / MERGE_M).astype(np.int64))
+
+
+def _packed(index: Rows) -> Rows:
+    """Return one number for each cube (..., 3), shape (...)."""
+    index = index + (1 << 20)
     return np.asarray((index[..., 0] << 42) + (index[..., 1] << 21) + index[..., 2])

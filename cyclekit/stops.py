@@ -31,6 +31,8 @@ CRAWL_M_S = 3e-3
 """A robot faster than this moves."""
 _CRAWLS = 2_000_000  # speeds that its noise is told from
 _PLACES = 20_000  # positions that the place of a stand is told from
+FREE_S = 0.1
+"""So much nominal time: a dwell of MIN_STOP_S without its edges."""
 EDGE_S = 0.03
 """Scaling at the edges of a standstill is not judged: speed follows the scaling a few controller cycles later."""
 
@@ -136,13 +138,17 @@ def _resting_place(run: Run, first: int, last: int) -> tuple[float, float, float
 
 
 def _free(run: Run, stand: _Stand) -> bool | None:
-    """Tell whether the robot was allowed to move while it stood, None if that is unknown."""
-    known = False
+    """Tell whether the robot was allowed to move while it stood, None if that is unknown.
+
+    So where its program would have gone on by FREE_S meanwhile. In less it need not have been seen to move: while
+    the safety system lets go, the scaling is above zero for a while before the motion is fast enough to be told from
+    noise, most of all where the path itself is slow.
+    """
+    known, nominal_s = False, 0.0
     for _, part in pieces(run, stand.first, stand.last):
-        inside = (part.t_s > stand.first_s + EDGE_S) & (part.t_s < stand.last_s - EDGE_S)
-        values = part.scaling[inside]
-        values = values[np.isfinite(values)]
-        if (values > 0.0).any():
-            return True
-        known = known or len(values) > 0
-    return False if known else None
+        inside = np.isfinite(part.scaling)
+        inside &= (part.t_s > stand.first_s + EDGE_S) & (part.t_s < stand.last_s - EDGE_S)
+        known = known or bool(inside.any())
+        step_s = np.diff(part.t_s, append=part.t_s[-1:])
+        nominal_s += float((part.scaling[inside] * step_s[inside]).sum())
+    return nominal_s >= FREE_S if known else None

@@ -21,7 +21,7 @@ FLOORS = [
     {"derive", "intake", "models"},
     {"discover", "scaling"},
     {"account", "activity", "align", "calibrate", "dynamics", "labelling", "out_of_core"},
-    {"load_runs", "people", "process", "registry", "samples", "stand", "turns"},
+    {"load_runs", "people", "process", "registry", "samples", "silence", "stand", "turns"},
     {"override", "plausible", "privacy", "segment", "session", "signals", "steps"},
     {"places", "stops"},
     {"stored_run"},

@@ -59,6 +59,8 @@ class Source:
         start: When this log began by the calendar, ISO 8601 with time zone; seconds at best, the last resort.
         frame: Where the log's frame stands; None = not known (taken as the base frame, with a warning).
         body: Which rigid body, marker or topic is the operator.
+        silence: What it means that this tracker writes nothing: `absent` (it sees nobody) or `unknown` (it may be off);
+            None = found in the logs.
         rate_hz: Rate of a log that has no clock.
         map: Columns, units or topics, as the adapter understands them.
     """
@@ -76,6 +78,7 @@ class Source:
     start: str | None = None
     frame: Frame | None = None
     body: str | None = None
+    silence: Literal["absent", "unknown"] | None = None
     rate_hz: float | None = None
     map: Mapping[str, object] = field(default_factory=dict)
 

@@ -138,6 +138,8 @@ def _source(where: str, entry: Mapping[str, Any]) -> Source:
         raise UnknownName(where, "role", str(role), ["robot", "people", "events"])
     if entry.get("sees") not in (None, "tcp"):
         raise UnknownName(where, "value of sees", str(entry["sees"]), ["tcp"])
+    if entry.get("silence") not in (None, "absent", "unknown"):
+        raise UnknownName(where, "value of silence", str(entry["silence"]), ["absent", "unknown"])
     _one_clock(where, entry)
     return Source(
         path=_text(where, entry, "path") or "",
@@ -153,6 +155,7 @@ def _source(where: str, entry: Mapping[str, Any]) -> Source:
         start=_start(where, entry),
         frame=_frame(f"{where} frame", entry["frame"]) if "frame" in entry else None,
         body=_text(where, entry, "body"),
+        silence=entry.get("silence"),
         rate_hz=_positive(where, entry, "rate_hz", 100.0) if "rate_hz" in entry else None,
         map=_map(f"{where} map", entry.get("map", {})),
     )

@@ -28,6 +28,7 @@ from cyclekit.process import usual_dwells
 from cyclekit.samples import stretches
 from cyclekit.scaling import with_scaling
 from cyclekit.segment import Execution, find_executions, find_visits
+from cyclekit.silence import absences
 from cyclekit.stand import stands_of
 from cyclekit.steps import Staircase, find_staircase
 from cyclekit.tables import forget, keeping
@@ -138,7 +139,11 @@ def _finished(
     staircase = _staircase([folder / f"{one.session}.parquet" for one in made], cell)
     labels = np.split(staircase.label, np.cumsum([one.samples for one in made])[:-1]) if made else []
     levels = tuple(round(float(level), 6) for level in staircase.levels)
-    left = [Left(one.session, runs[one.session], label, one.stays) for one, label in zip(made, labels, strict=True)]
+    gone = absences([one.silences for one in made])
+    left = [
+        Left(one.session, runs[one.session], label, one.stays, absence)
+        for one, label, absence in zip(made, labels, gone, strict=True)
+    ]
     most = max(20, MOST // max(len(made), 1))
     rest = partial(finish, spots=spots, levels=levels, most_changes=most, folder=folder)
     changes = passes.over(rest, left, 0.85, 1.0, "levels")

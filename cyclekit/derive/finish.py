@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from cyclekit.activity import Stays
     from cyclekit.dataset import Place
     from cyclekit.motion import Run
+    from cyclekit.silence import Absence
 
     Vector = NDArray[np.float64]
 
@@ -39,12 +40,14 @@ class Left:
         runs: Runs of its robot.
         label: Index of the level in force at each sample, shape (N,), -1 = none.
         stays: Where the operator stayed, of each execution.
+        absence: When a silent tracker says that nobody was there.
     """
 
     session: str
     runs: Sequence[Run]
     label: NDArray[np.int32]
     stays: Sequence[Stays]
+    absence: Absence
 
 
 def finish(
@@ -83,9 +86,17 @@ def _completed(
         rows = slice(first, first + samples.height)
         first += samples.height
         step = pl.Series("step", left.label[rows], dtype=pl.Int32)
+        samples = _with_absence(samples, left.absence)
         done = with_goals(samples, samples["human_task"].to_list() if told else goals[rows], spots)
         done = schema.conform(done.with_columns(step=pl.when(step >= 0).then(step)), schema.SAMPLES)
         robot, human = (done.select(f"{who}_{axis}_m" for axis in "xyz").to_numpy() for who in ("robot", "human"))
         times.append(done["t_s"].to_numpy())
         apart.append(np.linalg.norm(robot - human, axis=1))
         yield done
+
+
+def _with_absence(samples: pl.DataFrame, absence: Absence) -> pl.DataFrame:
+    """Return samples in which nobody is there where a tracker's silence says so; it was taken not to be running."""
+    silent = (pl.col("t_s") < absence.until_s) | (pl.col("t_s") > absence.from_s)
+    gap = pl.col("human_gap")
+    return samples.with_columns(human_gap=pl.when((gap == "outside") & silent).then(pl.lit("absent")).otherwise(gap))

@@ -5,7 +5,7 @@ What needs all sessions (the levels of the scaling, where the operator's places 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from cyclekit.segment import Execution
     from cyclekit.session import Session
     from cyclekit.signals import Read
+    from cyclekit.silence import Silence
     from cyclekit.stand import Stands
 
     Vector = NDArray[np.float64]
@@ -72,6 +73,7 @@ class Made:
         tasks: Rows of table TASKS.
         stays: Where the operator stayed, of each execution.
         origins: Whence the scaling comes: `logged`, `inferred`.
+        silences: How each of its logs of people begins, ends and pauses.
     """
 
     session: str
@@ -81,6 +83,7 @@ class Made:
     tasks: list[tuple[object, ...]]
     stays: list[Stays]
     origins: set[str]
+    silences: list[Silence] = field(default_factory=list)
 
 
 def samples_of(
@@ -116,7 +119,7 @@ def samples_of(
     frames = _frames(session, chain([first], courses), watch, made)
     samples = write_samples(frames, folder / f"{session.name}.parquet")
     watch.note()
-    return replace(made, samples=samples)
+    return replace(made, samples=samples, silences=watch.silences)
 
 
 def _frames(session: Session, courses: Iterable[_Course], watch: Watch, made: Made) -> Iterator[pl.DataFrame]:

@@ -77,7 +77,8 @@ def entry_of(
     shares = tuple(_shares(program, cycles))
     expected = float(durations.mean())
     model_error, bias = (check.model_error, check.doubted_bias) if check else (0.0, 0.0)
-    low, high = interval_of_mean(durations, weights, model_error=model_error, bias=bias, seed=ask.seed)
+    means = cycles.resampled_means(weights)
+    low, high = interval_of_mean(means, model_error=model_error, bias=bias, seed=ask.seed)
     activities = [*tracks.activities, "unknown"] if tracks else []
     by_activity = zip(activities, (cycles.by_activity_s * slower).tolist(), strict=False)
     logged = tracks.executions if tracks else tuple(ask.dataset.executions["execution"])

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.estimate.walk import Rolled
 
+CONTINUED = 0.5
+"""Above this part of the time on continued tracks it is said."""
 FEW_EXECUTIONS = 20
 """With fewer operators the mean itself is uncertain by more than a percent in the cells seen so far."""
 
@@ -43,8 +45,11 @@ def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
     found = []
     if entry.tracks and entry.executions < FEW_EXECUTIONS:
         found.append(f"rests on {entry.executions} operator tracks only: the mean itself is uncertain")
-    if cycles.spliced > 0.1:
-        found.append(f"{cycles.spliced:.0%} of the time the operator's track is continued from another execution")
+    if cycles.spliced > CONTINUED:
+        found.append(
+            f"{cycles.spliced:.0%} of the time the operator's track is continued by stretches of other executions that "
+            "begin in the same state"
+        )
     return found
 
 

@@ -41,21 +41,17 @@ def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> NDA
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
-def interval_of_mean(
-    durations_s: Vector, weights: NDArray[np.float64], *, model_error: float, bias: float = 0.0, seed: int
-) -> tuple[float, float]:
+def interval_of_mean(means_s: Vector, *, model_error: float, bias: float = 0.0, seed: int) -> tuple[float, float]:
     """Return the 95 % interval of the mean of K cycles.
 
     Args:
-        durations_s: Of the cycles, s, shape (K,).
-        weights: Of the cycles in each resample: what finite logs leave open.
+        means_s: The mean in each resample of the logs, shape (resamples,), s: what finite logs leave open.
         model_error: Standard deviation that the network's error leaves, as part of the mean.
         bias: What the mean may be off by to either side beside that, as part of it; no resampling shows it.
         seed: Same seed, same interval.
     """
-    means = weights @ durations_s
-    means *= 1.0 + model_error * np.random.default_rng(seed + 1).standard_normal(len(means))
-    off = bias * float(durations_s.mean())
+    means = means_s * (1.0 + model_error * np.random.default_rng(seed + 1).standard_normal(len(means_s)))
+    off = bias * float(means_s.mean())
     return float(np.quantile(means, 0.025)) - off, float(np.quantile(means, 0.975)) + off
 
 

@@ -136,7 +136,7 @@ def estimate(
             entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights)
             doubts = (*doubts_of(cycles, entry, check), *unknown)
             found.append(replace(entry, doubts=doubts, warnings=(*doubts, *limits_of_cycles(cycles, entry), *limits)))
-            means.append(weights @ cycles.duration_s)
+            means.append(cycles.resampled_means(weights))
             looked_up.append(not cycles.looked_closely)
     tell(1.0, "done")
     # what was only looked up comes behind what was walked: its number is not exact enough to rank before it
@@ -244,8 +244,7 @@ def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> ND
     """Weights of the cycles in each resample of the logs, shape (resamples, K)."""
     if tracks is None:  # cycles put together of tasks: each draw is one
         return resampled([str(k) for k in range(len(cycles.duration_s))], ask.seed)
-    runs_on = len(set(tracks.executions)) < len(tracks.executions) or tracks.phase_free
-    return resampled(tracks.executions, ask.seed, together=TOGETHER if runs_on else 1)
+    return resampled(tracks.executions, ask.seed, together=TOGETHER if tracks.runs_on else 1)
 
 
 def _ranked(found: list[CycleEstimate], mean_of: Mapping[str, Vector]) -> list[CycleEstimate]:

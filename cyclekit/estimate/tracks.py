@@ -3,10 +3,9 @@
 A track begins where its execution began. An operator who comes and goes as he likes, whatever the robot does, is
 entered at more phases of each execution as well: a cycle may begin at any of them.
 
-Where a cycle takes longer than the logged one, the track goes on: with what
-the operator really did next, if the log runs on; else with the track of another execution that was still running at
-that time since its start, from where its operator was nearest and doing the same. Cycles that take long would
-otherwise be scored against an operator who stands still.
+Where a cycle takes longer than the logged one, the track goes on: with what the operator really did next, if the log
+runs on; else with a stretch of another track that begins in the same state (`continuation`), again and again, so that
+a cycle may be of any length.
 
 Where the operator was hidden for a moment he was still there: his way is drawn straight from where he was last seen to
 where he was seen again. Only where he was away is nobody there.
@@ -15,13 +14,13 @@ where he was seen again. Only where he was away is nobody there.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
 from cyclekit.errors import DatasetError, EstimateError
+from cyclekit.estimate.continuation import Continuation, Stretch
 from cyclekit.people import OCCLUDED_S
 
 if TYPE_CHECKING:
@@ -33,16 +32,16 @@ if TYPE_CHECKING:
 
 RUN_ON_S = 5.0
 """The next execution of a session goes on with the same operator if it begins within this time."""
-OTHER_TASK_M = 2.0
-"""An operator who does something else counts as being this much farther away."""
-DONORS_AT_ONCE = 256
-"""Short tracks whose distances to all longer ones are in memory together."""
 PHASES = 4
 """Phases of each execution at which a track is entered, where the operator's habits do not begin with it."""
 SAME_SPREAD = (0.6, 1.6)
 """Where starts are like any other instant, the operator's spread at them is within this ratio of that at all times."""
 SAME_MEAN = 3.5
 """... and the mean of his position within this many standard errors."""
+CHANCE = 4.0
+"""... and how often he is away and at each task differs by no more standard deviations of chi squared."""
+LEAST_FREE = 8
+"""Fewer tracks do not tell."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +57,7 @@ class OperatorTracks:
         step_s: Time between samples.
         goal_m: g_h, shape (K, T, 3); NaN = unknown; None where it was not asked for.
         phase_free: What `phase_is_free` says of these logs.
+        runs_on: Most executions are followed by the next one without a pause, and the operator with them.
     """
 
     xyz_m: NDArray[np.float64]
@@ -68,6 +68,7 @@ class OperatorTracks:
     step_s: float
     goal_m: NDArray[np.float64] | None = None
     phase_free: bool = False
+    runs_on: bool = False
 
 
 @dataclass(frozen=True)
@@ -126,46 +127,82 @@ def operator_tracks(
         raise EstimateError(seen, cure="Ingest the tracker's log together with the robot's.")
     if operator is not None:
         begins = _matching(dataset, tracks, begins, names, tuple(operator))
-    free = _is_free(dataset, tracks)
+    free = _is_free(tracks)
     if phases is None:
         phases = PHASES if operator is None and free else 1
     after = _after(dataset)
     ran_on = {name: _run_on(tracks, [name, *after[name]], step) for name in begins}
     length = int(np.ceil(horizon_s / step)) + 2
     entries = [(name, len(tracks[name].where) * phase // phases) for phase in range(phases) for name in begins]
-    streams = [(ran_on[name][0][at:], ran_on[name][1][at:]) for name, at in entries]
-    where, activity = _extended(streams, length)
-    logged = np.array([len(stream) for stream, _ in streams])
+    streams = [Stretch(ran_on[name][0].where[at:], ran_on[name][0].activity[at:]) for name, at in entries]
+    followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
+    pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
+    where, activity = Continuation(pool, step, phase_free=free).extend(
+        streams, [followed.get(ran_on[name][1], -1) for name, _ in entries], length
+    )
+    logged = np.array([len(stream.where) for stream in streams])
     executions = tuple(name for name, _ in entries)
     goal_m = where[..., 3:] if goals else None
-    return OperatorTracks(where[..., :3], activity, tuple(names), logged, executions, step, goal_m, free)
+    return OperatorTracks(
+        where[..., :3], activity, tuple(names), logged, executions, step, goal_m, free, _runs_on(dataset)
+    )
+
+
+def _runs_on(dataset: Dataset) -> bool:
+    order = dataset.executions.sort("session", "start_s")
+    pause = order.select((pl.col("start_s") - pl.col("end_s").shift().over("session")).alias("pause"))["pause"]
+    return bool((pause <= RUN_ON_S).sum() >= 0.8 * max(len(pause) - order["session"].n_unique(), 1))
 
 
 def phase_is_free(dataset: Dataset) -> bool:
     """Tell whether a cycle may begin at any instant of the operator's day.
 
-    So where the log runs on from execution to execution, and where the operator stands when one begins is no different
-    from where he stands at any time: its mean within SAME_MEAN standard errors, its spread within SAME_SPREAD.
+    So where he does at the beginning, a third and two thirds of an execution what he does at any time: he is away and
+    at each of his tasks as often (no rarer or more frequent than chance gives in one of a thousand cases), the mean of
+    his position is within SAME_MEAN standard errors, its spread within SAME_SPREAD.
     """
-    return _is_free(dataset, _logged(dataset, goals=False)[1])
+    return _is_free(_logged(dataset, goals=False)[1])
 
 
-def _is_free(dataset: Dataset, tracks: dict[str, _Track]) -> bool:
-    if len(tracks) < 8:
+def _is_free(tracks: dict[str, _Track]) -> bool:
+    usual = [track for track in tracks.values() if track.followed]
+    if len(usual) < LEAST_FREE:
         return False
-    order = dataset.executions.sort("session", "start_s")
-    pause = order.select((pl.col("start_s") - pl.col("end_s").shift().over("session")).alias("pause"))["pause"]
-    if (pause <= RUN_ON_S).sum() < 0.8 * (len(pause) - order["session"].n_unique()) or pause.null_count() == len(pause):
+    every = Stretch(np.concatenate([t.where for t in usual]), np.concatenate([t.activity for t in usual]))
+    shortest = min(len(track.where) for track in usual)
+    return all(_is_alike(usual, every, at) for at in (0, shortest // 3, 2 * shortest // 3))
+
+
+def _is_alike(tracks: Sequence[_Track], every: Stretch, at: int) -> bool:
+    """Tell whether the operators at sample `at` of these tracks are like those of every sample."""
+    where, doing = np.array([t.where[at, :2] for t in tracks]), np.array([t.activity[at] for t in tracks])
+    pairs = zip(_kinds(where, doing), _kinds(every.where, every.activity), strict=True)
+    if not all(_is_chance(here, usual) for here, usual in pairs):
         return False
-    everywhere = np.concatenate([track.where[:, :2] for track in tracks.values()])
-    starts = np.array([track.where[0, :2] for track in tracks.values()])
-    everywhere, starts = (part[np.isfinite(part).all(axis=1)] for part in (everywhere, starts))
-    if len(starts) < 8:
+    everywhere, here = (part[np.isfinite(part).all(axis=1)] for part in (every.where[:, :2], where))
+    if len(here) < LEAST_FREE:
         return False
-    spread, there = everywhere.std(axis=0), starts.std(axis=0)
-    off = np.abs(starts.mean(axis=0) - everywhere.mean(axis=0)) / np.maximum(spread / np.sqrt(len(starts)), 1e-9)
+    spread, there = everywhere.std(axis=0), here.std(axis=0)
+    off = np.abs(here.mean(axis=0) - everywhere.mean(axis=0)) / np.maximum(spread / np.sqrt(len(here)), 1e-9)
     ratio = there / np.maximum(spread, 1e-9)
     return bool((off < SAME_MEAN).all() and (ratio > SAME_SPREAD[0]).all() and (ratio < SAME_SPREAD[1]).all())
+
+
+def _kinds(where: NDArray[np.float64], activity: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return whether each operator is away (N,), and what those do who are there and of whom it is known (M,)."""
+    away = np.asarray(np.isnan(where[:, :2]).any(axis=1))
+    return np.asarray(away, dtype=np.int64), activity[~away & (activity >= 0)]
+
+
+def _is_chance(here: NDArray[np.int64], usual: NDArray[np.int64]) -> bool:
+    """Tell whether kinds (N,) can have been drawn from those of all samples (M,), by chi squared: see CHANCE."""
+    kinds, counts = np.unique(usual, return_counts=True)
+    wanted = counts / counts.sum() * len(here) if len(counts) else counts
+    if len(kinds) < 2 or not len(here):
+        return True
+    found = np.array([np.count_nonzero(here == kind) for kind in kinds])
+    free = len(kinds) - 1
+    return bool(((found - wanted) ** 2 / wanted).sum() <= free + CHANCE * np.sqrt(2.0 * free))
 
 
 def _logged(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, _Track]]:
@@ -241,8 +278,8 @@ def _after(dataset: Dataset) -> dict[str, list[str]]:
     return found
 
 
-def _run_on(tracks: dict[str, _Track], names: list[str], step: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The track of the first of these executions, and of those that follow it without a longer pause."""
+def _run_on(tracks: dict[str, _Track], names: list[str], step: float) -> tuple[Stretch, str]:
+    """The track of the first of these executions, and of those that follow it without a longer pause; the last one."""
     name, *others = names
     end, parts, doing = tracks[name].end_s, [tracks[name].where], [tracks[name].activity]
     for following in others:
@@ -253,57 +290,5 @@ def _run_on(tracks: dict[str, _Track], names: list[str], step: float) -> tuple[N
         weight = (np.arange(1, pause + 1) / (pause + 1))[:, None]
         parts += [parts[-1][-1] * (1 - weight) + after.where[0] * weight, after.where]
         doing += [np.full(pause, doing[-1][-1]), after.activity]
-        end = after.end_s
-    return np.concatenate(parts), np.concatenate(doing)
-
-
-def _extended(
-    tracks: list[tuple[NDArray[np.float64], NDArray[np.int64]]], length: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Lay the tracks on one grid of `length` samples, short ones continued by donors (see the module's text)."""
-    count = len(tracks)
-    where = np.full((length, count, tracks[0][0].shape[1]), np.nan)  # where all are at an instant lies together
-    activity = np.full((length, count), -1, dtype=np.int64)
-    own = np.array([min(len(track), length) for track, _ in tracks])
-    for k, (track, doing) in enumerate(tracks):
-        where[: own[k], k], activity[: own[k], k] = track[:length], doing[:length]
-    ends = np.unique(own[own < length])
-    then = np.arange(count)  # whose track follows on each; its own: nobody's
-    for end in ends.tolist():
-        running, short = np.flatnonzero(own > end), np.flatnonzero(own == end)
-        for some in np.array_split(short, -(-len(short) // DONORS_AT_ONCE)):
-            then[some] = _donors(where[end - 1], activity[end - 1], running, some)
-    source = np.arange(count)
-    for first, last in pairwise([*ends.tolist(), length]):
-        source = np.where(own[source] <= first, then[source], source)
-        stopped = own[source] <= first
-        led, left = np.flatnonzero((own <= first) & ~stopped), np.flatnonzero(stopped)
-        for stream in (where, activity):
-            stream[first:last, led] = stream[first:last, source[led]]
-            stream[first:last, left] = stream[first - 1, left]
-    return where.transpose(1, 0, 2), activity.T
-
-
-def _donors(
-    where_m: NDArray[np.float64], activity: NDArray[np.int64], running: NDArray[np.int64], short: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Return for each of N short tracks the running one whose operator is nearest at this instant and does the same.
-
-    Args:
-        where_m: Where all are, shape (K, 3 or more).
-        activity: What all do, shape (K,).
-        running: Those whose own log goes on.
-        short: Those that are to be continued, shape (N,).
-
-    Returns:
-        The donors, shape (N,); a track's own number where there is none.
-    """
-    if not len(running):
-        return short
-    theirs, mine = where_m[running], where_m[short, None]
-    absent, gone = np.isnan(theirs[:, 0]), np.isnan(mine[..., 0])
-    apart = np.sqrt(sum((theirs[:, axis] - mine[..., axis]) ** 2 for axis in range(3)))
-    distance = np.where(gone, np.where(absent, 0.0, np.inf), np.where(absent, np.inf, apart))
-    distance += OTHER_TASK_M * (activity[running] != activity[short, None])
-    best = distance.argmin(axis=1)
-    return np.where(np.isfinite(distance[np.arange(len(short)), best]), running[best], short)
+        end, name = after.end_s, following
+    return Stretch(np.concatenate(parts), np.concatenate(doing)), name

@@ -46,6 +46,7 @@ class Rolled:
         by_activity_s: Safety loss per operator activity, mean over cycles, shape (activities + 1,), last = unknown.
         support: Part of the time in logged cells; NaN where it was not asked for.
         spliced: Part of the time on a track that was continued beyond its own log.
+        own_s: Per cycle its time on the track's own log, without and with safety loss: (K, 2); None where not known.
         looked_closely: False where it comes from the table of arrivals: `stands_s` and `safety_s` are then means, shape
             (1, tasks), and the activities are not known.
     """
@@ -57,6 +58,26 @@ class Rolled:
     support: float
     spliced: float
     looked_closely: bool = True
+    own_s: NDArray[np.float64] | None = None
+
+    def resampled_means(self, weights: NDArray[np.float64]) -> Vector:
+        """Return the mean duration in each resample of the logs, shape (resamples,), s.
+
+        Where a track goes on with stretches of other executions these are no new evidence: the spread is that of the
+        safety loss per second of undisturbed work on the tracks' own logs.
+
+        Args:
+            weights: Of the cycles in each resample, shape (resamples, K).
+        """
+        if self.own_s is None:
+            return np.asarray(weights @ self.duration_s)
+        base_s, loss_s = self.own_s.T
+        lost = self.safety_s.sum(axis=1)
+        usual = float(loss_s.sum() / max(base_s.sum(), 1e-9))
+        if usual <= 0.0:
+            return np.asarray(weights @ self.duration_s)
+        rate = (weights @ loss_s) / np.maximum(weights @ base_s, 1e-9)
+        return np.asarray(weights @ (self.duration_s - lost) + float(lost.mean()) * rate / usual)
 
 
 def roll_out(
@@ -97,7 +118,8 @@ def roll_all(
 class Walked:
     """N rows, each one program beside one track: duration (N,), loss per task (N, tasks) and activity, looks, splices.
 
-    `known` counts the looks into logged cells, `looked` all looks; `spliced` is the time on continued tracks, s.
+    `known` counts the looks into logged cells, `looked` all looks; `spliced` is the time on continued tracks, s;
+    `own_loss_s` the safety loss before that.
     """
 
     duration_s: Vector
@@ -106,6 +128,7 @@ class Walked:
     known: Vector
     looked: Vector
     spliced: Vector
+    own_loss_s: Vector
 
 
 def walk(
@@ -137,7 +160,7 @@ def walk(
     lines, people = _Lines(programs, which, stands_s, step_s), _People(tracks)
     count, samples, kinds = len(which), tracks.activity.shape[1], len(tracks.activities) + 1
     duration, activity_s = np.full(count, np.inf), np.zeros(count * kinds)
-    known, looked, spliced = np.zeros(count), np.zeros(count), np.zeros(count)
+    known, looked, spliced, own_loss = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
     follower = None if dynamics.none else Follower(model, dynamics, step_s)
     looks_after = round(SUPPORT_EVERY_S / step_s)
     rows, mine, scaling = np.arange(count), track, np.ones(count)  # of the rows that are not at their end
@@ -148,7 +171,9 @@ def walk(
         scaling = _follow(model, follower, lines, robot, human)
         lost, left = lines.advance(scaling)
         activity_s[rows * kinds + doing[mine]] += lost
-        spliced[rows] += step_s * (sample >= tracks.logged[mine])
+        own = sample < tracks.logged[mine]
+        spliced[rows] += step_s * ~own
+        own_loss[rows] += lost * own
         if support is not None and number % looks_after == 0:
             known[rows] += support.near_logged(robot, human)
             looked[rows] += 1
@@ -161,7 +186,7 @@ def walk(
                 follower.keep(~arrives)
             if not len(rows):
                 break
-    return Walked(duration, lines.losses(), activity_s.reshape(count, kinds), known, looked, spliced)
+    return Walked(duration, lines.losses(), activity_s.reshape(count, kinds), known, looked, spliced, own_loss)
 
 
 def _follow(
@@ -292,6 +317,8 @@ def _of_one(
     duration = walked.duration_s[mine]
     time_s = max(float(np.where(np.isfinite(duration), duration, 0.0).sum()), 1e-9)
     looked = float(walked.looked[mine].sum())
+    own_loss_s = walked.own_loss_s[mine]
+    own_base_s = np.maximum(duration - walked.spliced[mine] - own_loss_s, 0.0)
     return Rolled(
         duration,
         stands_s,
@@ -299,4 +326,5 @@ def _of_one(
         walked.activity_s[mine].mean(axis=0),
         float(walked.known[mine].sum()) / looked if looked else float("nan"),
         float(walked.spliced[mine].sum()) / time_s,
+        own_s=np.stack([own_base_s, own_loss_s], axis=1),
     )

@@ -13,7 +13,7 @@ import numpy as np
 from cyclekit_sim.arm import Array
 from cyclekit_sim.program import HOME, Execution
 from cyclekit_sim.scenes import GOAL_SD_M, MIDDLE_SD_M, SCENES, Scene
-from cyclekit_sim.walking import Leg, Press, stand, walk
+from cyclekit_sim.walking import Leg, Press, away, stand, walk
 
 ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER = range(6)
 LOGGED, FRESH = range(2)
@@ -44,8 +44,17 @@ def draw_execution(scene: Scene, index: int, places: tuple[str, ...], rng: np.ra
 
 
 def operator_legs(scene: Scene, rng: np.random.Generator) -> Iterator[Leg]:
-    """Yield the operator's legs: endless where the operator roams, up to the rest place where boxes run out."""
+    """Yield the operator's legs: endless where he roams or visits, up to the rest place where boxes run out."""
+    if scene.operator == "visit":
+        while True:
+            yield away(scene.away_s[0] + rng.exponential(scene.away_s[1] - scene.away_s[0]))
+            yield from _legs(scene, _visit(scene, rng), rng)
     names = _roam(scene, rng) if scene.operator == "roam" else _deliver(scene, rng)
+    yield from _legs(scene, names, rng)
+
+
+def _legs(scene: Scene, names: Iterator[str], rng: np.random.Generator) -> Iterator[Leg]:
+    """Yield the walks and dwells from station to station, the first dwell included."""
     name = next(names)
     here = _goal(scene, name, rng)
     yield _begin(stand(here, _dwell_s(scene, name, rng)), name, here)
@@ -80,6 +89,14 @@ def _roam(scene: Scene, rng: np.random.Generator) -> Iterator[str]:
     while True:
         yield here
         here = str(rng.choice([name for name in names if name != here]))
+
+
+def _visit(scene: Scene, rng: np.random.Generator) -> Iterator[str]:
+    """One visit: in by the door, to one to three stations, out by the door."""
+    names = [name for name in scene.stations if name != "door"]
+    yield "door"
+    yield from (str(name) for name in rng.permutation(np.array(names))[: rng.integers(1, 4)])
+    yield "door"
 
 
 def _goal(scene: Scene, name: str, rng: np.random.Generator) -> Array:

@@ -28,6 +28,7 @@ class SimulationOptions:
         tracker_xyz_m: Where the tracker's origin is, robot base frame; z is the height of the floor.
         tracker_yaw_deg: How the tracker is turned about the vertical.
         millimetres: The tracker writes millimetres (and says so in its header).
+        silent_when_empty: The tracker writes no rows while it sees nobody (CSV).
         log_outputs: False leaves the gripper's output and the register of the execution out of the CSV.
         log_override: False leaves the two scaling columns (or the scaling topic) out of the logs.
         ramp_down_per_s: Fastest fall of s per second; None: it jumps.
@@ -56,6 +57,7 @@ class SimulationOptions:
     tracker_xyz_m: tuple[float, float, float] = (1.4, -2.6, -0.8)
     tracker_yaw_deg: float = 35.0
     millimetres: bool = False
+    silent_when_empty: bool = False
     log_outputs: bool = True
     log_override: bool = True
     ramp_down_per_s: float | None = None

@@ -120,8 +120,9 @@ def _track(work: Work, index: int) -> Track:
     if work.recording is not None:
         t_s, xyz_m = work.recording
         return RecordedTrack(t_s, xyz_m, float(rng.uniform(0.0, 2 * t_s[-1])))
-    # A roaming operator has been at it for long when a fresh execution begins.
-    skip_s = float(rng.uniform(60.0, 120.0)) if work.scene.continuous and work.domain == FRESH else 0.0
+    # An operator who roams or visits has been at it for long when a fresh execution begins.
+    at_any_time = work.scene.operator == "visit" or (work.scene.continuous and work.domain == FRESH)
+    skip_s = float(rng.uniform(60.0, 120.0)) if at_any_time else 0.0
     return WalkedTrack(operator_legs(work.scene, rng), skip_s=skip_s)
 
 

@@ -1,7 +1,8 @@
 """The safety function: where robot and person are -> the step of the speed scaling, and how s follows it in time.
 
-Two kinds: a staircase over their distance, and zones on the floor that look at the person alone. Both answer with a
-step number; latency, hysteresis and ramps are added by `SpeedScaling`. Moving the robot is the business of `engine`.
+Three kinds: a staircase over their distance, zones on the floor that look at the person alone, and the slower of both.
+Each answers with a step number; latency, hysteresis and ramps are added by `SpeedScaling`. Moving the robot is the
+business of `engine`.
 """
 
 from __future__ import annotations
@@ -71,6 +72,18 @@ class FloorZones:
             inside &= (y >= zone.y_m[0] - margin_m) & (y <= zone.y_m[1] + margin_m)
             result[inside] = np.minimum(result[inside], zone.step)
         return result
+
+
+@dataclass(frozen=True)
+class SlowestOf:
+    """s is the slowest that any of several safety functions with the same levels allows."""
+
+    levels: tuple[float, ...]
+    parts: tuple[DistanceStaircase | FloorZones, ...]
+
+    def step(self, tcp_m: Array, person_m: Array, margin_m: float) -> Ints:
+        """Return the lowest step of all parts."""
+        return np.asarray(np.min([part.step(tcp_m, person_m, margin_m) for part in self.parts], axis=0))
 
 
 class SpeedScaling:

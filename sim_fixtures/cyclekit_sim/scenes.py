@@ -1,4 +1,4 @@
-"""The three cells: places, stations, safety function, and how their robot and operator choose what to do next.
+"""The cells: places, stations, safety function, and how their robot and operator choose what to do next.
 
 All coordinates are in the robot base frame, metres; the robot stands on a pedestal, the floor is at z = -0.8 and a
 walking person's pelvis at z = 0.2. Geometry and dwell times are ours, tuned so that the cycle and its loss are
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from cyclekit_sim.motion import Place
-from cyclekit_sim.safety import DistanceStaircase, FloorZone, FloorZones, SafetyFunction
+from cyclekit_sim.safety import DistanceStaircase, FloorZone, FloorZones, SafetyFunction, SlowestOf
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 PELVIS_Z_M = 0.2
@@ -44,7 +44,9 @@ class Scene:
         wait_s: Mean wait for a box at the conveyor; 0: boxes are always there.
         walk_m_s: Slowest and fastest walking speed.
         operator: "deliver": boxes from `inbound` to each outbound station once, then rest. "roam": for ever from
-            station to station.
+            station to station. "visit": away for a while, in by `door` to one to three stations, and out again, for
+            ever and whatever the robot does.
+        away_s: Shortest and mean time away of an operator who visits.
         continuous: One recording without pauses, the operator going on from execution to execution.
     """
 
@@ -61,6 +63,7 @@ class Scene:
     walk_m_s: tuple[float, float]
     operator: str
     continuous: bool
+    away_s: tuple[float, float] = (0.0, 0.0)
 
     @property
     def slots(self) -> tuple[str, ...]:
@@ -177,5 +180,39 @@ def _laser_zones() -> Scene:
     )
 
 
-BUILT_IN: dict[str, Scene] = {scene.name: scene for scene in (_box_picking(), _pick_and_package(), _laser_zones())}
+def _scanner_visits() -> Scene:
+    places: dict[str, Place] = {"home": (0.40, 0.0, 0.40), "conveyor": (0.60, 0.0, 0.10)}
+    for number, x in enumerate((-0.20, 0.05, 0.30), start=1):
+        places[f"left_{number}"] = (x, 0.60, 0.0)
+        places[f"right_{number}"] = (x, -0.60, 0.0)
+    stations = {
+        "door": _station(3.4, 1.6, (0.5, 1.0)),
+        "shelf": _station(2.2, -1.7, (3.0, 8.0)),
+        "bench": _station(0.5, 1.55, (4.0, 9.0)),
+        "rework": _station(0.3, -1.45, (3.0, 7.0)),
+        "panel": _station(1.75, 0.35, (2.0, 5.0)),
+    }
+    levels = (0.0, 0.3, 0.6, 1.0)
+    scanner = FloorZones(levels, (FloorZone("scanner", (0.9, 2.3), (-0.6, 1.1), 1),))
+    return Scene(
+        name="scanner-visits",
+        places=places,
+        stations=stations,
+        furniture=_two_tables(),
+        safety=SlowestOf(levels, (DistanceStaircase(levels, (0.8, 1.2, 1.7)), scanner)),
+        picks=6,
+        repeats_slots=False,
+        pick_s=0.9,
+        place_s=0.7,
+        wait_s=0.0,
+        walk_m_s=(0.9, 1.2),
+        operator="visit",
+        continuous=False,
+        away_s=(3.0, 10.0),
+    )
+
+
+BUILT_IN: dict[str, Scene] = {
+    scene.name: scene for scene in (_box_picking(), _pick_and_package(), _laser_zones(), _scanner_visits())
+}
 SCENES: tuple[str, ...] = tuple(BUILT_IN)

@@ -148,6 +148,11 @@ def stand(at_m: Array, length_s: float) -> Leg:
     return Leg(np.array([0.0, length_s]), np.stack([at_m, at_m]))
 
 
+def away(length_s: float) -> Leg:
+    """Return a stretch of `length_s` without anybody in the cell."""
+    return Leg(np.array([0.0, length_s]), np.full((2, 3), np.nan))
+
+
 def _trapezoid(t: Array, top: float, rise_s: float, total_s: float) -> Array:
     """Return the way gone (K,) at times (K,) when speed rises to `top`, holds and falls at one rate."""
     rising = 0.5 * top / rise_s * np.minimum(t, rise_s) ** 2

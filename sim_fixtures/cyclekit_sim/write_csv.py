@@ -51,9 +51,12 @@ def write_people(path: Path, frames: Frames, options: SimulationOptions, take: s
     cells = (still, np.sin(half), still, np.cos(half), place[:, 0], place[:, 2], -place[:, 1])
     data = {"frame": pl.Series(np.arange(len(seen))), "time": pl.Series(frames.t_s)}
     data |= {str(i): pl.Series(np.where(seen, values, np.nan)).fill_nan(None) for i, values in enumerate(cells)}
+    rows = pl.DataFrame(data)
+    if options.silent_when_empty:
+        rows = rows.filter(pl.Series(seen))
     with path.open("wb") as log:
-        log.write(_motive_header(take, len(seen), options).encode())
-        pl.DataFrame(data).write_csv(log, include_header=False, line_terminator="\r\n", float_precision=6)
+        log.write(_motive_header(take, rows.height, options).encode())
+        rows.write_csv(log, include_header=False, line_terminator="\r\n", float_precision=6)
 
 
 def _motive_header(take: str, frames: int, options: SimulationOptions) -> str:

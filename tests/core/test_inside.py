@@ -116,13 +116,13 @@ def hostile(boxes: SimulatedCell, tmp_path: Path) -> tuple[Path, Path]:
 
 def test_a_recording_that_is_called_by_a_way_out_is_not_read(hostile: tuple[Path, Path], tmp_path: Path):
     dataset = Dataset.open(hostile[0])
-    with pytest.raises(CyclekitError, match="outside"):
+    with pytest.raises(CyclekitError, match=r"outside|leads out"):
         dataset.recorded("../../../outside", "robot")
-    with pytest.raises(CyclekitError, match="outside"):
+    with pytest.raises(CyclekitError, match=r"outside|leads out"):
         dataset.native_robot(dataset.executions["execution"][0])
-    with pytest.raises(CyclekitError, match="outside"):
+    with pytest.raises(CyclekitError, match=r"outside|leads out"):
         write_replay(dataset, "1", tmp_path / "x.rrd")
-    with pytest.raises(CyclekitError, match="outside"):
+    with pytest.raises(CyclekitError, match=r"outside|leads out"):
         trace(dataset, "1", 5.0)
 
 

@@ -115,8 +115,9 @@ def test_a_short_track_goes_on_as_another_that_was_near_did_and_not_by_standing_
     own = tracks.logged[short]
     assert own < 60
     np.testing.assert_allclose(tracks.xyz_m[short, own - 1], [2.0, 0.0, 0.2], atol=1e-6)
-    np.testing.assert_array_equal(tracks.xyz_m[short, own:], tracks.xyz_m[near, own:])
-    assert tracks.xyz_m[short, 88, 0] == pytest.approx(4.0)  # the donor had walked away by then
+    x = tracks.xyz_m[short, own - 1 :, 0]
+    assert np.abs(np.diff(x)).max() < 1.5 * np.abs(np.diff(tracks.xyz_m[near, :, 0])).max()  # he walks there
+    assert x[-1] == pytest.approx(4.0)  # as the one beside him did, and not the one far away
 
 
 def test_where_the_log_runs_on_the_track_is_what_the_operator_really_did_next(hand_made: Any):

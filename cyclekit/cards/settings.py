@@ -55,6 +55,7 @@ class SourceSettings(Card, frozen=True, kw_only=True):
     start: str | None = None
     frame: FrameSettings | None = None
     body: str | None = None
+    silence: Literal["absent", "unknown"] | None = None
     rate_hz: float | None = None
     map: dict[str, Any] = field(default_factory=dict)
 
@@ -98,6 +99,7 @@ class CellSettings(Card, frozen=True, kw_only=True):
     ignore: tuple[str, ...] = ()
     reference: tuple[str, ...] = ()
     places: dict[str, NamedPlaceSettings] = field(default_factory=dict)
+    all_places_named: bool = False
     human_places: dict[str, NamedPlaceSettings] = field(default_factory=dict)
     furniture: dict[str, FurnitureSettings] = field(default_factory=dict)
     executions: ExecutionSettings = ExecutionSettings()

@@ -134,6 +134,7 @@ class Cell:
         ignore: Globs of files that are no logs.
         reference: Globs of robot logs recorded with nobody in the cell.
         rate_hz: Rate of the samples.
+        all_places_named: The robot stops for its process at the named places only; nothing else becomes a place.
         levels: Levels of the safety system's speed scaling, ascending, fractions; empty = found in the logs.
         bridge_s: A gap in the operator's track up to this long is bridged linearly; longer ones stay unknown.
     """
@@ -143,6 +144,7 @@ class Cell:
     ignore: tuple[str, ...] = ()
     reference: tuple[str, ...] = ()
     places: Mapping[str, NamedPlace] = field(default_factory=dict)
+    all_places_named: bool = False
     human_places: Mapping[str, NamedPlace] = field(default_factory=dict)
     furniture: Mapping[str, Furniture] = field(default_factory=dict)
     executions: Executions = field(default_factory=Executions)

@@ -50,6 +50,7 @@ def load_cell(path: Path) -> Cell:
         ignore=tuple(map(str, list_at(where, raw, "ignore"))),
         reference=tuple(map(str, list_at(where, raw, "reference"))),
         places=_places(f"{where} [places]", raw.get("places", {})),
+        all_places_named=_all_named(where, raw),
         human_places=_places(f"{where} [human_places]", raw.get("human_places", {})),
         furniture=_furniture(f"{where} [furniture]", raw.get("furniture", {})),
         executions=_executions(f"{where} [executions]", raw.get("executions", {})),
@@ -57,6 +58,15 @@ def load_cell(path: Path) -> Cell:
         bridge_s=_number(where, raw, "bridge_s", 0.3),
         levels=_levels(where, raw),
     )
+
+
+def _all_named(where: str, raw: Mapping[str, Any]) -> bool:
+    told = raw.get("all_places_named", False)
+    if not isinstance(told, bool):
+        raise ConfigError(f"{where}: all_places_named = {told!r} must be true or false", cure="all_places_named = true")
+    if told and not raw.get("places"):
+        raise ConfigError(f"{where}: all_places_named, and no place is named", cure="Name them: [places.NAME]")
+    return told
 
 
 def _levels(where: str, raw: Mapping[str, Any]) -> tuple[float, ...]:

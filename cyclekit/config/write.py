@@ -16,6 +16,7 @@ def cell_to_toml(cell: Cell) -> str:
     lines += [f"reference = {_toml(list(cell.reference))}  # logs with nobody in the cell"] if cell.reference else []
     lines += [f"rate_hz = {_toml(cell.rate_hz)}"] if cell.rate_hz != Cell.rate_hz else []
     lines += [f"bridge_s = {_toml(cell.bridge_s)}"] if cell.bridge_s != Cell.bridge_s else []
+    lines += ["all_places_named = true"] if cell.all_places_named else []
     lines += [f"levels = {_toml(list(cell.levels))}"] if cell.levels else []
     for source in cell.sources:
         lines += ["", "[[sources]]"]

@@ -138,7 +138,7 @@ class RobotChecks(_Checks):
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without what cannot be."""
-        frame = self.timed(self.finite(frame))
+        frame = scaling_while_playing(self.timed(self.finite(frame)))
         times = column(frame, "t_s")
         frame = self.drop(frame, repeated(times), "repeats the time of the row before it")
         bad = stray_times(column(frame, "t_s"))
@@ -226,6 +226,17 @@ class _Beyond:
         self.rows += int((wrong & here).sum())
         self.most = max(self.most, float(value[wrong].max()))
         return frame.with_columns(pl.when(pl.Series(~wrong)).then(pl.col(name)).alias(name))
+
+
+def scaling_while_playing(frame: pl.DataFrame) -> pl.DataFrame:
+    """Return robot rows whose scaling is unknown where the program is known not to run.
+
+    A controller writes what it likes for a program that is paused or stopped, mostly 0: that is no safety stop.
+    """
+    if not {"scaling", "state"}.issubset(frame.columns) or frame["state"].null_count() == frame.height:
+        return frame
+    halted = (pl.col("state") != "playing").fill_null(value=False)
+    return frame.with_columns(pl.when(~halted).then("scaling").alias("scaling"))
 
 
 def placed(checks: _Checks, frame: pl.DataFrame, places: Places, groups: Sequence[Track]) -> pl.DataFrame:

@@ -29,6 +29,7 @@ from cyclekit.errors import ConfigError, DatasetError, LogError
 from cyclekit.intake import Digests, How, check_shared, read_all
 from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
+from cyclekit.plain_json import finite
 from cyclekit.privacy import dated_names, without_wall_clock, without_what_names
 from cyclekit.session import group_sessions
 from cyclekit.storage import mirrored, published
@@ -205,7 +206,7 @@ def _build(
         cell = without_what_names(cell)
     card = _card(cell, entries, derived, not_read, wanted)
     write_parquet(derived.tasks, staging / "tasks.parquet")
-    write_text(staging / CARD, json.dumps(card, indent=1, ensure_ascii=False) + "\n")
+    write_text(staging / CARD, json.dumps(finite(card), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     return card, kept
 
 

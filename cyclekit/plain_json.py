@@ -16,14 +16,15 @@ def json_text(document: object, *, ascii_only: bool = False) -> str:
         document: Dictionaries, sequences and values; NaN and infinities become null, keys become strings.
         ascii_only: Escape everything else, for terminals whose encoding is not known.
     """
-    return json.dumps(_finite(document), indent=2, ensure_ascii=ascii_only, default=str)
+    return json.dumps(finite(document), indent=2, ensure_ascii=ascii_only, allow_nan=False, default=str)
 
 
-def _finite(value: object) -> object:
+def finite(value: object) -> object:
+    """Return a document in which null stands for what is not a number, with lists for tuples and texts for keys."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
-        return {str(key): _finite(entry) for key, entry in value.items()}
+        return {str(key): finite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
+        return [finite(entry) for entry in value]
     return value

@@ -13,7 +13,9 @@ here can be done from Python in one line, the call in the middle of each command
 from __future__ import annotations
 
 import gc
+import os
 import sys
+import warnings
 from io import TextIOWrapper
 from typing import TYPE_CHECKING
 
@@ -37,6 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: Words after `cyclekit`; None takes them from the process.
     """
     gc.disable()  # nothing that is imported is garbage; it is looked for as soon as a command works (`Terminal`)
+    if arguments is None and not sys.warnoptions:  # `python -W` and PYTHONWARNINGS go before
+        without_warnings_of_libraries()
     words = list(sys.argv[1:] if arguments is None else arguments)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # a place called Kühlregal must not end in a traceback on an old terminal
@@ -44,6 +48,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     code = run(words)
     gc.freeze()  # nor need it be looked for at the end: with all that was imported that takes a tenth of a second
     sys.exit(code)
+
+
+def without_warnings_of_libraries() -> None:
+    """Show no warning that a library has for programmers, here and in processes begun from here.
+
+    What a person must know of a result is said by the result.
+    """
+    warnings.simplefilter("ignore")
+    os.environ["PYTHONWARNINGS"] = "ignore"
 
 
 def run(words: list[str]) -> int:

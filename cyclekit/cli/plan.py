@@ -45,6 +45,7 @@ def plan(
         names = ", ".join(f'"{place}"' for place in found.places)
         write_out(out, f'[[sequence]]\nname = "planned"\nplaces = [{names}]\n')
         terminal.remark(f"written: {out}")
+    terminal.warnings(found.notes)
     terminal.answer(found.to_json(), _text(found))
 
 

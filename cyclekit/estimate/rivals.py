@@ -14,6 +14,7 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.program import draw_stands
 from cyclekit.estimate.safety import BLOCK
 from cyclekit.estimate.walk import Rolled
+from cyclekit.height import in_plane
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -89,6 +90,7 @@ def _mean_scaling(
     assert tracks.goal_m is not None
     at = _sample(tracks, time_s)
     human, bound_for = tracks.xyz_m[rows, at], tracks.goal_m[rows, at]
+    human = in_plane(robot_m, human)
     inputs = np.concatenate([robot_m, human, np.broadcast_to(goal_m, robot_m.shape), bound_for], axis=1)
     without = model.card.get("scaling_without_operator")
     mean = np.full(len(rows), 1.0 if without is None else float(without))

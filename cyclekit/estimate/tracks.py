@@ -300,7 +300,9 @@ def _donors(
         return short
     theirs, mine = where_m[running], where_m[short, None]
     absent, gone = np.isnan(theirs[:, 0]), np.isnan(mine[..., 0])
-    apart = np.sqrt(sum((theirs[:, axis] - mine[..., axis]) ** 2 for axis in range(3)))
+    ways = [theirs[:, axis] - mine[..., axis] for axis in range(3)]
+    ways[2] = np.nan_to_num(ways[2])  # where a height is unknown they are apart in the plane
+    apart = np.sqrt(sum(way**2 for way in ways))
     distance = np.where(gone, np.where(absent, 0.0, np.inf), np.where(absent, np.inf, apart))
     distance += OTHER_TASK_M * (activity[running] != activity[short, None])
     best = distance.argmin(axis=1)

@@ -14,6 +14,7 @@ from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
+from cyclekit.height import said_of_height
 from cyclekit.plan.jobs import tasks_of
 from cyclekit.plan.search import Scorer, best_order, first_order, random_order
 
@@ -49,6 +50,7 @@ class Plan:
         tried: How many orders were scored.
         executions: Logged executions it rests on.
         unlogged: Tasks that were never logged with a known speed scaling; orders that need one were left out.
+        notes: What limits the answer, one sentence each.
     """
 
     order: tuple[str, ...]
@@ -62,6 +64,7 @@ class Plan:
     tried: int
     executions: int
     unlogged: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as plain JSON values."""
@@ -127,6 +130,7 @@ def plan(
         tried=tried,
         executions=len(set(tracks.executions)),
         unlogged=tuple(unlogged),
+        notes=tuple(said_of_height(dataset.samples(columns=["human_x_m", "human_z_m"]))),
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.plausible.motion import PERSON, TCP, Kind, Places
+from cyclekit.plausible.nobody import Nobody
 from cyclekit.plausible.window import HERE, PLACE, judged_rows
 
 if TYPE_CHECKING:
@@ -181,6 +182,7 @@ class PeopleChecks(_Checks):
     def __init__(self) -> None:
         super().__init__()
         self._places = Places(PERSON)
+        self._nobody = Nobody()
 
     def beside(self, frame: pl.DataFrame) -> int:
         """Return how many rows hold the neighbours of every person that is there."""
@@ -190,7 +192,7 @@ class PeopleChecks(_Checks):
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without what cannot be."""
-        frame = self.timed(self.finite(frame))
+        frame = self.timed(self._nobody.look(self.finite(frame)))
         groups, times = tracks(frame), column(frame, "t_s")
         if any((np.diff(times[rows]) <= 0.0).any() for rows in groups):  # else no time is twice there, or stray
             frame = self._in_order(frame)
@@ -209,7 +211,7 @@ class PeopleChecks(_Checks):
     def warnings(self) -> list[str]:
         """Say what was found, once all was seen."""
         still, others = self._places.warnings()
-        return [*self._said_of_numbers(), *self._said_of_time(), *others, *still]
+        return [*self._said_of_numbers(), *self._said_of_time(), *self._nobody.warnings(), *others, *still]
 
 
 class _Beyond:

@@ -32,7 +32,7 @@ FLOORS = [
     {"engine"},
     {"config", "schema", "sequences"},
     {"mistaken", "toml_file"},
-    {"ahead", "behind", "colours", "errors", "height", "labels", "plain_json"},
+    {"ahead", "behind", "colours", "errors", "height", "labels", "plain_json", "rates"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
 

@@ -34,7 +34,20 @@ FLOORS = [
     {"config", "schema", "sequences"},
     {"cards", "mistaken", "toml_file"},
     {"inside"},
-    {"ahead", "behind", "colours", "errors", "files", "labels", "one_thread", "plain_json", "rate", "work"},
+    {
+        "ahead",
+        "behind",
+        "colours",
+        "errors",
+        "files",
+        "height",
+        "labels",
+        "one_thread",
+        "plain_json",
+        "rate",
+        "rates",
+        "work",
+    },
     {"plain_text"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""

@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.plausible.motion import PERSON, TCP, Kind, Places
+from cyclekit.plausible.nobody import Nobody
 from cyclekit.plausible.window import HERE, PLACE, judged_rows
 
 if TYPE_CHECKING:
@@ -138,7 +139,7 @@ class RobotChecks(_Checks):
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without what cannot be."""
-        frame = self.timed(self.finite(frame))
+        frame = scaling_while_playing(self.timed(self.finite(frame)))
         times = column(frame, "t_s")
         frame = self.drop(frame, repeated(times), "repeats the time of the row before it")
         bad = stray_times(column(frame, "t_s"))
@@ -181,6 +182,7 @@ class PeopleChecks(_Checks):
     def __init__(self) -> None:
         super().__init__()
         self._places = Places(PERSON)
+        self._nobody = Nobody()
 
     def beside(self, frame: pl.DataFrame) -> int:
         """Return how many rows hold the neighbours of every person that is there."""
@@ -190,7 +192,7 @@ class PeopleChecks(_Checks):
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without what cannot be."""
-        frame = self.timed(self.finite(frame))
+        frame = self.timed(self._nobody.look(self.finite(frame)))
         groups, times = tracks(frame), column(frame, "t_s")
         if any((np.diff(times[rows]) <= 0.0).any() for rows in groups):  # else no time is twice there, or stray
             frame = self._in_order(frame)
@@ -209,7 +211,7 @@ class PeopleChecks(_Checks):
     def warnings(self) -> list[str]:
         """Say what was found, once all was seen."""
         still, others = self._places.warnings()
-        return [*self._said_of_numbers(), *self._said_of_time(), *others, *still]
+        return [*self._said_of_numbers(), *self._said_of_time(), *self._nobody.warnings(), *others, *still]
 
 
 class _Beyond:
@@ -226,6 +228,17 @@ class _Beyond:
         self.rows += int((wrong & here).sum())
         self.most = max(self.most, float(value[wrong].max()))
         return frame.with_columns(pl.when(pl.Series(~wrong)).then(pl.col(name)).alias(name))
+
+
+def scaling_while_playing(frame: pl.DataFrame) -> pl.DataFrame:
+    """Return robot rows whose scaling is unknown where the program is known not to run.
+
+    A controller writes what it likes for a program that is paused or stopped, mostly 0: that is no safety stop.
+    """
+    if not {"scaling", "state"}.issubset(frame.columns) or frame["state"].null_count() == frame.height:
+        return frame
+    halted = (pl.col("state") != "playing").fill_null(value=False)
+    return frame.with_columns(pl.when(~halted).then("scaling").alias("scaling"))
 
 
 def placed(checks: _Checks, frame: pl.DataFrame, places: Places, groups: Sequence[Track]) -> pl.DataFrame:

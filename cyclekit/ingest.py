@@ -240,8 +240,8 @@ def _build(
         derived.warnings[:] = map(names.said, derived.warnings)
         cell, not_read = names.settings(), names.not_read(not_read)
     write_parquet(derived.tasks, staging / TASKS)
-    card = finite(_card(cell, entries, derived, not_read, wanted) | {"files": listed(staging)})
-    write_text(staging / CARD, sealed(json.dumps(card, indent=1, ensure_ascii=False, allow_nan=False) + "\n"))
+    card = _card(cell, entries, derived, not_read, wanted) | {"files": listed(staging)}
+    write_text(staging / CARD, sealed(json.dumps(finite(card), indent=1, ensure_ascii=False, allow_nan=False) + "\n"))
     return card, kept
 
 

@@ -56,10 +56,10 @@ def test_a_log_that_is_paused_all_along_has_no_scaling_and_no_level(tmp_path: Pa
 def test_the_reader_of_ur_logs_says_the_same(tmp_path: Path):
     names = ["timestamp", *(f"actual_TCP_pose_{i}" for i in range(6))]
     names += ["speed_scaling", "target_speed_fraction", "runtime_state"]
-    rows = [f"{1 + 0.008 * i:.3f} 0.5 0 0.4 0 0 0 {'1.0 1.0 2' if i < 60 else '0.0 1.0 4'}" for i in range(80)]
+    rows = [f"{1 + 0.008 * i:.3f} 0.5 0 0.4 0 0 0 {'1.0 1.0 2' if i < 600 else '0.0 1.0 4'}" for i in range(800)]
     (log,) = describe(_logged(tmp_path, " ".join(names), rows)).logs
     assert log.adapter == "ur-rtde"
-    assert (log.levels, log.tables["robot"].known["scaling"]) == ((1.0,), 60 / 80)
+    assert (log.levels, log.tables["robot"].known["scaling"]) == ((1.0,), 600 / 800)
 
 
 @given(st.lists(st.tuples(st.sampled_from(["playing", "paused", "stopped", None]), st.floats(0, 1)), min_size=1))

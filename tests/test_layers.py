@@ -33,7 +33,7 @@ FLOORS = [
     {"engine"},
     {"config", "schema", "sequences"},
     {"mistaken", "toml_file"},
-    {"ahead", "behind", "colours", "errors", "labels", "plain_json"},
+    {"ahead", "arm", "behind", "colours", "errors", "labels", "plain_json"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
 

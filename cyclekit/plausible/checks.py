@@ -112,7 +112,7 @@ class _Checks:
 
 NO_TCP = (
     "the log holds joint angles and no TCP, so neither places nor tasks can be found: log the TCP pose too "
-    "(UR actual_TCP_pose, Franka O_T_EE, KUKA RIst)"
+    '(UR actual_TCP_pose, Franka O_T_EE, KUKA RIst), or name the arm in cell.toml ([robot] model = "UR5e")'
 )
 """Said of a robot whose joints alone were logged."""
 

@@ -24,6 +24,7 @@ FLOORS = [
     {"load_runs", "people", "process", "registry", "samples", "silence", "stand", "turns"},
     {"override", "plausible", "privacy", "segment", "session", "signals", "steps"},
     {"places", "stops"},
+    {"stillness"},
     {"stored_run"},
     {"motion"},
     {"adapter", "clock", "dataset", "frames", "guard"},
@@ -36,6 +37,7 @@ FLOORS = [
     {"inside"},
     {
         "ahead",
+        "arm",
         "behind",
         "colours",
         "errors",

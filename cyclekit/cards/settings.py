@@ -91,6 +91,18 @@ class ExecutionSettings(Card, frozen=True, kw_only=True):
     signal: str | None = None
 
 
+class RobotSettings(Card, frozen=True, kw_only=True):
+    """The arm of a log of joint angles; see `cyclekit.config.Robot`.
+
+    Attributes:
+        dh: Of each joint: d, a, m; alpha, theta, deg.
+    """
+
+    model: str | None = None
+    dh: tuple[tuple[float, float, float, float], ...] = ()
+    tool_m: Point = (0.0, 0.0, 0.0)
+
+
 class CellSettings(Card, frozen=True, kw_only=True):
     """A cell file; see `cyclekit.config.Cell`."""
 
@@ -103,6 +115,7 @@ class CellSettings(Card, frozen=True, kw_only=True):
     human_places: dict[str, NamedPlaceSettings] = field(default_factory=dict)
     furniture: dict[str, FurnitureSettings] = field(default_factory=dict)
     executions: ExecutionSettings = ExecutionSettings()
+    robot: RobotSettings | None = None
     rate_hz: Hertz = 10.0
     bridge_s: Seconds = 0.3
     levels: tuple[Scaling, ...] = ()

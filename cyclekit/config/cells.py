@@ -127,6 +127,21 @@ class Executions:
 
 
 @dataclass(frozen=True)
+class Robot:
+    """The arm of a log that holds joint angles and no TCP.
+
+    Attributes:
+        model: A known arm, see `arm.MODELS`.
+        dh: Instead, of each joint from the base on: d, a (m), alpha, theta (deg), standard Denavit-Hartenberg.
+        tool_m: The TCP from the flange, in the flange's frame, metres.
+    """
+
+    model: str | None = None
+    dh: tuple[tuple[float, float, float, float], ...] = ()
+    tool_m: Point = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Cell:
     """A cell: its sources, places and conventions.
 
@@ -136,6 +151,7 @@ class Cell:
         rate_hz: Rate of the samples.
         all_places_named: The robot stops for its process at the named places only; nothing else becomes a place.
         levels: Levels of the safety system's speed scaling, ascending, fractions; empty = found in the logs.
+        robot: The arm, where the TCP is not logged and shall be computed from the joint angles.
         bridge_s: A gap in the operator's track up to this long is bridged linearly; longer ones stay unknown.
     """
 
@@ -151,3 +167,4 @@ class Cell:
     rate_hz: float = 10.0
     bridge_s: float = 0.3
     levels: tuple[float, ...] = ()
+    robot: Robot | None = None

@@ -17,6 +17,7 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.discover import Log, options_of
 from cyclekit.errors import LogError
+from cyclekit.intake.tool_point import with_tool_point
 from cyclekit.plausible import examined_parts
 from cyclekit.privacy import Nameless, shown_as
 from cyclekit.rates import Rates
@@ -113,7 +114,8 @@ def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
     last: Recording | None = None
     nameless = Nameless(keep=log.source.sees_as if log.source else None) if how.pseudonymise else None
     try:
-        for part in examined_parts(adapter_named(log.adapter).parts(log.path, options)):
+        read = adapter_named(log.adapter).parts(log.path, options)
+        for part in examined_parts(with_tool_point(read, log.robot)):
             last = nameless.part(part) if nameless else part
             rows_read += last.rows_read
             for name, frame in last.tables().items():

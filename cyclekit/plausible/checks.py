@@ -111,6 +111,13 @@ class _Checks:
         return []
 
 
+NO_TCP = (
+    "the log holds joint angles and no TCP, so neither places nor tasks can be found: log the TCP pose too "
+    '(UR actual_TCP_pose, Franka O_T_EE, KUKA RIst), or name the arm in cell.toml ([robot] model = "UR5e")'
+)
+"""Said of a robot whose joints alone were logged."""
+
+
 class EventChecks(_Checks):
     """Events: only their time can be impossible."""
 
@@ -136,6 +143,7 @@ class RobotChecks(_Checks):
         self._fractions = {"scaling": _Beyond(), "slider": _Beyond()}
         self._speed = _Beyond()
         self._turned: str | None = None
+        self._joints = self._tcp = False
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without what cannot be."""
@@ -150,6 +158,8 @@ class RobotChecks(_Checks):
             frame = seen.look(frame, name, value, (value < 0.0) | (value > 1.001))
         speed = column(frame, "tcp_speed_m_s")
         frame = self._speed.look(frame, "tcp_speed_m_s", speed, (speed > SPEED_M_S) | (speed < 0))
+        self._tcp = self._tcp or bool(np.isfinite(column(frame, "tcp_x_m")).any())
+        self._joints = self._joints or bool(np.isfinite(column(frame, "q0_rad")).any())
         if self._turned is None:
             angles = [name for name in frame.columns if name.startswith("q") and name.endswith("_rad")]
             self._turned = next((n for n in angles if (np.abs(column(frame, n)) > ANGLE_RAD).any()), None)
@@ -171,6 +181,8 @@ class RobotChecks(_Checks):
             said.append(f"tcp_speed_m_s reaches {top} m/s in {rows} rows: {likely}; unknown there")
         if self._turned:
             said.append(f'{self._turned} exceeds {ANGLE_RAD:.0f} rad: likely degrees; say joint_unit = "deg"')
+        if self._joints and not self._tcp:
+            said.append(NO_TCP)
         return [*said, *still]
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import rerun as rr
 
 from cyclekit import colours
+from cyclekit.arm import joint_points, recognise_arm
 from cyclekit.height import in_plane
 from cyclekit.labels import place_labels
-from cyclekit.replay.arm import joint_points, recognise_arm
 from cyclekit.replay.bodies import floor_m, log_people
 from cyclekit.replay.shapes import goals, pack, trail
 

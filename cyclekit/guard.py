@@ -109,6 +109,8 @@ def check_output(
         if given is not None and (how := _collides(target, _real(given), folder=bool(thing.holds))):
             seen = f"{out}: {how.format(given=given)}, so it is not written"
             raise OutputError(seen, cure=f"Give {option} another name, outside of what is read.")
+    if isinstance(target, Path) and target.is_dir() and not thing.is_folder:
+        raise OutputError(f"{out}: is a folder", cure="Give the name of a file in it.")
     if isinstance(target, Path) and not _is_replaceable(target, thing):
         seen = f"{out}: exists and is no {thing.name} of cyclekit's, so it is not replaced"
         raise OutputError(seen, cure=f"Give {option} a new name, or remove what is there.")

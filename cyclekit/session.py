@@ -91,8 +91,8 @@ def _in_folder(folder: str, robots: list[dict[str, Any]], others: list[dict[str,
 
 
 def _session_name(group: list[dict[str, Any]], taken: set[str]) -> str:
-    folder = fitting(_folder(group[0]).replace("/", "."))
-    name = folder if folder and folder not in taken else group[0]["id"]
+    folder = _folder(group[0]).replace("/", ".")
+    name = fitting(folder) if folder and fitting(folder) not in taken else group[0]["id"]
     number = 1
     while name in taken:
         number += 1

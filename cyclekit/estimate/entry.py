@@ -78,7 +78,7 @@ def entry_of(
     expected = float(durations.mean())
     model_error, bias = (check.model_error, check.doubted_bias) if check else (0.0, 0.0)
     means = cycles.resampled_means(weights)
-    low, high = interval_of_mean(means, model_error=model_error, bias=bias, seed=ask.seed)
+    low, high = interval_of_mean(means, model_error=model_error, bias_s=bias * expected, seed=ask.seed)
     activities = [*tracks.activities, "unknown"] if tracks else []
     by_activity = zip(activities, (cycles.by_activity_s * slower).tolist(), strict=False)
     logged = tracks.executions if tracks else tuple(ask.dataset.executions["execution"])

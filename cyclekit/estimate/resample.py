@@ -41,18 +41,17 @@ def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> NDA
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
-def interval_of_mean(means_s: Vector, *, model_error: float, bias: float = 0.0, seed: int) -> tuple[float, float]:
+def interval_of_mean(means_s: Vector, *, model_error: float, bias_s: float = 0.0, seed: int) -> tuple[float, float]:
     """Return the 95 % interval of the mean of K cycles.
 
     Args:
         means_s: The mean in each resample of the logs, shape (resamples,), s: what finite logs leave open.
         model_error: Standard deviation that the network's error leaves, as part of the mean.
-        bias: What the mean may be off by to either side beside that, as part of it; no resampling shows it.
+        bias_s: What the mean may be off by to either side beside that, s; no resampling shows it.
         seed: Same seed, same interval.
     """
     means = means_s * (1.0 + model_error * np.random.default_rng(seed + 1).standard_normal(len(means_s)))
-    off = bias * float(means_s.mean())
-    return float(np.quantile(means, 0.025)) - off, float(np.quantile(means, 0.975)) + off
+    return float(np.quantile(means, 0.025)) - bias_s, float(np.quantile(means, 0.975)) + bias_s
 
 
 def share_within(

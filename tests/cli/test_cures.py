@@ -121,7 +121,7 @@ WRONG = {
     "no such dataset": ("train", "my data", "--out", "m"),
     "logs as dataset": ("train", "{logs}", "--out", "m"),
     "a sequence file as dataset": ("train", "{sequences}", "--out", "m"),
-    "a file as dataset": ("train", "{logs}/cell.toml/../truth/truth.json", "--out", "m"),
+    "a file as dataset": ("train", "{logs}/truth/truth.json", "--out", "m"),
     "no such model": ("zones", "my model", "{dataset}"),
     "a dataset as model": ("zones", "{dataset}", "{dataset}"),
     "a sequence file as model": ("zones", "{sequences}", "{dataset}"),

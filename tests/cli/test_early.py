@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cyclekit.outputs import check_output, check_output_folder
+from cyclekit.outputs import check_writable, check_writable_folder
 
 if TYPE_CHECKING:
     from .conftest import Shell
@@ -67,10 +67,11 @@ def test_a_folder_where_a_file_is_to_be_written_is_refused_before_anything_is_op
 
 
 def test_a_folder_that_is_no_model_is_refused_before_the_training(cyclekit: Shell, tmp_path: Path):
-    (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
-    failed = cyclekit("train", "data", "--out", tmp_path)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine", encoding="utf-8")
+    failed = cyclekit("train", "data", "--out", tmp_path / "mine")
     assert failed.code == 1
-    assert "is no model, so it is not replaced" in failed.err
+    assert "is no model of cyclekit's, so it is not replaced" in failed.err
 
 
 @pytest.mark.parametrize(
@@ -96,8 +97,8 @@ def test_a_pdf_without_a_browser_is_refused_before_the_page_is_made(cyclekit: Sh
 def test_what_can_be_written_leaves_no_trace_of_the_look(tmp_path: Path):
     (tmp_path / "old.json").write_text("{}", encoding="utf-8")
     for place in (tmp_path / "new.JSON", tmp_path / "a" / "b" / "new.json", tmp_path / "old.json"):
-        check_output(place, (".json",))
-    check_output(None, (".json",))
-    check_output_folder(tmp_path / "a" / "b")
-    check_output_folder(tmp_path)
+        check_writable(place, (".json",))
+    check_writable(None, (".json",))
+    check_writable_folder(tmp_path / "a" / "b")
+    check_writable_folder(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["old.json"]

@@ -196,7 +196,7 @@ def test_a_recurrent_network_looks_back_one_second_at_any_rate(rate_hz, history)
 
 @pytest.mark.parametrize("rate_hz", RATES)
 def test_ten_seconds_of_log_can_be_learned_from_and_nine_cannot(rate_hz):
-    dataset, frame = SimpleNamespace(path="dataset", rate_hz=rate_hz), pl.DataFrame({"scaling": [1.0]})
+    dataset, frame = SimpleNamespace(path="dataset", place="dataset", rate_hz=rate_hz), pl.DataFrame({"scaling": [1.0]})
     enough, few = (MagicMock(__len__=lambda _, s=s: int(s * rate_hz), dropped={}) for s in (10, 9))
     assert _enough(dataset, frame, enough) is enough
     with pytest.raises(DatasetError, match=f"At least {10 * rate_hz:g} are needed, 10 s"):

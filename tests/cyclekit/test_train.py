@@ -37,9 +37,11 @@ def changed(dataset: Dataset, folder, *columns: pl.Expr, keep: int | None = None
     """Write the dataset again with other samples and, if asked, only the first executions."""
     card = dict(dataset.card)
     card["executions"] = card["executions"][:keep]
+    kept = pl.col("execution").is_in([entry["execution"] for entry in card["executions"]])
     for file in (dataset.path / "samples").glob("*.parquet"):
-        write_parquet(pl.read_parquet(file).with_columns(*columns), folder / "samples" / file.name)
-    (folder / CARD).write_text(json.dumps(card))
+        rows = pl.read_parquet(file).with_columns(*columns).filter(kept)
+        write_parquet(rows, folder / "samples" / file.name)
+    (folder / CARD).write_text(json.dumps({**card, "files": None}))
     return Dataset.open(folder)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 import pytest
+from ingested import without_checksums
 
 from cyclekit.dataset import Dataset
 from cyclekit.errors import ModelError
@@ -31,7 +32,7 @@ def model(staircase: Any, logged: Dataset) -> Any:
 @pytest.fixture
 def newer(logged: Dataset, tmp_path: Path) -> Callable[..., Dataset]:
     def made(**columns: pl.Expr) -> Dataset:
-        copy = Path(shutil.copytree(logged.path, tmp_path / "newer"))
+        copy = without_checksums(Path(shutil.copytree(logged.path, tmp_path / "newer")))
         file = copy / "samples" / "session_000.parquet"
         pl.read_parquet(file).with_columns(**columns).write_parquet(file)
         return Dataset.open(copy)

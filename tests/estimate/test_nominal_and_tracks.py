@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
+from ingested import without_checksums
 
+from cyclekit.dataset import Dataset
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.limits import limits_of_logs
 from cyclekit.estimate.nominal import STEP_S, nominal_tasks, slider_losses
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import operator_tracks
-
-if TYPE_CHECKING:
-    from cyclekit.dataset import Dataset
 
 
 def test_nominal_durations_are_those_that_the_program_asks_for(logged: Dataset, truth: pl.DataFrame):
@@ -65,6 +64,7 @@ def test_tracks_hold_goals_where_these_are_asked_for(logged: Dataset):
 def test_a_task_logged_without_scaling_has_no_nominal_motion(hand_made: Any):
     found = hand_made({"a": ([0.0, 0.0], {0.0: (3.0, 0.0), 15.0: (3.0, 0.0)})})
     assert set(nominal_tasks(found)) == {"place_1->place_2", "place_2->place_1"}
+    found = Dataset.open(without_checksums(found.path))
     unknown = found.tasks().with_columns(nominal_s=pl.lit(None, pl.Float64))
     unknown.write_parquet(found.path / "tasks.parquet")
     assert nominal_tasks(found) == {}
@@ -73,6 +73,7 @@ def test_a_task_logged_without_scaling_has_no_nominal_motion(hand_made: Any):
 def test_a_speed_slider_is_undone_like_the_scaling_where_the_dataset_tells_it_apart(hand_made: Any):
     """1 m in 2 s as logged, the half below 0.5 m at a quarter of the speed: 1.25 s, half of which lead to 0.6875 m."""
     found = hand_made({"a": ([0.0, 0.0], {0.0: (3.0, 0.0), 15.0: (3.0, 0.0)})})
+    found = Dataset.open(without_checksums(found.path))
     told = found.tasks().with_columns(nominal_s=pl.lit(1.25), slider_loss_s=pl.lit(0.75))
     told.write_parquet(found.path / "tasks.parquet")
     file = next((found.path / "recordings").glob("*/robot.parquet"))

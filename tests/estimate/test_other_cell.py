@@ -38,7 +38,7 @@ def newer(card: dict[str, Any]) -> None:
     """Make the card one of other logs of the same cell."""
     for number, record in enumerate(card["recordings"]):
         for source in record["sources"]:
-            source["sha256"] = f"{number:064x}"
+            source["blake3"] = f"{number:064x}"
 
 
 def move(card: dict[str, Any], metres: float, count: int = 99) -> None:
@@ -48,7 +48,7 @@ def move(card: dict[str, Any], metres: float, count: int = 99) -> None:
 
 def grow(card: dict[str, Any]) -> None:
     more = copy.deepcopy(card["recordings"][0])
-    more["sources"][0]["sha256"] = "f" * 64
+    more["sources"][0]["blake3"] = "f" * 64
     card["recordings"].append(more)
     card["executions"].append({**card["executions"][0], "execution": "session_001.001"})
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 import pytest
+from ingested import without_checksums
 
 from cyclekit.dataset import Dataset
 from cyclekit.errors import EstimateError, ModelError, UnknownName
@@ -179,7 +180,7 @@ def test_a_model_of_another_problem_is_refused(logged: Dataset, constant: Any):
 
 
 def test_logs_without_an_operator_are_refused(logged: Dataset, staircase: Any, routes: Any, tmp_path: Path):
-    copy = Path(shutil.copytree(logged.path, tmp_path / "copy"))
+    copy = without_checksums(Path(shutil.copytree(logged.path, tmp_path / "copy")))
     file = copy / "samples" / "session_000.parquet"
     unknown = [pl.lit(None, pl.Float64).alias(f"human_{axis}_m") for axis in "xyz"]
     pl.read_parquet(file).with_columns(unknown).write_parquet(file)
@@ -198,7 +199,7 @@ def test_an_operator_who_never_lets_the_robot_go_on_is_told_and_not_waited_for(
 @pytest.fixture
 def elsewhere(logged: Dataset, tmp_path: Path) -> Dataset:
     """The same logs, but for the model the robot was somewhere else."""
-    copy = Path(shutil.copytree(logged.path, tmp_path / "copy"))
+    copy = without_checksums(Path(shutil.copytree(logged.path, tmp_path / "copy")))
     file = copy / "samples" / "session_000.parquet"
     pl.read_parquet(file).with_columns(pl.col("robot_x_m") + 5.0).write_parquet(file)
     return Dataset.open(copy)

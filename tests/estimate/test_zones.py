@@ -133,7 +133,7 @@ def test_what_shows_no_staircase_is_refused(logged: Dataset, staircase: Any, tmp
     with pytest.raises(ModelError, match="shows no staircase"):
         read_zones(staircase, logged)
     staircase.levels = LEVELS
-    empty = Dataset(tmp_path, logged.card)
+    empty = Dataset(tmp_path, {**logged.card, "files": None})
     (tmp_path / "samples").mkdir()
     logged.samples().head(100).write_parquet(tmp_path / "samples" / "s.parquet")
     assert pl.read_parquet(tmp_path / "samples" / "s.parquet").height == 100

@@ -231,6 +231,6 @@ def test_a_seal_breaks_with_any_change_of_what_stands_before_it(content: dict[st
 
 def test_logs_that_are_no_dataset_cannot_be_verified(logs: Path, capsys: Any):
     assert run(["inspect", str(logs), "--verify"]) == 1
-    assert "no dataset.json in it" in capsys.readouterr().err
+    assert "a dataset was expected" in capsys.readouterr().err
     with pytest.raises(CyclekitError):
         Dataset.open(logs)

@@ -41,7 +41,7 @@ def test_an_integrators_folder_changes_logo_cover_language_and_style(dataset, ho
         ("page.html.jinja", "{{ ''.__class__.__mro__ }}", "the template cannot be set"),
         ("page.html.jinja", "{{ 1 // 0 }}", "the template cannot be set"),
         ("page.html.jinja", "{{ range(10 ** 9) | list }}", "the template cannot be set"),
-        ("page.html.jinja", "{% include '../secret.txt' %}", "the template cannot be set"),
+        ("page.html.jinja", "{% include '../secret.txt' %}", "leads out of the folder"),
     ],
 )
 def test_a_template_that_is_wrong_is_named_and_nothing_is_written(dataset, house, tmp_path, name, content, said):

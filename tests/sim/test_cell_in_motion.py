@@ -54,6 +54,11 @@ def zones(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return simulate("laser-zones", tmp_path_factory.mktemp("zones") / "logs", executions=12, seed=3)
 
 
+@pytest.fixture(scope="module")
+def visits(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulate("scanner-visits", tmp_path_factory.mktemp("sim") / "visits", executions=3, seed=1)
+
+
 def test_the_true_scaling_is_the_papers_staircase_of_the_true_distance(box: Path, packing: Path) -> None:
     for folder, thresholds in ((box, [1.2, 1.5, 1.9, 2.4]), (packing, [0.6, 0.8, 1.2, 1.6])):
         truth = samples(folder)
@@ -77,7 +82,7 @@ def test_the_robot_log_holds_the_true_sample_at_its_time(box: Path) -> None:
 def test_a_cycle_is_motion_and_loss_and_dwell_and_wait_and_nothing_else(
     scene: str, request: pytest.FixtureRequest
 ) -> None:
-    name = {"box-picking": "box", "pick-and-package": "packing", "laser-zones": "zones"}[scene]
+    name = dict(zip(SCENES, ("box", "packing", "zones", "visits"), strict=True))[scene]
     folder = request.getfixturevalue(name)
     parts = pl.sum_horizontal("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
     executions = pl.read_parquet(folder / "truth" / "executions.parquet")

@@ -34,7 +34,7 @@ FLOORS = [
     {"config", "schema", "sequences"},
     {"cards", "mistaken", "toml_file"},
     {"inside"},
-    {"ahead", "behind", "colours", "errors", "files", "labels", "one_thread", "plain_json", "rate", "work"},
+    {"ahead", "behind", "colours", "errors", "files", "labels", "memory", "one_thread", "plain_json", "rate", "work"},
     {"plain_text"},
 ]
 """Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""

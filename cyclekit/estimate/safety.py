@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from cyclekit.height import in_plane, inputs_in_plane
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from typing import Any
@@ -67,11 +69,15 @@ class Dynamics:
 
 
 def scaling_of(model: SafetyModel, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
-    """Return s of each pair of positions, shape (N, 3) both; where nobody is seen, what the logs showed then."""
+    """Return s of each pair of positions, shape (N, 3) both; where nobody is seen, what the logs showed then.
+
+    Of somebody whose height is unknown (NaN) it is that of the distance in the plane.
+    """
     without = model.card.get("scaling_without_operator")
     scaling = np.full(len(robot_m), 1.0 if without is None else float(without))
     inputs = np.empty((len(robot_m), 6), dtype=np.float32)
     inputs[:, :3], inputs[:, 3:] = robot_m, human_m
+    inputs = inputs_in_plane(inputs)
     seen = np.isfinite(inputs[:, 3] + inputs[:, 4] + inputs[:, 5])
     present: NDArray[np.int64] | slice = slice(None)
     if not seen.all():
@@ -116,6 +122,7 @@ class Follower:
         half = (self._dynamics.hysteresis_m or 0.0) / 2
         if half == 0.0:
             return scaling_of(self._model, robot_m, human_m)
+        human_m = in_plane(robot_m, human_m)
         way = human_m - robot_m
         way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
         rising = scaling_of(self._model, robot_m, human_m - half * way)

@@ -15,6 +15,7 @@ from cyclekit.errors import DatasetError
 from cyclekit.footers import check_rows, sample_files
 from cyclekit.inside import inside
 from cyclekit.memory import free_bytes
+from cyclekit.text_columns import in_one_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -157,13 +158,13 @@ class DatasetFiles:
         return pl.scan_parquet(self._checked(name, within), glob=False).filter(near)
 
     def collected(self, rows: pl.LazyFrame, name: str) -> pl.DataFrame:
-        """Read what was scanned.
+        """Read what was scanned; every text in it is one line, whoever wrote the table.
 
         Raises:
             DatasetError: It cannot be read.
         """
         with reading(self._file(name), self._path):
-            return rows.collect()
+            return in_one_line(rows.collect())
 
     def _file(self, name: str) -> Path:
         """Return where a file lies.

@@ -216,7 +216,7 @@ class Lab:
         self.dataset = folder / "in" / "here" / "dataset"
         fabricate_dataset(self.dataset, executions=2, rounds=1)
         outside = folder / "in" / "here" / "outside"
-        shutil.copytree(next((self.dataset / "recordings").iterdir()), outside)
+        shutil.copytree(min((self.dataset / "recordings").iterdir()), outside)
         self.model = folder / "in" / "here" / "model"
         save_model(self.model, _model())
         self.logs = folder / "in" / "logs"

@@ -25,6 +25,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +47,14 @@ from cyclekit.errors import CyclekitError
 from cyclekit.models.saved import TrainedModel, save_model
 from cyclekit.sequences import load_sequences
 from cyclekit.storage import local
+from cyclekit.storage.cache import cached
+from cyclekit.storage.manifest import MANIFEST, part_of
 
 RAW = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]|^FORGED", re.MULTILINE)
 """Steers a terminal, turns text around, or is a line of its own that nobody printed."""
 _HEALTH = list(HealthCheck)
 SECRET = "secret of another folder"
+URL = "memory://bucket/folder"
 TEXTS = (
     "", "a", "../../outside", "..", "/etc/passwd", "C:/x", "C:\\x", "..\\..\\x", "a/b", "\x1b]0;title\x07", "\x1b[2J",
     "x\nFORGED: all is well", "x\rFORGED", "\u202egnp.exe", "\u0000", "\x9b31m", "n" * 300, "ü" * 130, "<script>",
@@ -212,7 +216,7 @@ class Lab:
         self.dataset = folder / "in" / "here" / "dataset"
         fabricate_dataset(self.dataset, executions=2, rounds=1)
         outside = folder / "in" / "here" / "outside"
-        shutil.copytree(next((self.dataset / "recordings").iterdir()), outside)
+        shutil.copytree(min((self.dataset / "recordings").iterdir()), outside)
         self.model = folder / "in" / "here" / "model"
         save_model(self.model, _model())
         self.logs = folder / "in" / "logs"
@@ -226,9 +230,9 @@ class Lab:
         model = json.loads((self.model / "model.json").read_text(encoding="utf-8"))
         names = st.one_of(st.sampled_from(TEXTS), st.text(min_size=1, max_size=80))
         return {
-            "dataset card": (documents(card), self.open_dataset),
+            "dataset card": (mostly(documents(card), forged_cards(card)), self.open_dataset),
             "model card": (documents(model), self.open_model),
-            "manifest": (documents(json.loads(self.memory["manifest.json"])), self.fetch),
+            "manifest": (documents(json.loads(self.memory[MANIFEST])) | forged_manifests(), self.fetch),
             "cell file": (toml_texts(CELL), self.open_cell),
             "sequence file": (toml_texts(SEQUENCES), self.open_sequences),
             "name of a log": (names, self.name_log),
@@ -253,18 +257,22 @@ class Lab:
         yield page(describe(self.model))
 
     def fetch(self, content: bytes) -> Iterator[str]:
-        """Fetch the folder with this manifest."""
-        self.memory["manifest.json"] = content
-        _put(self.memory)
-        before = {file for file in self.folder.rglob("*") if "cache" not in file.parts}
+        """Fetch the folder with this manifest; what it calls its parts is there."""
+        _put(self.memory | {MANIFEST: content} | _forged_parts(content, self.memory))
+        before = self._beside_the_copy()
         try:
-            found = local("memory://bucket/folder")
+            found = local(URL)
         finally:
-            if {file for file in self.folder.rglob("*") if "cache" not in file.parts} - before:
+            for file in self._beside_the_copy() - before:
+                file.unlink()
                 yield SECRET
         for file in found.rglob("*"):
             if file.is_file() and file.read_bytes() == SECRET.encode():
                 yield SECRET
+
+    def _beside_the_copy(self) -> set[Path]:
+        copy_of = cached(URL).parent
+        return {file for file in self.folder.rglob("*") if file.is_file() and not file.is_relative_to(copy_of)}
 
     def open_cell(self, content: bytes) -> Iterator[str]:
         """Read a cell file."""
@@ -319,23 +327,63 @@ def _model() -> TrainedModel:
 
 
 def _published() -> dict[str, bytes]:
-    """Return the objects of a published folder by name, the manifest among them."""
-    from hashlib import sha256
-
+    """Return the objects of a published folder by name, the manifest among them, and one beside the folder."""
     contents = {"a.txt": b"one", "b/c.txt": b"two"}
-    parts = {name: f"parts/{sha256(data).hexdigest()[:20]}" for name, data in contents.items()}
-    files = {n: {"part": parts[n], "size": len(d), "sha256": sha256(d).hexdigest()} for n, d in contents.items()}
-    manifest = json.dumps({"format": "cyclekit-folder", "version": 1, "files": files}).encode()
-    return {"manifest.json": manifest, "../secret.txt": SECRET.encode(), **{parts[n]: d for n, d in contents.items()}}
+    files = {name: _entry(part_of(name, sha256(data).hexdigest()), data) for name, data in contents.items()}
+    objects = {files[name]["part"]: data for name, data in contents.items()}
+    return {MANIFEST: _manifest(files), "../secret.txt": SECRET.encode(), **objects}
+
+
+def _entry(part: str, data: bytes) -> dict[str, Any]:
+    return {"part": part, "size": len(data), "sha256": sha256(data).hexdigest()}
+
+
+def _manifest(files: dict[str, dict[str, Any]]) -> bytes:
+    return json.dumps({"format": "cyclekit-folder", "version": 1, "files": files}).encode()
+
+
+def forged_cards(real: dict[str, Any]) -> st.SearchStrategy[bytes]:
+    """Return a strategy of dataset cards that are right but for a recording whose tables would lie elsewhere."""
+
+    def forged(ident: str) -> bytes:
+        first, *others = real["recordings"]
+        return json.dumps({**real, "recordings": [{**first, "id": ident}, *others]}).encode()
+
+    return st.sampled_from(("../../outside", "a/../../../outside", "..", "/etc", "..\\..\\outside")).map(forged)
+
+
+def forged_manifests() -> st.SearchStrategy[bytes]:
+    """Return a strategy of manifests in which all fits together, but a name or a part leads out of the folder."""
+
+    def forged(name: str, follow: bool) -> bytes:
+        data = b"one" if follow else SECRET.encode()
+        entry = _entry("../secret.txt", data)
+        if follow:
+            with contextlib.suppress(ValueError):  # no part can be called like that
+                entry["part"] = part_of(name, entry["sha256"])
+        return _manifest({name: entry})
+
+    names = st.sampled_from([*TEXTS, "../../../outside.txt", "b/../../../outside.txt"]) | st.text(max_size=8)
+    return st.builds(forged, names, st.booleans())
+
+
+def _forged_parts(content: bytes, known: dict[str, bytes]) -> dict[str, bytes]:
+    """Return the parts that a manifest speaks of and that are not there yet, where it can be read."""
+    try:
+        entries = json.loads(content)["files"].values()
+        parts = [entry["part"] for entry in entries]
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return {}
+    return {part: b"one" for part in parts if str(part).startswith("parts/") and part not in known}
 
 
 def _put(objects: dict[str, bytes]) -> None:
     import fsspec
 
     memory = fsspec.filesystem("memory")
+    memory.store.clear()
     for name, content in objects.items():
-        place = f"/bucket/{name.removeprefix('../')}" if name.startswith("../") else f"/bucket/folder/{name}"
-        memory.pipe_file(place, content)
+        memory.pipe_file(f"/bucket/folder/{name}", content)
 
 
 def attempt(content: object, kind: Callable[[Any], Iterator[str]], count: Count) -> None:

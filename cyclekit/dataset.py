@@ -172,6 +172,7 @@ class Dataset:
         files = self._files.of_samples(sessions)
         if not files:
             return schema.empty(schema.SAMPLES).select(wanted)
+        self._files.check_memory(files, wanted, None if executions is None else self._rows_of(executions))
         if executions is None:
             return self._files.collected(self._files.scan(files, schema.SAMPLES, wanted), "samples")  # many at a time
         mine = pl.col("execution").is_in(list(executions))  # of a file, only what is wanted comes into memory
@@ -188,6 +189,7 @@ class Dataset:
 
     def tasks(self) -> pl.DataFrame:
         """Return one row per executed robot task (table TASKS)."""
+        self._files.check_memory([self._files.whole(TASKS)], list(schema.TASKS))
         return self._files.collected(self._tasks(list(schema.TASKS)), TASKS)
 
     def done_tasks(self) -> pl.DataFrame:
@@ -197,20 +199,25 @@ class Dataset:
 
     def quarantine(self) -> pl.DataFrame:
         """Return every row that was set aside (table QUARANTINE), in order of recording."""
-        rows = self._files.scan([self._files.whole(QUARANTINE)], schema.QUARANTINE, list(schema.QUARANTINE))
+        file = self._files.whole(QUARANTINE)
+        self._files.check_memory([file], list(schema.QUARANTINE))
+        rows = self._files.scan([file], schema.QUARANTINE, list(schema.QUARANTINE))
         return self._files.collected(rows, QUARANTINE)
 
     def recorded(self, recording: str, table: str) -> pl.DataFrame | None:
         """Return one native-rate table (`robot`, `people` or `events`) of a recording, None if it has none."""
-        name = _recorded(recording, table)
-        if not self._files.has(name):
+        if (name := self._native(recording, table)) is None:
             return None
-        return self._files.collected(pl.scan_parquet(self._files.whole(name), glob=False), name)
+        file = self._files.whole(name)
+        with checksums.reading(file, self.path):
+            rows = pl.scan_parquet(file, glob=False)
+            columns = rows.collect_schema().names()
+        self._files.check_memory([file], columns)
+        return self._files.collected(rows, name)
 
     def recorded_between(self, recording: str, table: str, first_s: float, last_s: float) -> pl.DataFrame | None:
         """Return the rows of one native-rate table from `first_s` to `last_s` of the log's clock, None without it."""
-        name = _recorded(recording, table)
-        if not self._files.has(name):
+        if (name := self._native(recording, table)) is None:
             return None
         return self._files.collected(self._files.between(name, first_s, last_s), name)
 
@@ -218,7 +225,7 @@ class Dataset:
         """Yield the times of one native-rate table (`t_s`), in parts: it may be larger than memory."""
         from cyclekit.tables import StoredTable  # whoever reads a log needs no Arrow to begin
 
-        file = self._files.whole(_recorded(recording, table))
+        file = self._files.whole(self._native(recording, table) or _recorded(recording, table))
         with checksums.reading(file, self.path):
             stored = StoredTable(file, ("t_s",))
             for begin, end in stored.groups:
@@ -232,7 +239,7 @@ class Dataset:
         entry = self._execution(execution)
         for record in self.recordings:
             if record["session"] == entry["session"] and "robot" in record["tables"]:
-                name = _recorded(record["id"], "robot")
+                name = self._native(record["id"], "robot") or _recorded(record["id"], "robot")  # a lost one is named
                 rate, offset_s = record["clock"]["rate"], record["clock"]["offset_s"]
                 first, last = ((entry[key] - offset_s) / rate for key in ("start_s", "end_s"))
                 inside = pl.col("t_s").is_between(entry["start_s"], entry["end_s"])
@@ -273,6 +280,21 @@ class Dataset:
         None where the dataset keeps no checksums.
         """
         return self._files.damaged()
+
+    def _native(self, recording: str, table: str) -> str | None:
+        """Return the name of a native-rate table that holds no more rows than the card says; None if there is none."""
+        name = _recorded(recording, table)
+        if not self._files.has(name):
+            return None
+        for entry in self.recordings:
+            if entry["id"] == recording and table in entry["rows"]:
+                self._files.check_rows(name, entry["rows"][table], f"in table {table}")
+        return name
+
+    def _rows_of(self, executions: Sequence[str]) -> int:
+        """Return how many samples executions have at most."""
+        entries = [self._execution(name) for name in executions]
+        return int(sum(one["end_s"] - one["start_s"] for one in entries) * self.rate_hz) + 2 * len(entries)
 
     def _tasks(self, columns: Sequence[str]) -> pl.LazyFrame:
         return self._mine(self._files.scan([self._files.whole(TASKS)], schema.TASKS, columns))

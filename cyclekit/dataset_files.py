@@ -11,7 +11,11 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from cyclekit.checksums import PIECE_BYTES, change, changes, reading, unreadable
+from cyclekit.errors import DatasetError
+from cyclekit.footers import check_rows, sample_files
 from cyclekit.inside import inside
+from cyclekit.memory import free_bytes
+from cyclekit.text_columns import in_one_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,6 +23,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.schema import Column
+
+
+_VALUE_BYTES = 8
+"""Of a decoded number; a flag has less, a text more."""
+_COPIES = 2
+"""A table is unpacked and decoded, or sorted: for a while it is there twice."""
+_SMALL_BYTES = 1 << 18
+"""In files of less, what is packed is not looked at: that takes longer than to read them."""
+_CURE = (
+    "Ingest fewer logs into one dataset, a month of them say, or work on a machine with more memory; train, estimate "
+    "and evaluate hold fewer executions at a time where CYCLEKIT_MEMORY_ROWS is set to less than 10000000 samples."
+)
 
 
 class DatasetFiles:
@@ -49,7 +65,7 @@ class DatasetFiles:
             DatasetError: One of them is missing or damaged.
         """
         if self._listed is None:
-            names = sorted(f"samples/{file.name}" for file in (self._path / "samples").glob("*.parquet"))
+            names = [f"samples/{file.name}" for file in sample_files(self._path)]
         else:
             names = sorted(name for name in self._listed if name.startswith("samples/"))
         stems = {name: name.removeprefix("samples/").removesuffix(".parquet") for name in names}
@@ -83,6 +99,44 @@ class DatasetFiles:
                 raise unreadable(files[0], self._path, f"{seen}, where {columns[name].dtype} is needed")
         return rows.select(wanted)
 
+    def check_rows(self, name: str, most: int, what: str) -> None:
+        """Refuse a table that holds more rows than the card speaks of.
+
+        Raises:
+            DatasetError: It does, or is no file.
+        """
+        check_rows([self._file(name)], most, what)
+
+    def check_memory(self, files: Sequence[Path], wanted: Sequence[str], most: int | None = None) -> None:
+        """Refuse to read more than memory takes: without it, the process would be aborted.
+
+        Args:
+            files: Tables, checked before.
+            wanted: Which of their columns.
+            most: Rows that will be kept of them; None = all.
+
+        Raises:
+            DatasetError: They need more memory than there is, or are no tables.
+        """
+        free = free_bytes()
+        if free is None or not files:
+            return
+        with reading(files[0], self._path):
+            rows = int(pl.scan_parquet(list(files), glob=False).select(pl.len()).collect().item())
+            needed = rows * len(wanted) * _VALUE_BYTES
+            if sum(file.stat().st_size for file in files) > _SMALL_BYTES:
+                from cyclekit.tables import unpacked_bytes  # whoever reads a log needs no Arrow to begin
+
+                needed = max(needed, sum(unpacked_bytes(file, wanted) for file in files))
+        kept = rows if most is None else min(rows, most)
+        needed = _COPIES * needed * kept // max(rows, 1)
+        if needed > free:
+            raise DatasetError(
+                f"{files[0] if len(files) == 1 else files[0].parent}: {kept:,} rows of {len(wanted)} columns need "
+                f"{needed / 1e9:.1f} GB of memory, and this process may take {free / 1e9:.1f} GB",
+                cure=_CURE,
+            )
+
     def between(self, name: str, first_s: float, last_s: float) -> pl.LazyFrame:
         """Return the rows of a native-rate table from `first_s` to `last_s` of the log's clock, unread.
 
@@ -104,13 +158,13 @@ class DatasetFiles:
         return pl.scan_parquet(self._checked(name, within), glob=False).filter(near)
 
     def collected(self, rows: pl.LazyFrame, name: str) -> pl.DataFrame:
-        """Read what was scanned.
+        """Read what was scanned; every text in it is one line, whoever wrote the table.
 
         Raises:
             DatasetError: It cannot be read.
         """
         with reading(self._file(name), self._path):
-            return rows.collect()
+            return in_one_line(rows.collect())
 
     def _file(self, name: str) -> Path:
         """Return where a file lies.

@@ -36,12 +36,33 @@ def check_tables(path: Path, card: DatasetCard) -> None:
     seconds = sum(one.end_s - one.start_s for one in card.executions)
     samples = int(seconds * card.rate_hz) + 2 * len(card.executions)
     aside = sum(part.count for one in card.recordings for part in one.rows_set_aside)
-    _check(sorted((path / "samples").glob("*.parquet")), samples, "samples")
-    _check([path / "tasks.parquet"], card.rows.tasks, "tasks")
-    _check([path / "quarantine.parquet"], aside, "rows set aside")
+    check_rows(sample_files(path), samples, "samples")
+    check_rows([path / "tasks.parquet"], card.rows.tasks, "tasks")
+    check_rows([path / "quarantine.parquet"], aside, "rows set aside")
 
 
-def _check(files: Sequence[Path], most: int, what: str) -> None:
+def sample_files(path: Path) -> list[Path]:
+    """Return the tables of samples of the dataset at `path`, in order of name; none where there is no such folder.
+
+    Raises:
+        DatasetError: The folder cannot be listed.
+    """
+    folder = path / "samples"
+    try:
+        return sorted(file for file in folder.iterdir() if file.suffix == ".parquet")
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:  # `glob` would find nothing, and say nothing
+        cause = f"{folder}: cannot be listed ({error.strerror})"
+        raise DatasetError(cause, cure="Check the permissions of the folder.") from error
+
+
+def check_rows(files: Sequence[Path], most: int, what: str) -> None:
+    """Refuse tables that together hold more than `most` rows, or are no files; what is missing or no table passes.
+
+    Raises:
+        DatasetError: They do, or are none.
+    """
     files = [file for file in files if os.path.lexists(file)]
     for file in files:
         try:

@@ -24,7 +24,7 @@ from cyclekit.behind import Behind
 from cyclekit.files import regular
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Container, Iterator, Mapping, Sequence
     from pathlib import Path
     from types import TracebackType
     from typing import IO, Self
@@ -332,6 +332,15 @@ def spans(file: Path, column: str, least: float, most: float) -> list[tuple[int,
             ends = [begin + part.total_compressed_size for begin, part in zip(begins, parts, strict=True)]
             found.append((min(begins), max(ends)))
     return found
+
+
+def unpacked_bytes(file: Path, columns: Container[str]) -> int:
+    """Return how many bytes some columns of a Parquet table have when they are unpacked, not yet decoded."""
+    with pq.ParquetFile(file) as parquet:
+        about = parquet.metadata
+    groups = (about.row_group(number) for number in range(about.num_row_groups))
+    parts = (group.column(index) for group in groups for index in range(group.num_columns))
+    return sum(part.total_uncompressed_size for part in parts if part.path_in_schema in columns)
 
 
 def parts_of(file: Path) -> Iterator[pl.DataFrame]:

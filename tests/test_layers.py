@@ -34,7 +34,7 @@ FLOORS = [
     {"engine"},
     {"config", "schema", "sequences"},
     {"cards", "mistaken", "toml_file"},
-    {"inside"},
+    {"inside", "text_columns"},
     {
         "ahead",
         "arm",
@@ -44,6 +44,7 @@ FLOORS = [
         "files",
         "height",
         "labels",
+        "memory",
         "one_thread",
         "plain_json",
         "rate",

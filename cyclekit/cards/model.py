@@ -12,6 +12,8 @@ Width = Annotated[int, Meta(ge=1, le=4096)]
 """Numbers that go into a layer, or come out of it."""
 Layer = tuple[Width, Width]
 """Inputs and outputs of a layer."""
+Deviation = Annotated[float, Meta(ge=-1e15, le=1e15)]
+"""A mean deviation of estimated scalings, or of their squares."""
 Samples = Annotated[int, Meta(ge=1, le=1000)]
 """Samples that a network sees, or rows between two of them."""
 
@@ -38,12 +40,12 @@ class MetricsCard(Card, frozen=True, kw_only=True):
     """
 
     rows: Count
-    mse_mean: float
-    mse_argmax: float | None = None
-    mae: float
-    bias: float
-    accuracy: float | None = None
-    calibration_error: float | None = None
+    mse_mean: Deviation
+    mse_argmax: Deviation | None = None
+    mae: Deviation
+    bias: Deviation
+    accuracy: Fraction | None = None
+    calibration_error: Fraction | None = None
 
 
 class LevelShare(Card, frozen=True, kw_only=True):

@@ -77,6 +77,8 @@ def run(words: list[str]) -> int:
         return _run(words)
     except OSError as error:
         return _refused(error, as_json="--json" in words)
+    except MemoryError as error:
+        return _too_large(error, as_json="--json" in words)
 
 
 def _run(words: list[str]) -> int:
@@ -124,6 +126,16 @@ def _refused(error: OSError, *, as_json: bool) -> int:
     if is_of_output(error):  # then it takes no document either
         drop_output()
     return say_failure(explained(error), kind="SystemRefused", as_json=as_json)
+
+
+def _too_large(error: MemoryError, *, as_json: bool) -> int:
+    from cyclekit.cli.terminal import say_failure
+    from cyclekit.errors import CyclekitError
+
+    why = f" ({error})" if str(error) else ""
+    cure = "Work on fewer logs at a time, a month of them say, or on a machine with more memory."
+    seen = f"this needs more memory than the process may take{why}"
+    return say_failure(str(CyclekitError(seen, cure=cure)), kind="MemoryError", as_json=as_json)
 
 
 def app(wanted: Sequence[str] = ORDER) -> typer.Typer:

@@ -244,7 +244,8 @@ def _tasks(tasks: Sequence[Mapping[str, Any]]) -> str:
 
 def _model(found: ModelDescription) -> str:
     card, metrics = found.card, found.card.get("metrics", {})
-    split = {part: len(names) for part, names in card.get("split", {}).items()}
+    divided = card.get("split", {})
+    split = {part: len(divided[part]) for part in ("train", "validation", "test") if part in divided}
     lines = [
         f"{found.path}: model",
         f"  problem    {found.problem}" + (f", horizon {duration(found.horizon_s)}" if found.horizon_s else ""),

@@ -47,7 +47,7 @@ def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> li
     found = []
     turned_down = {name for name, part in slider_losses(dataset).items() if part > SLIDER_LOSS}
     for entry in dataset.card["executions"]:
-        if entry["complete"] and len(entry["places"]) > 1 and entry["execution"] not in turned_down:
+        if entry["complete"] and len(entry.get("places", ())) > 1 and entry["execution"] not in turned_down:
             sequence = TaskSequence(entry["execution"], tuple(entry["places"]))
             if all(task in nominal for task in sequence.tasks):
                 found.append(sequence)

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.adapter import whole
-from cyclekit.plain_text import NOT_ONE_LINE, one_line
+from cyclekit.plain_text import one_line
 from cyclekit.plausible.checks import EventChecks, PeopleChecks, RobotChecks
 from cyclekit.plausible.window import Sliding, let_through
+from cyclekit.text_columns import in_one_line
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -74,19 +75,10 @@ def _named_in_lines(part: Recording) -> Recording:
     changed = {}
     for table, columns in _TEXTS.items():
         frame = part.tables().get(table)
-        odd = [] if frame is None else [name for name in columns if _is_odd(frame, name)]
-        if frame is not None and odd:
-            changed[table] = frame.with_columns(pl.col(odd).map_elements(one_line, return_dtype=pl.String))
+        if frame is not None:
+            changed[table] = in_one_line(frame, columns)
     said = tuple(map(one_line, part.warnings))
     return replace(part, warnings=said, **changed)  # type: ignore[arg-type]  # the names are those of the fields
-
-
-def _is_odd(frame: pl.DataFrame, name: str) -> bool:
-    if name not in frame.columns:
-        return False
-    texts = frame[name].cast(pl.String)
-    texts = texts.filter(texts.ne_missing(texts.shift(1))).unique()  # few, as a rule: looking into each takes longer
-    return bool(texts.str.contains(NOT_ONE_LINE).any())
 
 
 def _reasons(set_aside: pl.DataFrame) -> pl.DataFrame:

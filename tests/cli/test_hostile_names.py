@@ -19,6 +19,7 @@ from rerun.chunk import RrdReader
 from cyclekit.cli import run
 from cyclekit.cli.terminal import Terminal, _Lines, bullet, say_failure, table, write_json
 from cyclekit.convert import convert
+from cyclekit.dataset import Dataset
 
 BIDI = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 NASTY = {
@@ -65,6 +66,19 @@ def test_what_a_command_shows_of_a_hostile_dataset_steers_no_terminal(
     said = capsys.readouterr()
     assert not steers(said.out + said.err)
     assert not [line for line in (said.out + said.err).splitlines() if line.startswith("error: forged")]
+
+
+def test_every_text_out_of_a_hostile_table_is_one_line(dataset: Path) -> None:
+    opened = Dataset.open(dataset)
+    record = opened.recordings[0]["id"]
+    file = dataset / "recordings" / record / "people.parquet"
+    pl.read_parquet(file).with_columns(person=pl.lit(NASTY["home"])).write_parquet(file)
+    execution = opened.executions["execution"][0]
+    tables = [opened.tasks(), opened.done_tasks(), opened.samples(), opened.samples([execution])]
+    tables += [opened.recorded(record, "people"), opened.recorded_between(record, "people", 0, 9)]
+    texts = {text for table in tables for column in table.select(pl.col(pl.String)) for text in column.drop_nulls()}
+    assert "a\\nerror: forged\\u202egnp.exe\\x9b31m" in texts
+    assert not {text for text in texts if steers(text) or "\n" in text}
 
 
 def test_reports_and_replay_of_a_hostile_dataset_are_shown_and_not_obeyed(dataset: Path, tmp_path: Path) -> None:

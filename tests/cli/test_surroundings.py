@@ -180,3 +180,34 @@ def test_a_refusal_of_the_system_names_the_file_and_the_cure() -> None:
     full = OSError(errno.ENOSPC, "No space left on device", "a/b.parquet")
     assert explained(full) == "a/b.parquet: No space left on device\n  Free some space, or write somewhere else."
     assert explained(OSError("Permission denied: x")).startswith("Permission denied: x\n  Check")
+
+
+def test_samples_that_cannot_be_listed_are_a_message_and_no_empty_dataset(
+    cyclekit: Shell, small: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refusing(real):  # type: ignore[no-untyped-def]
+        def listing(path="."):  # type: ignore[no-untyped-def]
+            if os.fspath(path) == str(small / "samples"):
+                raise PermissionError(errno.EACCES, "Permission denied", str(path))
+            return real(path)
+
+        return listing
+
+    for name in ("listdir", "scandir"):
+        monkeypatch.setattr(os, name, refusing(getattr(os, name)))
+    failed = cyclekit("inspect", small)
+    assert failed.code == 1
+    assert failed.err.startswith(f"error: {small / 'samples'}: cannot be listed (Permission denied)\n")
+
+
+def test_more_memory_than_there_is_is_one_message(
+    cyclekit: Shell, small: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def greedy(*_: object) -> None:
+        raise MemoryError("Unable to allocate 458. MiB for an array")
+
+    monkeypatch.setattr("cyclekit.describe._describe_dataset", greedy)
+    failed = cyclekit("inspect", small)
+    assert failed.code == 1
+    assert failed.err.startswith("error: this needs more memory than the process may take (Unable to allocate 458. MiB")
+    assert "Traceback" not in failed.err

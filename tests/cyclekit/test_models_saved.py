@@ -16,6 +16,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from safetensors.numpy import save
 
+from cyclekit.cli.facts import page
+from cyclekit.describe import describe
 from cyclekit.errors import ModelError, ShapeError
 from cyclekit.models.saved import TrainedModel, load_model, save_model
 from cyclekit.models.weights import Weights
@@ -264,6 +266,10 @@ HOSTILE_CARDS = {
     "a training seed of text": ({"card": {"seed": "0"}}, r"card\.seed: expected a whole number, got a text"),
     "metrics that are a list": ({"card": {"metrics": []}}, r"card\.metrics: expected a table, got a list"),
     "no metrics": ({"card": {"metrics": None}}, r"card\.metrics: expected a table, got null"),
+    "an accuracy of 1e308": (
+        {"card": {"metrics": {"rows": 3, "mse_mean": 0.1, "mae": 0.1, "bias": 0.0, "accuracy": 1e308}}},
+        r"card\.metrics\.accuracy",
+    ),
     "a split of numbers": ({"card": {"split": {"test": [1]}}}, r"card\.split\.test\[0\]: expected a text"),
     "a rate of 0": ({"card": {"rate_hz": 0}}, r"card\.rate_hz: expected a number > 0"),
     "a rate of 400 digits": ({"card": {"rate_hz": 10**400}}, r"card\.rate_hz: number out of range"),
@@ -291,6 +297,12 @@ def test_a_card_that_is_no_json_object_is_refused(tmp_path, content):
     (tmp_path / "m" / "model.json").write_bytes(content)
     with pytest.raises(ModelError, match=r"model\.json"):
         load_model(tmp_path / "m")
+
+
+def test_a_part_of_the_split_that_nobody_knows_is_passed_over(tmp_path):
+    save_model(tmp_path / "model", model())
+    with_card(tmp_path / "model", card={"seed": 0, "split": {"..": -1, "test": ["e1"]}})
+    assert "executions 1 test" in page(describe(tmp_path / "model"))
 
 
 def test_weights_changed_by_one_bit_are_noticed(tmp_path):

@@ -195,6 +195,7 @@ def test_of_a_large_file_the_pieces_that_are_read_are_checked(
     card = json.loads((dataset / CARD).read_text(encoding="utf-8"))
     card["files"] = checksums.listed(dataset)
     del card["files"][CARD]
+    card["recordings"][0]["rows"]["robot"] = rows.height
     (dataset / CARD).write_text(json.dumps(card), encoding="utf-8")
     assert len(card["files"][RECORDED]["blake3"]) > 5
     spoil(dataset / RECORDED, "bit")

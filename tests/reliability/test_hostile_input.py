@@ -4,22 +4,60 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
+if TYPE_CHECKING:
+    from types import ModuleType
+
 FILE = Path(__file__).parents[2] / "benchmarks" / "hostile_input.py"
+KINDS = ("dataset card", "model card", "manifest", "cell file", "sequence file", "name of a log")
 
 
-@pytest.mark.parametrize("kind", ["model card", "cell file", "sequence file"])
-def test_hostile_input_is_accepted_or_refused_in_one_message(kind: str, monkeypatch: pytest.MonkeyPatch):
+@pytest.fixture
+def benchmark(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setenv("CYCLEKIT_CACHE", "")  # the benchmark sets it; afterwards it is what it was
     spec = importlib.util.spec_from_file_location("hostile_input", FILE)
     assert spec is not None
     assert spec.loader is not None
-    benchmark = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(__import__("sys").modules, "hostile_input", benchmark)
-    spec.loader.exec_module(benchmark)
-    found = benchmark.run(200, 0, only=[kind])[kind]
-    assert found.inputs >= 100
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(__import__("sys").modules, "hostile_input", module)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_hostile_input_is_accepted_or_refused_in_one_message(kind: str, benchmark: ModuleType):
+    found = benchmark.run(100, 0, only=[kind])[kind]
+    assert found.inputs >= 90
+    assert found.accepted > 0  # else nothing but the first check was tried
     assert found.tracebacks == {}
-    assert found.outside == 0
+    assert (found.outside, found.raw) == (0, 0), found.examples
+
+
+def _joined(folder: Path, *names: str, **_: Any) -> Path:
+    return folder.joinpath(*names)
+
+
+@pytest.mark.parametrize(
+    ("kind", "careless"),
+    [
+        ("dataset card", {"cyclekit.dataset_files.inside": _joined}),
+        ("manifest", {"cyclekit.storage.manifest.check": lambda _: None}),  # its parts are from anywhere
+        ("manifest", {"cyclekit.storage.manifest.check": lambda _: None, "cyclekit.storage.parts.inside": _joined}),
+    ],
+    ids=["card", "parts", "names"],
+)
+def test_a_reader_without_checks_is_caught(
+    kind: str, careless: dict[str, Any], benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch
+):
+    for name, instead in careless.items():
+        monkeypatch.setattr(name, instead)
+    assert benchmark.run(100, 0, only=[kind])[kind].outside > 0
+
+
+def test_raw_control_characters_are_caught(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch):
+    for name in ("cyclekit.cli.terminal.visible", "cyclekit.toml_file.all_in_one_line"):
+        monkeypatch.setattr(name, lambda text: text)
+    assert benchmark.run(400, 0, only=["sequence file"])["sequence file"].raw > 0

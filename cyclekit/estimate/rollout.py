@@ -55,10 +55,11 @@ MANY = 50
 
 @dataclass(frozen=True)
 class Altered:
-    """Another cell than the one that was logged: its nominal tasks made of the logged ones, and its operator tracks."""
+    """Another cell than the one that was logged: tasks and tracks made of the logged ones, and how s follows there."""
 
     tasks: Callable[[Mapping[str, NominalTask]], Mapping[str, NominalTask]]
     tracks: Callable[[OperatorTracks, Mapping[str, NominalTask]], OperatorTracks]
+    dynamics: Dynamics
 
 
 @one_thread()
@@ -201,8 +202,7 @@ def _rolled(ask: Question, turn: _Round) -> Iterator[Rolled]:
     programs, tracks = turn.programs, turn.tracks
     if ask.estimator == "average":
         return (by_average(ask.model, program, tracks, seed=ask.seed) for program in programs)  # type: ignore[arg-type]
-    dynamics = Dynamics.of(ask.dataset.card)
-    if len(programs) <= MANY or not dynamics.none:
+    if len(programs) <= MANY or not _dynamics(ask).none:
         return _walked(ask, turn)
     return _looked_up(ask, turn)
 
@@ -215,7 +215,11 @@ def _walked(ask: Question, turn: _Round) -> Iterator[Rolled]:
         asked = Asked(ask.model, ask.dataset.place, some, operator, turn.horizon_s, ask.seed)
         return roll_spread(ask.engine, asked, turn.sequences, len(tracks.executions))
     support = None if getattr(ask.model, "known_everywhere", False) else logged_support(ask.dataset)
-    return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=Dynamics.of(ask.dataset.card))
+    return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=_dynamics(ask))
+
+
+def _dynamics(ask: Question) -> Dynamics:
+    return ask.altered.dynamics if ask.altered is not None else Dynamics.of(ask.dataset.card)
 
 
 def _looked_up(ask: Question, turn: _Round) -> Iterator[Rolled]:

@@ -26,6 +26,7 @@ from cyclekit.people import (
     ids_are_real,
     link_by_motion,
     nearest_person,
+    spot,
     without_jumps,
 )
 from cyclekit.silence import Silence
@@ -175,7 +176,7 @@ def operator_places(stays: Sequence[Stays], cell: Cell) -> dict[str, Place]:
         for name, xyz_m in zip(mine.goals, mine.at_m, strict=False):  # without goals there is nothing to name
             if name is not None and name not in spots:
                 at.setdefault(name, []).append(xyz_m)
-    return spots | {name: _spot(name, np.array(points)) for name, points in sorted(at.items())}
+    return spots | {name: spot(name, np.array(points)) for name, points in sorted(at.items())}
 
 
 def with_goals(samples: pl.DataFrame, goals: Sequence[str | None], spots: Mapping[str, Place]) -> pl.DataFrame:
@@ -237,6 +238,8 @@ def _log(entry: dict[str, Any], read: Read, source: Source | None) -> _Log:
     if (height_m := _height_range(tracks)) > HEIGHT_M:
         told = f"the height of a person changes by {height_m:.1f} m: check which axis points up, and frame in cell.toml"
         entry["warnings"].append(f"{OPERATOR}{told}")
+    if tracks and all(np.isnan(track.xyz_m[:, 2]).all() for track in tracks):
+        entry["warnings"].append(f"{OPERATOR}heights are unknown: distances are those in the plane")
     entry["operator"] = {"not_believed": disbelieved}
     return _Log(entry, tracks, Silence.of(t, xyz, None if source is None else source.silence))
 
@@ -283,11 +286,6 @@ def _seen_by(log: _Log, times: Vector, cell: Cell) -> NDArray[np.int8]:
     clock = log.entry["clock"]
     first, last = (log.entry[key] * clock["rate"] + clock["offset_s"] for key in ("first_s", "last_s"))
     return gap_reasons(log.tracks, times, (first, last), bridge_s=cell.bridge_s)
-
-
-def _spot(name: str, points: Points) -> Place:
-    x, y, z = (round(float(v), 4) for v in np.nanmedian(points, axis=0))
-    return Place(name, (x, y, z), 0.4, inferred=True)
 
 
 def _why_unseen(human_m: Points, reasons: NDArray[np.int8] | None) -> list[str | None]:

@@ -19,7 +19,6 @@ import polars as pl
 
 from cyclekit.clock import (
     ASSUMED,
-    MAX_DRIFT,
     ClockFit,
     LogClock,
     coarse_fit,
@@ -27,7 +26,7 @@ from cyclekit.clock import (
     fit_events,
     fit_motion,
     fit_pairs,
-    lower_envelope,
+    follow,
 )
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.frames import to_base
@@ -141,6 +140,9 @@ def _fit(
     if any(_restarts(_stamps_of(one, tables.read)) for one in (entry, master)):
         said = "a device's clock was restarted while recording, so its stamps place no clock: split the log there; "
         plain = replace(plain, warning=said + str(plain.warning))
+    elif any(_is_lost(one, tables.read) for one in (entry, master)):
+        said = "a device's and its host's stamps move apart by more than clocks do, and no line follows them: "
+        plain = replace(plain, warning=said + str(plain.warning))
     if coarse_step_s is None or "people" not in entry["tables"]:
         return plain
     return _coarse(entry, master, source, tables, coarse_step_s) or plain
@@ -233,9 +235,12 @@ def _by_stamps(entry: dict[str, Any], master: dict[str, Any], read: Read) -> Clo
         return None
     known = [fit for fit in (mine, theirs) if fit.method == "lower-envelope"]
     late_s = max(fit.residual_s or 0.0 for fit in known)
-    warning = None
+    said = [fit.warning for fit in known if fit.warning]
     if late_s > LATE_S:
-        warning = f"its stamps typically lie {late_s:.2g} s above the line that places its clock: delays, or a poor fit"
+        said.append(
+            f"its stamps typically lie {late_s:.2g} s above the line that places its clock: delays, or a poor fit"
+        )
+    warning = "; ".join(said) or None
     return ClockFit(
         "lower-envelope",
         (mine.offset_s - theirs.offset_s) / theirs.rate,
@@ -253,11 +258,16 @@ def _to_epoch(entry: dict[str, Any], read: Read) -> ClockFit | None:
     stamps = _stamps_of(entry, read)
     if stamps is None or stamps.height < 2 or _restarts(stamps):
         return None
-    return lower_envelope(stamps["t_s"].to_numpy(), stamps["host_s"].to_numpy(), max_drift=MAX_DRIFT)
+    return follow(stamps["t_s"].to_numpy(), stamps["host_s"].to_numpy())
 
 
 def _stamps_of(entry: dict[str, Any], read: Read) -> pl.DataFrame | None:
     return read(entry["id"], "stamps") if "stamps" in entry["tables"] else None
+
+
+def _is_lost(entry: dict[str, Any], read: Read) -> bool:
+    """Tell whether a log has stamps and nothing follows them."""
+    return entry["clock"]["kind"] != "epoch" and "stamps" in entry["tables"] and _to_epoch(entry, read) is None
 
 
 def _restarts(stamps: pl.DataFrame | None) -> bool:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit import schema
 from cyclekit.adapter import ReadOptions
-from cyclekit.config import Cell, NamedPlace, Source, load_cell
+from cyclekit.config import Cell, NamedPlace, Robot, Source, load_cell
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, LogError
 from cyclekit.files import resolved
@@ -43,6 +43,7 @@ class Log:
     source: Source | None
     key: str
     size: int = 0
+    robot: Robot | None = None
 
 
 def cell_for(roots: Sequence[Path], given: Path | None) -> Cell:
@@ -115,7 +116,7 @@ def find_all(
             try:
                 away = not follow_links and _leads_out(path, root)
                 known = reader if is_text and not away and (path.is_file() or path.is_dir()) else None
-                log = _log(path, shown, known, source, logs) if known else None
+                log = _log(path, shown, known, source, logs, cell.robot) if known else None
                 if log is None:
                     unknown = _no_text(path) if not is_text else _no_way_out(path) if away else why_unknown(path)
             except OSError as error:  # it went away, or was never to be read, since its folder was listed
@@ -185,13 +186,15 @@ def matches(shown: str, path: Path, pattern: str) -> bool:
     return shown == wanted or shown.startswith(f"{wanted}/") or fnmatchcase(shown, wanted) or str(path) == pattern
 
 
-def _log(path: Path, shown: str, reader: Registered, source: Source | None, taken: dict[str, Log]) -> Log:
+def _log(
+    path: Path, shown: str, reader: Registered, source: Source | None, taken: dict[str, Log], robot: Robot | None
+) -> Log:
     slug = fitting(re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(shown).with_suffix("").as_posix().replace("/", ".")))
     name, number = slug, 1
     while name in taken:
         number += 1
         name = f"{slug}-{number}"
-    log = Log(name, path, shown, reader.name, reader.package, reader.version, source, "")
+    log = Log(name, path, shown, reader.name, reader.package, reader.version, source, "", robot=robot)
     return replace(log, key=key_of(log), size=sum(file.stat().st_size for file in files_of(log.path)))
 
 
@@ -202,6 +205,7 @@ def key_of(log: Log) -> str:
         OSError: A file of the log has gone.
     """
     facts = [str(resolved(log.path)), log.adapter, log.version, repr(options_of(log.source)), schema.SCHEMA_VERSION]
+    facts += [repr(log.robot)] if log.robot else []
     stats = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files_of(log.path)]
     return hashlib.sha256(json.dumps([facts, stats]).encode()).hexdigest()
 

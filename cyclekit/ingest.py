@@ -32,6 +32,7 @@ from cyclekit.intake import Digests, How, check_shared, read_all
 from cyclekit.intake.shelf import Shelf
 from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.one_thread import one_thread
+from cyclekit.plain_json import finite
 from cyclekit.privacy import Names, numbered_logs, take_out
 from cyclekit.session import group_sessions
 from cyclekit.storage import is_url, mirrored, published
@@ -240,7 +241,7 @@ def _build(
         cell, not_read = names.settings(), names.not_read(not_read)
     write_parquet(derived.tasks, staging / TASKS)
     card = _card(cell, entries, derived, not_read, wanted) | {"files": listed(staging)}
-    write_text(staging / CARD, sealed(json.dumps(card, indent=1, ensure_ascii=False) + "\n"))
+    write_text(staging / CARD, sealed(json.dumps(finite(card), indent=1, ensure_ascii=False, allow_nan=False) + "\n"))
     return card, kept
 
 

@@ -286,9 +286,15 @@ def find_spots(stays: Points) -> dict[str, Place]:
     groups = [g for g in cluster(floor, rows, SPOT_M) if len(g) >= max(2, 0.01 * len(stays))]
     spots = {}
     for number, group in enumerate(sorted(groups, key=len, reverse=True), 1):
-        x, y, z = (round(float(v), 4) for v in np.nanmedian(stays[group], axis=0))
-        spots[f"spot_{number}"] = Place(f"spot_{number}", (x, y, z), SPOT_M, inferred=True)
+        spots[f"spot_{number}"] = spot(f"spot_{number}", stays[group])
     return spots
+
+
+def spot(name: str, points: Points) -> Place:
+    """Return the place in the middle of stays (M, 3), m; without any height it lies at that of the robot's base, 0."""
+    heights = points[np.isfinite(points[:, 2]), 2]
+    x, y = (round(float(v), 4) for v in np.nanmedian(points[:, :2], axis=0))
+    return Place(name, (x, y, round(float(np.median(heights)), 4) if len(heights) else 0.0), SPOT_M, inferred=True)
 
 
 def goals_from_stays(

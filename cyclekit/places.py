@@ -36,13 +36,15 @@ WORKS, WORKS_AT = 0.9, 0.8
 some place: one that says that the robot is halted, or moves, changes at the ends of stands and at no place in most."""
 
 
-def find_places(runs: Sequence[Run], stops: Sequence[Stop], named: Mapping[str, NamedPlace]) -> dict[str, Place]:
+def find_places(
+    runs: Sequence[Run], stops: Sequence[Stop], named: Mapping[str, NamedPlace], *, all_named: bool = False
+) -> dict[str, Place]:
     """Return the places of a cell, by name, named ones first and found ones (`place_1`, ...) by first visit.
 
     A spot is a place when the cell file names it, or the robot stood there while it was free to move (in at least
     a tenth of its stops), or, where no scaling is known, when it hardly ever passes without standing. The spot at
     which most recordings begin and end is a place too: a recorder that runs from home to home never sees it stand.
-    So is one in half of whose stops a signal changes that tells of work at the others.
+    So is one in half of whose stops a signal changes that tells of work at the others. With `all_named` none is found.
     """
     places: dict[str, Place] = {}
     xyz = np.array([stop.xyz_m for stop in stops]).reshape(-1, 3)
@@ -58,6 +60,8 @@ def find_places(runs: Sequence[Run], stops: Sequence[Stop], named: Mapping[str, 
         centre = np.median(xyz[near], axis=0) if near.any() else np.asarray(place.xyz_m)
         places[name] = Place(name, _triple(centre), _radius(xyz[near], centre), inferred=False)
         left &= np.linalg.norm(xyz - centre, axis=1) > MERGE_M
+    if all_named:
+        return places
     groups = cluster(xyz, np.flatnonzero(left), MERGE_M)
     edges = [bool(np.isin(group, common).any()) for group in groups]
     others = [group for group, edge in zip(groups, edges, strict=True) if not edge]

@@ -18,15 +18,16 @@ def json_text(document: object, *, ascii_only: bool = False) -> str:
         document: Dictionaries, sequences and values; NaN and infinities become null, keys become strings.
         ascii_only: Escape everything else, for terminals whose encoding is not known.
     """
-    text = json.dumps(_finite(document), indent=2, ensure_ascii=ascii_only, default=str)
+    text = json.dumps(finite(document), indent=2, ensure_ascii=ascii_only, allow_nan=False, default=str)
     return CONTROL.sub(lambda found: f"\\u{ord(found[0]):04x}", text)  # only texts hold any: a terminal may show this
 
 
-def _finite(value: object) -> object:
+def finite(value: object) -> object:
+    """Return a document in which null stands for what is not a number, with lists for tuples and texts for keys."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
-        return {str(key): _finite(entry) for key, entry in value.items()}
+        return {str(key): finite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
+        return [finite(entry) for entry in value]
     return value

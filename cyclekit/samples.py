@@ -6,7 +6,8 @@
 
 A window never crosses from one execution into the next, nor a gap in the log, and neither does the history that a
 recurrent network sees. A row with an unknown target is left out and counted, never filled; so is one with an unknown
-input, unless the network has an input that says "known or not" for it (`GROUPS`). How executions are divided into those
+input, unless the network has an input that says "known or not" for it (`GROUPS`). Where only the height of the operator
+is unknown, that of the TCP stands for it (`height`). How executions are divided into those
 to learn from and those to judge by is decided here too: by execution, never by row, because neighbouring rows are
 nearly equal.
 """
@@ -20,6 +21,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import DatasetError, ShapeError, UnknownName
+from cyclekit.height import inputs_in_plane
 from cyclekit.steps import UNKNOWN, label_in_time, unbroken
 
 if TYPE_CHECKING:
@@ -139,7 +141,7 @@ def build_samples(
         msg = f"problem {problem!r} with a horizon of {horizon_s} s: `now` has none, the others need one"
         raise ShapeError(msg, cure=f"Give a horizon of at least {1 / rate_hz:g} s for ahead and average, 0 for now.")
     inputs = INPUTS[problem]
-    X = frame.select(pl.col(inputs).cast(pl.Float32)).to_numpy()
+    X = inputs_in_plane(frame.select(pl.col(inputs).cast(pl.Float32)).to_numpy())
     scaling = frame["scaling"].fill_null(np.nan).to_numpy()
     run = stretches(frame, rate_hz)
     target, whole = _target(problem, scaling, run, width)

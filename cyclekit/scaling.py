@@ -61,10 +61,17 @@ def with_scaling(
     done = [run if run.knows_scaling else run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
     slowest = slowest_speed([part.scaling for n in silent for part in sorted(parts[n], key=lambda part: part.first)])
     mine = [execution for execution in executions if execution.run in set(silent)]
+    watched = {number for session in sessions if _sees_people(session) for number in session.runs}
+    mine = [execution for execution in mine if execution.run in watched]
     halts = halts_at_places(done, mine, stands_of(done, mine, places), slowest)
     for number in silent:
         done[number] = runs[number].with_scaling([*parts[number], *halts[number]])
     return done, [f"{said}: inferred from velocity ratios against {_how(references)}"]
+
+
+def _sees_people(session: Session) -> bool:
+    """Tell whether people were logged: without them a standstill is no sign that anybody halted the robot."""
+    return any("people" in entry["tables"] for entry in session.entries)
 
 
 def _how(references: Mapping[str, Sequence[Reference]]) -> str:
@@ -87,7 +94,8 @@ def halts_at_places(
 
     Both look alike. But who halted the robot is still near when it may leave, so it leaves at the
     lowest speed there is; a robot that waited for a part leaves at whatever speed is allowed. A cell that knows only
-    halt and full speed cannot be told apart so: there the excess stays waiting.
+    halt and full speed cannot be told apart so: there the excess stays waiting. Ask only where people were logged: a
+    standstill alone tells no scaling.
 
     Args:
         runs: Runs of inferred scaling.
@@ -107,7 +115,8 @@ def halts_at_places(
             since_s = usual[visit.place].overdue_s(stand)
             if since_s is None:
                 continue
-            times = [since_s, stand.left_s, run.time_at(visit.last) + LEAVING_S]
+            last_s = run.time_at(visit.last)  # it may leave before it is seen to: what is seen to move was not halted
+            times = [since_s, min(stand.left_s, last_s), last_s + LEAVING_S]
             begin, left, end = run.row_at(np.array(times)).tolist()
             leaving = run.window(visit.last, end).scaling
             known = leaving[np.isfinite(leaving)]

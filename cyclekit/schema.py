@@ -38,7 +38,7 @@ ROBOT: Mapping[str, Column] = {
     "tcp_y_m": Column(F64, "m", "tool centre point, robot base frame"),
     "tcp_z_m": Column(F64, "m", "tool centre point, robot base frame"),
     "tcp_speed_m_s": Column(F64, "m/s", "norm of the linear TCP velocity, where the log has it"),
-    "scaling": Column(F64, "1", "effective speed scaling in [0,1] where logged and valid; null elsewhere"),
+    "scaling": Column(F64, "1", "effective speed scaling in [0,1]; null where not logged, not valid or not playing"),
     "slider": Column(F64, "1", "the operator's speed slider (target fraction) in [0,1], where logged"),
     "state": Column(TEXT, "", "program state: playing, paused, stopped; null = not logged"),
     "digital_out_bits": Column(I64, "", "digital outputs as a bit field, where logged"),

@@ -1,5 +1,6 @@
 """Where and when a robot stands: its standstills, told from the noise of its own position.
 
+A slow robot is looked at twice: speed says where it may stand, and how far it gets says whether it does.
 A robot program moves from place to place and stands there while the gripper works. A safety halt stands too, but
 somewhere along the way, and only while the scaling is zero. Which standstills are at a place is the business of
 `places`.
@@ -12,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.motion import pieces
+from cyclekit.motion import half_window, pieces
+from cyclekit.stillness import AXES, MIN_STOP_S, Stillness, quantum_of, stillness_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,12 +25,13 @@ if TYPE_CHECKING:
 
     Vector = NDArray[np.float64]
 
-MIN_STOP_S = 0.15
-"""A standstill shorter than this is no stop: the reversal of a path takes one or two controller cycles."""
 TWITCH_S, TWITCH_M = 0.1, 2e-4
-"""A motion that is over within this time and leads no farther than this is noise of the position."""
+"""A motion that is over within this time (or TWITCH_ROWS) and leads no farther than this is noise of the position."""
+TWITCH_ROWS = 4
 CRAWL_M_S = 3e-3
-"""A robot faster than this moves."""
+"""A robot slower than this may stand: whether it does is told from how far it gets (see `stillness`)."""
+APART_S = 0.5
+"""Slow stretches at one spot with less between them are looked at as one: noise divides them."""
 _CRAWLS = 2_000_000  # speeds that its noise is told from
 _PLACES = 20_000  # positions that the place of a stand is told from
 FREE_S = 0.1
@@ -58,22 +61,30 @@ class Stop:
 
 
 def standing(run: Run) -> float:
-    """Return the speed below which the robot stands, m/s: slower than the noise of its own standstill allows to see.
+    """Return the speed below which the robot may stand, m/s: slower than the noise of its own standstill lets see.
 
     It is four times the median speed below CRAWL_M_S, between 0.1 mm/s and CRAWL_M_S: low, because a motion that starts
-    jerk-limited is slow for its first milliseconds.
+    jerk-limited is slow for its first milliseconds. Where positions have a quantum it is at least that over the time
+    that a speed is taken over: a standing robot between two values shows it.
     """
     thin = max(1, run.rows // _CRAWLS)
-    crawls = [part.speed_m_s[part.speed_m_s < CRAWL_M_S][::thin] for _, part in pieces(run)]
-    crawl = np.concatenate([*crawls, np.empty(0)])
+    crawls, steps = [np.empty(0)], [np.empty(0)]
+    for _, part in pieces(run):
+        slow = part.speed_m_s < CRAWL_M_S
+        crawls.append(part.speed_m_s[slow][::thin])
+        steps.append(np.linalg.norm(np.diff(part.xyz_m, axis=0), axis=1)[slow[1:] | slow[:-1]][::thin])
+    crawl = np.concatenate(crawls)
     noise = float(np.median(crawl)) if len(crawl) else 0.0
-    return min(max(4.0 * noise, 1e-4), CRAWL_M_S)
+    step = min(quantum_of(np.concatenate(steps)), TWITCH_M)
+    over_s = 2 * half_window(run.period_s) * run.period_s
+    return max(min(max(4.0 * noise, 1e-4), CRAWL_M_S), AXES * step / over_s)
 
 
 def find_stops(run: Run, number: int) -> list[Stop]:
     """Return the standstills of a run of at least MIN_STOP_S and its two edges, in order."""
     stops, times = [], []
-    for stand in _stands(run, standing(run)):
+    slow = _stands(run, standing(run))
+    for stand in _standstills(run, slow, stillness_of(run, [(one.first, one.last) for one in slow])):
         short = stand.last_s - stand.first_s < MIN_STOP_S
         if short and stand.first != 0 and stand.last != run.rows - 1:
             continue
@@ -118,15 +129,49 @@ def _stands(run: Run, slow_m_s: float) -> list[_Stand]:
         for a, b in edges.reshape(-1, 2).tolist():
             since, until = float(part.t_s[a]), float(part.t_s[b - 1])
             here = _Stand(begin + a, begin + b - 1, since, until, part.xyz_m[a], part.xyz_m[b - 1])
-            if found and (found[-1].last + 1 == here.first or _is_twitch(found[-1], here)):
-                found[-1].last, found[-1].last_s, found[-1].last_m = here.last, here.last_s, here.last_m
+            if found and (found[-1].last + 1 == here.first or _is_twitch(found[-1], here, run.period_s)):
+                found[-1] = _both(found[-1], here)
             else:
                 found.append(here)
     return found
 
 
-def _is_twitch(before: _Stand, after: _Stand) -> bool:
-    brief = after.first_s - before.last_s < TWITCH_S
+def _standstills(run: Run, slow: list[_Stand], stillness: Stillness) -> list[_Stand]:
+    """Return where a slow robot stands: a slow motion is none. The edges of the run are kept, be it as a single row."""
+    found: list[_Stand] = []
+    for one in _joined(run, slow, stillness, APART_S):
+        still = stillness.stretches(run, one.first, one.last, one.last_s - one.first_s)
+        ends = [row for row in {0, run.rows - 1} if one.first <= row <= one.last]
+        kept = still + [(row, row) for row in ends if not any(a <= row <= b for a, b in still)]
+        found += [one if (a, b) == (one.first, one.last) else _stand(run, a, b) for a, b in sorted(kept)]
+    return _joined(run, found, stillness, stillness.within_s)
+
+
+def _joined(run: Run, parts: list[_Stand], stillness: Stillness, apart_s: float) -> list[_Stand]:
+    """Return the parts, in order, as one those apart by less than that between which the robot got nowhere."""
+    found: list[_Stand] = []
+    for one in parts:
+        brief = bool(found) and one.first_s - found[-1].last_s < apart_s
+        there = brief and np.linalg.norm(one.first_m - found[-1].last_m) <= stillness.reach_m
+        if found and (there or _is_twitch(found[-1], one, run.period_s)):
+            found[-1] = _both(found[-1], one)
+        else:
+            found.append(one)
+    return found
+
+
+def _both(before: _Stand, after: _Stand) -> _Stand:
+    return replace(before, last=after.last, last_s=after.last_s, last_m=after.last_m)
+
+
+def _stand(run: Run, first: int, last: int) -> _Stand:
+    """Return rows `first` to `last` with the times and places of both."""
+    a, b = run.window(first, first), run.window(last, last)
+    return _Stand(first, last, float(a.t_s[0]), float(b.t_s[0]), a.xyz_m[0], b.xyz_m[0])
+
+
+def _is_twitch(before: _Stand, after: _Stand, period_s: float) -> bool:
+    brief = after.first_s - before.last_s < max(TWITCH_S, TWITCH_ROWS * period_s)
     return bool(brief and np.linalg.norm(after.first_m - before.last_m) < TWITCH_M)
 
 

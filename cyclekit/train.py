@@ -21,6 +21,7 @@ from cyclekit import schema
 from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, MissingExtra, command_line
 from cyclekit.guard import check_output
+from cyclekit.height import said_of_height
 from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
 from cyclekit.models.cell import cell_of, fingerprint
 from cyclekit.models.metrics import measure
@@ -192,7 +193,12 @@ def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: Metrics) -> d
         **_origin(dataset, fitted.spec),
         "metrics": metrics.to_json(),
         "levels": [{"value": v, "share": round(float(s), 6)} for v, s in shares],
-        "warnings": [*found.notes, *found.staircase.warnings, *_other_opinion(dataset, found.seen, found.staircase)],
+        "warnings": [
+            *found.notes,
+            *said_of_height(found.seen),
+            *found.staircase.warnings,
+            *_other_opinion(dataset, found.seen, found.staircase),
+        ],
         "rate_hz": dataset.rate_hz,
         "temperature": fitted.temperature,
         "may_be_unknown": list(found.known),

@@ -35,6 +35,8 @@ class CsvMap:
         time: Column of the time, or of date and time of day.
         time_format: How a time is written as text: "iso", or a pattern such as "%d.%m.%Y %H:%M:%S%.f".
         time_zone: Zone of such a time, as "Europe/Rome"; without it its clock counts as relative.
+        confidence: Column of how sure the tracker is of a person's place; 0 = it repeats an old one.
+        missing: Numbers that stand for what was not seen or not measured.
         scaling: Columns whose product is the speed scaling.
     """
 
@@ -53,6 +55,8 @@ class CsvMap:
     z: str | None = None
     length_unit: str = "m"
     person: str | None = None
+    confidence: str | None = None
+    missing: tuple[float, ...] = ()
     scaling: tuple[str, ...] = ()
     scaling_max: float = 1.0
     slider: str | None = None
@@ -91,7 +95,7 @@ class CsvMap:
         """
         if self.signal:
             return "events"
-        if self.person:
+        if self.person or self.confidence:
             return "people"
         if self.joints or self.scaling or self.speed or self.state or self.slider:
             return "robot"
@@ -154,6 +158,9 @@ def _checked(key: str, value: object) -> object:
             return (value,)
         right = isinstance(value, Sequence) and not isinstance(value, str) and all(isinstance(v, str) for v in value)
         wanted, value = "a list of column names", tuple(map(str, cast("Sequence[str]", value))) if right else value
+    elif key == "missing":
+        right = isinstance(value, Sequence) and not isinstance(value, str) and all(map(_is_number, value))
+        wanted, value = "a list of numbers", tuple(map(float, cast("Sequence[float]", value))) if right else value
     elif key == "skip_rows":
         right, wanted = isinstance(value, int) and not isinstance(value, bool) and value >= 0, "a whole number"
     elif key == "scaling_max":
@@ -163,6 +170,10 @@ def _checked(key: str, value: object) -> object:
     if not right:
         raise ConfigError(f"{WHERE}: {key} = {value!r} is not {wanted}")
     return value
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _one_of(key: str, value: str, known: Mapping[str, float] | Sequence[str]) -> None:

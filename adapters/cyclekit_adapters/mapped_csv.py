@@ -69,6 +69,7 @@ class _MappedCsv:
                 rows = once.rows(rows, "repeats the time of the row before it")
             else:
                 back.add(rows.frame)
+            rows = replace(rows, frame=seen.without_missing(rows.frame))
             seen.add(rows.frame)
             return Recording(
                 **{role: table(rows.frame, mapping)},  # type: ignore[arg-type]  # the three roles are three fields
@@ -109,7 +110,8 @@ def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[st
         if not places:
             raise ConfigError(f"{WHERE}: people need the keys x and y", cure="Name the columns of both.")
         person = [mapping.person] if mapping.person else []
-        return list(dict.fromkeys([*number_time, *places.values()])), [*text_time, *person], [*time, *person]
+        numbers = [*number_time, *places.values(), *([mapping.confidence] if mapping.confidence else [])]
+        return list(dict.fromkeys(numbers)), [*text_time, *person], [*time, *person]
     whole_numbers = (mapping.digital_out, mapping.register)
     others = [column for column in (*mapping.scaling, mapping.slider, mapping.speed, *whole_numbers) if column]
     numbers = [*places.values(), *others, *mapping.joints]
@@ -211,9 +213,32 @@ class _Seen:
     role: Role
     states: set[str] = field(default_factory=set)
     beyond: int = 0
+    rows: int = 0
+    missing: int = 0
+    unsure: int = 0
 
     def __post_init__(self) -> None:
         self.spread = Spread((*self.mapping.scaling, *([self.mapping.slider] if self.mapping.slider else [])))
+
+    def without_missing(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return rows with null for what was not seen: a place all of whose numbers, any other number that is missing.
+
+        What is not sure at all is a place that was seen before.
+        """
+        mapping, places = self.mapping, list(self.mapping.places().values())
+        self.rows += frame.height
+        nowhere = pl.lit(value=False)
+        if mapping.missing and places:
+            nowhere = pl.all_horizontal(pl.col(name).is_in(mapping.missing) for name in places).fill_null(value=False)
+            self.missing += int(frame.select(nowhere.sum()).item())
+        if mapping.confidence and self.role == "people":
+            unsure = (pl.col(mapping.confidence) <= 0.0).fill_null(value=False)
+            self.unsure += int(frame.select(unsure.sum()).item())
+            nowhere = nowhere | unsure
+        known = [pl.when(~nowhere).then(pl.col(name)).alias(name) for name in places]
+        others = [*mapping.scaling, *mapping.joints, *filter(None, (mapping.slider, mapping.speed))]
+        known += [pl.when(~pl.col(name).is_in(mapping.missing)).then(pl.col(name)).alias(name) for name in others]
+        return frame.with_columns(known) if mapping.missing or mapping.confidence else frame
 
     def add(self, frame: pl.DataFrame) -> None:
         if self.role != "robot":
@@ -229,6 +254,11 @@ class _Seen:
         mapping, said = self.mapping, []
         if back:
             said.append(f"time steps back {back} time(s): each part is a run of its own")
+        if self.missing:
+            numbers = ", ".join(f"{number:g}" for number in mapping.missing)
+            said.append(f"the place is missing ({numbers}) in {self.missing} of {self.rows} rows: unknown there")
+        if self.unsure:
+            said.append(f"{mapping.confidence} is 0 in {self.unsure} of {self.rows} rows: nobody is seen there")
         if self.beyond:
             top = f"0..{mapping.scaling_max:g}"
             said.append(f"scaling is outside {top} in {self.beyond} rows and unknown there; see scaling_max")

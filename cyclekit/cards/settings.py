@@ -55,6 +55,7 @@ class SourceSettings(Card, frozen=True, kw_only=True):
     start: str | None = None
     frame: FrameSettings | None = None
     body: str | None = None
+    silence: Literal["absent", "unknown"] | None = None
     rate_hz: float | None = None
     map: dict[str, Any] = field(default_factory=dict)
 
@@ -90,6 +91,18 @@ class ExecutionSettings(Card, frozen=True, kw_only=True):
     signal: str | None = None
 
 
+class RobotSettings(Card, frozen=True, kw_only=True):
+    """The arm of a log of joint angles; see `cyclekit.config.Robot`.
+
+    Attributes:
+        dh: Of each joint: d, a, m; alpha, theta, deg.
+    """
+
+    model: str | None = None
+    dh: tuple[tuple[float, float, float, float], ...] = ()
+    tool_m: Point = (0.0, 0.0, 0.0)
+
+
 class CellSettings(Card, frozen=True, kw_only=True):
     """A cell file; see `cyclekit.config.Cell`."""
 
@@ -98,9 +111,11 @@ class CellSettings(Card, frozen=True, kw_only=True):
     ignore: tuple[str, ...] = ()
     reference: tuple[str, ...] = ()
     places: dict[str, NamedPlaceSettings] = field(default_factory=dict)
+    all_places_named: bool = False
     human_places: dict[str, NamedPlaceSettings] = field(default_factory=dict)
     furniture: dict[str, FurnitureSettings] = field(default_factory=dict)
     executions: ExecutionSettings = ExecutionSettings()
+    robot: RobotSettings | None = None
     rate_hz: Hertz = 10.0
     bridge_s: Seconds = 0.3
     levels: tuple[Scaling, ...] = ()

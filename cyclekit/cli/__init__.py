@@ -13,7 +13,9 @@ here can be done from Python in one line, the call in the middle of each command
 from __future__ import annotations
 
 import gc
+import os
 import sys
+import warnings
 from typing import TYPE_CHECKING
 
 from cyclekit.cli.surroundings import (
@@ -48,10 +50,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     gc.disable()  # nothing that is imported is garbage; it is looked for as soon as a command works (`Terminal`)
     if arguments is None:
         restart_in_utf8()
+        if not sys.warnoptions:  # `python -W` and PYTHONWARNINGS go before
+            without_warnings_of_libraries()
     complete_streams()
     code = run(list(sys.argv[1:] if arguments is None else arguments))
     gc.freeze()  # nor need it be looked for at the end: with all that was imported that takes a tenth of a second
     sys.exit(code)
+
+
+def without_warnings_of_libraries() -> None:
+    """Show no warning that a library has for programmers, here and in processes begun from here.
+
+    What a person must know of a result is said by the result.
+    """
+    warnings.simplefilter("ignore")
+    os.environ["PYTHONWARNINGS"] = "ignore"
 
 
 def run(words: list[str]) -> int:

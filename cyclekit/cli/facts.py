@@ -29,6 +29,8 @@ GAP_REASONS = {
     "absent": "nobody there, or away for longer",
     "outside": "the log had not begun, or was over",
 }
+UNEVEN = 0.02
+"""Where the rate differs by less from that of the median step, steps are even."""
 SHOWN_GAPS, SHOWN_TASKS, SHOWN_FILES = 3, 12, 20
 
 
@@ -77,6 +79,18 @@ def _rate(facts: TableFacts | None) -> str:
     return f"{facts.rate_hz:.4g} Hz" if facts and facts.rate_hz else "unknown"
 
 
+def _steps(facts: TableFacts) -> list[str]:
+    """Say how rows follow each other, where the rate alone does not tell."""
+    if not facts.rate_hz or not facts.step_s:
+        return []
+    if facts.lost:
+        part = percent(facts.lost / (facts.lost + facts.rows))
+        return [f"            steps: {1000 * facts.step_s:.4g} ms (median), {facts.lost} samples lost ({part})"]
+    if abs(facts.step_s * facts.rate_hz - 1.0) < UNEVEN:
+        return []
+    return [f"            steps: {1000 * facts.step_s:.4g} ms (median), uneven"]
+
+
 def _log(log: LogFacts) -> str:
     lines = [
         one_line(f"{log.path}"),
@@ -96,7 +110,8 @@ def _log(log: LogFacts) -> str:
 
 
 def _table(name: str, facts: TableFacts) -> list[str]:
-    lines = [f"  {name:<9} {facts.rows} rows, {_rate(facts)}, {duration(facts.duration_s)}"]
+    rate = "" if name == "events" else f"{_rate(facts)}, "
+    lines = [f"  {name:<9} {facts.rows} rows, {rate}{duration(facts.duration_s)}", *_steps(facts)]
     always = _columns([column for column, share in facts.known.items() if share == 1])
     partly = [f"{column} {percent(share)}" for column, share in facts.known.items() if share < 1]
     for title, columns in (("columns", always), ("partly known", partly)):

@@ -58,6 +58,7 @@ def plan(
         terminal.remark(f"written: {out}")
     alarms = [found.alarm] if found.alarm else []
     doubts = bullet(found.doubts, mark=DOUBTED)
+    terminal.warnings(found.notes)
     terminal.answer({**found.to_json(), "warnings": alarms}, alarmed(alarms), f"{_text(found)}\n{doubts}".rstrip())
 
 

@@ -8,14 +8,13 @@ Here are the mappings alone, on arrays; which one a log gets is the business of 
 from __future__ import annotations
 
 from cyclekit.clock.coarse import coarse_fit
-from cyclekit.clock.envelope import MAX_DRIFT, lower_envelope
+from cyclekit.clock.envelope import follow, lower_envelope
 from cyclekit.clock.fit import ASSUMED, ClockFit, LogClock, Method, fit_clock
 from cyclekit.clock.motion import fit_motion
 from cyclekit.clock.pairs import fit_events, fit_pairs
 
 __all__ = [
     "ASSUMED",
-    "MAX_DRIFT",
     "ClockFit",
     "LogClock",
     "Method",
@@ -24,5 +23,6 @@ __all__ = [
     "fit_events",
     "fit_motion",
     "fit_pairs",
+    "follow",
     "lower_envelope",
 ]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.clock.fit import ClockFit
+from cyclekit.height import in_plane
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -77,7 +78,8 @@ def _agreement(people: Sequence[Points], tcp_m: Points, slow: Vector, lag: int, 
     for track in people:
         begin, end = max(0, lag), min(len(tcp_m), len(track) + lag)
         if end > begin:
-            far = np.linalg.norm(track[begin - lag : end - lag] - tcp_m[begin:end], axis=1)
+            where = in_plane(tcp_m[begin:end], track[begin - lag : end - lag])
+            far = np.linalg.norm(where - tcp_m[begin:end], axis=1)
             near[begin:end] = np.fmin(near[begin:end], far)
     known = np.isfinite(near) & np.isfinite(slow)
     if known.sum() < max(least, 20):

@@ -7,6 +7,7 @@ lines under the cloud the one that is nearest to it on the whole, an edge of its
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,12 @@ if TYPE_CHECKING:
 
 MAX_DRIFT = 5e-3
 """Clocks were seen to run 0.3 % off; what climbs faster is growing delays."""
+MAX_RATE = 0.05
+"""Simulated time runs up to this much faster or slower than a host's and is followed, where a line fits it."""
+EXPLAINED = 0.1
+"""A line at such a rate fits if stamps typically lie above it by less than this share of what the clocks move apart."""
+SHORT_S = 20.0
+"""From less no rate is told."""
 _SAME_S = 1e-9
 """No clock tells stamps apart that are nearer to each other; between those there is no slope."""
 _EXACT, _PARTS = 50_000, 4096
@@ -54,6 +61,32 @@ def lower_envelope(device_s: Vector, host_s: Vector, *, max_drift: float = 1e-3)
     level = float(np.min(y - rate * x))
     delay = float(np.median(y - rate * x - level))
     return ClockFit("lower-envelope", y0 + level - rate * x0, rate, residual_s=delay, events=len(x))
+
+
+def follow(device_s: Vector, host_s: Vector) -> ClockFit | None:
+    """Return host time as a line of device time at whatever rate the device runs; None where no line fits.
+
+    A rate at MAX_DRIFT is none: it is looked for up to MAX_RATE, and said.
+
+    Args:
+        device_s: Stamps of the device, shape (N,), N >= 2, seconds.
+        host_s: When the host received each, shape (N,).
+
+    Raises:
+        ShapeError: As `lower_envelope`.
+    """
+    fit = lower_envelope(device_s, host_s, max_drift=MAX_DRIFT)
+    if abs(fit.rate - 1.0) < MAX_DRIFT * (1.0 - 1e-9):
+        return fit
+    span_s = float(np.ptp(device_s))
+    if span_s < SHORT_S:
+        return lower_envelope(device_s, host_s, max_drift=0.0)
+    fit = lower_envelope(device_s, host_s, max_drift=MAX_RATE)
+    apart = abs(fit.rate - 1.0)
+    if apart >= MAX_RATE * (1.0 - 1e-9) or (fit.residual_s or 0.0) > EXPLAINED * apart * span_s:
+        return None
+    said = f"its clock runs at {1.0 / fit.rate:.4f} times the speed of its host's, which no real clock does: "
+    return replace(fit, warning=f"{said}if its time is simulated, durations are simulated ones")
 
 
 def _lowest(delay: Vector) -> NDArray[np.int64]:

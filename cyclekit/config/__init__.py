@@ -7,8 +7,19 @@ What the settings do is the business of the rooms that get them.
 
 from __future__ import annotations
 
-from cyclekit.config.cells import Cell, Executions, Frame, Furniture, NamedPlace, Source, Sync
+from cyclekit.config.cells import Cell, Executions, Frame, Furniture, NamedPlace, Robot, Source, Sync
 from cyclekit.config.read import load_cell
 from cyclekit.config.write import cell_to_toml
 
-__all__ = ["Cell", "Executions", "Frame", "Furniture", "NamedPlace", "Source", "Sync", "cell_to_toml", "load_cell"]
+__all__ = [
+    "Cell",
+    "Executions",
+    "Frame",
+    "Furniture",
+    "NamedPlace",
+    "Robot",
+    "Source",
+    "Sync",
+    "cell_to_toml",
+    "load_cell",
+]

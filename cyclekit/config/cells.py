@@ -127,6 +127,21 @@ class Executions:
 
 
 @dataclass(frozen=True)
+class Robot:
+    """The arm of a log that holds joint angles and no TCP.
+
+    Attributes:
+        model: A known arm, see `arm.MODELS`.
+        dh: Instead, of each joint from the base on: d, a (m), alpha, theta (deg), standard Denavit-Hartenberg.
+        tool_m: The TCP from the flange, in the flange's frame, metres.
+    """
+
+    model: str | None = None
+    dh: tuple[tuple[float, float, float, float], ...] = ()
+    tool_m: Point = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
 class Cell:
     """A cell: its sources, places and conventions.
 
@@ -134,7 +149,9 @@ class Cell:
         ignore: Globs of files that are no logs.
         reference: Globs of robot logs recorded with nobody in the cell.
         rate_hz: Rate of the samples.
+        all_places_named: The robot stops for its process at the named places only; nothing else becomes a place.
         levels: Levels of the safety system's speed scaling, ascending, fractions; empty = found in the logs.
+        robot: The arm, where the TCP is not logged and shall be computed from the joint angles.
         bridge_s: A gap in the operator's track up to this long is bridged linearly; longer ones stay unknown.
     """
 
@@ -143,9 +160,11 @@ class Cell:
     ignore: tuple[str, ...] = ()
     reference: tuple[str, ...] = ()
     places: Mapping[str, NamedPlace] = field(default_factory=dict)
+    all_places_named: bool = False
     human_places: Mapping[str, NamedPlace] = field(default_factory=dict)
     furniture: Mapping[str, Furniture] = field(default_factory=dict)
     executions: Executions = field(default_factory=Executions)
     rate_hz: float = 10.0
     bridge_s: float = 0.3
     levels: tuple[float, ...] = ()
+    robot: Robot | None = None

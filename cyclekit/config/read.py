@@ -8,6 +8,7 @@ from dataclasses import MISSING, fields
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, get_args
 
+from cyclekit.arm import MODELS
 from cyclekit.config.cells import (
     CLOCK_KEYS,
     Begin,
@@ -18,6 +19,7 @@ from cyclekit.config.cells import (
     Matrix,
     NamedPlace,
     Point,
+    Robot,
     Source,
     Sync,
 )
@@ -50,13 +52,41 @@ def load_cell(path: Path) -> Cell:
         ignore=tuple(map(str, list_at(where, raw, "ignore"))),
         reference=tuple(map(str, list_at(where, raw, "reference"))),
         places=_places(f"{where} [places]", raw.get("places", {})),
+        all_places_named=_all_named(where, raw),
         human_places=_places(f"{where} [human_places]", raw.get("human_places", {})),
         furniture=_furniture(f"{where} [furniture]", raw.get("furniture", {})),
         executions=_executions(f"{where} [executions]", raw.get("executions", {})),
         rate_hz=_rate(where, raw),
         bridge_s=_number(where, raw, "bridge_s", 0.3),
         levels=_levels(where, raw),
+        robot=_robot(f"{where} [robot]", raw["robot"]) if "robot" in raw else None,
     )
+
+
+def _all_named(where: str, raw: Mapping[str, Any]) -> bool:
+    told = raw.get("all_places_named", False)
+    if not isinstance(told, bool):
+        raise ConfigError(f"{where}: all_places_named = {told!r} must be true or false", cure="all_places_named = true")
+    if told and not raw.get("places"):
+        raise ConfigError(f"{where}: all_places_named, and no place is named", cure="Name them: [places.NAME]")
+    return told
+
+
+def _robot(where: str, raw: Mapping[str, Any]) -> Robot:
+    _only(where, raw, Robot)
+    model, dh = _text(where, raw, "model"), list_at(where, raw, "dh")
+    if (model is None) == (not dh):
+        raise ConfigError(f"{where}: needs one of model and dh", cure='model = "UR5e"')
+    if model is not None and model not in MODELS:
+        raise UnknownName(where, "model", model, list(MODELS))
+    if not all(isinstance(row, list) and len(row) == 4 and all(map(_is_number, row)) for row in dh):
+        cure = "Give d (m), a (m), alpha (deg), theta (deg) of each joint: dh = [[0.34, 0, -90, 0], …]"
+        raise ConfigError(f"{where}: dh = {dh!r} are no Denavit-Hartenberg parameters", cure=cure)
+    tool = list_at(where, raw, "tool_m") or [0.0, 0.0, 0.0]
+    if len(tool) != 3 or not all(map(_is_number, tool)):
+        raise ConfigError(f"{where}: tool_m = {tool!r} must be three numbers", cure="tool_m = [0.0, 0.0, 0.15]")
+    x, y, z = map(float, tool)
+    return Robot(model, tuple((float(d), float(a), float(al), float(th)) for d, a, al, th in dh), (x, y, z))
 
 
 def _levels(where: str, raw: Mapping[str, Any]) -> tuple[float, ...]:

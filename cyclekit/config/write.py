@@ -16,6 +16,7 @@ def cell_to_toml(cell: Cell) -> str:
     lines += [f"reference = {_toml(list(cell.reference))}  # logs with nobody in the cell"] if cell.reference else []
     lines += [f"rate_hz = {_toml(cell.rate_hz)}"] if cell.rate_hz != Cell.rate_hz else []
     lines += [f"bridge_s = {_toml(cell.bridge_s)}"] if cell.bridge_s != Cell.bridge_s else []
+    lines += ["all_places_named = true"] if cell.all_places_named else []
     lines += [f"levels = {_toml(list(cell.levels))}"] if cell.levels else []
     for source in cell.sources:
         lines += ["", "[[sources]]"]
@@ -32,6 +33,9 @@ def cell_to_toml(cell: Cell) -> str:
             lines += ["", f"[{title}.{_key(name)}]", f"xyz_m = {xyz}", f"radius_m = {radius}"]
     for name, thing in cell.furniture.items():
         lines += ["", f"[furniture.{_key(name)}]", *(f"{key} = {_toml(value)}" for key, value in vars(thing).items())]
+    if cell.robot is not None:
+        arm = ("model", cell.robot.model) if cell.robot.model else ("dh", [list(row) for row in cell.robot.dh])
+        lines += ["", "[robot]", f"{arm[0]} = {_toml(arm[1])}", f"tool_m = {_toml(list(cell.robot.tool_m))}"]
     begin = cell.executions
     lines += [
         "",

@@ -187,11 +187,11 @@ def _robot(
         session.span_s, session.runs = look.span_s, list(range(len(runs), len(runs) + len(look.runs)))
         stops += [replace(stop, run=stop.run + len(runs)) for stop in look.stops]
         runs += look.runs
-    places = find_places(runs, stops, cell.places)
+    places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
     visits = find_visits(stops, places, runs)
     if all(len({visit.place for visit in seen}) < 2 for seen in visits):  # it rests at one place at most
         stops = with_turns(runs, stops)
-        places = find_places(runs, stops, cell.places)
+        places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
         visits = find_visits(stops, places, runs)
     executions = find_executions(visits, places, cell.executions, [marks for look in looks for marks in look.marks])
     executions += _whole_runs(runs, executions)

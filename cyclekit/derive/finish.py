@@ -13,6 +13,7 @@ from cyclekit import schema
 from cyclekit.activity import with_goals
 from cyclekit.derive.sample_file import AT_ONCE, write_samples
 from cyclekit.dynamics import Changes, changes_of
+from cyclekit.height import in_plane
 from cyclekit.motion import pieces
 from cyclekit.people import goals_from_stays
 from cyclekit.tables import parts_of
@@ -91,7 +92,7 @@ def _completed(
         done = schema.conform(done.with_columns(step=pl.when(step >= 0).then(step)), schema.SAMPLES)
         robot, human = (done.select(f"{who}_{axis}_m" for axis in "xyz").to_numpy() for who in ("robot", "human"))
         times.append(done["t_s"].to_numpy())
-        apart.append(np.linalg.norm(robot - human, axis=1))
+        apart.append(np.linalg.norm(robot - in_plane(robot, human), axis=1))
         yield done
 
 

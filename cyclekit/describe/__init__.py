@@ -106,7 +106,7 @@ def _describe_log(path: Path, entry: Registered, options: ReadOptions) -> LogFac
     for part in examined_parts(entry.parts(path, options)):
         last, rows_read = part, rows_read + part.rows_read
         for name, table in part.tables().items():
-            surveys.setdefault(name, TableSurvey()).add(table)
+            surveys.setdefault(name, TableSurvey(rated=name != "events")).add(table)
         if part.set_aside is not None:
             for reason, count in part.set_aside.group_by("reason").len().iter_rows():
                 set_aside[reason] = set_aside.get(reason, 0) + count

@@ -25,7 +25,10 @@ class TableFacts:
 
     Attributes:
         rows: Number of rows.
-        rate_hz: One over the median period; None below two instants.
+        rate_hz: Samples of a person or of the robot a second on average, gaps left out; None below two instants, and
+            of events.
+        step_s: Median step between them; None likewise.
+        lost: Samples missing between rows, gaps left out; None where steps are of any length.
         duration_s: From the first instant to the last.
         known: Fraction of rows that hold a value, per column that holds any.
         gaps: Silences, in order of time.
@@ -36,6 +39,8 @@ class TableFacts:
     duration_s: float
     known: Mapping[str, float]
     gaps: tuple[Gap, ...]
+    step_s: float | None = None
+    lost: int | None = None
 
 
 @dataclass(frozen=True)

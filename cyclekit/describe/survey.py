@@ -9,6 +9,7 @@ import polars as pl
 
 from cyclekit.describe.facts import Gap, TableFacts
 from cyclekit.rate import USUAL_HZ
+from cyclekit.rates import GAP_PERIODS, GAP_S, ONE_INSTANT_S, Rates
 from cyclekit.steps import find_staircase
 
 if TYPE_CHECKING:
@@ -16,16 +17,20 @@ if TYPE_CHECKING:
 
     Vector = NDArray[np.float64]
 
-GAP_PERIODS, GAP_S = 5.0, 0.25
-"""A silence is a gap when it is longer than both: five usual periods, and a quarter of a second."""
 _VALUES = 2_000_000  # scaling values that levels are looked for in
 
 
 class TableSurvey:
     """Counts what one table holds, part after part."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, rated: bool = True) -> None:
+        """Begin.
+
+        Args:
+            rated: Its rows come at a rate; events do not.
+        """
         self.rows = 0
+        self._rates = Rates() if rated else None
         self._known: dict[str, int] = {}
         self._first_s, self._last_s, self._span_s = np.inf, -np.inf, 0.0
         self._period_s: float | None = None
@@ -38,6 +43,8 @@ class TableSurvey:
         self.rows += frame.height
         for name in frame.columns:
             self._known[name] = self._known.get(name, 0) + frame.height - frame[name].null_count()
+        if self._rates is not None:
+            self._rates.add(frame)
         self._add_times(frame["t_s"].drop_nulls().unique().sort().to_numpy())
         if "scaling" in frame.columns:
             self._add_scaling(frame["scaling"].drop_nulls().to_numpy())
@@ -47,7 +54,7 @@ class TableSurvey:
             return
         here = times if not np.isfinite(self._last_s) else np.concatenate([[self._last_s], times])
         steps = np.diff(here)
-        forward = steps[steps > 0]
+        forward = steps[steps >= ONE_INSTANT_S]
         if self._period_s is None and len(forward):
             self._period_s = float(np.median(forward))
         silent = np.flatnonzero(steps > max(GAP_PERIODS * (self._period_s or 0.0), GAP_S))
@@ -67,7 +74,9 @@ class TableSurvey:
         period_s = self._period_s
         if period_s is None:
             return TableFacts(self.rows, None, 0.0, known, ())
-        return TableFacts(self.rows, 1 / period_s, self._span_s, known, tuple(self._gaps))
+        rate = None if self._rates is None else self._rates.found()
+        step_s, mean_hz, lost = rate or (None, None, None)
+        return TableFacts(self.rows, mean_hz, self._span_s, known, tuple(self._gaps), step_s, lost)
 
     def levels(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Return the levels of the scaling and the share of its rows on each; nothing where none is known."""

@@ -151,7 +151,8 @@ class Continuation:
         where[end : end + count] = track.where[at : at + count]
         activity[end : end + count] = track.activity[at : at + count]
         step = where[end - 1, :3] - track.where[at - 1, :3]
-        if np.isfinite(step).all():
+        if np.isfinite(step[:2]).all():
+            step = np.nan_to_num(step)  # a height may be unknown
             blend = np.clip(1.0 - np.arange(1, count + 1) * self._step_s / BLEND_S, 0.0, None)
             where[end : end + count, :3] += blend[:, None] * step
         return count

@@ -8,6 +8,7 @@ import polars as pl
 
 from cyclekit.clock import ASSUMED
 from cyclekit.estimate.nominal import slider_losses
+from cyclekit.height import said_of_height
 from cyclekit.samples import nobody_there
 
 if TYPE_CHECKING:
@@ -56,7 +57,8 @@ def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
 def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     """Return what limits every number from these logs, one sentence each."""
     found = []
-    samples = dataset.samples(columns=["execution", "human_x_m", "human_gap", "scaling_origin"])
+    samples = dataset.samples(columns=["execution", "human_x_m", "human_z_m", "human_gap", "scaling_origin"])
+    found += said_of_height(samples)
     absent = samples.filter(nobody_there()).height / max(samples.height, 1)
     if absent > 0.01 and model.card.get("scaling_without_operator") is None:
         found.append(f"in {absent:.0%} of the samples nobody is there; then the robot is taken to run free")

@@ -14,6 +14,7 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.program import draw_stands
 from cyclekit.estimate.safety import BLOCK
 from cyclekit.estimate.walk import Rolled
+from cyclekit.height import in_plane
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -87,7 +88,7 @@ def _mean_scaling(
 ) -> Vector:
     """Return the mean scaling over the horizon (N,); where the operator or his goal is unknown, what the logs show."""
     at = _sample(tracks, time_s)
-    human = tracks.xyz_m[rows, at]
+    human = in_plane(robot_m, tracks.xyz_m[rows, at])
     bound_for = np.full_like(human, np.nan) if tracks.goal_m is None else tracks.goal_m[rows, at]
     inputs = np.concatenate([robot_m, human, np.broadcast_to(goal_m, robot_m.shape), bound_for], axis=1)
     without = model.card.get("scaling_without_operator")

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
+from cyclekit.height import in_plane, inputs_in_plane
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from typing import Any
@@ -75,11 +77,15 @@ class Dynamics:
 
 
 def scaling_of(model: SafetyModel, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
-    """Return s of each pair of positions, shape (N, 3) both; where nobody is seen, what the logs showed then."""
+    """Return s of each pair of positions, shape (N, 3) both; where nobody is seen, what the logs showed then.
+
+    Of somebody whose height is unknown (NaN) it is that of the distance in the plane.
+    """
     without = model.card.get("scaling_without_operator")
     scaling = np.full(len(robot_m), 1.0 if without is None else float(without))
     inputs = np.empty((len(robot_m), 6), dtype=np.float32)
     inputs[:, :3], inputs[:, 3:] = robot_m, human_m
+    inputs = inputs_in_plane(inputs)
     seen = np.isfinite(inputs[:, 3] + inputs[:, 4] + inputs[:, 5])
     present: NDArray[np.int64] | slice = slice(None)
     if not seen.all():
@@ -136,6 +142,7 @@ class Follower:
         if isinstance(self._model, Written):
             outer = self._model.moved_outwards(margin_m)
             return scaling_of(outer, robot_m, human_m), scaling_of(self._model, robot_m, human_m)
+        human_m = in_plane(robot_m, human_m)
         way = human_m - robot_m
         way *= margin_m / 2 / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
         return scaling_of(self._model, robot_m, human_m - way), scaling_of(self._model, robot_m, human_m + way)

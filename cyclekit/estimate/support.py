@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.height import is_flat
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -24,6 +26,7 @@ class Support:
 
     def __init__(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> None:
         """Remember the cells of logged positions, shapes (N, 3) and (N, 3), metres; rows with NaN are left out."""
+        human_m = _on_one_level(human_m)
         known = np.isfinite(robot_m.sum(axis=1) + human_m.sum(axis=1))
         cells = _cells(robot_m, human_m) if known.all() else _cells(robot_m[known], human_m[known])
         self._filled = np.unique(cells[np.diff(cells, prepend=-1) != 0])  # most samples lie where the last one did
@@ -33,12 +36,23 @@ class Support:
 
         A pair without an operator (NaN) counts as known: there the robot runs free.
         """
+        human_m = _on_one_level(human_m)
         absent = ~np.isfinite(human_m).all(axis=1)
         if not len(self._filled):
             return np.asarray(absent)
         asked = _cells(robot_m, np.nan_to_num(human_m))
         at = np.minimum(np.searchsorted(self._filled, asked), len(self._filled) - 1)
         return np.asarray(absent | (self._filled[at] == asked))
+
+
+def _on_one_level(human_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return positions with one and the same height wherever it is unknown: there the cells are those of the floor."""
+    flat = is_flat(human_m)
+    if not flat.any():
+        return human_m
+    human_m = human_m.copy()
+    human_m[flat, 2] = 0.0
+    return human_m
 
 
 def _cells(robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> NDArray[np.int64]:

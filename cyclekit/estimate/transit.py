@@ -32,6 +32,8 @@ PATH_S = 0.1
 HUMAN_M = 0.06
 """Edge of the cells of operator positions; doubled while there are more than MOST_CELLS."""
 MOST_CELLS = 8_000
+NO_HEIGHT_M = 1000.0
+"""Stands for a height that is unknown, where cells are told apart."""
 START_S = 0.2
 """A start after so long each, at samples of the track; between them arrivals are interpolated."""
 SEQUENCES_AT_ONCE = 256
@@ -146,12 +148,15 @@ def _every(step_s: float) -> int:
 
 
 def _human_cells(tracks: OperatorTracks) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the cell of every sample (K, T) and the mean position in each cell (C, 3); one of NaN is for nobody."""
+    """Return the cell of every sample (K, T) and the mean position in each cell (C, 3); one of NaN is for nobody.
+
+    Where heights are unknown the cells are those of the floor, and theirs is unknown too.
+    """
     flat = tracks.xyz_m.reshape(-1, 3)
-    seen = np.isfinite(flat).all(axis=1)
+    seen = np.isfinite(flat[:, :2]).all(axis=1)
     edge = HUMAN_M
     while True:
-        index = np.floor(flat[seen] / edge).astype(np.int64) + (1 << 19)
+        index = np.floor(np.nan_to_num(flat[seen], nan=NO_HEIGHT_M) / edge).astype(np.int64) + (1 << 19)
         packed = (index[:, 0] << 40) | (index[:, 1] << 20) | index[:, 2]
         _, cell = np.unique(packed, return_inverse=True)
         count = int(cell.max(initial=-1)) + 1

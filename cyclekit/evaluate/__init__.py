@@ -16,6 +16,7 @@ from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.evaluate.baselines import Row, rivals
 from cyclekit.evaluate.drift import Drift, drift
+from cyclekit.height import said_of_height
 from cyclekit.labelling import without_slider
 from cyclekit.models.cell import fingerprint, refuse_other_cell
 from cyclekit.models.metrics import Metrics, measure
@@ -144,6 +145,7 @@ def evaluate(
     table, notes = list(_read_outs(metrics)), list[str]()
     if len(executions) < every:
         notes.append(f"{len(executions)} of {every} executions are judged, drawn at random: memory takes no more")
+    notes += said_of_height(dataset.samples(executions, columns=["human_x_m", "human_z_m"]))
     if same:
         tell(0.4, "reading what the rivals learn from")
         learned = _rows(model, dataset, some_executions(dataset, model.card["split"]["train"], memory_rows()))

@@ -12,14 +12,15 @@ from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import polars as pl
 
 from cyclekit import schema
 from cyclekit.discover import Log, options_of
 from cyclekit.errors import LogError
+from cyclekit.intake.tool_point import with_tool_point
 from cyclekit.plausible import examined_parts
 from cyclekit.privacy import Nameless, shown_as
+from cyclekit.rates import Rates
 from cyclekit.registry import adapter_named
 from cyclekit.tables import TableWriter
 
@@ -113,7 +114,8 @@ def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
     last: Recording | None = None
     nameless = Nameless(keep=log.source.sees_as if log.source else None) if how.pseudonymise else None
     try:
-        for part in examined_parts(adapter_named(log.adapter).parts(log.path, options)):
+        read = adapter_named(log.adapter).parts(log.path, options)
+        for part in examined_parts(with_tool_point(read, log.robot)):
             last = nameless.part(part) if nameless else part
             rows_read += last.rows_read
             for name, frame in last.tables().items():
@@ -148,7 +150,7 @@ class _Table:
         joints = sorted(filter(schema.is_joint, first.columns), key=schema.joint_order) if name == "robot" else []
         self.writer = TableWriter(folder / f"{name}.parquet", self._columns, more=joints)
         self.first_s, self.last_s = float("inf"), -float("inf")
-        self.instants, self._last_s = 0, float("nan")
+        self.rates = None if name == "events" else Rates()
 
     def write(self, frame: pl.DataFrame) -> None:
         self.writer.write(schema.conform(frame, self._columns))
@@ -156,8 +158,8 @@ class _Table:
             return
         times = frame["t_s"].to_numpy()
         self.first_s, self.last_s = min(self.first_s, float(times.min())), max(self.last_s, float(times.max()))
-        self.instants += int((np.diff(times, prepend=self._last_s) != 0.0).sum())
-        self._last_s = float(times[-1])
+        if self.rates is not None:
+            self.rates.add(frame)
 
 
 def _check(log: Log, written: dict[str, _Table]) -> None:
@@ -183,7 +185,7 @@ def _entry(
 ) -> dict[str, Any]:
     main = next(written[name] for name in MAIN if name in written and written[name].writer.rows)
     duration_s = main.last_s - main.first_s
-    periods = max(main.instants - 1, 1)
+    rate = main.rates.found() if main.rates is not None else None
     return {
         "id": log.id,
         "session": "",
@@ -203,7 +205,7 @@ def _entry(
         "first_s": main.first_s,
         "last_s": main.last_s,
         "duration_s": duration_s,
-        "rate_hz": round(periods / duration_s, 3) if duration_s > 0 else None,
+        "rate_hz": round(rate.mean_hz, 3) if rate is not None else None,
         "warnings": list(last.warnings),
         "facts": {"checksum": UNPROTECTED, **last.facts},
         "key": log.key,

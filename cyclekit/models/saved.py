@@ -22,6 +22,7 @@ from cyclekit import schema
 from cyclekit.atomic import recover, staged
 from cyclekit.cards import BadCard, ModelCard, checked, read_json
 from cyclekit.errors import ModelError, ShapeError, command_line
+from cyclekit.height import inputs_in_plane
 from cyclekit.mistaken import MODEL_CARD, toml_for, what_is
 from cyclekit.models.layout import Layout, NotAModel
 from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
@@ -78,7 +79,8 @@ class TrainedModel:
         Args:
             X: Inputs, metres, base frame; columns as in `inputs`. Shape (N, F), of a recurrent network (N, K, F), the
                 oldest sample first. All must be known, but for the groups in `weights.known`: where nobody is there
-                and the logs never showed that, `card["scaling_without_operator"]` is None as well.
+                and the logs never showed that, `card["scaling_without_operator"]` is None as well. A height of the
+                operator alone may be unknown: then that of the TCP stands for it.
 
         Returns:
             Shape (N,), in [0, 1].
@@ -126,6 +128,7 @@ class TrainedModel:
             raise ShapeError(msg)
         if np.isfinite(X).all():
             return self._finite(X)
+        X = inputs_in_plane(X)
         needed = np.ones(len(self.inputs), np.bool_)
         for group in self.weights.known:
             needed[GROUPS[group]] = False

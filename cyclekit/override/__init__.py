@@ -56,6 +56,9 @@ PATHS = 4
 """Between two places so many different paths are looked for."""
 LEAST_NOISE = 1e-6
 """Noise of a coordinate (rad or m) that shows none: logs are written with so many digits."""
+HALTED, CRAWL_M_S = 0.02, 6e-3
+"""Scaling below this is a halt, and a robot that is halted does not go faster than so, or than twice that share of its
+usual speed."""
 _NOISE_LEGS, _NOISE_ROWS = 40, 4000
 _AT_ONCE = 64
 _NONE, _NO_GAPS = np.empty(0), np.empty(0, np.int8)
@@ -238,5 +241,12 @@ def _inferred(run: Run, leg: _Leg, reference: Reference, noise: Mapping[int, Vec
     gap = np.zeros(len(rate), np.int8)
     gap[deviation > UNSURE] = TOO_SLOW
     gap[~reference.confirmed[row] | is_common_stop(reference, repetition.t_s, rate, place.own_s)] = NO_REFERENCE
+    gap[(rate < HALTED) & _goes(run.window(leg.first, leg.last).speed_m_s)] = NO_REFERENCE
     known = np.where(gap == 0, np.array([np.clip(rate, 0.0, 1.0), deviation]), np.nan).astype(np.float32)
     return Part(leg.first, known[0], known[1], gap)
+
+
+def _goes(speed_m_s: Vector) -> NDArray[np.bool_]:
+    """Tell in which rows of a motion, speeds (T,), the robot is too fast to be halted."""
+    usual = float(np.nanquantile(speed_m_s, 0.9)) if np.isfinite(speed_m_s).any() else 0.0
+    return np.asarray(speed_m_s > max(CRAWL_M_S, 2.0 * HALTED * usual))

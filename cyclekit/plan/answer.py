@@ -13,6 +13,7 @@ from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
+from cyclekit.height import said_of_height
 from cyclekit.models.cell import refuse_other_cell
 from cyclekit.one_thread import one_thread
 from cyclekit.plan.exact import Walker
@@ -54,6 +55,7 @@ class Plan:
         expected_low_s, expected_high_s: 95 % interval of `expected_s`.
         doubts, alarm: What makes it doubtful, and what belongs above it, as of its estimate.
         unlogged: Tasks that were never logged with a known speed scaling; orders that need one were left out.
+        notes: What limits the answer, one sentence each.
     """
 
     order: tuple[str, ...]
@@ -71,6 +73,7 @@ class Plan:
     doubts: tuple[str, ...] = ()
     alarm: str | None = None
     unlogged: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as plain JSON values."""
@@ -148,6 +151,7 @@ def plan(
         doubts=found.doubts,
         alarm=found.check.alarm if found.check else None,
         unlogged=tuple(unlogged),
+        notes=tuple(said_of_height(dataset.samples(columns=["human_x_m", "human_z_m"]))),
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.plausible.motion import PERSON, TCP, Kind, Places
+from cyclekit.plausible.nobody import Nobody
 from cyclekit.plausible.window import HERE, PLACE, judged_rows
 
 if TYPE_CHECKING:
@@ -110,6 +111,13 @@ class _Checks:
         return []
 
 
+NO_TCP = (
+    "the log holds joint angles and no TCP, so neither places nor tasks can be found: log the TCP pose too "
+    '(UR actual_TCP_pose, Franka O_T_EE, KUKA RIst), or name the arm in cell.toml ([robot] model = "UR5e")'
+)
+"""Said of a robot whose joints alone were logged."""
+
+
 class EventChecks(_Checks):
     """Events: only their time can be impossible."""
 
@@ -135,10 +143,11 @@ class RobotChecks(_Checks):
         self._fractions = {"scaling": _Beyond(), "slider": _Beyond()}
         self._speed = _Beyond()
         self._turned: str | None = None
+        self._joints = self._tcp = False
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without what cannot be."""
-        frame = self.timed(self.finite(frame))
+        frame = scaling_while_playing(self.timed(self.finite(frame)))
         times = column(frame, "t_s")
         frame = self.drop(frame, repeated(times), "repeats the time of the row before it")
         bad = stray_times(column(frame, "t_s"))
@@ -149,6 +158,8 @@ class RobotChecks(_Checks):
             frame = seen.look(frame, name, value, (value < 0.0) | (value > 1.001))
         speed = column(frame, "tcp_speed_m_s")
         frame = self._speed.look(frame, "tcp_speed_m_s", speed, (speed > SPEED_M_S) | (speed < 0))
+        self._tcp = self._tcp or bool(np.isfinite(column(frame, "tcp_x_m")).any())
+        self._joints = self._joints or bool(np.isfinite(column(frame, "q0_rad")).any())
         if self._turned is None:
             angles = [name for name in frame.columns if name.startswith("q") and name.endswith("_rad")]
             self._turned = next((n for n in angles if (np.abs(column(frame, n)) > ANGLE_RAD).any()), None)
@@ -170,6 +181,8 @@ class RobotChecks(_Checks):
             said.append(f"tcp_speed_m_s reaches {top} m/s in {rows} rows: {likely}; unknown there")
         if self._turned:
             said.append(f'{self._turned} exceeds {ANGLE_RAD:.0f} rad: likely degrees; say joint_unit = "deg"')
+        if self._joints and not self._tcp:
+            said.append(NO_TCP)
         return [*said, *still]
 
 
@@ -181,6 +194,7 @@ class PeopleChecks(_Checks):
     def __init__(self) -> None:
         super().__init__()
         self._places = Places(PERSON)
+        self._nobody = Nobody()
 
     def beside(self, frame: pl.DataFrame) -> int:
         """Return how many rows hold the neighbours of every person that is there."""
@@ -190,7 +204,7 @@ class PeopleChecks(_Checks):
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without what cannot be."""
-        frame = self.timed(self.finite(frame))
+        frame = self.timed(self._nobody.look(self.finite(frame)))
         groups, times = tracks(frame), column(frame, "t_s")
         if any((np.diff(times[rows]) <= 0.0).any() for rows in groups):  # else no time is twice there, or stray
             frame = self._in_order(frame)
@@ -209,7 +223,7 @@ class PeopleChecks(_Checks):
     def warnings(self) -> list[str]:
         """Say what was found, once all was seen."""
         still, others = self._places.warnings()
-        return [*self._said_of_numbers(), *self._said_of_time(), *others, *still]
+        return [*self._said_of_numbers(), *self._said_of_time(), *self._nobody.warnings(), *others, *still]
 
 
 class _Beyond:
@@ -226,6 +240,17 @@ class _Beyond:
         self.rows += int((wrong & here).sum())
         self.most = max(self.most, float(value[wrong].max()))
         return frame.with_columns(pl.when(pl.Series(~wrong)).then(pl.col(name)).alias(name))
+
+
+def scaling_while_playing(frame: pl.DataFrame) -> pl.DataFrame:
+    """Return robot rows whose scaling is unknown where the program is known not to run.
+
+    A controller writes what it likes for a program that is paused or stopped, mostly 0: that is no safety stop.
+    """
+    if not {"scaling", "state"}.issubset(frame.columns) or frame["state"].null_count() == frame.height:
+        return frame
+    halted = (pl.col("state") != "playing").fill_null(value=False)
+    return frame.with_columns(pl.when(~halted).then("scaling").alias("scaling"))
 
 
 def placed(checks: _Checks, frame: pl.DataFrame, places: Places, groups: Sequence[Track]) -> pl.DataFrame:

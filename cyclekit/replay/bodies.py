@@ -42,7 +42,7 @@ def log_people(sink: Sink) -> None:
     """Put the operator, the limbs and the other people of one execution into the recording."""
     run, feet = sink.run, floor_m(sink.run)
     limbs = run.skeletons.of_operator if run.skeletons else np.zeros(len(run.t_s), dtype=np.bool_)
-    known = np.isfinite(run.human_m).all(axis=1)
+    known = np.isfinite(run.human_m[:, :2]).all(axis=1)
     if known.any():
         standing = [run.human_m[row : row + int(alone)] for row, alone in enumerate(known & ~limbs)]
         _bodies(sink, "scene/operator", standing, feet, colours.OPERATOR)

@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.clock import ASSUMED
+from cyclekit.height import in_plane, said_of_height
 from cyclekit.replay.crowd import Skeletons, other_people, skeletons
 from cyclekit.replay.floor import Zones, learned_zones
 
@@ -124,7 +125,7 @@ class Execution:
     @property
     def distance_m(self) -> NDArray[np.float64]:
         """Distance between tool and operator, shape (T,), NaN where one is unknown."""
-        return np.asarray(np.linalg.norm(self.robot_m - self.human_m, axis=1))
+        return np.asarray(np.linalg.norm(self.robot_m - in_plane(self.robot_m, self.human_m), axis=1))
 
 
 def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None) -> Execution:
@@ -224,7 +225,7 @@ def _predicted(
 ) -> NDArray[np.float64] | None:
     if model is None:
         return None
-    x = np.concatenate([robot_m, human_m], axis=1)
+    x = np.concatenate([robot_m, in_plane(robot_m, human_m)], axis=1)
     known = np.isfinite(x).all(axis=1)
     out = np.full(len(x), np.nan)
     if known.any():
@@ -255,6 +256,7 @@ def _notes(rows: pl.DataFrame, joints: Joints | None, model: PredictsNow | None)
         notes.append(f"The log holds no robot tool position: {seen}.")
     if not rows["human_x_m"].count():
         notes.append("No operator position: either nobody was there or nobody was tracked.")
+    notes += [f"{text[0].upper()}{text[1:]}." for text in said_of_height(rows)]
     if not rows["scaling"].count():
         notes.append("Speed scaling is unknown in this execution.")
     if model is None:

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.height import inputs_in_plane
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -58,12 +60,14 @@ def learned_zones(
     centre = walked_squares(dataset)
     heights = human_m[np.isfinite(human_m[:, 2]), 2]
     rows = _updates(t_s, robot_m)
-    if not len(centre) or not len(heights) or not len(rows):
+    if not len(centre) or not np.isfinite(human_m[:, 0]).any() or not len(rows):
         return None
-    person = np.column_stack([centre, np.full(len(centre), float(np.median(heights)))])
+    height = float(np.median(heights)) if len(heights) else np.nan
+    person = np.column_stack([centre, np.full(len(centre), height)])
     x = np.empty((len(rows) * len(centre), 6), dtype=np.float32)
     x[:, :3] = np.repeat(robot_m[rows], len(centre), axis=0)
     x[:, 3:] = np.tile(person, (len(rows), 1))
+    x = inputs_in_plane(x)
     scaling = np.asarray(model.predict(x), dtype=np.float64).reshape(len(rows), len(centre))
     return Zones(centre, t_s[rows], np.round(scaling, 2))
 

@@ -14,6 +14,7 @@ import rerun.blueprint as rrb
 import rerun.blueprint.encodings as rre
 
 from cyclekit.errors import CyclekitError
+from cyclekit.height import in_plane
 from cyclekit.replay.bodies import floor_m
 from cyclekit.replay.compare import most_different
 from cyclekit.replay.misses import misses
@@ -197,7 +198,7 @@ def _whole_path(order: Order) -> rrb.TimeAxis | None:
 
 
 def _scene(run: Execution, root: str = "", who: str = "") -> rrb.Spatial3DView | None:
-    seen = [p[np.isfinite(p).all(axis=1)] for p in (run.robot_m, run.human_m)]
+    seen = [p[np.isfinite(p).all(axis=1)] for p in (run.robot_m, in_plane(run.robot_m, run.human_m))]
     if not any(len(p) for p in seen):
         return None
     eye, target = _camera(*seen)

@@ -11,8 +11,9 @@ import numpy as np
 import rerun as rr
 
 from cyclekit import colours
+from cyclekit.arm import joint_points, recognise_arm
+from cyclekit.height import in_plane
 from cyclekit.labels import place_labels
-from cyclekit.replay.arm import joint_points, recognise_arm
 from cyclekit.replay.bodies import floor_m, log_people
 from cyclekit.replay.shapes import goals, pack, trail
 
@@ -134,7 +135,7 @@ def _link(sink: Sink) -> None:
     known = np.isfinite(distance)
     if not known.any():
         return
-    ends = np.stack([run.robot_m[known], run.human_m[known]], axis=1).astype(np.float32)
+    ends = np.stack([run.robot_m[known], in_plane(run.robot_m, run.human_m)[known]], axis=1).astype(np.float32)
     labels = [_link_label(d, s) for d, s in zip(distance[known], run.scaling[known], strict=True)]
     counts = known.astype(int).tolist()
     columns = rr.LineStrips3D.columns(strips=list(ends), colors=pack(colours.scaling_rgb(run.scaling[known])))

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import polars as pl
 
+from cyclekit.height import HUMAN_Z_IN_PLANE
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -180,7 +182,7 @@ def safety_function(
 ) -> SafetyFunction | None:
     """Read the safety function back from the samples; None where scaling or positions are unknown."""
     axes = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
-    rows = samples.with_columns(pl.col("human_z_m").fill_null(0.0)).filter(pl.col("robot_moving").fill_null(value=True))
+    rows = samples.with_columns(human_z_m=HUMAN_Z_IN_PLANE).filter(pl.col("robot_moving").fill_null(value=True))
     rows = rows.select(*axes, "scaling", "step").drop_nulls([*axes, "scaling"])
     if rows.height < 50:
         return None

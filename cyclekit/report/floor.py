@@ -118,6 +118,6 @@ def _of_model(model: Predicts, seen: pl.DataFrame) -> NDArray[np.float64]:
     x = np.empty((len(squares) * len(spots), 6), dtype=np.float32)
     x[:, :3] = np.tile(spots, (len(squares), 1))
     x[:, 3:5] = np.repeat(squares[:, :2], len(spots), axis=0)
-    x[:, 5] = height if isinstance(height, int | float) else 0.0
+    x[:, 5] = height if isinstance(height, int | float) else x[:, 2]
     scaling = np.asarray(model.predict(x), dtype=np.float64).reshape(len(squares), len(spots)).mean(axis=1)
     return np.column_stack([squares[:, :2], scaling])

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.height import HUMAN_Z_IN_PLANE
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -55,7 +57,7 @@ def calibration(samples: pl.DataFrame, executions: Sequence[str], model: Predict
         return None
     axes = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
     rows = samples.filter(pl.col("execution").is_in(list(executions)) & pl.col("robot_moving"))
-    rows = rows.with_columns(pl.col("human_z_m").fill_null(0.0)).select(*axes, "scaling").drop_nulls()
+    rows = rows.with_columns(human_z_m=HUMAN_Z_IN_PLANE).select(*axes, "scaling").drop_nulls()
     rows = rows.gather_every(max(1, -(-rows.height // MOST)))
     if rows.height < LEAST:
         return None

@@ -185,7 +185,7 @@ def _away(tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: Safe
     flat = tracks.xyz_m.reshape(-1, 3)
     cells, code = np.unique(np.round(np.nan_to_num(flat, nan=1e3) / 0.1), axis=0, return_inverse=True)
     human = cells * 0.1
-    human[human[:, 0] > 1e2] = np.nan
+    human[human > 1e2] = np.nan  # nobody, or nobody's height
     least = np.full(len(human), np.inf)
     for point in points:
         least = np.minimum(least, scaling_of(safety, np.broadcast_to(point, human.shape), human))

@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import DatasetError, ModelError, command_line
+from cyclekit.height import HUMAN_Z_IN_PLANE, said_of_height
 from cyclekit.models.cell import refuse_other_cell
 from cyclekit.one_thread import one_thread
 from cyclekit.zones.fit import (
@@ -106,14 +107,15 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
         cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
         raise ModelError(msg, cure=cure)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)
-    rows = _rows(dataset)
+    rows, told = _rows(dataset)
     if len(rows.scaling) < LEAST_ROWS:
         msg = f"{dataset.path}: {len(rows.scaling)} samples have both positions and a scaling; {LEAST_ROWS} are needed"
         raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
     levels = model.levels
     predicted = _predicted(model, rows)
-    fits = {name: by_distance(rows, levels, name)[1] for name in DISTANCES}
-    nearest = next(name for name in DISTANCES if fits[name] >= max(fits.values()) - SAME)
+    in_space = bool((rows.human_m[:, 2] != rows.robot_m[:, 2]).any())  # else both distances to the TCP are one
+    fits = {name: by_distance(rows, levels, name)[1] for name in list(DISTANCES)[not in_space :]}
+    nearest = next(name for name in fits if fits[name] >= max(fits.values()) - SAME)
     parts = {**fits, "place on the floor": by_place(rows), "network": explained(rows.scaling, predicted)}
     is_distance = fits[nearest] >= max(parts["network"], parts["place on the floor"]) - BY_DISTANCE
     rule = nearest if is_distance or fits[nearest] >= parts["place on the floor"] else "place on the floor"
@@ -135,17 +137,20 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
         floor_scaling=scaling,
         rows=len(rows.scaling),
         executions=len(np.unique(rows.execution)),
-        notes=_notes(rule, is_distance=is_distance, parts=parts),
+        notes=(*told, *_notes(rule, is_distance=is_distance, parts=parts)),
     )
 
 
-def _rows(dataset: Dataset) -> Rows:
+def _rows(dataset: Dataset) -> tuple[Rows, list[str]]:
+    """Return the samples, and what is to be said of heights that are unknown."""
     robots, humans = ([f"{who}_{axis}_m" for axis in "xyz"] for who in ("robot", "human"))
     rows = dataset.samples(columns=["execution", "t_s", "scaling", *robots, *humans])
+    told = said_of_height(rows)
+    rows = rows.with_columns(human_z_m=HUMAN_Z_IN_PLANE)
     known = rows.drop_nulls(["robot_x_m", *humans, "scaling"])
     robot, human = (known.select(names).to_numpy() for names in (robots, humans))
     code = known["execution"].rle_id().cast(pl.Int64).to_numpy()
-    return Rows(robot, human, known["scaling"].to_numpy(), code, known["t_s"].to_numpy())
+    return Rows(robot, human, known["scaling"].to_numpy(), code, known["t_s"].to_numpy()), told
 
 
 def _predicted(model: TrainedModel, rows: Rows) -> NDArray[np.float64]:
@@ -167,7 +172,7 @@ def _floor(rows: Rows) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 def _notes(rule: str, *, is_distance: bool, parts: Mapping[str, float]) -> tuple[str, ...]:
     found = []
     if not is_distance:
-        best = max(DISTANCES, key=lambda name: parts[name])
+        best = max((name for name in DISTANCES if name in parts), key=lambda name: parts[name])
         found.append(
             f"distance is not enough: the best one ({best}) explains {parts[best]:.1%} of the scaling's variance, "
             f"{rule if rule not in DISTANCES else 'the network'} "

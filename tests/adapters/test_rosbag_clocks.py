@@ -78,6 +78,27 @@ def test_a_second_computer_that_is_off_or_drifts_is_put_on_the_clock_of_the_reco
     assert [said for said in log.warnings if said.startswith(f"{POSES} is stamped by another clock")]
 
 
+def test_simulated_time_at_a_rate_that_no_clock_has_is_followed_and_said():
+    at = T0 + np.arange(2000) / 20.0
+    late = np.random.default_rng(1).exponential(0.005, at.size)
+    slow = Source(at + late, 20.0 + (at - T0) / 1.0068)
+    times = choose_times({"/a": slow, "/b": Source(at, at)}, {})
+    assert np.abs(times.chosen["/a"].times(slow) - at).max() < 0.002
+    (said,) = times.warnings
+    assert "0.9932 times the recorder's speed" in said
+    assert "0.9932 times" in choose_times({"/a": slow}, {}).warnings[0]
+
+
+def test_a_clock_that_no_line_follows_is_not_used():
+    at = T0 + np.arange(2000) / 20.0
+    wandering = Source(at, 20.0 + (at - T0) / 1.0068 + 0.3 * np.sin((at - T0) / 10.0))
+    times = choose_times({"/a": wandering}, {})
+    assert times.chosen["/a"].how == "receive"
+    assert "no line follows them" in times.warnings[0]
+    with pytest.raises(ConfigError, match="no line follows them"):
+        choose_times({"/a": wandering}, {"/a": "own-clock"})
+
+
 @pytest.mark.parametrize(("least_s", "warned"), [(0.0, False), (0.12, False), (0.35, True)])
 def test_a_slow_tracker_is_no_other_clock_and_its_header_tells_when_it_saw(tmp_path, bag, least_s, warned):
     writer = bag(tmp_path / "run", "mcap")

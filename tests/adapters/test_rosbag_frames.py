@@ -46,6 +46,19 @@ def test_people_seen_by_a_camera_come_into_the_base_over_a_chain_that_is_not_bel
     assert not [said for said in log.warnings if "frame" in said]
 
 
+def test_a_place_that_stands_for_nobody_is_not_taken_to_where_the_camera_stands(tmp_path, bag):
+    writer = bag(tmp_path / "run", "mcap")
+    writer.transform(T0, ("base", "camera", (0.0, 2.0, 3.0)), topic="/tf_static")
+    for i, place in enumerate([(0.0, 1.0, 4.0), (0.0, 0.0, 0.0), (-1.0, -1.0, -1.0), (0.0, 1.0, 4.2)]):
+        writer.tcp(T0 + i, x=0.5)
+        poses(writer, T0 + i, place, "camera")
+    writer.close()
+    log = read(tmp_path / "run")
+    assert log.people["z_m"].to_list() == pytest.approx([7.0, None, None, 7.2])
+    assert log.warnings[-1].startswith("2 places on /poses are exactly 0, 0, 0 or -1, -1, -1")
+    assert not [said for said in log.warnings if "not published" in said]
+
+
 def test_the_frame_in_the_headers_of_the_tcp_is_the_robots_base(tmp_path, bag):
     writer = bag(tmp_path / "run", "mcap")
     writer.transform(T0, ("cell", "base", (9.0, 9.0, 9.0)), topic="/tf_static")

@@ -2,6 +2,7 @@ import pytest
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import LogError
+from cyclekit.plausible import examined_parts
 from cyclekit_adapters.rosbag import ADAPTER
 
 T0 = 1_700_000_000.0
@@ -150,3 +151,17 @@ def test_a_topic_that_is_named_for_what_it_cannot_tell_is_refused_and_not_read_a
     assert "it must be" in str(refusal.value)
     scaled = read(tmp_path / "run", map={"scaling": "/level", "scaling_max": 1})
     assert scaled.robot["scaling"].to_list() == [0.5]
+
+
+def test_the_fingers_of_a_gripper_are_no_joints_of_the_arm_and_a_missing_tcp_is_said(tmp_path, bag):
+    names = [*ARM, "panda_finger_joint1", "panda_finger_joint2"]
+    writer = bag(tmp_path / "run", "mcap")
+    for i in range(20):
+        writer.joints(T0 + 0.1 * i, names[::-1], [0.04, 0.04, 0.3, 0.2, 0.1 * i])
+    writer.close()
+    (log,) = examined_parts([read(tmp_path / "run")])
+    angles = [name for name in log.robot.columns if name.endswith("_rad")]
+    assert len(angles) == len(log.joint_names) == len(ARM)
+    assert log.robot["q0_rad"].max() == pytest.approx(0.3)  # the order is that of the message
+    assert any("panda_finger_joint2" in said and "left out" in said for said in log.warnings)
+    assert any("no TCP" in said for said in log.warnings)

@@ -9,12 +9,13 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
-from cyclekit.cli import main
+from cyclekit.cli import main, without_warnings_of_libraries
 from cyclekit.cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -136,3 +137,12 @@ def test_nothing_is_said_beside_the_document_with_quiet_and_json(cyclekit: Shell
     assert (done.code, done.err) == (0, "")
     assert done.document["kind"] == "dataset"
     assert "NaN" not in json.dumps(done.document)
+
+
+def test_no_command_shows_a_warning_that_a_library_has_for_programmers(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("PYTHONWARNINGS", "")
+    with warnings.catch_warnings(record=True) as shown:
+        without_warnings_of_libraries()
+        warnings.warn("All-NaN slice encountered", RuntimeWarning, stacklevel=1)
+    assert shown == []
+    assert os.environ["PYTHONWARNINGS"] == "ignore"  # processes begun from here

@@ -16,7 +16,7 @@ from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
 from cyclekit_sim import SimulationOptions, simulate
 
-EXECUTIONS = {"box-picking": 4, "pick-and-package": 4, "laser-zones": 6}
+EXECUTIONS = {"box-picking": 4, "pick-and-package": 4, "laser-zones": 6, "scanner-visits": 6}
 ROBOT_START_S = 152.512
 """What the simulated controller's clock shows when a session begins."""
 
@@ -97,7 +97,8 @@ def robot_log() -> Any:
     """Return a writer of UR logs: a robot that goes along the x axis, 125 rows a second.
 
     `robot_log(path, [("stand", s), ("move", x_m), ("halt", s), ...])`: stand so long free, go to x at 0.5 m/s, be
-    halted so long where it is. `("flip", n)` turns output n. Speeds are those of the position.
+    halted so long where it is. `("flip", n)` turns output n. ("creep", s): the scaling rises from 0 to 0.3 meanwhile,
+    and the robot goes on no faster than its noise. Speeds are those of the position.
     """
 
     def write(path: Path, doing: list[tuple[str, float]], *, scaling: bool = True, x_m: float = 0.0) -> Path:
@@ -108,8 +109,9 @@ def robot_log() -> Any:
                 continue
             steps = round((abs(amount - x_m) / 0.5 if what == "move" else amount) * 125)
             speed = (amount - x_m) / steps * 125 if what == "move" and steps else 0.0
-            for _ in range(steps):
-                rows.append((t, x_m, speed, 0.0 if what == "halt" else 1.0, outputs))
+            for step in range(steps):
+                free = {"halt": 0.0, "creep": 0.3 * step / steps}.get(what, 1.0)
+                rows.append((t, x_m, speed, free, outputs))
                 t, x_m = t + 0.008, x_m + speed * 0.008
         rows.append((t, x_m, 0.0, *rows[-1][3:]))
         t_s, x, v, s, bits = (pl.Series(column) for column in zip(*rows, strict=True))

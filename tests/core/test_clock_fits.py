@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import cyclekit
-from cyclekit.clock import Method, coarse_fit, fit_events, fit_motion, fit_pairs, lower_envelope
+from cyclekit.clock import Method, coarse_fit, fit_events, fit_motion, fit_pairs, follow, lower_envelope
 from cyclekit.errors import ConfigError, ShapeError
 
 OFFSET, RATE = -4321.125, 1 + 50e-6
@@ -226,6 +226,19 @@ def test_delays_that_grow_are_not_taken_for_a_rate_beyond_what_clocks_do():
     fit = lower_envelope(device, device * 1.05, max_drift=2e-4)
     assert fit.rate == pytest.approx(1 + 2e-4)
     assert (device * 1.05 >= fit.rate * device + fit.offset_s - 1e-9).all()
+
+
+def test_a_rate_beyond_what_clocks_do_is_followed_and_said_where_a_line_fits_and_is_no_fit_else():
+    device = np.arange(0.0, 100.0, 0.01)
+    late = np.random.default_rng(1).exponential(0.005, len(device))
+    fit = follow(device, 1.0068 * device + 0.5 + late)
+    assert fit is not None
+    assert worst_s(fit, device, 1.0068, 0.5) < 0.001
+    assert "0.9932 times" in str(fit.warning)
+    assert follow(device, 1.002 * device + late).warning is None
+    wandering = 0.3 * np.sin(device / 10.0)
+    assert follow(device, 1.0068 * device + wandering + late) is None
+    assert follow(device, 1.2 * device) is None
 
 
 @given(st.lists(st.tuples(st.floats(0, 1e4), st.floats(0, 1)), min_size=2, max_size=60))

@@ -9,12 +9,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import polars as pl
 import pytest
 
 from cyclekit.config import Cell
 from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
+from cyclekit.override import _goes as goes
 
 if TYPE_CHECKING:
     from conftest import Cells, SimulatedCell
@@ -86,6 +88,29 @@ def test_a_run_with_nobody_in_the_cell_is_the_reference_where_there_is_one(tmp_p
     assert "runs without the operator" in with_reference.card["warnings"][0]
     # Without it, a halt that every repetition has cannot be told from the program.
     assert alone.tasks()["safety_loss_s"].abs().max() < 0.1
+
+
+def test_a_standstill_tells_no_scaling_where_nobody_was_logged(tmp_path: Path):
+    """Motions at two speeds, and one stand of 14 s before a slow motion: who knows whether that was a halt."""
+    x, times = [0.0] * 125, (0.6, 0.6, 14.0, 0.6, 0.6, 0.6, 0.6, 0.6, 0.6, 0.6)
+    for number, stands_s in enumerate(times):
+        way = np.linspace(0.0, 0.5, 250 if number in (0, 3, 6) else 125)
+        way = way if number % 2 == 0 else way[::-1]
+        x += [*way, *np.full(int(125 * stands_s), way[-1])]
+    pose = pl.DataFrame({"timestamp": np.arange(len(x)) / 125} | {f"actual_TCP_pose_{i}": x for i in range(6)})
+    pose.write_csv(tmp_path / "run.csv", separator=" ", float_precision=6)
+    found = Dataset.open(ingest([tmp_path / "run.csv"], tmp_path / "dataset").dataset)
+    known = found.samples().filter(pl.col("scaling").is_not_null())
+    assert known.height > 0.6 * 10 * sum(1.0 + (number in (0, 3, 6)) for number in range(10))
+    assert known["scaling"].min() > 0.1  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(("speed_m_s", "halted"), [(0.0, True), (0.003, True), (0.1, False)])
+def test_a_robot_that_moves_is_not_halted(speed_m_s: float, halted: bool):
+    speeds = np.full(500, 0.5)
+    speeds[200:250] = speed_m_s
+    assert goes(speeds)[200:250].all() != halted
+    assert goes(speeds)[:200].all()
 
 
 def test_a_motion_that_never_repeats_has_no_reference_and_that_is_said(tmp_path: Path, robot_log: Any):

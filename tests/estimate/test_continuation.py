@@ -42,10 +42,8 @@ def test_habits_stay_what_they_were_in_a_cycle_of_any_length(away: bool, length_
     logged = [operator(rng, length_s, away=away) for _ in range(30)]
     where, activity = Continuation(logged, STEP_S, phase_free=True).extend(logged, list(range(30)), 3000)
     assert where.shape == (30, 3000, 3)
-    short, long = (
-        np.concatenate(parts)
-        for parts in zip(*(stays_s(*pair) for pair in zip(where, activity, strict=True)), strict=True)
-    )
+    stays = [stays_s(doing) for doing in activity]
+    short, long = (np.concatenate([one[kind] for one in stays]) for kind in (0, 1))
     assert np.mean(short) == pytest.approx(3.0, rel=0.12)
     assert np.mean(long) == pytest.approx(7.0, rel=0.12)
     assert (activity == 0).mean() == pytest.approx(0.3, abs=0.04)

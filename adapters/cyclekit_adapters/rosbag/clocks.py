@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from cyclekit.errors import ConfigError
 from cyclekit_adapters.rosbag.envelope import MAX_DRIFT, Array, Line, least_delays, line_under, middle
 
 How = Literal["header", "receive", "own-clock"]
@@ -37,6 +38,7 @@ STEP_S = 0.25
 """A clock that was set by less than this while recording is taken for delays."""
 BACKLOG = 0.05
 """A recorder that falls behind lets delays grow; by more than this per second it is the header's clock that is slow."""
+NO_LINE = "header and recorder's clock move apart by more than clocks do, and no line follows them"
 AGREE_S = 0.1
 """Topics whose clocks differ by less share one."""
 _LEAST_S, _LEAST_MESSAGES = 20.0, 100  # a rate told from less is noise
@@ -142,9 +144,13 @@ def _choice(source: Source, asked: How | None) -> Chosen:
         return Chosen("receive", "the header times jump back", least_s=least)
     line = line_under(source.stamp_s, source.receive_s, drifts=_long_enough(source))
     if asked == "own-clock":
+        if not line.fits:
+            raise ConfigError(f"time: {NO_LINE}", cure="Give header or receive in place of own-clock.")
         return Chosen("own-clock", "as the cell file says", line, least)
     if unsteady := _unsteady(source, delay):
         return Chosen("receive", unsteady, least_s=least)
+    if not line.fits and not -ahead_s <= least <= BEHIND_S:
+        return Chosen("receive", NO_LINE, least_s=least)
     if least < -ahead_s:
         return Chosen("own-clock", f"{-least:.3f} s ahead of the moments of recording", line, least)
     if least > BEHIND_S:
@@ -188,7 +194,7 @@ def _unsteady(source: Source, delay: Array) -> str:
 
 def _drifts(source: Source, delay: Array, line: Line) -> bool:
     """Tell whether header and receive times move apart steadily, and not by more than clocks do."""
-    if not _long_enough(source) or abs(line.rate - 1.0) >= MAX_DRIFT:
+    if not _long_enough(source) or not line.drifts:
         return False
     moved = abs(line.rate - 1.0) * _span_s(source)
     above = _floors(delay - (line.rate - 1.0) * (source.stamp_s - source.stamp_s[0]))
@@ -206,7 +212,7 @@ def _other_clock(sources: Mapping[str, Source], lines: Mapping[str, Line]) -> st
     name, line = max(lines.items(), key=lambda item: sources[item[0]].stamp_s.size)
     return (
         f"the header stamps are of another clock than the recorder's ({_off(line, sources[name])}); "
-        "they are used, and both stamps are kept"
+        f"they are used, and both stamps are kept{_speed(line)}"
     )
 
 
@@ -218,7 +224,17 @@ def _off(line: Line, source: Source) -> str:
 def _put(line: Line) -> str:
     return (
         f"put on the recorder's by the line under its delays (rate {line.rate:.6f}, typically {line.delay_s * 1e3:.1f}"
-        " ms above it); the least delay is not known and stays in it"
+        f" ms above it); the least delay is not known and stays in it{_speed(line)}"
+    )
+
+
+def _speed(line: Line) -> str:
+    """Say that a clock runs at a speed that no clock has, if it does."""
+    if line.drifts:
+        return ""
+    return (
+        f"; it runs at {1.0 / line.rate:.4f} times the recorder's speed, which no real clock does: if its time is "
+        "simulated, durations are simulated ones"
     )
 
 

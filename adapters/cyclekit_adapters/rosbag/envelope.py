@@ -16,6 +16,10 @@ Array = npt.NDArray[np.float64]
 
 MAX_DRIFT = 5e-3
 """The worst clock that anybody published ran 0.3 % off; delays that grow faster are no clock."""
+MAX_RATE = 0.05
+"""Simulated time runs up to this much faster or slower than the recorder's and is followed, where a line fits it."""
+EXPLAINED = 0.1
+"""A line at such a rate fits if messages typically lie above it by less than this share of how far the clocks part."""
 PARTS = 512
 _TYPICAL = 20_000  # messages looked at for the typical delay
 
@@ -27,12 +31,19 @@ class Line:
     Attributes:
         delay_s: Median of what messages took longer.
         steps: Messages in whose delays the line was looked for.
+        fits: False = the clocks move apart by more than clocks do, and no line follows them.
     """
 
     offset_s: float
     rate: float
     delay_s: float
     steps: int
+    fits: bool = True
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the rate is one that clocks have; else the time is simulated, or made up."""
+        return abs(self.rate - 1.0) < MAX_DRIFT
 
     def of(self, stamp_s: Array) -> Array:
         """Return header times, shape (N,), in the recorder's clock."""
@@ -64,11 +75,13 @@ def line_under(stamp_s: Array, receive_s: Array, *, drifts: bool = True) -> Line
     x, y = stamp_s - x0, receive_s - y0
     lowest = least_delays(y - x)
     rate = _slope(x[lowest], y[lowest]) if drifts and lowest.size > 1 else 1.0
-    rate = float(np.clip(rate, 1.0 - MAX_DRIFT, 1.0 + MAX_DRIFT))
+    rate = float(np.clip(rate, 1.0 - MAX_RATE, 1.0 + MAX_RATE))
     above = y - rate * x
     level = float(above.min())
-    typical = middle(above[:: max(1, above.size // _TYPICAL)])
-    return Line(y0 + level - rate * x0, rate, typical - level, stamp_s.size)
+    late = middle(above[:: max(1, above.size // _TYPICAL)]) - level
+    apart = abs(rate - 1.0)
+    fits = apart < MAX_DRIFT or (apart < MAX_RATE and late < EXPLAINED * apart * float(np.ptp(x)))
+    return Line(y0 + level - rate * x0, rate, late, stamp_s.size, fits)
 
 
 def _slope(x: Array, y: Array) -> float:

@@ -7,6 +7,7 @@ where the transforms of the bag lead there; `frames` knows the ways.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -74,12 +75,15 @@ def _add_numbered(contents: Contents, frames: Frames, topic: str, prefix: str, c
     if most > 1:
         contents.warnings.append(f"{topic} holds up to {most} places without identity: each index is one person")
     place: Array = np.full((track.index.size, most, 3), np.nan)
-    lost = 0
-    for part, given in seen:
+    lost = nobody = 0
+    for part, places in seen:
+        given = _of_somebody(places)
+        nobody += unknown(given) - unknown(places)
         placed = frames.placed(part.frame, times[part.rows], given)
         lost += unknown(placed) - unknown(given)
         place[part.rows, : given.shape[1]] = placed
     _say_lost(contents, topic, lost)
+    _say_nobody(contents, topic, nobody)
     names = np.array([f"{prefix}{person}" for person in range(most)])
     _append(columns, "t_s", np.repeat(times, most))
     _append(columns, "person", np.tile(names, track.index.size))
@@ -89,16 +93,22 @@ def _add_numbered(contents: Contents, frames: Frames, topic: str, prefix: str, c
 
 def _add_named(contents: Contents, frames: Frames, topic: str, prefix: str, columns: Columns) -> None:
     """Add the people of a topic whose messages name them; who is not named is not there."""
-    hidden, why, lost = 0, "", 0
+    hidden, why, lost, nobody = 0, "", 0, 0
     if all(not value.names.shape[1] for _, value in _named(contents, topic)):
         _add_nobody(contents, topic, columns)
         return
     for part, value in _named(contents, topic):
+        if value.joints is None:
+            places = _of_somebody(value.places)
+            nobody += int((np.isnan(places[..., 0]) & ~np.isnan(value.places[..., 0]) & (value.names != "")).sum())
+            value = replace(value, places=places)
         before, after = _add(contents, frames, topic, prefix, part, value, columns)
         lost += after - before
         if before:
             hidden, why = hidden + before, value.said or "no position"
     _say_lost(contents, topic, lost)
+    _say_nobody(contents, topic, nobody)
+    hidden -= nobody
     if hidden:
         contents.warnings.append(f"{hidden} places on {topic} are left unknown: {why}")
 
@@ -149,6 +159,19 @@ def _add_bodies(contents: Contents, roles: Roles, frames: Frames, columns: Colum
         _append(columns, "place", place)
         if joints:
             _append(columns, "joint", np.full(times.size, body.joint))
+
+
+def _of_somebody(places: Array) -> Array:
+    """Return places, shape (..., 3), NaN where they stand for nobody: there no transform may take them elsewhere."""
+    nobody = (places == 0.0).all(axis=-1) | (places == -1.0).all(axis=-1)
+    return np.where(nobody[..., None], np.nan, places)
+
+
+def _say_nobody(contents: Contents, topic: str, count: int) -> None:
+    if count:
+        contents.warnings.append(
+            f"{count} places on {topic} are exactly 0, 0, 0 or -1, -1, -1: that stands for nobody seen; unknown there"
+        )
 
 
 def _say_lost(contents: Contents, what: str, lost: int) -> None:

@@ -7,6 +7,7 @@ What was not recorded, or not yet, stays unknown.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -34,6 +35,7 @@ _NEAR_S = 0.1  # the same, where one message tells no period
 _SLACK = 1e-3
 _STATES = ("stopped", "playing")
 _UNKNOWN = -1
+_FINGER = re.compile(r"finger|gripper|knuckle|robotiq", re.IGNORECASE)  # of these positions are metres, or no arm's
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,13 @@ def _joints(contents: Contents, topic: str) -> _Rows | None:
         return None
     order = max(written, key=lambda names: (written[names] * len(names), names))
     ours = [part for part in parts if len(part[1].names) == len(order) and set(part[1].names) == set(order)]
-    rows, count = np.concatenate([rows for rows, _ in ours]), len(order)
+    rows = np.concatenate([rows for rows, _ in ours])
+    if fingers := [name for name in order if _FINGER.search(name)]:
+        contents.warnings.append(f"joints of a gripper are left out: {', '.join(fingers)}")
+        order = tuple(name for name in order if name not in fingers)
+    if not order:
+        return None
+    count = len(order)
     numbers, done = np.empty((rows.size, 2 * count)), 0
     for part, said in ours:
         here = slice(done, done := done + part.size)
@@ -140,7 +148,7 @@ def _joints(contents: Contents, topic: str) -> _Rows | None:
 
 def _ordered(values: Array, names: tuple[str, ...], order: tuple[str, ...]) -> Array:
     """Return the columns in `order`, shape (N, J); NaN where the driver left them out."""
-    if values.shape[1] != len(order):
+    if values.shape[1] != len(names):
         return np.full((len(values), len(order)), np.nan)
     return values if names == order else values[:, [names.index(name) for name in order]]
 

@@ -1,0 +1,183 @@
+"""The links of an arm from its joint angles: for one that is named, and for one that the log proves to be such an arm.
+
+A log names its joints but rarely the arm. So each known arm of Universal Robots is tried: the one whose computed tool
+point follows the logged tool point is the arm, and if none does, none is drawn. Drawing is the business of `replay`,
+the TCP of a log that holds joints alone that of `intake`.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+AGREES_M = 0.05
+"""A computed tool point within this of the logged one (95 % of instants) belongs to the same arm."""
+
+LONGEST_TOOL_M = 0.35
+_MOVED_M = 0.1
+_HALF_PI = np.pi / 2
+
+
+class Link(NamedTuple):
+    """One link by its (standard) Denavit-Hartenberg parameters: along z, along x, about x, and what the joint adds."""
+
+    d_m: float
+    a_m: float
+    alpha_rad: float
+    theta_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class Arm:
+    """An arm as its maker publishes it."""
+
+    name: str
+    links: tuple[Link, ...]
+
+
+def _ur(name: str, d1_m: float, a2_m: float, a3_m: float, d4_m: float, d5_m: float, d6_m: float) -> Arm:
+    first, last = Link(d1_m, 0.0, _HALF_PI), Link(d6_m, 0.0, 0.0)
+    upper, lower = Link(0.0, a2_m, 0.0), Link(0.0, a3_m, 0.0)
+    return Arm(name, (first, upper, lower, Link(d4_m, 0.0, _HALF_PI), Link(d5_m, 0.0, -_HALF_PI), last))
+
+
+def _iiwa(name: str, shoulder_m: float, upper_m: float, lower_m: float, wrist_m: float) -> Arm:
+    heights, turns = (shoulder_m, 0.0, upper_m, 0.0, lower_m, 0.0, wrist_m), (-1, 1, 1, -1, -1, 1, 0)
+    return Arm(name, tuple(Link(d_m, 0.0, turn * _HALF_PI) for d_m, turn in zip(heights, turns, strict=True)))
+
+
+_PANDA = (
+    Link(0.333, 0.0, -_HALF_PI),
+    Link(0.0, 0.0, _HALF_PI),
+    Link(0.316, 0.0825, _HALF_PI),
+    Link(0.0, -0.0825, -_HALF_PI),
+    Link(0.384, 0.0, _HALF_PI),
+    Link(0.0, 0.088, _HALF_PI),
+    Link(0.107, 0.0, 0.0),
+)
+ARMS = (
+    _ur("UR5e", 0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996),
+    _ur("UR3e", 0.15185, -0.24355, -0.2132, 0.13105, 0.08535, 0.0921),
+    _ur("UR10e", 0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655),
+    _ur("UR16e", 0.1807, -0.4784, -0.36, 0.17415, 0.11985, 0.11655),
+    _ur("UR20", 0.2363, -0.862, -0.7287, 0.201, 0.1593, 0.1543),
+    _ur("UR30", 0.2363, -0.637, -0.5037, 0.201, 0.1593, 0.1543),
+    _ur("UR5", 0.089159, -0.425, -0.39225, 0.10915, 0.09465, 0.0823),
+    _ur("UR3", 0.1519, -0.24365, -0.21325, 0.11235, 0.08535, 0.0819),
+    _ur("UR10", 0.1273, -0.612, -0.5723, 0.163941, 0.1157, 0.0922),
+)
+"""Universal Robots' published parameters, e-Series first."""
+MODELS = {
+    arm.name: arm
+    for arm in (
+        *ARMS,
+        Arm("Panda", _PANDA),
+        Arm("FR3", _PANDA),
+        _iiwa("iiwa 7", 0.34, 0.4, 0.4, 0.126),
+        _iiwa("iiwa 14", 0.36, 0.42, 0.4, 0.126),
+    )
+}
+"""Arms that a cell file can name."""
+_UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+
+
+def joint_order(names: Sequence[str]) -> list[int]:
+    """Return which joint is the first from the base, the second, ..., by their names; as they come where none tells."""
+    ur = [[i for i, name in enumerate(names) if part in name] for part in _UR_JOINTS]
+    if len(names) == len(_UR_JOINTS) and all(len(found) == 1 for found in ur):
+        return [found[0] for found in ur]
+    numbers = [re.findall(r"\d+", name)[-1:] for name in names]
+    if all(numbers) and len({int(n[0]) for n in numbers}) == len(names):
+        return sorted(range(len(names)), key=lambda i: int(numbers[i][0]))
+    return list(range(len(names)))
+
+
+@dataclass(frozen=True)
+class FittedArm:
+    """An arm that follows the log.
+
+    Attributes:
+        arm: Which one.
+        tool_m: Tool point in the flange frame, shape (3,), metres.
+        error_m: 95 % of the computed tool points lie within it of the logged ones.
+    """
+
+    arm: Arm
+    tool_m: NDArray[np.float64]
+    error_m: float
+
+
+def joint_points(arm: Arm, joints_rad: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return where the joints are and how the flange is turned.
+
+    Args:
+        arm: The arm's links, J of them.
+        joints_rad: Joint angles, shape (T, J).
+
+    Returns:
+        Points from base to flange, shape (T, J + 1, 3), metres, base frame; flange rotation, shape (T, 3, 3).
+    """
+    count = len(joints_rad)
+    turn = np.broadcast_to(np.eye(3), (count, 3, 3))
+    point = np.zeros((count, 3))
+    points = [point]
+    for axis, (d_m, a_m, alpha, theta) in enumerate(arm.links):
+        cos, sin = np.cos(joints_rad[:, axis] + theta), np.sin(joints_rad[:, axis] + theta)
+        step = np.stack([a_m * cos, a_m * sin, np.full(count, d_m)], axis=1)
+        point = point + np.einsum("tij,tj->ti", turn, step)
+        turn = turn @ _link_turn(cos, sin, alpha)
+        points.append(point)
+    return np.stack(points, axis=1), turn
+
+
+def _link_turn(cos: NDArray[np.float64], sin: NDArray[np.float64], alpha: float) -> NDArray[np.float64]:
+    """Rotation of one link, shape (T, 3, 3): about its joint by the angle, then about x by `alpha`."""
+    zero = np.zeros_like(cos)
+    ca, sa = np.cos(alpha), np.sin(alpha)
+    rows = [[cos, -sin * ca, sin * sa], [sin, cos * ca, -cos * sa], [zero, zero + sa, zero + ca]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def recognise_arm(joints_rad: NDArray[np.float64], tcp_m: NDArray[np.float64]) -> FittedArm | None:
+    """Find the arm whose tool point follows the logged one.
+
+    First with the tool point at the flange; then, if the arm moved enough to prove it, with one fixed tool.
+
+    Args:
+        joints_rad: Joint angles, shape (T, 6).
+        tcp_m: Logged tool centre point, shape (T, 3), metres, base frame. Rows with NaN are left out.
+
+    Returns:
+        The arm that fits best, or None when none agrees within `AGREES_M`.
+    """
+    known = np.isfinite(joints_rad).all(axis=1) & np.isfinite(tcp_m).all(axis=1)
+    joints_rad, tcp_m = joints_rad[known], tcp_m[known]
+    if not len(tcp_m):
+        return None
+    fitted = [fit for arm in ARMS for fit in _fits(arm, joints_rad, tcp_m)]
+    return min(fitted, key=lambda fit: fit.error_m, default=None)
+
+
+def _fits(arm: Arm, joints_rad: NDArray[np.float64], tcp_m: NDArray[np.float64]) -> list[FittedArm]:
+    points, turn = joint_points(arm, joints_rad)
+    miss = tcp_m - points[:, -1]
+    tool = np.einsum("tji,tj->ti", turn, miss).mean(axis=0)
+    moved = bool(np.ptp(tcp_m, axis=0).max() > _MOVED_M)
+    candidates = [np.zeros(3)]
+    if moved and float(np.linalg.norm(tool)) <= LONGEST_TOOL_M:
+        candidates.append(tool)
+    found = []
+    for offset in candidates:
+        left = np.linalg.norm(miss - np.einsum("tij,j->ti", turn, offset), axis=1)
+        error_m = float(np.quantile(left, 0.95))
+        if error_m <= AGREES_M:
+            found.append(FittedArm(arm, offset, error_m))
+    return found

@@ -19,6 +19,7 @@ import polars as pl
 
 from cyclekit.clock import (
     ASSUMED,
+    REACH_S,
     ClockFit,
     LogClock,
     coarse_fit,
@@ -55,6 +56,12 @@ LATE_S = 0.1
 """Stamps that typically lie further above the line under their delays are worth a word."""
 RESTART_S = 1.0
 """A device's clock that steps back by more than this began anew."""
+
+
+NOT_COARSE = (
+    f"not aligned on the operator being near while the robot slows: no offset within {REACH_S:.0f} s shows that, and "
+    "larger ones are not looked for"
+)
 
 
 class _Tables(NamedTuple):
@@ -145,7 +152,8 @@ def _fit(
         plain = replace(plain, warning=said + str(plain.warning))
     if coarse_step_s is None or "people" not in entry["tables"]:
         return plain
-    return _coarse(entry, master, source, tables, coarse_step_s) or plain
+    found = _coarse(entry, master, source, tables, coarse_step_s)
+    return found or replace(plain, warning=f"{NOT_COARSE}; {plain.warning}")
 
 
 def _borrowed(

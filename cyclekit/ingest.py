@@ -34,7 +34,7 @@ from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.one_thread import one_thread
 from cyclekit.plain_json import finite
 from cyclekit.privacy import Names, numbered_logs, take_out
-from cyclekit.session import group_sessions
+from cyclekit.session import group_sessions, unpaired
 from cyclekit.storage import is_url, mirrored, published
 from cyclekit.storage.cache import cached, of_file_url
 from cyclekit.tables import StoredTable
@@ -233,7 +233,7 @@ def _build(
     derived = derive(
         sessions, sources, native, stored, cell, staging / "samples", later, engine=wanted.engine, coarse=coarse
     )
-    derived.warnings.extend(_unmatched(cell, wanted.logs))
+    derived.warnings.extend([*unpaired(sessions), *_unmatched(cell, wanted.logs)])
     digests.settle(entries)
     if names is not None:
         take_out(entries, names, staging)

@@ -252,6 +252,15 @@ def why_unknown(path: Path) -> UnknownFormat:
     cells = max(head.count(separator) for separator in (b",", b";", b"\t")) + 1
     if len(head) < 4096 and b"\0" not in head and cells > 3 and len(head.strip().splitlines()) == 1:
         return UnknownFormat(path, "a single line: a header and no rows", cure="Record again, or remove the file.")
-    if b"\0" not in head and (b"," in head or b";" in head or b"\t" in head):
-        cure += ' For a table of your own, map its columns in cell.toml with adapter = "csv".'
+    if _is_table(head):
+        cause = 'no adapter recognises this content, a table: map its columns in cell.toml, with adapter = "csv"'
+        return UnknownFormat(path, f"{cause} (docs/adapters.md)", cure=cure)
     return UnknownFormat(path, "no adapter recognises this content", cure=cure)
+
+
+def _is_table(head: bytes) -> bool:
+    """Tell whether the first lines of a text have the same number of cells, three or more."""
+    lines = head.strip().splitlines()[:3]
+    return b"\0" not in head and any(
+        len({line.count(mark) for line in lines}) == 1 and lines[0].count(mark) > 1 for mark in (b",", b";", b"\t")
+    )

@@ -16,6 +16,8 @@ from cyclekit.inside import fitting
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    _Key = tuple[str, int, tuple[str, ...]]
+
 
 @dataclass
 class Session:
@@ -39,6 +41,9 @@ def group_sessions(
 ) -> list[Session]:
     """Group recordings that share a time: all of them if there is one robot log, else folder by folder.
 
+    Of folders that hold robot logs alone and folders that hold others alone (`robot/a.csv`, `tracker/a.csv`), logs of
+    the same name are grouped, where only one robot log can be meant.
+
     Args:
         entries: Of the recordings; each gets the name of its session.
         is_reference: Tells by the path of a log whether it was recorded with nobody in the cell.
@@ -51,7 +56,7 @@ def group_sessions(
         folders: dict[str, list[dict[str, Any]]] = {}
         for entry in entries:
             folders.setdefault(_folder(entry), []).append(entry)
-        groups = [group for folder, here in folders.items() for group in _in_folder(folder, *_divided(here))]
+        groups = _by_name([group for folder, here in folders.items() for group in _in_folder(folder, *_divided(here))])
     sessions: list[Session] = []
     taken: set[str] = set()
     digits = len(str(len(groups)))
@@ -64,6 +69,48 @@ def group_sessions(
             entry["session"] = name
         sessions.append(Session(name, group, reference))
     return sessions
+
+
+def unpaired(sessions: list[Session]) -> list[str]:
+    """Return what to say where robot logs without people lie beside logs without a robot; nothing if all is well."""
+    tables = [(session, {table for entry in session.entries for table in entry["tables"]}) for session in sessions]
+    robots = [session for session, kinds in tables if "people" not in kinds and not session.reference]
+    others = [session for session, kinds in tables if "robot" not in kinds]
+    if not robots or not others:
+        return []
+    names = [group[0].entries[0]["sources"][0]["path"] for group in (robots, others)]
+    return [
+        f"{len(robots)} robot logs ({names[0]}, …) are without people, {len(others)} logs ({names[1]}, …) without a "
+        "robot: unclear which belong together. Put each session into a folder of its own, or give its logs the "
+        "same name in their folders (robot/a.csv, tracker/a.csv)"
+    ]
+
+
+def _by_name(groups: list[list[dict[str, Any]]]) -> list[list[dict[str, Any]]]:
+    """Put logs that are alone to the one robot log of the same name in a folder that differs by one part."""
+    robots: dict[_Key, list[int]] = {}
+    for number, group in enumerate(groups):
+        if all("robot" in entry["tables"] for entry in group):
+            for key in _keys(group[0]):
+                robots.setdefault(key, []).append(number)
+    joined = [list(group) for group in groups]
+    for number, group in enumerate(groups):
+        if any("robot" in entry["tables"] for entry in group):
+            continue
+        meant = {robot for key in _keys(group[0]) for robot in robots.get(key, [])}
+        if len(meant) == 1:
+            joined[meant.pop()] += group
+            joined[number] = []
+    return [group for group in joined if group]
+
+
+def _keys(entry: dict[str, Any]) -> list[_Key]:
+    """Return the name of a log with its folders, each in turn left out."""
+    sources = entry["sources"]
+    folders = tuple(_folder(entry).split("/"))
+    path = Path(sources[0]["path"])
+    name = path.parent.name if len(sources) > 1 else path.stem
+    return [(name, at, folders[:at] + folders[at + 1 :]) for at in range(len(folders))]
 
 
 def _divided(entries: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -92,7 +139,8 @@ def _in_folder(folder: str, robots: list[dict[str, Any]], others: list[dict[str,
 
 def _session_name(group: list[dict[str, Any]], taken: set[str]) -> str:
     folder = _folder(group[0]).replace("/", ".")
-    name = fitting(folder) if folder and fitting(folder) not in taken else group[0]["id"]
+    folder = fitting(folder) if folder else ""
+    name = folder if folder and folder not in taken else group[0]["id"]
     number = 1
     while name in taken:
         number += 1

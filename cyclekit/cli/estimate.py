@@ -25,8 +25,9 @@ from cyclekit.cli.options import (
 from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
+    from cyclekit.errors import EstimateError
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.guard import Kind
@@ -64,9 +65,12 @@ def estimate(
 ) -> None:
     """Estimate the cycle time of task sequences, ranked among those that do the same work.
 
-    Per sequence: the mean, the range of single cycles, where the time goes, and the basis of the number.
+    Per sequence: the mean, the range of single cycles, where the time goes, and the basis of the number. A sequence
+    that cannot be answered from these logs is named with the reason, and the others are answered; if none can be, that
+    is an error.
     """
     from cyclekit.dataset import Dataset
+    from cyclekit.errors import EstimateError
     from cyclekit.estimate.rollout import estimate as estimate_cycles
     from cyclekit.guard import check_output
     from cyclekit.models.saved import load_model
@@ -79,6 +83,7 @@ def estimate(
     wanted = load_sequences(sequences)
     asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
     opened, logs = load_model(model), Dataset.open(dataset)
+    refused: dict[str, EstimateError] = {}
     with terminal.progress("estimating") as progress:
         found = estimate_cycles(
             opened,
@@ -92,18 +97,36 @@ def estimate(
             validate=check,
             other_cell=other_cell,
             engine=work,
+            refused=lambda sequence, error: refused.__setitem__(sequence.name, error),
             progress=progress,
         )
+    if not found:
+        raise EstimateError("\n".join(dict.fromkeys(map(str, refused.values()))))
     checked, alarms = found[0].check, alarms_of(found)
     document: dict[str, Any] = {"warnings": alarms, "sequences": [entry.to_json() for entry in found]}
+    document["refused"] = [{"sequence": name, "reason": str(error)} for name, error in refused.items()]
     document["check"] = checked.to_json() if checked else None
     if out is not None:
         write_out(out, as_csv(found) if as_table else document)
         terminal.remark(f"written: {out}")
     by_task = tasks_table(found[0]) if len(found) == 1 else ""
     numbers = f"{estimates_table(found)}\n{CAPTION}\n{doubted(found)}".rstrip()
-    parts = [alarmed(alarms), numbers, ranking(found), takt_table(found), by_task, loses_most(found)]
+    parts = [
+        alarmed(alarms),
+        numbers,
+        not_answered(refused),
+        ranking(found),
+        takt_table(found),
+        by_task,
+        loses_most(found),
+    ]
     terminal.answer(document, *parts, rests_on(found), judged(checked) if checked else "")
+
+
+def not_answered(refused: Mapping[str, EstimateError]) -> str:
+    """Return what could not be answered and why, one line each; errors by the name of what was asked for."""
+    texts = [". ".join(part for part in (error.seen, error.cure) if part) for error in refused.values()]
+    return f"Not answered\n{bullet(texts)}" if texts else ""
 
 
 def alarms_of(found: Sequence[CycleEstimate]) -> list[str]:

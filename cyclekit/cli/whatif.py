@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.estimate import alarmed, alarms_of, doubted, starred
+from cyclekit.cli.estimate import alarmed, alarms_of, doubted, not_answered, starred
 from cyclekit.cli.options import Checked, Extrapolate, Json, LoggedPlace, ModelPlace, OtherCell, Quiet
 from cyclekit.cli.terminal import Terminal, bullet, table, write_out
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from cyclekit.errors import EstimateError
     from cyclekit.whatif import WhatIf
@@ -77,7 +77,7 @@ def whatif(
         write_out(out, document)
         terminal.remark(f"written: {out}")
     numbers = f"{_table(found)}\n{doubted([side for entry in found for side in (entry.before, entry.after)])}".rstrip()
-    terminal.answer(document, alarmed(alarms), numbers, _refused(refused), _limits(found), NO_PROOF)
+    terminal.answer(document, alarmed(alarms), numbers, not_answered(refused), _limits(found), NO_PROOF)
 
 
 def _table(found: Sequence[WhatIf]) -> str:
@@ -96,11 +96,6 @@ def _table(found: Sequence[WhatIf]) -> str:
             ]
         )
     return table(["change ", "sequence ", "before, s", "after, s", "mean (95%)", "saves, s"], rows)
-
-
-def _refused(refused: Mapping[str, EstimateError]) -> str:
-    texts = [". ".join(part for part in (error.seen, error.cure) if part) for error in refused.values()]
-    return f"Not answered\n{bullet(texts)}" if texts else ""
 
 
 def _limits(found: Sequence[WhatIf]) -> str:

@@ -7,7 +7,7 @@ Here are the mappings alone, on arrays; which one a log gets is the business of 
 
 from __future__ import annotations
 
-from cyclekit.clock.coarse import coarse_fit
+from cyclekit.clock.coarse import REACH_S, coarse_fit
 from cyclekit.clock.envelope import follow, lower_envelope
 from cyclekit.clock.fit import ASSUMED, ClockFit, LogClock, Method, fit_clock
 from cyclekit.clock.motion import fit_motion
@@ -15,6 +15,7 @@ from cyclekit.clock.pairs import fit_events, fit_pairs
 
 __all__ = [
     "ASSUMED",
+    "REACH_S",
     "ClockFit",
     "LogClock",
     "Method",

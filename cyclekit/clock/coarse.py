@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 FAR_M = 4.0
 """Beyond this a person is far, no matter how far."""
 REACH_S = 120.0
+"""Offsets up to this are looked for."""
 LEAST_SHARE = 0.6
 TOO_WEAK = 0.2
 AMBIGUOUS = 0.9

@@ -128,6 +128,5 @@ def _shares(program: Program, cycles: Rolled) -> Iterator[TaskShare]:
     stands *= (float(cycles.duration_s.mean()) - motion) / float(stands.sum())
     for task, lost, stand in zip(program.tasks, safety.tolist(), stands.tolist(), strict=True):
         usual = task.dwell_s + task.wait_s
-        dwell = stand * task.dwell_s / usual if usual > 0.0 else stand
-        wait = stand - dwell
+        dwell, wait = (stand * part / usual for part in (task.dwell_s, task.wait_s)) if usual > 0.0 else (stand, 0.0)
         yield TaskShare(task.task, task.nominal_s + lost + stand, task.nominal_s, lost, dwell, wait)

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from cyclekit.sequences import TaskSequence
 
     Vector = NDArray[np.float64]
+    _Refuse = Callable[[TaskSequence, EstimateError], None]
 
 __all__ = ["ESTIMATORS", "estimate", "lay_out", "roll_out"]
 
@@ -55,10 +56,11 @@ MANY = 50
 
 @dataclass(frozen=True)
 class Altered:
-    """Another cell than the one that was logged: its nominal tasks made of the logged ones, and its operator tracks."""
+    """Another cell than the one that was logged: tasks and tracks made of the logged ones, and how s follows there."""
 
     tasks: Callable[[Mapping[str, NominalTask]], Mapping[str, NominalTask]]
     tracks: Callable[[OperatorTracks, Mapping[str, NominalTask]], OperatorTracks]
+    dynamics: Dynamics
 
 
 @one_thread()
@@ -77,6 +79,7 @@ def estimate(
     other_cell: bool = False,
     altered: Altered | None = None,
     engine: Engine = LOCAL,
+    refused: Callable[[TaskSequence, EstimateError], None] | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> list[CycleEstimate]:
     """Return the expected cycle time of each sequence: those of the same work together, shortest first.
@@ -99,6 +102,8 @@ def estimate(
         other_cell: Answer by a model of another cell too, or one that is far off on these logs.
         altered: What is different from the cell that was logged.
         engine: Where sequences are walked; same numbers from each. An altered cell is walked in this process.
+        refused: Told each sequence that cannot be answered from these logs, and why; the others are answered as if they
+            alone were asked for. None: the first such sequence is raised.
         progress: Told fraction and text.
 
     Raises:
@@ -115,7 +120,10 @@ def estimate(
     wanted = None if altered else {task for sequence in sequences for task in sequence.tasks}
     nominal: Mapping[str, NominalTask] = nominal_tasks(dataset, wanted)
     nominal = altered.tasks(nominal) if altered else nominal
-    programs = {sequence: lay_out(sequence, nominal, dataset) for sequence in sequences}
+    refuse = refused or _raised
+    programs = _laid_out(sequences, nominal, dataset, refuse)
+    if not programs:
+        return []
     unknown: tuple[str, ...] = ()
     if chosen != "rollout":
         check = None
@@ -129,8 +137,10 @@ def estimate(
     means: list[Vector] = []
     looked_up: list[bool] = []
     for operator in dict.fromkeys(sequence.operator for sequence in sequences):
-        mine = [sequence for sequence in programs if sequence.operator == operator]
-        rolled, tracks = _cycles(ask, mine, [programs[sequence] for sequence in mine], tell)
+        some = {sequence: program for sequence, program in programs.items() if sequence.operator == operator}
+        mine, rolled, tracks = _answered(ask, some, tell, refuse)
+        if not mine:
+            continue
         weights = _weights(ask, rolled[0], tracks)
         for sequence, cycles in zip(mine, rolled, strict=True):
             entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights)
@@ -158,16 +168,74 @@ def _chosen(model: SafetyModel, estimator: str | None) -> str:
     return estimator
 
 
+def _raised(_: TaskSequence, error: EstimateError) -> None:
+    raise error
+
+
+def _laid_out(
+    sequences: Sequence[TaskSequence], nominal: Mapping[str, NominalTask], dataset: Dataset, refuse: _Refuse
+) -> dict[TaskSequence, Program]:
+    programs = {}
+    for sequence in sequences:
+        try:
+            programs[sequence] = lay_out(sequence, nominal, dataset)
+        except EstimateError as error:
+            refuse(sequence, error)
+    return programs
+
+
+def _answered(
+    ask: Question, programs: Mapping[TaskSequence, Program], tell: Callable[[float, str], None], refuse: _Refuse
+) -> tuple[list[TaskSequence], list[Rolled], OperatorTracks | None]:
+    """Return the sequences that can be answered, the cycles of each, and the tracks they rest on (None: on none).
+
+    Those that are left when others are refused are walked again: how long tracks are is up to the slowest.
+    """
+    while programs:
+        try:
+            rolled, tracks, until_s = _cycles(ask, list(programs), list(programs.values()), tell)
+        except EstimateError as error:  # there are no tracks for any of them
+            for sequence in programs:
+                refuse(sequence, error)
+            break
+        problems = [_problem(ask, *pair, until_s) for pair in zip(programs, rolled, strict=True)]
+        if not any(problems):
+            return list(programs), rolled, tracks
+        for sequence, problem in zip(programs, problems, strict=True):
+            if problem is not None:
+                refuse(sequence, problem)
+        left = zip(programs.items(), problems, strict=True)
+        programs = dict(pair for pair, problem in left if problem is None)
+    return [], [], None
+
+
+def _problem(ask: Question, sequence: TaskSequence, cycles: Rolled, until_s: float) -> EstimateError | None:
+    """Return why these cycles are no answer: they do not end, or lie outside of the logs and that was not asked for."""
+    stuck = float(np.mean(~np.isfinite(cycles.duration_s)))
+    if stuck:
+        seen = f"{sequence.shown}: {stuck:.0%} of the cycles do not end within {until_s:.0f} s"
+        cure = "The operator's tracks leave the robot halted; check the tracker's frame and clock."
+        return EstimateError(seen, cure=cure)
+    if cycles.support < LEAST_SUPPORT and not ask.extrapolate:
+        seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through positions ever logged"
+        return EstimateError(seen, cure="Log this part of the cell, or ask with --extrapolate and mark the number.")
+    return None
+
+
 def _cycles(
     ask: Question, sequences: Sequence[TaskSequence], programs: Sequence[Program], tell: Callable[[float, str], None]
-) -> tuple[list[Rolled], OperatorTracks | None]:
-    """Return the cycles of every sequence, and the tracks they rest on (None where they rest on none)."""
+) -> tuple[list[Rolled], OperatorTracks | None, float]:
+    """Return the cycles of every sequence, the tracks they rest on (None: on none), and how long these are at most, s.
+
+    A cycle that does not end within them has duration inf.
+    """
     if ask.estimator == "history":
-        return [by_history(ask.dataset, program, seed=ask.seed) for program in programs], None
+        return [by_history(ask.dataset, program, seed=ask.seed) for program in programs], None, np.inf
     if ask.estimator == "nominal":
-        return [by_nominal(program) for program in programs], None
+        return [by_nominal(program) for program in programs], None, np.inf
     horizon = 2.5 * max(program.length_s for program in programs)
-    for _ in range(4):  # tracks must be long enough for the slowest cycle; a cell that halts for long needs more
+    rolled: list[Rolled] = []
+    for last in (False, False, False, True):  # tracks must be long enough for the slowest cycle; halts take longer
         operator, goals = sequences[0].operator, ask.estimator == "average"
         tracks = operator_tracks(ask.dataset, horizon_s=horizon, operator=operator, goals=goals)
         if ask.altered is not None:
@@ -176,15 +244,12 @@ def _cycles(
         for number, cycles in enumerate(_rolled(ask, _Round(sequences, programs, tracks, horizon))):
             rolled.append(cycles)
             tell(number / len(programs), f"rolling out {sequences[number].name}")
-            if not np.isfinite(cycles.duration_s).all():
+            if not last and not np.isfinite(cycles.duration_s).all():
                 break
         else:
-            return [_supported(ask, *pair) for pair in zip(sequences, rolled, strict=True)], tracks
+            break
         horizon *= 2.0
-    stuck = float(np.mean(~np.isfinite(rolled[-1].duration_s)))
-    shown = sequences[len(rolled) - 1].shown
-    seen = f"{shown}: {stuck:.0%} of the cycles do not end within {horizon / 2:.0f} s"
-    raise EstimateError(seen, cure="The operator's tracks leave the robot halted; check the tracker's frame and clock.")
+    return rolled, tracks, horizon
 
 
 @dataclass(frozen=True)
@@ -201,8 +266,7 @@ def _rolled(ask: Question, turn: _Round) -> Iterator[Rolled]:
     programs, tracks = turn.programs, turn.tracks
     if ask.estimator == "average":
         return (by_average(ask.model, program, tracks, seed=ask.seed) for program in programs)  # type: ignore[arg-type]
-    dynamics = Dynamics.of(ask.dataset.card)
-    if len(programs) <= MANY or not dynamics.none:
+    if len(programs) <= MANY or not _dynamics(ask).none:
         return _walked(ask, turn)
     return _looked_up(ask, turn)
 
@@ -215,7 +279,11 @@ def _walked(ask: Question, turn: _Round) -> Iterator[Rolled]:
         asked = Asked(ask.model, ask.dataset.place, some, operator, turn.horizon_s, ask.seed)
         return roll_spread(ask.engine, asked, turn.sequences, len(tracks.executions))
     support = None if getattr(ask.model, "known_everywhere", False) else logged_support(ask.dataset)
-    return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=Dynamics.of(ask.dataset.card))
+    return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=_dynamics(ask))
+
+
+def _dynamics(ask: Question) -> Dynamics:
+    return ask.altered.dynamics if ask.altered is not None else Dynamics.of(ask.dataset.card)
 
 
 def _looked_up(ask: Question, turn: _Round) -> Iterator[Rolled]:
@@ -230,14 +298,6 @@ def _looked_up(ask: Question, turn: _Round) -> Iterator[Rolled]:
     for i, cycles in zip(best, walked, strict=True):
         found[i] = cycles
     return iter(found)
-
-
-def _supported(ask: Question, sequence: TaskSequence, cycles: Rolled) -> Rolled:
-    """Refuse what lies outside of the logs, unless it was asked for."""
-    if cycles.support < LEAST_SUPPORT and not ask.extrapolate:
-        seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through positions ever logged"
-        raise EstimateError(seen, cure="Log this part of the cell, or ask with --extrapolate and mark the number.")
-    return cycles
 
 
 def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> NDArray[np.float64]:

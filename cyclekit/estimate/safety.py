@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -39,6 +39,14 @@ class SafetyModel(Protocol):
 
     def predict(self, X: NDArray[np.float32], /) -> Vector:
         """Return the scaling (N,) for rows x_r, x_h (N, 6), m."""
+
+
+@runtime_checkable
+class Written(SafetyModel, Protocol):
+    """A safety function whose thresholds are known: they are those at which s falls."""
+
+    def moved_outwards(self, margin_m: float, /) -> SafetyModel:
+        """Return it with its thresholds and zones moved outwards by the hysteresis: what s rises by."""
 
 
 @dataclass(frozen=True)
@@ -118,15 +126,23 @@ class Follower:
         self._s, self._held = (None if part is None else part[going] for part in (self._s, self._held))
 
     def _wanted(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
-        """The safety function with its hysteresis: what was learned lies half way between falling and rising."""
-        half = (self._dynamics.hysteresis_m or 0.0) / 2
-        if half == 0.0:
+        """Return what the safety function with its hysteresis asks for."""
+        margin_m = self._dynamics.hysteresis_m or 0.0
+        if margin_m == 0.0:
             return scaling_of(self._model, robot_m, human_m)
-        human_m = in_plane(robot_m, human_m)
-        way = human_m - robot_m
-        way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
-        rising = scaling_of(self._model, robot_m, human_m - half * way)
-        falling = scaling_of(self._model, robot_m, human_m + half * way)
+        rising, falling = self._within(margin_m, robot_m, human_m)
         falling = np.maximum(falling, rising)
         self._held = falling if self._held is None else np.clip(self._held, rising, falling)
         return self._held
+
+    def _within(
+        self, margin_m: float, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]
+    ) -> tuple[Vector, Vector]:
+        """Return up to which s may rise and down to which it must fall; what was learned lies half way between."""
+        if isinstance(self._model, Written):
+            outer = self._model.moved_outwards(margin_m)
+            return scaling_of(outer, robot_m, human_m), scaling_of(self._model, robot_m, human_m)
+        human_m = in_plane(robot_m, human_m)
+        way = human_m - robot_m
+        way *= margin_m / 2 / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+        return scaling_of(self._model, robot_m, human_m - way), scaling_of(self._model, robot_m, human_m + way)

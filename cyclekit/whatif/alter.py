@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.safety import SafetyModel, scaling_of
+from cyclekit.estimate.safety import Dynamics, SafetyModel, scaling_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -34,9 +34,13 @@ LOOKED_AT = 60
 
 @dataclass(frozen=True)
 class WrittenSafety:
-    """A safety function written down: a staircase over ||x_r - x_h||, or zones on the floor."""
+    """A safety function written down: a staircase over ||x_r - x_h||, zones on the floor, or the slower of both.
+
+    Thresholds and zones are those at which the robot slows; `margin_m` moves them outwards.
+    """
 
     change: Change
+    margin_m: float = 0.0
     problem: str = "now"
     card: Mapping[str, Any] = field(default_factory=dict)
     known_everywhere: bool = True
@@ -46,23 +50,59 @@ class WrittenSafety:
         """Its levels, ascending."""
         return self.change.levels
 
+    def moved_outwards(self, margin_m: float) -> WrittenSafety:
+        """Return what must allow a level for s to rise to it, `margin_m` being the hysteresis."""
+        return replace(self, margin_m=margin_m)
+
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
         """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
-        levels = np.array(self.change.levels)
+        levels, margin_m = np.array(self.change.levels), self.margin_m
+        scaling = np.full(len(X), levels[-1])
         if self.change.thresholds_m:
             apart = np.linalg.norm(X[:, :3].astype(np.float64) - X[:, 3:6], axis=1)
-            return np.asarray(levels[np.searchsorted(np.array(self.change.thresholds_m), apart, side="left")])
-        scaling = np.full(len(X), levels[-1])
+            scaling = levels[np.searchsorted(np.array(self.change.thresholds_m) + margin_m, apart, side="left")]
         for zone in self.change.zones:
-            inside = (X[:, 3] >= zone.x_m[0]) & (X[:, 3] <= zone.x_m[1])
-            inside &= (X[:, 4] >= zone.y_m[0]) & (X[:, 4] <= zone.y_m[1])
+            inside = (X[:, 3] >= zone.x_m[0] - margin_m) & (X[:, 3] <= zone.x_m[1] + margin_m)
+            inside &= (X[:, 4] >= zone.y_m[0] - margin_m) & (X[:, 4] <= zone.y_m[1] + margin_m)
             scaling[inside] = np.minimum(scaling[inside], zone.level)
-        return scaling
+        return np.asarray(scaling)
 
 
-def altered_safety(change: Change, model: SafetyModel) -> SafetyModel:
-    """Return the safety function that holds after the change."""
-    return WrittenSafety(change) if change.levels else model
+@dataclass(frozen=True)
+class LearnedSafety:
+    """A learned safety function as s falls by it: what was learned lies half the logged hysteresis farther out."""
+
+    model: SafetyModel
+    hysteresis_m: float
+    margin_m: float = 0.0
+    problem: str = "now"
+
+    @property
+    def card(self) -> Mapping[str, Any]:
+        """Of the model."""
+        return self.model.card
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Of the model; empty where it says none."""
+        return getattr(self.model, "levels", ())
+
+    def moved_outwards(self, margin_m: float) -> LearnedSafety:
+        """Return what must allow a level for s to rise to it, `margin_m` being the hysteresis."""
+        return replace(self, margin_m=margin_m)
+
+    def predict(self, X: NDArray[np.float32]) -> Vector:
+        """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
+        way = X[:, 3:] - X[:, :3]
+        way *= (self.hysteresis_m / 2 - self.margin_m) / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+        return self.model.predict(np.hstack([X[:, :3], X[:, 3:] + way]))
+
+
+def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> SafetyModel:
+    """Return the safety function that holds after the change; `logged` is how s followed it before."""
+    if change.levels:
+        return WrittenSafety(change)
+    return LearnedSafety(model, logged.hysteresis_m or 0.0) if "hysteresis_m" in change.dynamics else model
 
 
 def altered_tasks(change: Change, tasks: Mapping[str, NominalTask], dataset: Dataset) -> dict[str, NominalTask]:

@@ -10,6 +10,7 @@ import numpy as np
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.rollout import Altered, estimate
+from cyclekit.estimate.safety import Dynamics
 from cyclekit.one_thread import one_thread
 from cyclekit.whatif.alter import altered_safety, altered_tasks, altered_tracks
 
@@ -80,7 +81,7 @@ def what_if(
         changes: Each by itself.
         seed: As of `estimate`.
         extrapolate: As of `estimate`.
-        validate: As of `estimate`; what it finds corrects both sides.
+        validate: As of `estimate`; what it finds corrects all that rests on the learned safety function.
         check: As of `estimate`.
         refused: Told each change that cannot be answered from these logs, and why; the others are answered. None: the
             first such change is raised.
@@ -102,18 +103,18 @@ def what_if(
 
     before = estimates(model, None, validate=validate, check=check)
     check = next((entry.check for entry in before.values()), None)
-    answers = []
+    logged, answers = Dynamics.of(dataset.card), []
     for number, change in enumerate(changes):
         tell(number / len(changes), change.name)
-        safety = altered_safety(change, model)
+        safety = altered_safety(change, model, logged)
         try:
-            after = estimates(safety, _altered(change, safety, dataset), check=check)
+            after = estimates(safety, _altered(change, safety, dataset, logged), check=_check_of(change, check))
         except EstimateError as error:
             if refused is None:
                 raise _named(change, error) from error
             refused(change, _named(change, error))
             continue
-        answers += [_compared(change, before[name], _marked(change, after[name]), seed) for name in names]
+        answers += [_compared(change, before[name], _marked(change, after[name], logged), seed) for name in names]
     return answers
 
 
@@ -123,23 +124,39 @@ def _named(change: Change, error: EstimateError) -> EstimateError:
     return EstimateError(f"change {change.name!r}: {error.seen}", nearest=error.nearest, cure=error.cure)
 
 
-def _altered(change: Change, safety: SafetyModel, dataset: Dataset) -> Altered:
+def _check_of(change: Change, check: Check | None) -> Check | None:
+    """Return the validation that holds after the change: a function that is written down has no bias of the network."""
+    return check if check is None or not change.levels else replace(check, own_bias=0.0)
+
+
+def _altered(change: Change, safety: SafetyModel, dataset: Dataset, logged: Dynamics) -> Altered:
     def tasks_of(tasks: Mapping[str, NominalTask]) -> dict[str, NominalTask]:
         return altered_tasks(change, tasks, dataset)
 
     def tracks_of(tracks: OperatorTracks, tasks: Mapping[str, NominalTask]) -> OperatorTracks:
         return altered_tracks(change, tracks, tasks, safety)
 
-    return Altered(tasks_of, tracks_of)
+    return Altered(tasks_of, tracks_of, replace(logged, **change.dynamics))
 
 
-def _marked(change: Change, after: CycleEstimate) -> CycleEstimate:
+def _marked(change: Change, after: CycleEstimate, logged: Dynamics) -> CycleEstimate:
     found = [NO_PROOF]
+    if change.levels:
+        found.append(_in_time(change, logged))
     if change.base_m is not None and not change.levels:
         found.append("the learned safety function is taken to move with the robot's base")
     if change.places:
         found.append("motions to moved places are bent and stretched, not planned anew")
     return replace(after, warnings=(*after.warnings, *found))
+
+
+def _in_time(change: Change, logged: Dynamics) -> str:
+    """Say what is kept of how s followed the safety function of the logs."""
+    kept = {name: value for name, value in vars(logged).items() if value and name not in change.dynamics}
+    if kept:
+        told = ", ".join(f"{name} {value:.3g}" for name, value in kept.items())
+        return f"the changed safety function acts in time as the logged one does: {told}"
+    return "nothing is kept of the logged latency, ramps or hysteresis: none is known, or the change gives them"
 
 
 def _compared(change: Change, before: CycleEstimate, after: CycleEstimate, seed: int) -> WhatIf:

@@ -11,10 +11,21 @@ levels = [0.0, 0.5, 1.0]
 zones = [{ x_m = [-1.0, 1.0], y_m = [-1.0, 1.0], level = 0.0 }]   # rectangles on the floor, base frame
 
 [[change]]
+name = "thresholds and a zone"                                    # where both slow the robot, the slower holds
+levels = [0.0, 0.5, 1.0]
+thresholds_m = [0.8, 1.5]
+zones = [{ x_m = [1.0, 2.5], y_m = [-1.0, 1.0], level = 0.5 }]
+
+[[change]]
 name = "robot half a metre back, fewer visits"
 base = { xyz_m = [-0.5, 0.0, 0.0], yaw_deg = 0.0 }   # where the base shall stand, in the present base frame
 places = { conveyor = [0.7, 0.0, 0.1] }              # places of the robot that move, in the frame of its base
 frequency = 0.5                                      # visits per hour, against the logged ones
+
+[[change]]
+name = "quicker recovery"        # how s follows the safety function; what is not given stays as it was logged
+ramp_up_per_s = 2.0              # inf: at once
+hysteresis_m = 0.0               # also ramp_down_per_s, latency_s
 """
 
 from __future__ import annotations
@@ -32,7 +43,8 @@ if TYPE_CHECKING:
 
     Place = tuple[float, float, float]
 
-_KEYS = ("name", "levels", "thresholds_m", "zones", "base", "places", "frequency")
+_DYNAMICS = ("latency_s", "ramp_down_per_s", "ramp_up_per_s", "hysteresis_m")
+_KEYS = ("name", "levels", "thresholds_m", "zones", "base", "places", "frequency", *_DYNAMICS)
 _EXAMPLE = """Add one:
   [[change]]
   name = "fewer visits"
@@ -57,10 +69,11 @@ class Change:
         name: How the answer names it.
         levels: Levels of another safety function, ascending.
         thresholds_m: Its thresholds on ||x_r - x_h||, one fewer than levels.
-        zones: Or its zones on the floor.
+        zones: Its zones on the floor; with thresholds as well, the slower of both holds.
         base_m, base_yaw_deg: Where the robot's base shall stand, in the present base frame.
         places: Robot places that move: name -> TCP, m, in the frame of the robot's base.
         frequency: The operator's visits per hour, as a multiple of the logged ones.
+        dynamics: What changes of how s follows the safety function, by the name of `Dynamics`: s, 1/s or m.
     """
 
     name: str
@@ -71,6 +84,7 @@ class Change:
     base_yaw_deg: float = 0.0
     places: Mapping[str, Place] = field(default_factory=dict)
     frequency: float | None = None
+    dynamics: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Refuse what is no safety function or no change.
@@ -82,8 +96,8 @@ class Change:
             rising = all(a < b for a, b in zip(self.levels, self.levels[1:], strict=False))
             if not rising or not 0 <= self.levels[0] <= self.levels[-1] <= 1:
                 self._refuse(f"levels {list(self.levels)}", "Give levels between 0 and 1, ascending.")
-            if bool(self.thresholds_m) == bool(self.zones):
-                self._refuse("levels need thresholds_m or zones, and not both", _CURE)
+            if not self.thresholds_m and not self.zones:
+                self._refuse("levels without thresholds_m or zones", _CURE)
             if self.thresholds_m and len(self.thresholds_m) != len(self.levels) - 1:
                 self._refuse(
                     f"{len(self.levels)} levels and {len(self.thresholds_m)} thresholds", "Give one threshold fewer."
@@ -96,8 +110,16 @@ class Change:
             self._refuse("thresholds_m or zones without levels", _CURE)
         if self.frequency is not None and not 0 < self.frequency < math.inf:
             self._refuse(f"frequency {self.frequency}", "0.5 means half as many visits per hour as were logged.")
-        if not self.levels and self.base_m is None and not self.places and self.frequency is None:
+        self._refuse_dynamics()
+        if not (self.levels or self.base_m or self.places or self.frequency or self.dynamics):
             self._refuse("nothing is changed", _CURE)
+
+    def _refuse_dynamics(self) -> None:
+        for name, value in self.dynamics.items():
+            if name.startswith("ramp_") and not value > 0:
+                self._refuse(f"{name} {value}", "Give more than 0 per second; inf means at once.")
+            if not name.startswith("ramp_") and not 0 <= value < math.inf:
+                self._refuse(f"{name} {value}", "Give 0 or more.")
 
     def _refuse(self, seen: str, cure: str) -> None:
         raise ConfigError(f"change {self.name!r}: {seen}", cure=cure)
@@ -137,6 +159,7 @@ def _change(path: Path, entry: Any, number: int) -> Change:  # noqa: ANN401 what
             base_yaw_deg=float(base.get("yaw_deg", 0.0)),
             places={str(name): _place(xyz) for name, xyz in entry.get("places", {}).items()},
             frequency=None if entry.get("frequency") is None else float(entry["frequency"]),
+            dynamics={key: float(entry[key]) for key in _DYNAMICS if key in entry},
         )
     except (TypeError, ValueError, AttributeError, KeyError) as error:
         raise ConfigError(f"{where}: a value is not what it should be ({error})", cure=_CURE) from error

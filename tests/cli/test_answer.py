@@ -30,6 +30,27 @@ def test_an_estimate_tells_takt_quantiles_work_and_check(model: Path, dataset: P
     assert "logged executions rolled out beside their own operators" in " ".join(shown.split())
 
 
+def test_a_sequence_that_cannot_be_answered_is_named_and_the_others_are_answered(
+    model: Path, dataset: Path, sequences: Path, tmp_path: Path, cyclekit: Shell
+):
+    never = '[[sequence]]\nname = "never"\nplaces = ["home", "left_1", "home"]\n'
+    both, none = tmp_path / "both.toml", tmp_path / "none.toml"
+    both.write_text(never + sequences.read_text(encoding="utf-8"), encoding="utf-8")
+    none.write_text(never, encoding="utf-8")
+    words = ("--dataset", dataset, "--estimator", "history")
+    typed = cyclekit("estimate", model, both, *words, "--json")
+    assert typed.code == 0, typed.err
+    assert len(typed.document["sequences"]) == len(load_sequences(sequences))
+    ((name, reason),) = [tuple(entry.values()) for entry in typed.document["refused"]]
+    assert name == "never"
+    assert "was never logged" in reason
+    assert "Not answered\n- " in cyclekit("estimate", model, both, *words).out
+    failed = cyclekit("estimate", model, none, *words, "--out", tmp_path / "x.json")
+    assert failed.code == 1
+    assert "was never logged" in failed.err
+    assert not (tmp_path / "x.json").exists()
+
+
 @pytest.mark.parametrize("name", ["history", "nominal"])
 def test_other_estimators_are_asked_by_name(name: str, model: Path, dataset: Path, sequences: Path, cyclekit: Shell):
     typed = cyclekit("estimate", model, sequences, "--dataset", dataset, "--estimator", name, "--json", "--quiet")

@@ -210,6 +210,15 @@ def test_coarse_alignment_is_only_made_when_asked_for_and_goes_by_whole_samples(
     assert not any("reaction delay" in text for text in again["warnings"])
 
 
+def test_coarse_alignment_that_finds_nothing_says_so(logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("cyclekit.align.coarse_fit", lambda *_, **__: None)
+    operator = ingested(logs, tmp_path / "d", cell_with(logs, {}), align_clocks="coarse")[1]
+    assert operator["clock"]["method"] == "assumed-common-start"
+    (said,) = [text for text in operator["warnings"] if "not aligned on the operator" in text]
+    assert "no offset within 120 s shows that" in said
+    assert "clock_offset_s" in said
+
+
 def test_coarse_alignment_touches_no_clock_that_is_known(logs: Path, tmp_path: Path):
     cell = cell_with(logs, {"clock_offset_s": 146.862})
     assert ingested(logs, tmp_path / "d", cell, align_clocks="coarse")[1]["clock"]["method"] == "cell-file"

@@ -141,6 +141,14 @@ def test_a_file_that_is_no_log_is_refused_with_its_name_and_a_cure(
     assert [file.name for file in tmp_path.iterdir()] == ["logs"]
 
 
+def test_a_table_that_no_adapter_knows_is_named_with_the_way_to_map_it(three_runs: Path, tmp_path: Path):
+    (three_runs / "tracker.csv").write_text("zeit;links;oben\n0.0;1.0;2.0\n0.1;1.1;2.1\n", encoding="utf-8")
+    (three_runs / "notes.txt").write_text("first, the gripper squeaks\nand the belt slips\n", encoding="utf-8")
+    reasons = dict(ingest([three_runs], tmp_path / "dataset").not_read)
+    assert 'map its columns in cell.toml, with adapter = "csv"' in reasons["tracker.csv"]
+    assert "map" not in reasons["notes.txt"]
+
+
 def test_the_logs_cannot_be_the_dataset(three_runs: Path):
     before = only_bytes(three_runs)
     with pytest.raises(OutputError, match="is an input"):

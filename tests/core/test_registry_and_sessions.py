@@ -21,7 +21,7 @@ from cyclekit.registry import (
     find_logs,
     why_unknown,
 )
-from cyclekit.session import group_sessions
+from cyclekit.session import group_sessions, unpaired
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -155,6 +155,27 @@ def test_several_robots_alone_are_sessions_of_their_own():
 
 def test_a_bag_that_holds_everything_is_a_session():
     assert names(*(entry(f"{n}.bag", "robot", "people", "events") for n in range(2))) == [["0.bag"], ["1.bag"]]
+
+
+def test_logs_in_folders_by_kind_belong_together_by_their_names():
+    logs = [entry(f"{kind}/{name}.csv", table) for kind, table in (("r", "robot"), ("t", "people")) for name in "ab"]
+    assert names(*logs) == [["r.a.csv", "t.a.csv"], ["r.b.csv", "t.b.csv"]]
+    days = [entry(f"{day}/{kind}/run.csv", table) for day in "12" for kind, table in (("r", "robot"), ("t", "people"))]
+    assert names(*days) == [["1.r.run.csv", "1.t.run.csv"], ["2.r.run.csv", "2.t.run.csv"]]
+    assert unpaired(group_sessions(logs + days, lambda shown: False)) == []
+
+
+def test_where_names_do_not_tell_which_belong_together_it_is_said_with_the_cure():
+    two_arms = [entry("left/a.csv", "robot"), entry("right/a.csv", "robot"), entry("t/a.csv", "people")]
+    other_names = [entry("r/1.csv", "robot"), entry("r/2.csv", "robot"), entry("t/x.csv", "people")]
+    for logs in (two_arms, other_names):
+        sessions = group_sessions(logs, lambda shown: False)
+        assert [len(session.entries) for session in sessions] == [1, 1, 1]
+        (said,) = unpaired(sessions)
+        assert "unclear which belong together" in said
+        assert "same name" in said
+    empty = [entry("r/1.csv", "robot"), entry("r/2.csv", "robot")]
+    assert unpaired(group_sessions(empty, lambda shown: False)) == []
 
 
 def test_two_robots_and_a_tracker_in_one_folder_are_refused():

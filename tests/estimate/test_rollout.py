@@ -11,18 +11,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from ingested import without_checksums
 
 from cyclekit.dataset import Dataset
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate import walk as walking
-from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.program import draw_stands
+from cyclekit.estimate.entry import _shares
+from cyclekit.estimate.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.program import Program, draw_stands
 from cyclekit.estimate.rollout import estimate as estimate_validated
 from cyclekit.estimate.rollout import lay_out, roll_out
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import operator_tracks
-from cyclekit.estimate.walk import FINE_STEP_S, TIME_STEP_S
+from cyclekit.estimate.walk import FINE_STEP_S, TIME_STEP_S, Rolled
 from cyclekit.sequences import TaskSequence
 from cyclekit_sim import random_sequence, simulate_sequence
 
@@ -196,6 +199,40 @@ def test_an_operator_who_never_lets_the_robot_go_on_is_told_and_not_waited_for(
         estimate(constant(0.0), logged, [TaskSequence("A", routes[0][:3])])
 
 
+class HaltedAt:
+    """The staircase, but the robot halts for ever within 5 cm of one place."""
+
+    problem, card = "now", {}
+
+    def __init__(self, staircase: Any, place: tuple[float, ...]) -> None:
+        self._staircase, self._place = staircase, np.array(place)
+
+    def predict(self, positions: np.ndarray) -> np.ndarray:
+        there = np.linalg.norm(positions[:, :3] - self._place, axis=1) < 0.05
+        return np.where(there, 0.0, self._staircase.predict(positions))
+
+
+def test_sequences_that_cannot_be_answered_are_told_and_the_others_have_the_numbers_they_have_alone(
+    logged: Dataset, staircase: Any
+):
+    model = HaltedAt(staircase, logged.places["right_4"].xyz_m)
+    ends = TaskSequence("ends", ("home", "conveyor", "left_1", "conveyor"))
+    asked = [
+        TaskSequence("endless", ("home", "conveyor", "right_4", "conveyor")),
+        TaskSequence("never logged", ("home", "left_1", "conveyor")),
+        ends,
+        TaskSequence("of nobody", ends.places, operator=("cellar",)),
+    ]
+    refused: dict[str, str] = {}
+    found = estimate(model, logged, asked, refused=lambda sequence, why: refused.__setitem__(sequence.name, str(why)))
+    (alone,) = estimate(model, logged, [ends])
+    assert [entry.name for entry in found] == ["ends"]
+    assert found[0].durations_s == alone.durations_s
+    assert set(refused) == {"endless", "never logged", "of nobody"}
+    assert "of the cycles do not end within" in refused["endless"]
+    assert "task 'home->left_1' was never logged" in refused["never logged"]
+
+
 @pytest.fixture
 def elsewhere(logged: Dataset, tmp_path: Path) -> Dataset:
     """The same logs, but for the model the robot was somewhere else."""
@@ -214,6 +251,19 @@ def test_a_sequence_through_positions_never_logged_is_refused_unless_asked_for(
     (found,) = estimate(staircase, elsewhere, [sequence], extrapolate=True)
     assert found.support == 0.0
     assert any("never logged" in text for text in found.warnings)
+
+
+@settings(deadline=None)
+@given(st.floats(0.01, 100.0), st.floats(0.01, 100.0), st.just(0.0) | st.floats(0.0, 10.0))
+def test_no_part_of_a_task_is_below_zero_and_they_add_up(dwell_s: float, stand_s: float, wait_s: float):
+    task = NominalTask("a->b", np.zeros((2, 3)), 1.0, dwell_s, wait_s, np.array([dwell_s]), 1)
+    one = np.array([[stand_s]])
+    (share,) = _shares(
+        Program((task,), np.array([1.0, 1.0 + dwell_s])), Rolled(1.0 + one[0], one, 0 * one, one[0], 1, 0)
+    )
+    parts = (share.nominal_s, share.safety_loss_s, share.dwell_s, share.wait_s)
+    assert all(not part.startswith("-") for part in map("{:.1f}".format, parts))
+    assert sum(parts) == pytest.approx(1.0 + stand_s)
 
 
 def test_an_estimate_says_on_how_few_tracks_it_rests(logged: Dataset, staircase: Any, routes: Any):

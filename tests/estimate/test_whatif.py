@@ -12,10 +12,11 @@ import pytest
 from cyclekit.cli import run
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.safety import Dynamics, Follower
 from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.sequences import TaskSequence
 from cyclekit.whatif import NO_PROOF, Change, load_changes, what_if
-from cyclekit.whatif.alter import WrittenSafety, altered_tasks, altered_tracks
+from cyclekit.whatif.alter import WrittenSafety, altered_safety, altered_tasks, altered_tracks
 from cyclekit.whatif.change import Zone
 
 from .conftest import LEVELS, THRESHOLDS_M
@@ -38,6 +39,64 @@ def test_written_zones_take_the_slowest_that_the_operator_stands_in():
     assert written.predict(X).tolist() == [0.0, 0.5, 1.0]
 
 
+BOX = (Zone((1.0, 2.0), (-1.0, 1.0), 0.5),)
+CAPPED = Change("both", levels=(0.0, 0.5, 1.0), thresholds_m=(0.8, 1.2), zones=BOX)
+
+
+def scalings(model: Any, dynamics: Dynamics, xs: list[float]) -> list[float]:
+    """Walk an operator along x past a robot at the origin."""
+    follower = Follower(model, dynamics, 0.1)
+    return [float(follower.advance(np.zeros((1, 3)), np.array([[x, 0.0, 0.0]]))[0]) for x in xs]
+
+
+def test_where_thresholds_and_zones_are_given_the_slower_of_both_holds(tmp_path: Path):
+    X = np.zeros((5, 6), dtype=np.float32)
+    X[:, 3] = (0.7, 1.1, 1.5, 2.0, 2.1)
+    assert WrittenSafety(CAPPED).predict(X).tolist() == [0.0, 0.5, 0.5, 0.5, 1.0]
+    file = tmp_path / "c.toml"
+    file.write_text(
+        '[[change]]\nname = "both"\nlevels = [0.0, 0.5, 1.0]\nthresholds_m = [0.8, 1.2]\n'
+        "zones = [{ x_m = [1.0, 2.0], y_m = [-1.0, 1.0], level = 0.5 }]\n",
+        encoding="utf-8",
+    )
+    assert load_changes(file) == [CAPPED]
+
+
+def test_a_written_function_slows_at_its_thresholds_and_lets_go_by_the_hysteresis_farther_out():
+    held = Dynamics(hysteresis_m=0.2)
+    stairs = Change("stairs", levels=(0.5, 1.0), thresholds_m=(1.0,))
+    assert scalings(WrittenSafety(stairs), held, [1.05, 0.95, 1.05, 1.15, 1.25]) == [1.0, 0.5, 0.5, 0.5, 1.0]
+    assert scalings(WrittenSafety(CAPPED), held, [2.3, 2.1, 1.9, 2.1, 2.3]) == [1.0, 1.0, 0.5, 0.5, 1.0]
+    beside = np.array([[1.5, y, 0.0] for y in (1.3, 0.9, 1.1, 1.3)])  # past the side of the zone, not towards the robot
+    follower = Follower(WrittenSafety(CAPPED), held, 0.1)
+    assert [float(follower.advance(np.zeros((1, 3)), at[None])[0]) for at in beside] == [1.0, 0.5, 0.5, 1.0]
+
+
+def test_what_is_learned_keeps_where_it_slows_when_the_hysteresis_is_changed(staircase: Any):
+    logged = Dynamics(hysteresis_m=0.2)  # so the outer threshold of 2.4 m stands for falls at 2.3, rises at 2.5
+    outwards = [2.6, 2.28, 2.45, 2.55]
+    assert scalings(staircase, logged, outwards) == [1.0, 0.75, 0.75, 1.0]
+    for hysteresis_m, expected in ((0.0, [1.0, 0.75, 1.0, 1.0]), (0.3, [1.0, 0.75, 0.75, 0.75])):
+        change = Change("other", dynamics={"hysteresis_m": hysteresis_m})
+        safety = altered_safety(change, staircase, logged)
+        assert scalings(safety, Dynamics(hysteresis_m=hysteresis_m), outwards) == expected
+
+
+def test_what_is_logged_of_the_scaling_in_time_holds_after_a_change_unless_it_is_changed(
+    logged: Dataset, staircase: Any, monkeypatch: pytest.MonkeyPatch
+):
+    places = tuple(logged.card["executions"][0]["places"])
+    same = {"levels": LEVELS, "thresholds_m": THRESHOLDS_M}
+    changes = [Change("same", **same), Change("at once", **same, dynamics={"ramp_up_per_s": float("inf")})]
+    monkeypatch.setitem(logged.card, "dynamics", {"ramp_up_per_s": 0.3, "latency_s": 0.2})
+    kept, quicker = what_if(staircase, logged, [TaskSequence("A", places)], changes, validate=False)
+    assert kept.saves_s[0] == pytest.approx(0.0)
+    assert quicker.saves_s[0] > 1.0
+    said = "the changed safety function acts in time as the logged one does: latency_s 0.2"
+    assert f"{said}, ramp_up_per_s 0.3" in kept.after.warnings
+    assert said in quicker.after.warnings
+
+
 def test_the_same_staircase_changes_nothing_and_a_smaller_one_saves_time(logged: Dataset, staircase: Any):
     places = tuple(logged.card["executions"][0]["places"])
     changes = [
@@ -52,6 +111,22 @@ def test_the_same_staircase_changes_nothing_and_a_smaller_one_saves_time(logged:
     for entry in (same, small):
         assert NO_PROOF in entry.after.warnings
         assert entry.to_json()["safety"] == NO_PROOF
+
+
+def test_the_bias_of_the_learned_function_does_not_correct_one_that_is_written_down(logged: Dataset, staircase: Any):
+    class Slow:
+        problem, card = "now", staircase.card
+
+        def predict(self, X: Any) -> Any:
+            return 0.97 * staircase.predict(X)
+
+    places = tuple(logged.card["executions"][0]["places"])
+    same = Change("same", levels=LEVELS, thresholds_m=THRESHOLDS_M)
+    (exact,) = what_if(staircase, logged, [TaskSequence("A", places)], [same], validate=False)
+    (judged,) = what_if(Slow(), logged, [TaskSequence("A", places)], [same])
+    assert judged.before.check is not None
+    assert judged.before.check.factor < 0.99
+    assert judged.after.expected_s == pytest.approx(exact.after.expected_s)
 
 
 def test_a_change_that_cannot_be_answered_is_named_and_the_others_are_answered(logged: Dataset, staircase: Any):
@@ -159,13 +234,16 @@ def test_a_moved_base_sees_the_operator_from_where_it_stands(logged: Dataset, st
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("levels = [0.0, 1.0]", "need thresholds_m or zones"),
+        ("levels = [0.0, 1.0]", "levels without thresholds_m or zones"),
         ("levels = [1.0, 0.0]\nthresholds_m = [1.0]", "levels"),
         ("levels = [0.0, 1.0]\nthresholds_m = [1.0, 2.0]", "2 levels and 2 thresholds"),
         ("levels = [0.0, 0.5, 1.0]\nthresholds_m = [2.0, 1.0]", "thresholds_m"),
         ("levels = [0.0, 1.0]\nzones = [{ x_m = [0, 1], y_m = [0, 1], level = 0.5 }]", "not among levels"),
         ("levels = [0.0, 1.0]\nzones = [{ x_m = [1, 0], y_m = [0, 1], level = 0.0 }]", "must be less"),
         ("frequency = 0.0", "frequency"),
+        ("ramp_up_per_s = 0.0", "ramp_up_per_s 0.0"),
+        ("hysteresis_m = nan", "hysteresis_m nan"),
+        ("latency_s = -0.1", "latency_s -0.1"),
         ("places = { conveyor = [0.1, 0.2] }", "not what it should be"),
         ("base = 3", "not what it should be"),
         ("threshold_m = [1.0]", "unknown key 'threshold_m'"),

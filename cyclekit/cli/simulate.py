@@ -20,7 +20,7 @@ _LOGS, _IMPERFECT, _SAFETY, _WALKER = "Logs", "Imperfections", "Safety system", 
 
 def simulate(
     scene: Annotated[
-        Literal["box-picking", "pick-and-package", "laser-zones"],
+        Literal["box-picking", "pick-and-package", "laser-zones", "scanner-visits"],
         typer.Argument(help="Which cell to simulate.", metavar="SCENE"),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the logs.", metavar="LOGS")],
@@ -34,6 +34,12 @@ def simulate(
     clock_offset: Annotated[float, typer.Option(help="Tracker clock behind the robot's, s.")] = 0.0,
     clock_drift: Annotated[float, typer.Option(help="Rate error of the tracker's clock; 50e-6 is 50 ppm.")] = 0.0,
     millimetres: Annotated[bool, typer.Option("--millimetres", help="The tracker writes millimetres.")] = False,
+    silent_when_empty: Annotated[
+        bool, typer.Option("--silent-when-empty", help="The tracker writes nothing while nobody is there (CSV).")
+    ] = False,
+    per_session: Annotated[
+        int, typer.Option("--executions-per-session", min=1, help="The logger starts anew after so many executions.")
+    ] = 25,
     ramps: Annotated[float | None, typer.Option(help="Fastest change of the scaling, 1/s.")] = None,
     latency: Annotated[float, typer.Option(help="Reaction time of the safety system, s.")] = 0.0,
     hysteresis: Annotated[float, typer.Option(help="Extra distance before the robot speeds up again, m.")] = 0.0,
@@ -57,7 +63,8 @@ def simulate(
 ) -> None:
     """Simulate a cell and log it in vendor formats.
 
-    The cell file and the ground truth lie beside the logs. SCENE is box-picking, pick-and-package or laser-zones.
+    The cell file and the ground truth lie beside the logs. SCENE is box-picking, pick-and-package, laser-zones or
+    scanner-visits.
     """
     settings: dict[str, Any] = {
         "logs": logs,
@@ -68,6 +75,8 @@ def simulate(
         "clock_offset_s": clock_offset,
         "clock_drift": clock_drift,
         "millimetres": millimetres,
+        "silent_when_empty": silent_when_empty,
+        "executions_per_session": per_session,
         "ramp_down_per_s": ramps,
         "ramp_up_per_s": ramps,
         "latency_s": latency,

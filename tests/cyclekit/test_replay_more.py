@@ -188,6 +188,11 @@ def second_person(path, offset_m):
     for file in (path / "recordings").glob("*/people.parquet"):
         rows = pl.read_parquet(file)
         write_parquet(pl.concat([rows, rows.with_columns(pl.col("x_m") + offset_m, person=pl.lit("2"))]), file)
+    card = json.loads((path / CARD).read_text("utf-8"))
+    for record in card["recordings"]:
+        if "people" in record["rows"]:
+            record["rows"]["people"] *= 2
+    (path / CARD).write_text(json.dumps(card), "utf-8")
     return Dataset.open(path)
 
 

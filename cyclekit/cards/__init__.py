@@ -10,7 +10,16 @@ from cyclekit.cards.dataset import DatasetCard, DynamicsCard, ExecutionCard, Pla
 from cyclekit.cards.fleet import CellLedger, FiguresCard, StageCard
 from cyclekit.cards.model import CellCard, MetricsCard, ModelCard, SpecCard, SplitCard, TrainingCard
 from cyclekit.cards.read import BadCard, checked, parse_json, read_content, read_json
-from cyclekit.cards.recording import ClockCard, FrameCard, LogCard, OperatorCard, RecordingCard, SetAside, SourceFile
+from cyclekit.cards.recording import (
+    ClockCard,
+    ClockMethod,
+    FrameCard,
+    LogCard,
+    OperatorCard,
+    RecordingCard,
+    SetAside,
+    SourceFile,
+)
 from cyclekit.cards.settings import CellSettings
 
 __all__ = [
@@ -19,6 +28,7 @@ __all__ = [
     "CellLedger",
     "CellSettings",
     "ClockCard",
+    "ClockMethod",
     "DatasetCard",
     "DynamicsCard",
     "ExecutionCard",

@@ -6,7 +6,9 @@ A fit carries how it was found and how well: a report can then refuse a weak one
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
+
+from cyclekit.cards import ClockMethod
 
 if TYPE_CHECKING:
     from cyclekit.adapter import ClockKind
@@ -14,18 +16,7 @@ if TYPE_CHECKING:
 
 ASSUMED: Final = "assumed-common-start"
 """Nothing says how the clocks relate: the recordings are taken to start together."""
-Method = Literal[
-    "own",
-    "same-log",
-    "cell-file",
-    "event-pairs",
-    "motion",
-    "lower-envelope",
-    "epoch",
-    "start-text",
-    "coarse",
-    "assumed-common-start",
-]
+Method = ClockMethod
 
 
 @dataclass(frozen=True)

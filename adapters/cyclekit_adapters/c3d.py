@@ -42,7 +42,7 @@ class _C3d:
         return is_c3d(path)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        up = marker_words(options, "C3D")
+        up = marker_words(options, "C3D").get("up")
         log = read_c3d(path)
         metres, unit = _metres(path, log)
         names, places = _markers(log)

@@ -21,7 +21,7 @@ from cyclekit_adapters.joints import all_joints, joint_rows
 from cyclekit_adapters.source_map import split_names, words
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -30,11 +30,17 @@ if TYPE_CHECKING:
     from cyclekit_adapters.delimited import Rows
     from cyclekit_adapters.sightings import Sightings
 
-# Anterior and posterior superior iliac spines (LASI, RPSI, ASISr, L_PSIS, ...), sacrum, waist, pelvis, mid-hip.
+_SIDE = "(?:l|r|left|right)"
 _PELVIS = re.compile(
-    r"^([lr]_?)?(asis?|psis?)(_?[lr])?$|^(sacr(um)?|s1)$|^(waist|pelvis|hips?)(_?[lr])?(_?(front|back|[fb]))?$",
-    re.IGNORECASE,
+    # Anterior and posterior superior iliac spines: LASI, ASISr, L_PSIS, R.ASIS, `r asis` (BTS), L_IAS and RIPS (ISB).
+    rf"(?:{_SIDE}_?)?(?:asis?|psis?|ias)(?:_?{_SIDE})?|{_SIDE}_ips|ips_{_SIDE}"
+    r"|(?:v_)?sacr(?:um|al)?|s1"
+    # Waist and hips, of trackers and of keypoints (RHip, left_hip, CHip, MidHip), and the joint centres (LHJC).
+    rf"|(?:{_SIDE}_?)?(?:waist|pelvis|hips?|hjc)(?:_?{_SIDE})?(?:_?(?:front|back|[fb]))?"
+    r"|(?:c|mid|center|centre)_?hips?|hips?_?(?:center|centre)"
 )
+_IPS = re.compile("[LR]IPS")  # in capitals: lips are no part of the pelvis
+_APART = re.compile(r"[\s._-]+")
 _ALONE = "person"
 _EARTH_M = 1e7  # farther away a marker is a garbled number
 
@@ -68,14 +74,14 @@ class People:
         return replace(self, tracks=tracks, worn=worn)
 
 
-def marker_words(options: ReadOptions, adapter: str) -> str | None:
-    """Return what `[sources.map]` says about the axis that is up, having checked its keys (`up` and `markers`).
+def marker_words(options: ReadOptions, adapter: str, more: Mapping[str, Sequence[str]] | None = None) -> dict[str, str]:
+    """Return the words of `[sources.map]`, checked: `up`, and those of the adapter's own keys `more`; not `markers`.
 
     Raises:
         ConfigError: A key or a word is not known.
     """
     _, rest = split_names(options, adapter, "markers")
-    return words(replace(options, map=rest), adapter, {"up": ("y", "z"), "markers": ()}).get("up")
+    return words(replace(options, map=rest), adapter, {"up": ("y", "z"), "markers": (), **(more or {})})
 
 
 def choose_people(path: Path, names: Sequence[str], options: ReadOptions, adapter: str) -> People:
@@ -112,7 +118,9 @@ def _point(hips: bool) -> str:
 
 def is_pelvis(name: str) -> bool:
     """Tell whether a marker, with its subject or without, is one of the pelvis."""
-    return _PELVIS.match(name.rpartition(":")[2].strip()) is not None
+    own = name.rpartition(":")[2].strip()
+    plain = _APART.sub("_", own.lower()).removesuffix("_study")  # as OpenCap and Pose2Sim call what they infer
+    return _PELVIS.fullmatch(plain) is not None or _IPS.fullmatch(own) is not None
 
 
 def _subjects(names: Sequence[str]) -> dict[str, list[int]]:

@@ -56,7 +56,7 @@ class _QualisysTsv:
         return whole(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
-        up = marker_words(options, "Qualisys")
+        up = marker_words(options, "Qualisys").get("up")
         header = read_header(path, options.rate_hz)
         people = _people(path, header, options)
         used = people.used(skeletons=options.skeletons)

@@ -1,7 +1,9 @@
-"""The sections of a Vicon Nexus CSV: which there are, and the lines of the trajectories among them.
+"""The sections of a Vicon CSV: which there are, and the lines of the one that holds positions.
 
 A section is a title, its rate in Hz, names, axes and units, then rows that begin with a frame number; a blank line
-ends it. A spreadsheet fills that blank line with delimiters. What the trajectories mean is the business of `vicon`.
+ends it. A spreadsheet fills that blank line with delimiters. Markers have X, Y, Z below their name; segments and
+objects a rotation (RX, RY, RZ, with RW where it is a quaternion) and TX, TY, TZ. What they mean is the business of
+`vicon`.
 """
 
 from __future__ import annotations
@@ -20,10 +22,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-TITLES = ("Trajectories", "Devices", "Model Outputs", "Segments", "Joints", "Events")
+TRAJECTORIES = "Trajectories"
+WITH_PLACES = (TRAJECTORIES, "Objects", "Segments")
+"""Sections that hold positions, the better ones first."""
+TITLES = (*WITH_PLACES, "Devices", "Model Outputs", "Joints", "Events")
 METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 HEADER_LINES = 5
 EXPORT = "Export the trial again from Nexus as ASCII, with trajectories"
+_MARKER, _TRANSLATION = ["X", "Y", "Z"], ["TX", "TY", "TZ"]
+_ANGLES = re.compile(r"^Global Angle (?:\([^)]*\) )?")
 _LOOKED_AT = 20  # rows
 _FILL = b' \t,;\r\n"'
 _BLANK = re.compile(rb'\n[ \t,;"]*\r?(?=\n)')  # found fast: rows begin with a digit
@@ -33,24 +40,27 @@ Triple = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class Section:
-    """The section of trajectories: its five header lines taken apart."""
+    """A section of positions: its five header lines taken apart; places by the names of the markers or segments."""
 
     rate_hz: float
     layout: Layout
-    markers: dict[str, Triple]
+    places: dict[str, Triple]
     metres: float
 
 
 @dataclass
-class Trajectories:
-    """The lines of the first section of trajectories.
+class Sections:
+    """The lines of the first section of one title.
 
     Attributes:
+        path: The file.
+        title: What the section is called.
         first: Number of its first line, known once lines were taken.
         titles: Those of all sections, known at the end.
     """
 
     path: Path
+    title: str
     first: int = 0
     titles: list[str] = field(default_factory=list)
 
@@ -64,7 +74,7 @@ class Trajectories:
         try:
             for piece, blank in _pieces(self.path):
                 if fresh and (title := _title(piece)):
-                    inside = title == "Trajectories" and "Trajectories" not in self.titles
+                    inside = title == self.title and title not in self.titles
                     self.titles.append(title)
                     self.first = number if inside else self.first
                 if inside:
@@ -74,10 +84,27 @@ class Trajectories:
             cause = f"cannot be read: {error.strerror}"
             raise LogError(self.path, cause, cure="Check the path and its rights.") from error
 
-    def require(self) -> DamagedLog:
-        """Return the error for a file without trajectories."""
-        has = f"its sections are {', '.join(self.titles)}" if self.titles else "it has no section"
-        return DamagedLog(self.path, f"no positions: {has}, and none is Trajectories", cure=f"{EXPORT}.")
+
+def open_section(path: Path, title: str | None) -> tuple[Sections, Section, Iterator[bytes]]:
+    """Find the section that holds positions, or the one called `title`, and take its header lines apart.
+
+    Returns:
+        What is known of the sections, the section, and its lines from the first header line on.
+
+    Raises:
+        DamagedLog: There is no such section, or its header is not whole.
+        LogError: The file cannot be opened.
+    """
+    log = Sections(path, "")
+    for name in (title,) if title else WITH_PLACES:
+        log = Sections(path, name)
+        lines = log.lines()
+        taken = _begin_of(lines)
+        if taken:
+            return log, _section(log, taken), chain(taken, lines)
+    has = f"its sections are {', '.join(log.titles)}" if log.titles else "it has no section"
+    wanted = f"is {title}" if title else f"is {', '.join(WITH_PLACES[:-1])} or {WITH_PLACES[-1]}"
+    raise DamagedLog(path, f"no positions: {has}, and none {wanted}", cure=f"{EXPORT}.")
 
 
 def _pieces(path: Path) -> Iterator[tuple[bytes, bool]]:
@@ -103,49 +130,59 @@ def _title(piece: bytes) -> str:
     return words[0] if len(words) == 1 and words[0][:1].isalpha() else ""
 
 
-def read_section(lines: Iterator[bytes], log: Trajectories) -> tuple[Section, Iterator[bytes]]:
-    """Take the header lines apart; return them and the lines from the first header line on.
-
-    Raises:
-        DamagedLog: There is no such section, or its header is not whole.
-    """
+def _begin_of(lines: Iterator[bytes]) -> list[bytes]:
+    """Take the header lines and the first rows, nothing where there is no line."""
     taken: list[bytes] = []
     for piece in lines:
         taken.append(piece)
         if sum(part.count(b"\n") for part in taken) >= HEADER_LINES + _LOOKED_AT:
             break
-    if not taken:
-        raise log.require()
-    first = b"".join(taken).decode("utf-8", "replace").split("\n", HEADER_LINES + _LOOKED_AT)
-    rows = first[HEADER_LINES : HEADER_LINES + _LOOKED_AT]
-    return _section(log.path, first[:HEADER_LINES], rows), chain(taken, lines)
+    return taken
 
 
-def _section(path: Path, header: list[str], first_rows: list[str]) -> Section:
+def _section(log: Sections, begin: list[bytes]) -> Section:
+    lines = b"".join(begin).decode("utf-8", "replace").split("\n", HEADER_LINES + _LOOKED_AT)
+    header, first_rows = lines[:HEADER_LINES], lines[HEADER_LINES : HEADER_LINES + _LOOKED_AT]
     if len(header) < HEADER_LINES:
-        raise DamagedLog(path, "the header of the trajectories is cut", cure=f"{EXPORT}.")
+        cause = f"line {log.first}: the header of the section {log.title} is cut"
+        raise DamagedLog(log.path, cause, cure=f"{EXPORT}.")
     delimiter = delimiter_of(header[3], ",;\t")
     rows = [[cell.strip() for cell in fields_of(line, delimiter)] for line in header]
     rate_hz = rate_of(rows[1][0])
     if rate_hz is None:
-        raise DamagedLog(path, f"no rate in the line below Trajectories: {rows[1][0][:40]!r}", cure=f"{EXPORT}.")
+        cause = f"line {log.first + 1}: no rate in the line below {log.title}: {rows[1][0][:40]!r}"
+        raise DamagedLog(log.path, cause, cure=f"{EXPORT}.")
     titles, axes, units = (row + [""] * (len(rows[3]) - len(row)) for row in (rows[2], rows[3], rows[4]))
     width = max((i for i, cell in enumerate(axes) if cell), default=0) + 1
-    markers: dict[str, Triple] = {}
-    named = set()
-    for at in range(2, width - 2):
-        if titles[at] and axes[at : at + 3] == ["X", "Y", "Z"] and titles[at] not in markers:
-            markers[titles[at]] = (f"#{at}", f"#{at + 1}", f"#{at + 2}")
-            named.update(units[at : at + 3])
-    if not markers or rows[3][0] != "Frame":
-        raise DamagedLog(path, "no positions: no names over columns X, Y, Z", cure=f"{EXPORT}.")
+    found = _places(titles, axes[:width])
+    if not found or rows[3][0] != "Frame":
+        axes_due = "X, Y, Z" if log.title == TRAJECTORIES else "TX, TY, TZ"
+        cause = f"lines {log.first + 2} and {log.first + 3}: no positions: no names over columns {axes_due}"
+        raise DamagedLog(log.path, cause, cure=f"{EXPORT}.")
+    named = {unit for at in found.values() for unit in units[at : at + 3]}
     unit = named.pop() if len(named) == 1 else f"{', '.join(sorted(named))}"
     if unit not in METRES:
-        cause = f"unknown length unit {unit!r}"
-        raise DamagedLog(path, cause, nearest=nearest(unit, METRES), cure=f"{EXPORT} in mm.")
+        cause = f"line {log.first + 4}: unknown length unit {unit!r}"
+        raise DamagedLog(log.path, cause, nearest=nearest(unit, METRES), cure=f"{EXPORT} in mm.")
+    places = {name: (f"#{at}", f"#{at + 1}", f"#{at + 2}") for name, at in found.items()}
     columns = ("Frame", "Sub Frame", *(f"#{at}" for at in range(2, width)))
     layout = Layout(columns, delimiter, HEADER_LINES, decimal_comma=has_decimal_comma(first_rows, delimiter))
-    return Section(rate_hz, layout, markers, METRES[unit])
+    return Section(rate_hz, layout, places, METRES[unit])
+
+
+def _places(titles: list[str], axes: list[str]) -> dict[str, int]:
+    """Return the column of x by the name over it, or over the rotation before it; the first of a name counts."""
+    found: dict[str, int] = {}
+    for at, title in enumerate(titles[: len(axes)]):
+        if at < 2 or not title:
+            continue
+        if axes[at : at + 3] == _MARKER:
+            found.setdefault(title, at)
+        for x in (at, at + 3, at + 4):  # no rotation, angles, a quaternion
+            if axes[x : x + 3] == _TRANSLATION:
+                found.setdefault(_ANGLES.sub("", title), x)
+                break
+    return found
 
 
 def rate_of(text: str) -> float | None:

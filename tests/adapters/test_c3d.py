@@ -219,3 +219,17 @@ def test_an_axis_that_is_neither_y_nor_z_up_is_said(tmp_path):
     assert any("Y_SCREEN is -Z" in said for said in log.warnings)
     chosen = ADAPTER.read(tmp_path / "trial.c3d", ReadOptions(map={"up": "y"}))
     assert (chosen.up, any("Y_SCREEN" in said for said in chosen.warnings)) == ("y", False)
+
+
+@pytest.mark.parametrize(
+    ("labels", "used"),
+    [
+        (["L_IAS", "R_IAS", "R_HM2", "CV7"], "L_IAS, R_IAS"),
+        (["r should", "r asis", "l asis", "r bar 1"], "r asis, l asis"),
+        (["Nose", "RHip", "LHip", "RKnee"], "RHip, LHip"),
+    ],
+)
+def test_the_pelvis_is_found_by_the_names_of_isb_bts_and_keypoints(tmp_path, labels, used):
+    log = ADAPTER.read(write(tmp_path / "walk.c3d", some_points(), labels=labels), ReadOptions())
+    assert log.facts["markers_used"] == used
+    assert log.facts["point"] == "middle of the pelvis markers seen"

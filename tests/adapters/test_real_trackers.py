@@ -91,7 +91,9 @@ def test_kinect_v2_rows_are_the_base_of_the_spine_at_ticks_of_100_ns():
     assert "in 47 of 371 rows" in log.warnings[0]
 
 
-@pytest.mark.parametrize("name", ["vicon/markers.csv", "zed/body_tracking.json", "kinect2/joints.csv"])
+@pytest.mark.parametrize(
+    "name", ["vicon/markers.csv", "vicon-objects/3.csv", "zed/body_tracking.json", "kinect2/joints.csv"]
+)
 def test_a_damaged_copy_gives_what_is_whole_or_a_refusal(tmp_path, name):
     path = tmp_path / Path(name).name
     found = find_adapter(FOLDER / name)
@@ -106,3 +108,23 @@ def test_every_real_log_has_one_reader_at_most():
         for path in FOLDER.rglob("*")
     }
     assert {path: names for path, names in claimed.items() if len(names) > 1} == {}
+
+
+def test_the_segments_of_a_vicon_object_export_are_one_person_at_the_hip():
+    log = read("vicon-objects/3.csv", "vicon", skeletons=True)
+    assert log.people.height == log.rows_read == 673  # frames 31 to 703, each once
+    assert set(log.people["person"]) == {"person"}
+    # frame 31: TX, TY, TZ of hip:hip are -280.423645, -1436.598022, 244.102982 mm, at 100 Hz
+    assert log.people.row(0) == (
+        0.3,
+        "person",
+        pytest.approx(-0.280423645),
+        pytest.approx(-1.436598022),
+        0.244102982,
+        6,
+    )
+    assert log.people["t_s"][-1] == pytest.approx(7.02)
+    assert log.people["x_m"].null_count() == 0
+    assert (log.up, log.facts["rate_hz"], log.facts["section"]) == ("z", "100", "Objects")
+    assert log.skeletons["joint"].unique().len() == 9
+    assert log.set_aside.is_empty()

@@ -156,3 +156,114 @@ def test_a_second_section_of_trajectories_is_not_dropped_silently(tmp_path):
     assert log.people["t_s"].to_list() == [0.0, 0.01]
     assert any("second section Trajectories" in said for said in log.warnings)
     assert not any("second section" in said for said in read(tmp_path / "trial.csv", section(HIPS)).warnings)
+
+
+def objects(segments, *, title="Objects", axes="RX RY RZ TX TY TZ", angles="Global Angle ", first=31, unit="mm"):
+    """Return the lines of a section of segments: their names stand over a rotation and a translation each."""
+    axes = axes.split()
+    turned = [name[0] == "R" for name in axes]
+    lines = [title, "100", ",," + ",".join(f"{angles}{name}" + "," * (len(axes) - 1) for name in segments)]
+    lines.append(",".join(["Frame,Sub Frame", *axes * len(segments)]))
+    lines.append(",," + ",".join("rad" if turn else unit for _ in segments for turn in turned))
+    for i in range(len(next(iter(segments.values())))):
+        cells = [f"{first + i}", "0"]
+        for track in segments.values():
+            place = track[i] or ("", "", "")
+            cells += ["0.5" if place[0] != "" else ""] * sum(turned) + [str(number) for number in place]
+        lines.append(",".join(cells))
+    return lines
+
+
+BODY = {"collar:collar": [(1, 2, 1400), (1, 2, 1401)], "hip:hip": [(100, 200, 900), None]}
+
+
+def test_the_segments_of_an_object_section_are_one_person_at_the_pelvis(tmp_path):
+    log = read(tmp_path / "lift.csv", ["\ufeffObjects", *objects(BODY)[1:]], skeletons=True)
+    assert log.people.rows() == [(0.3, "person", 0.1, 0.2, 0.9, 6), (0.31, "person", None, None, None, 7)]
+    assert log.facts["point"] == "origin of the pelvis"
+    assert (log.facts["section"], log.facts["names_in_file"]) == ("Objects", "collar, hip")
+    assert log.skeletons.filter(log.skeletons["joint"] == "collar")["z_m"].to_list() == pytest.approx([1.4, 1.401])
+
+
+@pytest.mark.parametrize(
+    ("axes", "angles"),
+    [
+        ("RX RY RZ TX TY TZ", "Global Angle "),
+        ("RX RY RZ RW TX TY TZ", "Global Angle (Quaternion) "),
+        ("TX TY TZ", ""),
+    ],
+)
+def test_the_translation_of_a_segment_is_found_behind_its_rotation(tmp_path, axes, angles):
+    log = read(tmp_path / "lift.csv", objects(BODY, axes=axes, angles=angles, title="Segments"))
+    assert log.people["x_m"].to_list() == [0.1, None]
+
+
+def test_rotations_without_translations_are_no_positions(tmp_path):
+    path = tmp_path / "lift.csv"
+    path.write_text("\n".join(objects({"hip:hip": [()]}, axes="RX RY RZ")) + "\n")
+    with pytest.raises(DamagedLog, match="lines 3 and 4: no positions") as refusal:
+        ADAPTER.read(path, ReadOptions())
+    assert "TX, TY, TZ" in refusal.value.cause
+
+
+def test_objects_without_a_pelvis_are_bodies_of_their_own(tmp_path):
+    lines = objects({"box:box": [(1000, 0, 0)], "helmet:helmet": [(2000, 0, 0)]})
+    path = tmp_path / "cell.csv"
+    assert read(path, lines).people.select("person", "x_m").rows() == [("box", 1.0), ("helmet", 2.0)]
+    assert read(path, lines, body="helmet").people.select("person", "x_m").rows() == [("helmet", 2.0)]
+    with pytest.raises(LogError, match="'helm'"):
+        read(path, lines, body="helm")
+
+
+def test_segments_of_several_subjects_are_people_by_subject(tmp_path):
+    lines = objects({"Ann:Pelvis": [(1000, 0, 0)], "Ann:Head": [(9, 9, 9)], "Bo:Pelvis": [(2000, 0, 0)]})
+    log = read(tmp_path / "cell.csv", lines)
+    assert log.people.select("person", "x_m").rows() == [("Ann", 1.0), ("Bo", 2.0)]
+
+
+def test_where_a_file_has_markers_and_objects_the_map_may_choose_the_objects(tmp_path):
+    lines = [*objects(BODY), "", *section(HIPS)]
+    path = tmp_path / "cell.csv"
+    log = read(path, lines)
+    assert (log.facts["section"], log.people["x_m"][0]) == ("Trajectories", pytest.approx(0.1))
+    assert any('section = "Objects"' in said for said in log.warnings)
+    log = read(path, lines, map={"section": "Objects"})
+    assert log.people.select("x_m", "source_row").rows() == [(0.1, 6), (None, 7)]
+    with pytest.raises(DamagedLog, match=r"none is Segments"):
+        read(path, lines, map={"section": "Segments"})
+    with pytest.raises(ConfigError, match="'Devices'"):
+        read(path, lines, map={"section": "Devices"})
+
+
+@pytest.mark.parametrize(
+    ("line", "text", "said"),
+    [
+        (1, "fast", "line 2: no rate"),
+        (2, ",,,,", "lines 3 and 4: no positions"),
+        (4, ",,rad,rad,rad,mm,mm,mm,rad,rad,rad,cm,mm,mm", "line 5: unknown length unit 'cm, mm'"),
+    ],
+)
+def test_a_broken_header_is_refused_with_its_lines(tmp_path, line, text, said):
+    lines = objects(BODY)
+    lines[line] = text
+    path = tmp_path / "lift.csv"
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(DamagedLog, match=said):
+        ADAPTER.read(path, ReadOptions())
+
+
+def test_a_row_of_segments_that_was_cut_is_set_aside_with_its_line(tmp_path):
+    path = tmp_path / "lift.csv"
+    lines = objects(BODY)
+    lines[5] = lines[5].rpartition(",")[0]
+    path.write_text("\n".join(lines) + "\n")
+    log = ADAPTER.read(path, ReadOptions())
+    assert log.set_aside["source_row"].to_list() == [6]
+    path.write_text("\n".join(lines[:4]))
+    with pytest.raises(DamagedLog, match="line 1: the header of the section Objects is cut"):
+        ADAPTER.read(path, ReadOptions())
+
+
+def test_damaged_objects_give_what_is_whole_or_a_refusal(tmp_path):
+    path = tmp_path / "lift.csv"
+    read_damaged(ADAPTER, path, "\r\n".join([*objects(BODY), ""]).encode(), seed=5, cuts=10, flips=15)

@@ -67,6 +67,26 @@ def vicon(folder: Path, frames: int = 4) -> Path:
     return _lines(folder / "trial.csv", lines, "\r\n")
 
 
+def trc(folder: Path, frames: int = 4) -> Path:
+    names = ["RHip", "LHip", "Head", "LHeel"]
+    keys = [
+        "DataRate",
+        "CameraRate",
+        "NumFrames",
+        "NumMarkers",
+        "Units",
+        "OrigDataRate",
+        "OrigDataStartFrame",
+        "OrigNumFrames",
+    ]
+    lines = ["PathFileType\t4\t(X/Y/Z)\twalk.trc", "\t".join(keys), f"100\t100\t{frames}\t4\tm\t100\t0\t{frames}"]
+    lines += ["Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t", "\t\t" + "\t".join("X1\tY1\tZ1" for _ in names)]
+    for i in range(frames):
+        places = [f"{0.01 * i:.2f}\t{0.5 * k:.2f}\t-1.25" if (i + k) % 7 else "\t\t" for k in (2, 2, 3, 0)]
+        lines.append("\t".join([str(i), f"{i / 100:.4f}", *places]))
+    return _lines(folder / "walk.trc", lines)
+
+
 def nuitrack(folder: Path, frames: int = 4) -> Path:
     joints = ["JOINT_WAIST", "JOINT_TORSO", "JOINT_LEFT_HAND"]
     lines = [",".join(["timestamp,serial,id", *(f"{joint}.{axis}" for joint in joints for axis in "xyz")])]
@@ -165,6 +185,7 @@ WRITERS: dict[str, Callable[[Path, int], Path]] = {
     "motive": motive,
     "qualisys": qualisys,
     "vicon": vicon,
+    "trc": trc,
     "nuitrack": nuitrack,
     "kinect2": kinect2,
     "pedestrian": pedestrian,

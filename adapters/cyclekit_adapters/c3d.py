@@ -16,6 +16,7 @@ import polars as pl
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, nearest
 from cyclekit_adapters.c3d_file import C3dFile, is_c3d, read_c3d
+from cyclekit_adapters.length_unit import METRES, unit_of
 from cyclekit_adapters.markers import (
     choose_people,
     marker_facts,
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-_METRES = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254}
-_WORDS = {"millimeters": "mm", "millimetres": "mm", "centimeters": "cm", "meters": "m", "metres": "m", "inches": "in"}
 _NO_PLACES = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 
 
@@ -92,12 +91,12 @@ def _markers(log: C3dFile) -> tuple[tuple[str, ...], NDArray[np.float64]]:
 
 def _metres(path: Path, log: C3dFile) -> tuple[float, str]:
     stated = log.text("POINT", "UNITS")
-    unit = _WORDS.get(stated.lower(), stated.lower())
-    if unit not in _METRES:
+    unit = unit_of(stated)
+    if unit not in METRES:
         cause = f"unknown length unit {stated[:20]!r} in POINT:UNITS" if stated else "no length unit in POINT:UNITS"
-        cure = f"Known: {', '.join(_METRES)}. Write the file again with one of them."
-        raise DamagedLog(path, cause, nearest=nearest(unit, _METRES), cure=cure)
-    return _METRES[unit], f"{unit}, by POINT:UNITS"
+        cure = f"Known: {', '.join(METRES)}. Write the file again with one of them."
+        raise DamagedLog(path, cause, nearest=nearest(unit, METRES), cure=cure)
+    return METRES[unit], f"{unit}, by POINT:UNITS"
 
 
 ADAPTER: Adapter = _C3d()

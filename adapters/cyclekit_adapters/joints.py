@@ -54,3 +54,8 @@ def points_of(frame: pl.DataFrame, columns: Sequence[str]) -> NDArray[np.float64
     """Return number columns x, y, z, x, y, z, ... of N rows as an array (N, J, 3), NaN where null."""
     flat = frame.select(columns).to_numpy().astype(np.float64, copy=False)
     return flat.reshape(len(frame), len(columns) // 3, 3)
+
+
+def without_zeros(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return places (N, J, 3), NaN where all three numbers are zero: what some trackers write for what was not seen."""
+    return np.where((points == 0.0).all(axis=2, keepdims=True), np.nan, points)

@@ -21,7 +21,7 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.schema import EVENTS, conform, empty
 from cyclekit_adapters.delimited import Rows, read_blocks
 from cyclekit_adapters.in_parts import in_parts
-from cyclekit_adapters.joints import points_of
+from cyclekit_adapters.joints import points_of, without_zeros
 from cyclekit_adapters.markers import (
     People,
     choose_people,
@@ -37,8 +37,6 @@ from cyclekit_adapters.text_blocks import head_of
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
 _MM = 1e-3
 _MEASURED = "Measured"
@@ -66,7 +64,7 @@ class _QualisysTsv:
 
         def make(rows: Rows) -> Recording:
             t_s = header.clock.seconds(rows.frame)
-            points = _seen(points_of(rows.frame, cells)) * _MM
+            points = without_zeros(points_of(rows.frame, cells)) * _MM
             which = cast('Literal["y", "z"]', up or "z")
             part = recording_of(here, names, points, t_s, rows, seen, options=options, up=which)
             return replace(part, events=events.pop() if events else empty(EVENTS)) if header.events else part
@@ -108,11 +106,6 @@ def _events(header: Header) -> pl.DataFrame:
     kept = [row for row in rows if np.isfinite(row[0])]
     schema = {name: column.dtype for name, column in EVENTS.items()}
     return conform(pl.DataFrame(kept, schema=schema, orient="row").sort("t_s", maintain_order=True), EVENTS)
-
-
-def _seen(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return places, NaN where all three numbers are zero: QTM writes that for what no camera saw."""
-    return np.where((points == 0.0).all(axis=2, keepdims=True), np.nan, points)
 
 
 def _filled(header: Header, people: People) -> list[str]:

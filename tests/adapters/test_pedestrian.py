@@ -15,6 +15,9 @@ PETRACK = (
 )
 JUPEDSIM = "#framerate: 16\n#X,Y,Z: the agents coordinates in meters\n#ID\tFR\tX\tY\tZ\n1\t0\t8.21\t131.57\t0.00\n"
 
+PEDPY = "# description: corridor\n# framerate: 25.00\n#geometry: geometry.xml\n\n# PersID\tFrame\tX\tY\tZ\n"
+PEDPY += "1\t98\t4.6012\t1.8909\t1.7600\n1\t99\t4.5359\t1.8976\t1.7600\n"
+
 
 def read(path, text, **options):
     path.write_text(text)
@@ -125,13 +128,65 @@ def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path):
     assert log.set_aside["source_row"].to_list() == [4]
 
 
-@pytest.mark.parametrize("text", [PLAIN, PETRACK])
+@pytest.mark.parametrize("text", [PLAIN, PETRACK, PEDPY])
 def test_damage_gives_what_is_whole_or_a_refusal(tmp_path, text):
     path = tmp_path / "crowd.txt"
     read_damaged(ADAPTER, path, text.encode(), seed=8, options=ReadOptions(rate_hz=25.0))
 
 
-_LINE = st.sampled_from([*PLAIN.splitlines(), *PETRACK.splitlines(), *JUPEDSIM.splitlines(), "frame,id,x,y", ""])
+_LINE = st.sampled_from(
+    [*PLAIN.splitlines(), *PETRACK.splitlines(), *JUPEDSIM.splitlines(), *PEDPY.splitlines(), "frame,id,x,y", ""]
+)
+
+
+@pytest.mark.parametrize(
+    ("head", "row", "place"),
+    [
+        ("# PersID Frame X Y Z", "7 50 1.5 2.5 1.7", (1.5, 2.5, 1.7)),
+        ("# PersID Frame X Y", "7 50 1.5 2.5", (1.5, 2.5, None)),
+        ("PersID,Frame,X,Y,Z", "7,50,1.5,2.5,1.7", (1.5, 2.5, 1.7)),
+        ("# PersID Frame X/cm Y/cm Z/cm", "7 50 150 250 170", (1.5, 2.5, 1.7)),
+        ("#ID FR X Y Z A B ANGLE COLOR", "7 50 1.5 2.5 0 .3 .2 10 99", (1.5, 2.5, 0.0)),
+    ],
+)
+def test_headers_of_jupedsim_and_pedpy_say_which_number_is_whose(tmp_path, head, row, place):
+    log = read(tmp_path / "crowd.txt", f"# framerate: 25 fps\n{head}\n{row}\n")
+    assert log.people.rows() == [(2.0, "7", *place, 3)]
+
+
+def test_a_table_of_pedpy_is_read_by_its_comments(tmp_path):
+    log = read(tmp_path / "crowd.txt", PEDPY)
+    assert log.people.rows() == [(3.92, "1", 4.6012, 1.8909, 1.76, 6), (3.96, "1", 4.5359, 1.8976, 1.76, 7)]
+    assert log.facts["rate_hz"] == "25, by the header"
+
+
+def test_a_rate_that_the_comments_lack_is_asked_for(tmp_path):
+    with pytest.raises(LogError, match="no rate is stated") as refusal:
+        read(tmp_path / "crowd.txt", PEDPY.replace("framerate", "made"))
+    assert "rate_hz" in refusal.value.cure
+    log = read(tmp_path / "crowd.txt", PEDPY.replace("framerate", "made"), rate_hz=10.0)
+    assert log.people["t_s"].to_list() == pytest.approx([9.8, 9.9])
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("1 28 164.8 780.8 168.9\n1 29 164.9 771.9 168.9\n", "169 m above the floor"),
+        ("1 28 164.8 780.8 0\n1 29 164.9 775.8 0\n", "at 125 m/s"),
+    ],
+)
+def test_centimetres_that_are_not_stated_are_asked_for_not_taken_as_metres(tmp_path, rows, said):
+    text = f"# framerate: 25\n# PersID Frame X Y Z\n{rows}"
+    with pytest.raises(LogError, match=said) as refusal:
+        read(tmp_path / "crowd.txt", text)
+    assert 'unit = "cm"' in refusal.value.cure
+    assert read(tmp_path / "crowd.txt", text, map={"unit": "cm"}).people["x_m"][0] == pytest.approx(1.648)
+
+
+def test_rows_of_pedpy_that_lack_a_column_are_set_aside_with_their_line(tmp_path):
+    log = read(tmp_path / "crowd.txt", PEDPY + "1\t100\t4.4470\n1\t101\t4.4\t1.9\t1.76\n")
+    assert log.people["source_row"].to_list() == [6, 7, 9]
+    assert log.set_aside["source_row"].to_list() == [8]
 
 
 @given(lines=st.lists(_LINE | st.text(alphabet=" \t,019.-e#frameidxy/m", max_size=12), max_size=12))

@@ -20,6 +20,7 @@ from cyclekit.errors import LogError
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.delimited import Layout, Rows, row_blocks
 from cyclekit_adapters.in_parts import in_parts
+from cyclekit_adapters.landmark_tables import landmarks_in
 from cyclekit_adapters.pedestrian_header import METRES, header_of, looks_like_frames, metres_if_they_can_be, read_header
 from cyclekit_adapters.sightings import Sightings, only
 from cyclekit_adapters.source_map import words
@@ -29,7 +30,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from cyclekit_adapters.pedestrian_header import METRES, Header
+    from cyclekit_adapters.landmark_tables import landmarks_in
+from cyclekit_adapters.pedestrian_header import Header
 
 _ORDERS = ("frame id x y", "id frame x y", "frame id x y z", "id frame x y z")
 _SPREAD_M = 500.0
@@ -38,7 +40,7 @@ _SPREAD_M = 500.0
 class _Pedestrians:
     def recognises(self, path: Path) -> bool:
         header = header_of(head_of(path))
-        if header is None:
+        if header is None or landmarks_in(head_of(path)):  # `frame, id, x, y` may be points of a body in a picture
             return False
         return header.titled or looks_like_frames(head_of(path), header)
 

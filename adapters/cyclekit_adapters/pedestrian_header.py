@@ -24,7 +24,7 @@ _TITLES = {
     "frame": "frame", "frame_id": "frame", "frameid": "frame", "fr": "frame", "frame_number": "frame",
     "id": "id", "persid": "id", "pers_id": "id", "ped": "id", "ped_id": "id", "pedid": "id",
     "pedestrian": "id", "pedestrian_id": "id", "track_id": "id",
-    "agent_id": "id", "person_id": "id", "personid": "id", "x": "x", "y": "y", "z": "z",
+    "agent": "id", "agent_id": "id", "person": "id", "person_id": "id", "personid": "id", "x": "x", "y": "y", "z": "z",
     "pos_x": "x", "pos_y": "y", "pos_z": "z",
 }  # fmt: skip
 _TIMES = frozenset({"t", "time", "timestamp", "time_s", "seconds"})  # a table with times needs no rate: map it

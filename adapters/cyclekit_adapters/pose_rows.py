@@ -20,6 +20,8 @@ from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.delimited import INDEX, Rows, read_blocks
 from cyclekit_adapters.header_line import column_names, layout_below
 from cyclekit_adapters.in_parts import in_parts
+from cyclekit_adapters.landmark_tables import landmarks_in
+from cyclekit_adapters.text_blocks import head_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,7 +36,7 @@ _MATRIX, _PLACE, _BELOW, _JOINTS = 16, (12, 13, 14), (3, 7, 11), 7  # below the 
 
 class _PoseCsv:
     def recognises(self, path: Path) -> bool:
-        return bool(_columns(column_names(path)))
+        return bool(_columns(column_names(path))) and not landmarks_in(head_of(path))
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         return whole(self.stream(path, options))

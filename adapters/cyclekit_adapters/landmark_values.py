@@ -1,0 +1,98 @@
+"""What the numbers of a table say of landmarks in a picture: depth that is counted from the hips, heads at the top.
+
+MediaPipe gives depth from the middle of the hips, in its picture landmarks as in its world landmarks: one hip is as far
+in front of it as the other is behind. No camera sees hips around its own lens, so such depths are no places in a room.
+How tables are laid out is the business of `landmark_tables`.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+LANDMARKS = 33
+_FACE, _SHOULDERS, _HIPS, _FEET = slice(0, 11), slice(11, 13), slice(23, 25), slice(27, 33)
+_OPPOSITE, _MOST = 0.15, 0.8
+_PICTURE = (-1.0, 2.0)
+"""Fractions of a picture, and of what MediaPipe supposes beside it."""
+_FEW = 3  # rows, of many numbers each
+_LEAD, _TRAIL = 4, 1
+"""Columns that may stand before and behind the landmarks: frame, time, label."""
+
+
+def depths_around_hips(left: NDArray[np.float64], right: NDArray[np.float64]) -> bool:
+    """Tell whether the depths of two hips, shape (N,), are opposite in nearly all rows: counted from their middle."""
+    size = np.abs(left) + np.abs(right)
+    seen = np.isfinite(size) & (size > 0.0)
+    return bool(seen.any() and np.mean((np.abs(left + right) <= _OPPOSITE * size)[seen]) >= _MOST)
+
+
+def in_picture(above: NDArray[np.float64], below: NDArray[np.float64]) -> bool:
+    """Tell whether one height, shape (N,), is above another as in a picture (down is positive), in fractions of it."""
+    both = np.stack([above, below])
+    seen = np.isfinite(both).all(axis=0) & both.any(axis=0)
+    if not seen.any():
+        return False
+    inside = ((both > _PICTURE[0]) & (both < _PICTURE[1])).all(axis=0)
+    return bool(np.mean((inside & (below - above > 0.02))[seen]) >= _MOST)
+
+
+def is_pose(points: NDArray[np.float64]) -> bool:
+    """Tell whether (N, 33, 2 to 4) are MediaPipe's landmarks: by the hips' depths, or a person upright in a picture."""
+    if not len(points):
+        return False
+    if points.shape[2] == 2:
+        heights = [points[:, part, 1].mean(axis=1) for part in (_FACE, _SHOULDERS, _HIPS, _FEET)]
+        return all(in_picture(above, below) for above, below in pairwise(heights))
+    hips = points[:, _HIPS, 2]
+    sure = points.shape[2] == 3 or bool(((points[:, :, 3] >= 0.0) & (points[:, :, 3] <= 1.0)).all())
+    return sure and depths_around_hips(hips[:, 0], hips[:, 1])
+
+
+def may_be_nameless(width: int, rows: int) -> bool:
+    """Tell whether rows so wide, so many, may be landmarks without names."""
+    wide = any(0 <= width - count * LANDMARKS <= _LEAD + _TRAIL for count in (4, 3, 2))
+    return wide or (rows >= LANDMARKS and 3 <= width <= 4 + _LEAD)
+
+
+def are_nameless_landmarks(rows: Sequence[Sequence[str]]) -> bool:
+    """Tell whether rows without a header are landmarks: 33 of them in a row, or one in each of 33 rows."""
+    width = len(rows[0])
+    if width <= 4 + _LEAD:
+        stacked = as_numbers(rows[:LANDMARKS], range(width))
+        return any(_are_poses(stacked[:, -count:], count) for count in (4, 3) if count <= width <= count + _LEAD)
+    table = as_numbers(rows[:_FEW], range(width))
+    for count in (4, 3, 2):
+        spare = width - count * LANDMARKS
+        for before in range(max(spare - _TRAIL, 0), min(spare, _LEAD) + 1):
+            if _are_poses(table[:, before : before + count * LANDMARKS], count):
+                return True
+    return False
+
+
+def _are_poses(table: NDArray[np.float64], count: int) -> bool:
+    """Tell whether a table holds poses of `count` numbers a landmark, those that are known whole."""
+    poses = table[: table.size // (LANDMARKS * count) * (LANDMARKS * count) // table.shape[1]]
+    poses = poses.reshape(-1, LANDMARKS, count)
+    return is_pose(poses[np.isfinite(poses).all(axis=(1, 2))])
+
+
+def as_numbers(rows: Sequence[Sequence[str]], columns: Sequence[int]) -> NDArray[np.float64]:
+    """Return cells as numbers, shape (N, C), NaN where there is none; rows that are too short are left out."""
+    most = max(columns, default=0)
+    table = [[_number(row[at]) for at in columns] for row in rows if len(row) > most]
+    return np.array(table, dtype=np.float64).reshape(len(table), len(columns))
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan

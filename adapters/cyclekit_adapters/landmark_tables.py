@@ -117,6 +117,7 @@ class _Table:
         plain: Coordinate -> column, where one column holds it for all landmarks.
         which: Columns that may say which landmark a row is.
         says_landmark: Columns with the word landmark in them.
+        says_point: Columns with the word joint or keypoint in them.
         says_visibility: Columns with the word visibility or presence in them.
     """
 
@@ -125,6 +126,7 @@ class _Table:
     plain: dict[str, int] = field(default_factory=dict)
     which: list[int] = field(default_factory=list)
     says_landmark: int = 0
+    says_point: int = 0
     says_visibility: int = 0
 
 
@@ -133,6 +135,7 @@ def _read(header: list[str]) -> _Table:
     for at, cell in enumerate(header):
         words = [word.lower() for word in _PART.findall(cell)]
         table.says_landmark += bool(_LANDMARK.intersection(words))
+        table.says_point += bool({"joint", "keypoint", "kp"}.intersection(words))
         table.says_visibility += bool({"visibility", "presence"}.intersection(words))
         axes = [word for word in words if word in ("x", "y", "z") or word in _SEEN]
         if len(axes) != 1:
@@ -168,6 +171,9 @@ def _numbered(table: _Table) -> str:
     sure = (whole and len(numbers) in _COUNTS) or len(seen) >= LANDMARKS
     if sure or table.says_landmark >= _FEW or (len(seen) >= _FEW and table.says_visibility >= _FEW):
         return f"its columns are {len(numbers)} numbered landmarks"
+    flat = not table.numbered.get("z") and not table.named.get("z") and "z" not in table.plain
+    if flat and len(numbers) > _FEW and table.says_point >= 2 * len(numbers):
+        return f"its columns are {len(numbers)} points of a body in a picture, without a depth"
     return ""
 
 

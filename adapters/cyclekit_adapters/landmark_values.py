@@ -65,6 +65,7 @@ def may_be_nameless(width: int, rows: int) -> bool:
 def are_nameless_landmarks(rows: Sequence[Sequence[str]]) -> bool:
     """Tell whether rows without a header are landmarks: 33 of them in a row, or one in each of 33 rows."""
     width = len(rows[0])
+    rows = rows[1:] if _are_counted(rows[0]) else rows
     if width <= 4 + _LEAD:
         stacked = as_numbers(rows[:LANDMARKS], range(width))
         return any(_are_poses(stacked[:, -count:], count) for count in (4, 3) if count <= width <= count + _LEAD)
@@ -75,6 +76,12 @@ def are_nameless_landmarks(rows: Sequence[Sequence[str]]) -> bool:
             if _are_poses(table[:, before : before + count * LANDMARKS], count):
                 return True
     return False
+
+
+def _are_counted(cells: Sequence[str]) -> bool:
+    """Tell whether a row counts its columns, as pandas does where they have no names."""
+    numbers = [int(cell) for cell in cells if cell.isdecimal()]
+    return len(numbers) >= len(cells) - _TRAIL and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
 def _are_poses(table: NDArray[np.float64], count: int) -> bool:

@@ -27,6 +27,7 @@ DUMPS = {
     "flat.csv": "frame,landmark_0_x,landmark_0_y,landmark_0_visibility,landmark_1_x,landmark_1_y\n0,0,0,0,0,0\n",
     "face.csv": ",".join(["class", *(f"{a}{i}" for i in range(1, 502) for a in "xyzv")]) + "\n",
     "ragged.csv": "Frame,Time (ms),Landmark,X,Y,Z,Visibility\n1,33.3,0,0.1,-0.5,0.1,0.99,11,0.1,-0.4,0.1,0.98\n",
+    "joints.csv": "exercise,x_joint_1,y_joint_1,x_joint_2,y_joint_2,x_joint_3,y_joint_3\n1,654.5,477,492,494,536,623\n",
     "pairs.csv": "frame,nose_x,nose_y,left_hip_x,left_hip_y\n0,0.5,0.2,0.4,0.6\n",
     "messages.csv": 'frame,NOSE\n0,"x: 0.54\ny: 0.33\nz: -0.2\nvisibility: 0.99\n"\n',
     "objects.csv": f'frame,0\n0,"{OBJECT}(x=0.5, y=0.3, z=-0.2, visibility=0.99, presence=0.9)"\n',
@@ -61,6 +62,7 @@ def test_landmarks_around_the_persons_own_hips_are_refused_with_the_reason(tmp_p
         "bag_name,stamp,gt_id,x,y,z,visibility\na.bag,1.5,R001,1.65,1.35,0.0,1\na.bag,1.6,R001,1.65,1.35,0.0,1\n",
         "frame,id,x,y\n0,0,1.5,2.5\n0,1,3.5,2.5\n1,0,1.6,2.5\n1,1,3.6,2.5\n",
         "time,joint_1,joint_2,x,y,z\n0,0.1,0.2,0.3,0.4,0.5\n",
+        "time,joint_1_x,joint_1_y,joint_1_z,joint_2_x,joint_2_y,joint_2_z,joint_3_x,joint_3_y,joint_3_z\n" + "0," * 10,
         "time,elbow_x,elbow_y,wrist_1_x,wrist_1_y\n0,0.1,0.2,0.3,0.4\n",
         "0.1 0.2 0.3 0.4\n" * 40,
         "x,y,z\n0.1,0.2,0.3\n" * 40,
@@ -174,6 +176,8 @@ def dialects(draw):
             table = [point for pose in numbers for point in pose]
         if draw(st.booleans()):
             table = [[*map(str, cells(i)), *row] for i, row in enumerate(table)]
+        elif layout == "bare" and draw(st.booleans()):  # as pandas writes columns without names, and a label
+            table = [[*map(str, range(len(table[0]))), "label"], *([*row, "tree"] for row in table)]
     return "".join(mark.join(row) + "\n" for row in table)
 
 

@@ -1,10 +1,11 @@
 """C3D, the binary file of motion capture that Vicon, Qualisys, Motive and others write.
 
 A person is the middle of the pelvis markers seen, by subject (`Subject:Marker`); a residual below zero or a NaN is a
-marker that was not seen. Lengths are in `POINT:UNITS`; up is the axis that `POINT:Y_SCREEN` names, else Z. The clock is
-the trial's: frame over `POINT:RATE`, with the first frame of the capture at (first - 1) / rate. No time of day is in
-the file. Analog channels are passed over, and so are points that the file lists as angles, forces, moments, powers or
-scalars. Where skeletons are asked for, their joints are the subject's labelled markers.
+marker that was not seen. Lengths are in `POINT:UNITS`; up is the axis that `POINT:Y_SCREEN` names, else the one along
+which heads are above feet, else Z. The clock is the trial's: frame over `POINT:RATE`, with the first frame of the
+capture at (first - 1) / rate. No time of day is in the file. Analog channels are passed over, and so are points that
+the file lists as angles, forces, moments, powers or scalars. Where skeletons are asked for, their joints are the
+subject's labelled markers.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from cyclekit_adapters.markers import (
     skeleton_table,
 )
 from cyclekit_adapters.sightings import Sightings
+from cyclekit_adapters.standing import LOOKED_AT, way_up
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -56,16 +58,12 @@ class _C3d:
         cut = log.frames_stated - len(places)
         if cut:
             said.append(f"the file is cut: {cut} of {log.frames_stated} frames are missing at its end")
-        screen = log.text("POINT", "Y_SCREEN").upper().replace(" ", "")
-        shown = {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen)
-        if screen and not shown and not up:
-            said.append(f"POINT:Y_SCREEN is {screen[:9]}, neither +Y nor +Z: z is taken to be up; see `up`")
-        told = f"{shown}, by POINT:Y_SCREEN" if shown else "z, as most systems have it; not in the file"
+        shown, told = (up, "by the cell file") if up else _up(log, names, places, said)
         return Recording(
             people=table,
             skeletons=skeleton_table(people, names, places, t_s, rows) if options.skeletons else None,
             clock="relative",
-            up=cast('Literal["y", "z"]', up or shown or "z"),
+            up=cast('Literal["y", "z"]', shown),
             rows_are="frame",
             rows_read=len(rows),
             set_aside=pl.DataFrame(schema={"source_row": pl.Int64(), "reason": pl.String()}),
@@ -73,7 +71,7 @@ class _C3d:
             facts={
                 "rate_hz": f"{log.rate_hz:g}",
                 "unit": unit,
-                "up": f"{up}, by the cell file" if up else told,
+                "up": f"{shown}, {told}",
                 "software": log.text("MANUFACTURER", "SOFTWARE") or "not stated",
                 **marker_facts(people, names),
             },
@@ -87,6 +85,24 @@ def _markers(log: C3dFile) -> tuple[tuple[str, ...], NDArray[np.float64]]:
     if len(kept) == len(log.labels):
         return log.labels, log.points
     return tuple(log.labels[index] for index in kept), log.points[:, kept]
+
+
+def _up(log: C3dFile, names: tuple[str, ...], places_m: NDArray[np.float64], said: list[str]) -> tuple[str, str]:
+    """Return the axis that points up, and how that is known; add to `said` what a person must know about it."""
+    screen = log.text("POINT", "Y_SCREEN").upper().replace(" ", "")
+    if shown := {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen):
+        return shown, "by POINT:Y_SCREEN"
+    found = way_up(names, places_m[:LOOKED_AT])
+    up, how = (
+        (found, "since heads are above feet")
+        if found in ("y", "z")
+        else ("z", "as most systems have it; not in the file")
+    )
+    if screen:
+        said.append(f"POINT:Y_SCREEN is {screen[:9]}, neither +Y nor +Z: {up} is taken to be up; see `up`")
+    elif found == "neither":
+        said.append("heads are not above feet along y or z: z is taken to be up; see `up`")
+    return up, how
 
 
 def _metres(path: Path, log: C3dFile) -> tuple[float, str]:

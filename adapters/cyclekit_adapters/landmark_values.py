@@ -22,6 +22,7 @@ _FACE, _SHOULDERS, _HIPS, _FEET = slice(0, 11), slice(11, 13), slice(23, 25), sl
 _OPPOSITE, _MOST = 0.15, 0.8
 _PICTURE = (-1.0, 2.0)
 """Fractions of a picture, and of what MediaPipe supposes beside it."""
+_MOST_OF_ALL = 1e9  # beyond it a number is garbled
 _FEW = 3  # rows, of many numbers each
 _LEAD, _TRAIL = 4, 1
 """Columns that may stand before and behind the landmarks: frame, time, label."""
@@ -92,7 +93,7 @@ def _are_poses(table: NDArray[np.float64], count: int) -> bool:
 
 
 def as_numbers(rows: Sequence[Sequence[str]], columns: Sequence[int]) -> NDArray[np.float64]:
-    """Return cells as numbers, shape (N, C), NaN where there is none; rows that are too short are left out."""
+    """Return cells as numbers, shape (N, C), NaN for none or a garbled one; rows that are too short are left out."""
     most = max(columns, default=0)
     table = [[_number(row[at]) for at in columns] for row in rows if len(row) > most]
     return np.array(table, dtype=np.float64).reshape(len(table), len(columns))
@@ -100,6 +101,7 @@ def as_numbers(rows: Sequence[Sequence[str]], columns: Sequence[int]) -> NDArray
 
 def _number(cell: str) -> float:
     try:
-        return float(cell)
+        value = float(cell)
     except ValueError:
         return np.nan
+    return value if abs(value) < _MOST_OF_ALL else np.nan

@@ -10,7 +10,6 @@ markers.
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, cast
 
@@ -24,6 +23,7 @@ from cyclekit_adapters.joints import points_of, without_zeros
 from cyclekit_adapters.length_unit import METRES
 from cyclekit_adapters.markers import choose_people, marker_facts, marker_warnings, marker_words, recording_of
 from cyclekit_adapters.sightings import Sightings
+from cyclekit_adapters.standing import way_up
 from cyclekit_adapters.text_blocks import head_of
 from cyclekit_adapters.trc_header import FIRST, Header, read_header
 
@@ -34,14 +34,6 @@ if TYPE_CHECKING:
     import polars as pl
     from numpy.typing import NDArray
 
-_SIDES = r"(?:left|right|l|r)?"
-_HIGH = re.compile(
-    rf"{_SIDES}(?:head|tophead|nose|neck|eye|ear|fhd|bhd|shoulder|should|sho|acr|acromion|c7|cv7|sjn)(?:l|r)?"
-)
-_LOW = re.compile(rf"{_SIDES}(?:ankle|ank|heel|hee|toe|bigtoe|smalltoe|calc|mall|met|fcc|fal|tam|fm[125])(?:l|r)?")
-_PLAIN = re.compile(r"_study$|[\s._-]+")
-_BODY_M = 0.3
-"""Heads and feet closer than this along each axis tell nothing: nobody stands there."""
 _AT_ZERO_M = 0.01
 _ROWS = 10
 """A pelvis that does not leave zero in so many rows is not in the room."""
@@ -91,23 +83,10 @@ _UNCLEAR = "heads are not above feet"
 
 def _up(header: Header) -> tuple[str, str]:
     """Return the axis that points up and how that is known: by heads above feet, else as OpenSim has it."""
-    plain = [_PLAIN.sub("", name.rpartition(":")[2].strip().lower()) for name in header.names]
-    heads = [i for i, name in enumerate(plain) if _HIGH.fullmatch(name)]
-    feet = [i for i, name in enumerate(plain) if _LOW.fullmatch(name)]
-    if not heads or not feet or not header.rows:
-        return "y", "as OpenSim has it; not in the file"
-    points = _points(header)
-    above = _middle(points[:, heads]) - _middle(points[:, feet])
-    above = above[np.isfinite(above).all(axis=1)] * METRES[header.unit]
-    if not len(above):
-        return "y", "as OpenSim has it; not in the file"
-    way = np.median(above, axis=0)
-    axis = int(np.argmax(np.abs(way)))
-    if abs(way[axis]) < _BODY_M:
-        return "y", "as OpenSim has it; not in the file"
-    if way[axis] < 0.0 or axis == 0:
+    found = way_up(header.names, _points(header) * METRES[header.unit])
+    if found == "neither":
         return "y", f"{_UNCLEAR} along y or z: y is taken, as OpenSim has it; see `up`"
-    return "yz"[axis - 1], "since heads are above feet"
+    return (found, "since heads are above feet") if found else ("y", "as OpenSim has it; not in the file")
 
 
 def _points(header: Header) -> NDArray[np.float64]:
@@ -116,16 +95,6 @@ def _points(header: Header) -> NDArray[np.float64]:
     rows = [[_number(cell) for cell in row[2:width]] for row in header.rows if len(row) >= width]
     points = np.array(rows, dtype=np.float64).reshape(len(rows), len(header.names), 3)
     return without_zeros(points)
-
-
-def _middle(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the middle of the places seen, (N, M, 3) to (N, 3), NaN where none was."""
-    seen = np.isfinite(points).all(axis=2, keepdims=True)
-    count = seen.sum(axis=1)
-    total = np.where(seen, points, 0.0).sum(axis=1)
-    middle: NDArray[np.float64] = np.full_like(total, np.nan)
-    np.divide(total, count, out=middle, where=count > 0)
-    return middle
 
 
 def _number(cell: str) -> float:

@@ -233,3 +233,16 @@ def test_the_pelvis_is_found_by_the_names_of_isb_bts_and_keypoints(tmp_path, lab
     log = ADAPTER.read(write(tmp_path / "walk.c3d", some_points(), labels=labels), ReadOptions())
     assert log.facts["markers_used"] == used
     assert log.facts["point"] == "middle of the pelvis markers seen"
+
+
+@pytest.mark.parametrize(("axis", "up"), [(1, "y"), (2, "z")])
+def test_without_a_screen_axis_heads_above_feet_tell_which_axis_is_up(tmp_path, axis, up):
+    points = np.zeros((4, 3, 3)) + 50.0
+    points[:, 1, axis], points[:, 2, axis] = 900.0, 1700.0
+    path = write(tmp_path / "walk.c3d", points, labels=["l heel", "sacrum", "c7"])
+    log = ADAPTER.read(path, ReadOptions())
+    assert (log.up, log.facts["up"]) == (up, f"{up}, since heads are above feet")
+    told = ADAPTER.read(path, ReadOptions(map={"up": "z"}))
+    assert (told.up, told.facts["up"]) == ("z", "z, by the cell file")
+    screen = ADAPTER.read(write(path, points, labels=["l heel", "sacrum", "c7"], screen="+Z"), ReadOptions())
+    assert (screen.up, screen.facts["up"]) == ("z", "z, by POINT:Y_SCREEN")

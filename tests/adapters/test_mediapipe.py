@@ -60,6 +60,8 @@ def test_landmarks_around_the_persons_own_hips_are_refused_with_the_reason(tmp_p
         "LEFT_EYE_INNER and LEFT_FOOT_INDEX are names of landmarks, one of x, y, z\n",
         "stamp,class_id,landmark_id,x,y,z,cov_xx\n12.3,pole,42,4.0,0.2,1.1,0.04\n12.3,pole,7,5.0,0.2,1.1,0.04\n",
         "bag_name,stamp,gt_id,x,y,z,visibility\na.bag,1.5,R001,1.65,1.35,0.0,1\na.bag,1.6,R001,1.65,1.35,0.0,1\n",
+        ",".join(["1e308"] * 99) + "\n" + ",".join(["-1e308"] * 99) + "\n",
+        "frame,left_hip_x,left_hip_y,left_hip_z,right_hip_x,right_hip_y,right_hip_z\n" + "0" + ",1e308,inf,-inf" * 2,
         "frame,id,x,y\n0,0,1.5,2.5\n0,1,3.5,2.5\n1,0,1.6,2.5\n1,1,3.6,2.5\n",
         "time,joint_1,joint_2,x,y,z\n0,0.1,0.2,0.3,0.4,0.5\n",
         "time,joint_1_x,joint_1_y,joint_1_z,joint_2_x,joint_2_y,joint_2_z,joint_3_x,joint_3_y,joint_3_z\n" + "0," * 10,

@@ -111,6 +111,12 @@ def test_without_heads_and_feet_y_is_up_as_opensim_has_it(tmp_path):
     assert (log.up, log.facts["up"]) == ("y", "y, as OpenSim has it; not in the file")
 
 
+def test_garbled_numbers_tell_nothing_of_up_and_do_not_overflow(tmp_path):
+    garbled = HALPE | {"Head": [("1e308", "-1e308", 1), ("1e308", 1, 1)], "Nose": [("1e308", 1, 1)] * 2}
+    log = read(tmp_path / "walk.trc", lines_of(garbled))
+    assert log.facts["up"] == "y, as OpenSim has it; not in the file"
+
+
 def test_heads_below_feet_are_said(tmp_path):
     upside_down = {
         name: [place and (place[0], -place[1], place[2]) for place in track] for name, track in HALPE.items()

@@ -1,0 +1,64 @@
+"""Which axis points up, told by the people in a log: their heads are above their feet.
+
+Files of motion capture that do not say which axis is up are often read with the wrong one, which makes heights of
+widths. Markers of heads and of feet are known by name. What is done where they tell nothing is the adapters' business.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+LOOKED_AT = 200
+"""Frames that are enough to tell."""
+_SIDE = "(?:left|right|l|r)?"
+_HIGH = re.compile(
+    rf"{_SIDE}(?:head|tophead|nose|neck|eye|ear|fhd|bhd|shoulder|should|sho|acr|acromion|c7|cv7|sjn)(?:l|r)?"
+)
+_LOW = re.compile(rf"{_SIDE}(?:ankle|ank|heel|hee|toe|bigtoe|smalltoe|calc|mall|met|fcc|fal|tam|fm[125])(?:l|r)?")
+_PLAIN = re.compile(r"_study$|[\s._-]+")
+_EARTH_M = 1e7  # farther away a marker is a garbled number
+_BODY_M = 0.3
+"""Heads and feet closer than this along each axis tell nothing: nobody stands there."""
+
+
+def way_up(names: Sequence[str], points_m: NDArray[np.float64]) -> Literal["y", "z", "neither", ""]:
+    """Return the axis along which heads are above feet, "neither" where it is another way, "" where nothing tells.
+
+    Args:
+        names: M names of markers, with their subject or without.
+        points_m: (N, M, 3), NaN = not seen.
+    """
+    plain = [_PLAIN.sub("", name.rpartition(":")[2].strip().lower()) for name in names]
+    heads = [i for i, name in enumerate(plain) if _HIGH.fullmatch(name)]
+    feet = [i for i, name in enumerate(plain) if _LOW.fullmatch(name)]
+    if not heads or not feet:
+        return ""
+    above = _middle(points_m[:, heads]) - _middle(points_m[:, feet])
+    above = above[np.isfinite(above).all(axis=1)]
+    if not len(above):
+        return ""
+    way = np.median(above, axis=0)
+    axis = int(np.argmax(np.abs(way)))
+    if abs(way[axis]) < _BODY_M:
+        return ""
+    if way[axis] < 0.0 or axis == 0:
+        return "neither"
+    return "y" if axis == 1 else "z"
+
+
+def _middle(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the middle of the places seen, (N, M, 3) to (N, 3), NaN where none was."""
+    seen = (np.abs(points) < _EARTH_M).all(axis=2, keepdims=True)  # NaN compares false
+    count = seen.sum(axis=1)
+    total = np.where(seen, points, 0.0).sum(axis=1)
+    middle: NDArray[np.float64] = np.full_like(total, np.nan)
+    np.divide(total, count, out=middle, where=count > 0)
+    return middle

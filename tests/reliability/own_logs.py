@@ -59,6 +59,8 @@ def own_logs(folder: Path) -> list[OwnLog]:
         "poses": ("pose-rows", _poses, ReadOptions(rate_hz=250.0)),
         "qualisys": ("qualisys", _qualisys, ReadOptions()),
         "vicon": ("vicon", _vicon, ReadOptions()),
+        "vicon objects": ("vicon", _vicon_objects, ReadOptions()),
+        "trc": ("trc", _trc, ReadOptions()),
         "azure kinect": ("azure-kinect", _azure_kinect, ReadOptions()),
         "zed": ("zed", _zed, ReadOptions()),
         "kinect2": ("kinect2", _kinect2, ReadOptions()),
@@ -116,6 +118,22 @@ def _vicon() -> str:
     head = "Trajectories\r\n100\r\n,,S:LASI,,,S:RASI,,\r\nFrame,Sub Frame,X,Y,Z,X,Y,Z\r\n,,mm,mm,mm,mm,mm,mm\r\n"
     rows = [[row + 1, 0, *(f"{1000 * _wave(row, k):.3f}" for k in range(6))] for row in range(ROWS)]
     return head + "".join(",".join(map(str, cells)) + "\r\n" for cells in rows)
+
+
+def _vicon_objects() -> str:
+    axes = ",RX,RY,RZ,TX,TY,TZ" * 2
+    head = f"Objects\n100\n,,Global Angle hip:hip,,,,,,Global Angle head:head,,,,,\nFrame,Sub Frame{axes}\n"
+    head += "," + ",rad,rad,rad,mm,mm,mm" * 2 + "\n"
+    rows = [[row + 1, 0, *(f"{1000 * _wave(row, k):.3f}" for k in range(12))] for row in range(ROWS)]
+    return head + "".join(",".join(map(str, cells)) + "\n" for cells in rows)
+
+
+def _trc() -> str:
+    keys = ["DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate"]
+    head = ["PathFileType\t4\t(X/Y/Z)\twalk.trc", "\t".join(keys), f"100\t100\t{ROWS}\t2\tm\t100"]
+    head += ["Frame#\tTime\tRHip\t\t\tLHip\t\t", "\t\tX1\tY1\tZ1\tX2\tY2\tZ2"]
+    rows = [[row, f"{row / 100:.4f}", *(f"{_wave(row, k):.6f}" for k in range(6))] for row in range(ROWS)]
+    return "\n".join([*head, *("\t".join(map(str, cells)) for cells in rows), ""])
 
 
 def _azure_kinect() -> str:

@@ -54,7 +54,16 @@ def is_pose(points: NDArray[np.float64]) -> bool:
         return all(in_picture(above, below) for above, below in pairwise(heights))
     hips = points[:, _HIPS, 2]
     sure = points.shape[2] == 3 or bool(((points[:, :, 3] >= 0.0) & (points[:, :, 3] <= 1.0)).all())
-    return sure and depths_around_hips(hips[:, 0], hips[:, 1])
+    return sure and _is_body(points[:, :, :3]) and depths_around_hips(hips[:, 0], hips[:, 1])
+
+
+def _is_body(points: NDArray[np.float64]) -> bool:
+    """Tell whether (N, 33, 3) are bodies: a small face, and shoulders apart; on a path neighbours lie together."""
+    size = np.linalg.norm(np.ptp(points, axis=1), axis=1)
+    face = np.linalg.norm(np.ptp(points[:, _FACE, :2], axis=1), axis=1)
+    shoulders = np.linalg.norm(points[:, 11] - points[:, 12], axis=1)
+    seen = size > 0.0
+    return bool(seen.any() and np.mean(((face < 0.4 * size) & (shoulders > 0.05 * size))[seen]) >= _MOST)
 
 
 def may_be_nameless(width: int, rows: int) -> bool:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import random
 
 import pytest
 from hypothesis import given, settings
@@ -218,3 +219,18 @@ def test_any_text_has_an_answer(tmp_path_factory, text):
     path = tmp_path_factory.getbasetemp() / "any_text.csv"
     path.write_text(text)
     assert ADAPTER.recognises(path) in (True, False)
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    noise=st.sampled_from([0.0, 1e-4, 0.01]),
+    speed=st.floats(-0.05, 0.05),
+    names=st.sampled_from(["x,y,z", "t,x,y,z", "0.1,0.2,0.3", "x,y,z,qx,qy,qz,qw"]),
+)
+def test_the_path_of_a_robot_around_zero_is_no_body(tmp_path_factory, seed, noise, speed, names):
+    path = tmp_path_factory.getbasetemp() / "any_path.csv"
+    chance = random.Random(seed)
+    width = names.count(",") + 1
+    rows = [[f"{speed * i + noise * chance.gauss(0, 1):.6f}" for _ in range(width)] for i in range(-40, 40)]
+    path.write_text("\n".join([names, *map(",".join, rows), ""]))
+    assert not ADAPTER.recognises(path)

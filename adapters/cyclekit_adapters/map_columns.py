@@ -128,7 +128,8 @@ class _Finder:
             return name
         if name == entry:
             numbers = [f'"#{at}"' for at, other in enumerate(self._header, 1) if re.sub(r"#\d+$", "", other) == name]
-            cause = f"several columns are called {name!r}: which one is meant cannot be told"
+            count = "two" if len(numbers) == 2 else len(numbers)
+            cause = f"{count} columns are called {name!r}: which one is meant cannot be told"
             raise DamagedLog(self.path, cause, cure=f"Name it by its number: {' or '.join(numbers[:6])}.")
         self.names[place] = f"#{place + 1}"
         return self.names[place]

@@ -26,7 +26,7 @@ def test_a_column_is_meant_by_its_number_where_names_repeat_or_are_none(tmp_path
     text = "t,X,,X\n0,1,2,3\n1,4,5,6\n"
     log = read(tmp_path / "log.csv", text, time="t", x="#2", y="#3", z="#4")
     assert log.robot.select("tcp_x_m", "tcp_y_m", "tcp_z_m").rows() == [(1, 2, 3), (4, 5, 6)]
-    with pytest.raises(DamagedLog, match="several columns are called 'X'") as refusal:
+    with pytest.raises(DamagedLog, match="two columns are called 'X'") as refusal:
         read(tmp_path / "log.csv", text, time="t", x="X", y="#3", z="#4")
     assert refusal.value.cure == 'Name it by its number: "#2" or "#4".'
     with pytest.raises(MissingColumns, match="#5"):

@@ -3,7 +3,7 @@
 This is how exports of FANUC, ABB, Yaskawa, Doosan, Techman and xArm, PLC logs and laser scanner tracks come in. The
 cell file says which column is what and in which unit, and nothing is guessed: no column is found by its name, no unit
 by the size of its values. Because such a table looks like any other, this adapter recognises nothing by itself and must
-be named.
+be named; what `draft` proposes for the cell file is a person's to look at.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, Role, StreamingAdapter, whole
+from cyclekit.adapter import Draft, ReadOptions, Recording, Role, StreamingAdapter, whole
 from cyclekit.errors import ConfigError, MissingColumns
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
 from cyclekit_adapters.controller_time import Back, Once, Spread
 from cyclekit_adapters.csv_map import METRES, RADIANS, STATES, WHERE, CsvMap, csv_map
+from cyclekit_adapters.draft import draft_of
+from cyclekit_adapters.draft_table import text_draft_table
 from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.list_cells import ListCells, first_width
 from cyclekit_adapters.map_columns import Columns, columns_of, unresolved
@@ -37,6 +39,10 @@ _SLACK = 1e-3
 class _MappedCsv:
     def recognises(self, path: Path) -> bool:
         return False
+
+    def draft(self, path: Path) -> Draft | None:
+        table = text_draft_table(path)
+        return None if table is None else draft_of(table)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         return whole(self.stream(path, options))

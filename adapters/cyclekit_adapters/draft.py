@@ -116,8 +116,9 @@ def _add_time(lines: _Lines, table: DraftTable, names: dict[str, Name], found: _
         unit: object = list(time.units) if split else time.units[0]
         keys = {"time": column} | ({"clock": "epoch"} if time.epoch else {}) | {"time_unit": unit}
         lines.add(keys, time.why, sure=sure)
-    if also := {column: None for other in times[1:] for column in other.columns if column not in time.columns}:
-        lines.notes.append(f"also a time: {', '.join(also)}")
+    others = dict.fromkeys(name for other in times[1:] for name in other.columns if name not in time.columns)
+    if others:
+        lines.notes.append(f"also a time: {', '.join(others)}")
 
 
 def _decided(time: FoundTime, table: DraftTable, path: NDArray[np.float64] | None) -> FoundTime:

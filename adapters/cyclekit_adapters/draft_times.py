@@ -71,12 +71,12 @@ class FoundTime:
 
 def found_times(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
     """Return what may be the time of a table, the best first."""
-    found = [time for split in _split(table, names) if (time := split)]
+    found = _split(table, names)
     taken = {column for time in found for column in time.columns}
-    found += [time for name in names.values() if name.column not in taken and (time := _counted(table, name))]
+    found += [one for name in names.values() if name.column not in taken and (one := _counted(table, name))]
     found += _written(table, names)
     if not found and not table.headed:
-        found += [time for column in table.numbers if (time := _by_steps_alone(table, column))]
+        found += [one for column in table.numbers if (one := _by_steps_alone(table, column))]
     return sorted(found, key=lambda time: tuple(not part for part in time.rank))
 
 

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 GROUP = "cyclekit.adapters"
 SMALL_BYTES = 1 << 20
 _CURE = "Check the file."
+_OLE = b"\xd0\xcf\x11\xe0"
 _LFS = b"version https://git-lfs.github.com/spec/"
 
 
@@ -274,6 +275,9 @@ def why_unknown(path: Path) -> UnknownFormat:
     cells = max(head.count(separator) for separator in (b",", b";", b"\t")) + 1
     if len(head) < 4096 and b"\0" not in head and cells > 3 and len(head.strip().splitlines()) == 1:
         return UnknownFormat(path, "a single line: a header and no rows", cure="Record again, or remove the file.")
+    if head.startswith(_OLE):
+        cause = "an old Excel workbook (.xls), or one with a password"
+        return UnknownFormat(path, cause, cure="Save it as .xlsx without a password, or as CSV.")
     if _is_table(head):
         cause = 'no adapter recognises this content, a table: map its columns in cell.toml, with adapter = "csv"'
         drafts = "`cyclekit inspect FILE --write-cell CELL.toml` drafts that"
@@ -283,7 +287,9 @@ def why_unknown(path: Path) -> UnknownFormat:
 
 
 def _is_table(head: bytes) -> bool:
-    """Tell whether lines of a text have the same number of cells, three or more, or of numbers with blanks between."""
+    """Tell a table: lines of the same number of cells, three or more, or of numbers with blanks between; a workbook."""
+    if head.startswith(b"PK\x03\x04"):
+        return b"[Content_Types].xml" in head or b"xl/" in head
     lines = head.strip().splitlines()[:12]
     if b"\0" in head or not lines:
         return False

@@ -31,6 +31,7 @@ class CsvMap:
     """The keys; what a column key may say is the business of `map_columns`. Those of several columns are tuples.
 
     Attributes:
+        sheet: Of an Excel workbook; the first that holds a table where none is named.
         columns: Names of the columns of a table without a header line.
         time: Column of the time, or of date and time of day, or of its parts (seconds and nanoseconds).
         time_unit: Unit of a time that is a number, or of each of its parts, the largest first.
@@ -41,6 +42,7 @@ class CsvMap:
         scaling: Columns whose product is the speed scaling.
     """
 
+    sheet: str | None = None
     delimiter: str | None = None
     decimal: str = "."
     encoding: str | None = None

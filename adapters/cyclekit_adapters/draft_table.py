@@ -16,6 +16,7 @@ import numpy as np
 
 from cyclekit_adapters.header_line import has_decimal_comma
 from cyclekit_adapters.list_cells import parts_of
+from cyclekit_adapters.sheets import Workbook, rows_of
 from cyclekit_adapters.text_blocks import file_encoding, head_lines
 from cyclekit_adapters.text_layout import fields_of, unique
 from cyclekit_adapters.text_rows import UNKNOWN
@@ -90,10 +91,20 @@ def text_draft_table(path: Path) -> DraftTable | None:
     return _table(best, {**keys, "delimiter": _DELIMITERS[best.mark]})
 
 
-def rows_table(rows: Sequence[Sequence[str]], keys: dict[str, object]) -> DraftTable | None:
-    """Return the first rows of a sheet whose cells are known already, None where it holds no table."""
-    found = _Rows("", [list(row) for row in rows])
-    return _table(found, keys) if found.width > 1 and found.body else None
+def sheet_draft_table(path: Path) -> DraftTable | None:
+    """Return the first rows of the first sheet of a workbook that holds a table, None where none does.
+
+    Raises:
+        MissingExtra: fastexcel is not installed.
+        LogError: The workbook cannot be read.
+    """
+    workbook = Workbook(path)
+    for number, sheet in enumerate(workbook.sheets):
+        columns = workbook.cells(sheet, "string", count=LINES)
+        found = _Rows("", rows_of(columns, 0, LINES, max(columns, default=-1) + 1))
+        if found.width > 1 and found.body and found.numbers:
+            return _table(found, {"sheet": sheet} if number else {})
+    return None
 
 
 class _Rows:

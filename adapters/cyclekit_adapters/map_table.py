@@ -115,6 +115,8 @@ def text_table(path: Path, mapping: CsvMap, wanted: Collection[str]) -> TextTabl
         ConfigError: The encoding is not known.
         DamagedLog: It is no text, or has no header where one should be.
     """
+    if mapping.sheet is not None:
+        raise ConfigError(f"{WHERE}: sheet = {mapping.sheet!r}, but the log is a text", cure="Remove the key.")
     try:
         encoding = mapping.encoding or file_encoding(path)
         codecs.getincrementaldecoder(encoding or "utf-8")("replace").decode("".encode(encoding or "utf-8"))

@@ -19,13 +19,15 @@ from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
 from cyclekit_adapters.controller_time import Back, Once, Spread
 from cyclekit_adapters.csv_map import METRES, RADIANS, STATES, WHERE, CsvMap, csv_map
 from cyclekit_adapters.draft import draft_of
-from cyclekit_adapters.draft_table import text_draft_table
+from cyclekit_adapters.draft_table import sheet_draft_table, text_draft_table
 from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.list_cells import ListCells, first_width
 from cyclekit_adapters.map_columns import Columns, columns_of, unresolved
 from cyclekit_adapters.map_table import MapTable, text_table
 from cyclekit_adapters.mapped_time import T_S, name_their_zone, require_epoch, timed
+from cyclekit_adapters.sheets import sheet_table
 from cyclekit_adapters.text_rows import Rows, Wanted
+from cyclekit_adapters.workbook import is_workbook
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -41,7 +43,7 @@ class _MappedCsv:
         return False
 
     def draft(self, path: Path) -> Draft | None:
-        table = text_draft_table(path)
+        table = sheet_draft_table(path) if is_workbook(path) else text_draft_table(path)
         return None if table is None else draft_of(table)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
@@ -79,7 +81,7 @@ class _MappedCsv:
                 **{role: canonical(rows.frame, mapping)},  # type: ignore[arg-type]  # the three roles are three fields
                 clock=clock,
                 joint_names=mapping.joints if role == "robot" else (),
-                rows_are="line",
+                rows_are="row" if "sheet" in table.facts else "line",
                 rows_read=rows.rows_read,
                 set_aside=rows.set_aside,
             )
@@ -99,7 +101,7 @@ def _found(path: Path, mapping: CsvMap, role: Role) -> tuple[MapTable, Columns]:
         LogError: The table cannot be read, or has no such columns.
     """
     entries = {entry for kind in _columns(mapping, role) for entry in kind}
-    table = text_table(path, mapping, entries)
+    table: MapTable = sheet_table(path, mapping) if is_workbook(path) else text_table(path, mapping, entries)
     if missing := unresolved(entries, table.names):
         raise MissingColumns(path, missing, table.names, table.cure(entries, mapping))
     cells = {name: [row[at] for row in table.first_rows if at < len(row)] for at, name in enumerate(table.names)}

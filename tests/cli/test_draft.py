@@ -6,6 +6,8 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sheet_files import write_workbook
+
 from cyclekit.dataset import Dataset
 
 if TYPE_CHECKING:
@@ -79,3 +81,15 @@ def test_names_of_columns_cannot_end_a_comment(cyclekit: Shell, tmp_path: Path) 
     assert cyclekit("inspect", log, "--write-cell", tmp_path / "c.toml").code == 0
     done = cyclekit("ingest", log, "--cell", tmp_path / "c.toml", "--out", tmp_path / "d")
     assert done.code == 0, done.err
+
+
+def test_a_workbook_is_named_with_the_command_that_drafts_its_map(cyclekit: Shell, tmp_path: Path) -> None:
+    rows = [["t [s]", "TCP X [mm]", "TCP Y [mm]"], *([i / 50, 400.5 + i, 250.5] for i in range(120))]
+    book = write_workbook(tmp_path / "rs.xlsx", {"Data": rows})
+    refused = cyclekit("ingest", book, "--out", tmp_path / "d")
+    cure = refused.err.strip().splitlines()[-1].partition(": ")[2]
+    assert cyclekit(*shlex.split(cure)[1:]).code == 0
+    done = cyclekit("ingest", book, "--cell", tmp_path / "rs.toml", "--out", tmp_path / "d")
+    assert done.code == 0, done.err
+    (tmp_path / "old.xls").write_bytes(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600))
+    assert "Save it as .xlsx" in cyclekit("inspect", tmp_path / "old.xls").err

@@ -53,12 +53,14 @@ def draft_of(table: DraftTable) -> Draft:
     names = {column: name_of(table.titles.get(column, column), table.units.get(column, "")) for column in table.names}
     names = {column: replace(name, column=column) for column, name in names.items()}
     lines, found = _Lines(), _Findings(table, names)
-    if table.keys:
-        lines.add(dict(table.keys))
+    lines.map += [Proposal(key, value) for key, value in table.keys.items()]
     _add_time(lines, table, names, found)
     _add_role(lines, found)
     {"people": _add_people, "robot": _add_robot}[found.role](lines, table, names, found)
-    if left := [column for column in table.names if column not in lines.used]:
+    if not table.headed:
+        spans = [f"{name} {np.nanmin(told):g} to {np.nanmax(told):g}" for name, told in table.numbers.items()]
+        lines.notes.append(f"its columns have no names: {', '.join(spans[:_LISTED])}")
+    elif left := [column for column in table.names if column not in lines.used]:
         more = f" and {len(left) - _LISTED} more" if len(left) > _LISTED else ""
         lines.notes.append(f"not used: {', '.join(left[:_LISTED])}{more}")
     return Draft(tuple(lines.source), tuple(lines.map), tuple(lines.notes))
@@ -73,7 +75,7 @@ class _Findings:
         every = places(table, names)
         persons = [place for place in every if place.person]
         robots = [place for place in every if not place.person]
-        is_robot = bool(self.joints or self.scalings) or any(place.robot for place in robots)
+        is_robot = bool(self.scalings) or any(found.robot for found in (*robots, *self.joints))
         is_person = bool(persons or self.people)
         self.role = "people" if is_person and not is_robot else "robot"
         self.sure = is_robot or is_person

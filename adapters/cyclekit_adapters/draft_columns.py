@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit_adapters.draft_names import ACTUAL, IDS, JOINT, PERSON, PLACE, POSITION, ROBOT, Name
+from cyclekit_adapters.draft_names import ACTUAL, IDS, JOINT, OTHER_IDS, PERSON, PLACE, POSITION, ROBOT, Name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 _ARM = (("pan", "base"), ("lift", "shoulder"), ("elbow",), ("1", "wrist"), ("2", "wrist"), ("3", "wrist"))
 """Words of the joints of an arm whose joints have names, as in ROS."""
 _LENGTHS_OF_ARMS = (6, 7)
+_FLANGE_OF_FRANKA = ("o", "t", "ee", "#")
+_VECTORS = POSITION | {"observation", "state", "qpos"}
+"""Words of vectors of which nobody says what they hold, as in ROS and LeRobot: joint angles, most often."""
 _SCALING = (
     *(
         "speedscaling",
@@ -97,6 +100,8 @@ def _axes(group: Sequence[Name]) -> tuple[Name, ...]:
         once = len(by) == len(group)
         return tuple(by[axis] for axis in "xyz" if axis in by) if once and {"x", "y"} <= set(by) else ()
     numbered = _consecutive(group)
+    if len(numbered) == 16 and group[0].words == _FLANGE_OF_FRANKA:
+        return numbered[12:15]  # a matrix, column after column
     return numbered[:3] if len(numbered) in (3, 6, 7) and not group[0].says(JOINT) else ()
 
 
@@ -134,11 +139,14 @@ def joints(table: DraftTable, names: Mapping[str, Name]) -> list[Found]:
     """Return the joint angles of arms, the best first."""
     groups: dict[tuple[str, ...], list[Name]] = {}
     for name in _numeric(table, names):
-        if not name.is_other and name.number is not None and name.says(JOINT):
+        told = name.says(JOINT) or (name.says(_VECTORS) and not name.says(PLACE | PERSON))
+        if not name.is_other and name.number is not None and told:
             groups.setdefault(name.stem, []).append(name)
     found = [numbered for group in groups.values() if len(numbered := _consecutive(group)) in _LENGTHS_OF_ARMS]
     found += [named] if (named := _named_joints(_numeric(table, names))) else []
-    ranked = sorted(found, key=lambda group: 8 * group[0].is_set_point - 2 * group[0].says(ACTUAL))
+    ranked = sorted(
+        found, key=lambda group: 8 * group[0].is_set_point - 2 * group[0].says(ACTUAL) - _says_joints(group)
+    )
     return [_joints(table, group, others=len(ranked) - 1) for group in ranked]
 
 
@@ -149,8 +157,15 @@ def _joints(table: DraftTable, group: tuple[Name, ...], others: int) -> Found:
     against = "a set point, not what was" if group[0].is_set_point else ""
     if others and not group[0].says(ACTUAL) and not against:
         against = f"{others} more could be meant"
+    elif not _says_joints(group):
+        against = "joint angles, or a pose?"
     turned = bool(np.isfinite(values).any()) and float(np.nanmax(np.abs(values))) < 800.0
-    return Found(columns, unit, why, sure, turned and not against, against or ("" if turned else "no angles by size"))
+    against = against or ("" if turned else "no angles by size")
+    return Found(columns, unit, why, sure, not against, against, robot=_says_joints(group))
+
+
+def _says_joints(group: Sequence[Name]) -> bool:
+    return group[0].says(JOINT) or group[0].number is None or "wrist" in group[-1].words
 
 
 def angle_unit(values: np.ndarray, said: set[str | None]) -> tuple[str, str, bool]:
@@ -242,7 +257,7 @@ def person_columns(table: DraftTable, names: Mapping[str, Name]) -> list[str]:
     found = []
     for name in names.values():
         told = [cell for cell in table.cells[name.column] if cell.strip()]
-        named = name.says(IDS) and not name.axis and name.number is None
+        named = name.says(IDS) and not name.says(OTHER_IDS) and not name.axis and name.number is None
         if named and told and len(set(told)) <= max(1, len(told) // 2):
             found.append(name.column)
     return found

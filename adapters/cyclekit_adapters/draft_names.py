@@ -28,7 +28,7 @@ UNITS = {
 }
 TIME_UNITS = {"s", "ms", "us", "ns"}
 TIME = {
-    *("time", "times", "t", "timestamp", "timestamps", "stamp", "ts", "tm", "clock", "elapsed", "timer", "tick"),
+    *("time", "times", "timestamp", "timestamps", "stamp", "ts", "tm", "clock", "elapsed", "timer", "tick"),
     *("ticks", "ipoc", "zeit", "zeitstempel", "uhrzeit", "epoch", "datetime", "date", "datum", "when", "utc"),
 }
 COUNTS = {"frame", "frames", "index", "idx", "row", "sample", "samples", "count", "counter", "seq", "nr", "no", "line"}
@@ -51,12 +51,27 @@ JOINT = {
     "jpos",
     "achse",
 }
-ROBOT = {"robot", "arm", "manipulator", "ur", "kuka", "abb", "fanuc", "doosan", "xarm", "gripper", "cobot"} | PLACE
+ROBOT = {"robot", "arm", "manipulator", "ur", "kuka", "abb", "fanuc", "doosan", "xarm", "gripper", "cobot"}
+ROBOT |= PLACE - {"pose"}  # which trackers say of people, too
 PERSON = {
     *("human", "humans", "person", "persons", "people", "operator", "worker", "pedestrian", "ped", "body", "skeleton"),
     *("head", "pelvis", "hip", "hips", "torso", "helmet", "vest", "subject", "visitor", "track"),
 }
 IDS = {"id", "ids", "person", "ped", "pedestrian", "track", "body", "human", "subject", "people", "worker", "object"}
+OTHER_IDS = {
+    "frame",
+    "header",
+    "child",
+    "robot",
+    "joint",
+    "execution",
+    "episode",
+    "cycle",
+    "task",
+    "run",
+    "seq",
+    "topic",
+}
 SET_POINT = {
     *("target", "desired", "des", "cmd", "command", "commanded", "set", "setpoint", "sp", "ref", "reference", "goal"),
     *("planned", "plan", "soll", "sol", "nominal", "expected", "next", "start", "end", "home", "d", "rsol"),

@@ -30,6 +30,7 @@ _EPOCH_S = (9.4e8, 4.1e9)  # 2000 to 2099
 _STEP_S = (0.0008, 1.2)
 """Seconds between rows of a log of motion; a whole thousand wide, so units a thousandfold apart seldom both fit."""
 _SLOWER_S = 60.0
+_LIKELY_S = (5e-5, 600.0)
 _PATTERNS = (
     "iso",
     *(f"{date} {clock}" for date in ("%d.%m.%Y", "%Y/%m/%d", "%Y.%m.%d") for clock in ("%H:%M:%S%.f", "%H:%M:%S:%3f")),
@@ -113,11 +114,13 @@ def _counted(table: DraftTable, name: Name) -> FoundTime | None:
     values = table.numbers.get(name.column)
     if values is None or not _rises(values):
         return None
-    named = name.says(TIME) or (name.unit in TIME_UNITS and not name.words)
+    named = name.says(TIME) or name.words[-1:] == ("t",) or (name.unit in TIME_UNITS and not name.words)
     if not named or name.says(OTHER) or name.says(SET_POINT - {"d"}):
         return None
-    units, epoch, why = _units(values, name.unit if name.unit in TIME_UNITS else None)
-    return FoundTime((name.column,), units, epoch=epoch, why=why) if units else None
+    said = name.unit if name.unit in TIME_UNITS else None
+    units, epoch, why = _units(values, said)
+    agree = said is None or units == (said,)
+    return FoundTime((name.column,), units, epoch=epoch, why=why, sure=agree) if units else None
 
 
 def _by_steps_alone(table: DraftTable, column: str) -> FoundTime | None:
@@ -132,14 +135,14 @@ def _units(values: Vector, said: str | None) -> tuple[tuple[str, ...], bool, str
     """Return which units are possible, whether they count since 1970, and why."""
     steps = np.diff(values[np.isfinite(values)])
     step = float(np.median(steps[steps > 0]))
-    if said:
+    if said and _LIKELY_S[0] <= step * SECONDS[said] <= _LIKELY_S[1]:
         return (said,), _is_epoch(values, said), f"its name says {said}; steps of {step:g} are {_shown(step, said)}"
     since = [unit for unit in SECONDS if _is_epoch(values, unit) and step * SECONDS[unit] <= _SLOWER_S]
     if len(since) == 1:
         return (since[0],), True, f"{since[0]} since 1970, by its size; steps of {_shown(step, since[0])}"
     usual = [unit for unit in SECONDS if _STEP_S[0] <= step * SECONDS[unit] <= _STEP_S[1]]
     slower = [unit for unit in SECONDS if _STEP_S[1] < step * SECONDS[unit] <= _SLOWER_S]
-    fits = [*usual, *slower]
+    fits = [*usual, *slower, *([said] if said and said not in (*usual, *slower) else [])]
     likely = ", ".join(f"{_shown(step, unit)} if {unit}" for unit in fits)
     return tuple(fits), False, f"steps of {step:g}: {likely}"
 

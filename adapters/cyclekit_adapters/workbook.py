@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 ZIP = b"PK\x03\x04"
 MOST_RATIO = 200
 """Sheets of numbers shrink to a tenth or so; one that unpacks to more than that many times its size is no log."""
-MOST_CELLS = 20_000_000
-"""So many cells take about a gigabyte; a log that is longer is better exported as text."""
+MOST_CELLS = 10_000_000
+"""A sheet is held in memory as a whole; a log that is longer is better exported as text."""
 _SPARSE = 8  # times as many cells as are filled may a sheet span, if it is not small
 _SMALL = 2_000_000
 _MOST_TEXT = 1 << 28

@@ -61,7 +61,7 @@ TIMES = {
 PLACES = [
     "tcp_{}",
     "Actual_TCP_{}",
-    "pose.position.{}",
+    "robot.pose.position.{}",
     "TCP {}",
     "ee_pos_{}",
     "{}_RIst_act",
@@ -163,6 +163,9 @@ WHOLE = list(range(ROWS))
             [T, *((f"{side}_tcp_{axis}", MOVES) for side in ("left", "right") for axis in "xyz")],
             {"x", "y", "z", "length_unit"},
         ),
+        ([("time_us", [8 * i for i in WHOLE]), *TCP], {"time", "time_unit"}),
+        ([T, *((f"position[{i}]", MOVES) for i in range(6))], {"role", "joints", "joint_unit"}),
+        ([T, *((f"pose.position.{axis}", MOVES) for axis in "xyz")], {"role"}),
         ([("date", ["01/02/2024 10:00:00"] * ROWS), *TCP], {"time", "time_format"}),
     ],
 )
@@ -251,3 +254,33 @@ def test_what_is_no_table_has_no_draft(tmp_path, content):
     log = tmp_path / "log.csv"
     log.write_bytes(content)
     assert ADAPTER.draft(log) is None
+
+
+@pytest.mark.parametrize(
+    ("names", "kinds", "meant"),
+    [
+        ("time_stamp " + " ".join(f"actual_tcp_position[{i}]" for i in range(6)), "s mm mm mm deg deg deg", "#2"),
+        ("Time $POS_ACT.X $POS_ACT.Y $POS_ACT.Z $AXIS_ACT.A1 $OV_PRO", "s mm mm mm deg pct", "#2"),
+        ("time " + " ".join(f"O_T_EE[{i}]" for i in range(16)), "s" + " m" * 16, "#14"),
+        ("time joint1_cmd Fx robot_vx robot_x robot_y robot_z", "s rad m m m m m", "#5"),
+        ("t human_x human_y human_z ur5_x ur5_y ur5_z", "s m m m m m m", "#5"),
+        ("stamp tcp_target_x tcp_target_y tcp_target_z tcp_x tcp_y tcp_z", "s m m m m m m", "#5"),
+    ],
+)
+def test_the_place_is_found_as_public_logs_name_it(tmp_path, names, kinds, meant):
+    write = {
+        "s": lambda i, at: 0.008 * i,
+        "m": lambda i, at: 0.4 + 0.01 * at + 0.002 * i,
+        "mm": lambda i, at: 400.5 + 10 * at + 2 * i,
+        "deg": lambda i, at: 20.5 + at,
+        "rad": lambda i, at: -1.5 + 0.01 * i,
+        "pct": lambda i, at: 100,
+    }
+    kinds = kinds.split()
+    rows = [" ".join(f"{write[kind](i, at):.4f}" for at, kind in enumerate(kinds)) for i in WHOLE]
+    log = tmp_path / "log.txt"
+    proposed = draft(log, "\n".join([names, *rows, ""]))
+    place = names.split()[int(meant[1:]) - 1 :][:3]
+    assert [values(proposed)[axis] for axis in "xyz"] == place
+    assert asked(proposed) == set()
+    assert ingested(tmp_path, proposed, log).robot["tcp_x_m"].null_count() == 0

@@ -284,3 +284,27 @@ def test_the_place_is_found_as_public_logs_name_it(tmp_path, names, kinds, meant
     assert [values(proposed)[axis] for axis in "xyz"] == place
     assert asked(proposed) == set()
     assert ingested(tmp_path, proposed, log).robot["tcp_x_m"].null_count() == 0
+
+
+cells = st.one_of(
+    st.floats(allow_nan=True).map(repr),
+    st.integers(-(10**20), 10**20).map(str),
+    st.sampled_from(
+        ["", "nan", "[1, 2]", "[]", "x", "time", "1,5", "tcp_x", "#2", "#", "x#2", '"', "2024-05-01 10:00:00", "-"]
+    ),
+    st.text(st.characters(blacklist_categories=("Cs",)), max_size=6),
+)
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    rows=st.lists(st.lists(cells, min_size=1, max_size=6), max_size=8),
+    mark=st.sampled_from([",", ";", "\t", "|", " "]),
+    end=st.sampled_from(["\n", "\r\n", ""]),
+)
+def test_whatever_a_table_holds_its_draft_is_a_cell_file(tmp_path_factory, rows, mark, end):
+    folder = tmp_path_factory.mktemp("any")
+    log = folder / "log.csv"
+    proposed = draft(log, "\n".join(mark.join(row) for row in rows) + end)
+    if proposed is not None:
+        assert written(folder, proposed, log).adapter == "csv"

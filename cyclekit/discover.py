@@ -18,7 +18,7 @@ from cyclekit import schema
 from cyclekit.adapter import ReadOptions
 from cyclekit.config import Cell, NamedPlace, Robot, Source, load_cell
 from cyclekit.dataset import CARD, Dataset
-from cyclekit.errors import ConfigError, LogError
+from cyclekit.errors import ConfigError, CyclekitError, LogError
 from cyclekit.files import resolved
 from cyclekit.inside import fitting, leads_out, real
 from cyclekit.plain_text import one_line
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from cyclekit.adapter import Draft
 
 CELL_FILE = "cell.toml"
-_MOST_DRAFTS = 50
+_MOST_DRAFTS, _MOST_TRIED = 50, 500
 _OF_USE = {"x", "joints", "scaling", "signal"}
 """A table in a folder in which none of these is found is no log, most likely."""
 
@@ -114,17 +114,23 @@ def suggest_cell(paths: Sequence[Path], *, follow_links: bool = False) -> Sugges
 def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> dict[str, tuple[str, Draft]]:
     """Return what is proposed for files that nobody reads, with the adapter that proposes it, of the first few."""
     found: dict[str, tuple[str, Draft]] = {}
-    prefixes = _prefixes(roots)
+    prefixes, tried = _prefixes(roots), 0
     for root in roots:
         base = root if root.is_dir() else root.parent
         for path, registered in _candidates(root, base, cell, follow_links=follow_links):
             shown, is_text = _as_text(prefixes[base] + path.relative_to(base).as_posix())
             known = registered is not None or any(matches(shown, path, source.path) for source in cell.sources)
-            if known or not is_text or len(found) >= _MOST_DRAFTS or not path.is_file() or not path.stat().st_size:
+            if known or not is_text or len(found) >= _MOST_DRAFTS or tried >= _MOST_TRIED:
                 continue
-            if not follow_links and leads_out(path, root):
+            if not path.is_file() or not path.stat().st_size or (not follow_links and leads_out(path, root)):
                 continue
-            proposed = drafted(path)
+            tried += 1
+            try:
+                proposed = drafted(path)
+            except CyclekitError:  # of a file that was named it is the answer; beside others it is no log
+                if path in roots:
+                    raise
+                continue
             if proposed is not None and (path in roots or not _OF_USE.isdisjoint(p.key for p in proposed[1].map)):
                 found[shown] = (proposed[0].name, proposed[1])
     return found

@@ -63,6 +63,8 @@ def test_unknown_tables_among_logs_are_drafted_beside_them(cyclekit: Shell, tmp_
     (tmp_path / "ur.csv").write_text(f"timestamp,{pose}\n0,0,0,0\n0.1,0,0,1\n")
     kuka(tmp_path / "arm.csv")
     (tmp_path / "results.csv").write_text("part,good,bad\n1,2,3\n2,3,4\n3,4,5\n")
+    whole = write_workbook(tmp_path / "cut.xlsx", {"S": [["t", "x"], [1, 2]]}).read_bytes()
+    (tmp_path / "cut.xlsx").write_bytes(whole.replace(b"worksheets/sheet1.xml", b"worksheets/sheetX.xml"))
     printed = cyclekit("inspect", tmp_path, "--write-cell").out
     assert 'path = "ur.csv"\nadapter = "ur-rtde"' in printed
     assert 'path = "arm.csv"\nadapter = "csv"\nrole = "robot"' in printed

@@ -15,7 +15,7 @@ import numpy as np
 from cyclekit_adapters.draft_names import ACTUAL, IDS, JOINT, OTHER_IDS, PERSON, PLACE, POSITION, ROBOT, Name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from cyclekit_adapters.draft_table import DraftTable
 
@@ -52,7 +52,10 @@ _STATES = {
     **dict.fromkeys(("paused", "pause", "pausing", "hold", "held", "suspended", "resuming"), "paused"),
     **dict.fromkeys(("stopped", "stop", "stopping", "idle", "halted", "finished", "aborted", "ready"), "stopped"),
 }
-_STATE_NAMES = {"state", "status", "mode", "running", "run"}
+_STATE_NAMES = {"state", "status", "mode", "running", "run", "playing"}
+_YES_NO = {"true": "playing", "1": "playing", "false": "stopped", "0": "stopped"}
+_YES_NO_NAMES = {"running", "run", "playing"}
+"""Names of columns that answer whether the program runs."""
 _MOST_STATES = 30
 
 
@@ -86,7 +89,7 @@ def places(table: DraftTable, names: Mapping[str, Name]) -> list[Found]:
     groups: dict[tuple[str, ...], list[Name]] = {}
     for name in _numeric(table, names):
         if not name.is_other and (name.axis or (name.number is not None and name.says(PLACE))):
-            groups.setdefault((*name.stem, "" if name.axis else "#"), []).append(name)
+            groups.setdefault((*name.words, "" if name.axis else "#"), []).append(name)
     found = [(group, axes) for group in groups.values() if (axes := _axes(group))]
     ranked = sorted(found, key=lambda pair: -_rank(pair[0][0]))
     best = [axes for group, axes in ranked if _rank(group[0]) == _rank(ranked[0][0][0])]
@@ -120,14 +123,17 @@ def _place(table: DraftTable, first: Name, axes: tuple[Name, ...], others: int) 
 
 
 def length_unit(values: np.ndarray, said: set[str | None], *, person: bool) -> tuple[str, str, bool]:
-    """Return the unit of lengths, why, and whether no other is possible: no arm reaches 20 m, no cell is 0.3 m wide."""
+    """Return the unit of lengths, why, and whether no other is possible.
+
+    No arm reaches 3 m (300 would be mm then, or cm), nor does one stay within 5 mm; no cell is 30 m wide (3000 cm).
+    """
     named = said & {"m", "mm", "cm", "in"}
     if len(named) == 1:
         return str(named.pop()), "its name says so", True
     told = values[np.isfinite(values)]
     far = float(np.abs(told).max()) if len(told) else 0.0
     shown = f"{told.min():.4g} to {told.max():.4g}" if len(told) else "no values"
-    metres, millimetres = (30.0, 300.0) if person else (5.0, 30.0)
+    metres, millimetres = (30.0, 3000.0) if person else (5.0, 300.0)
     if 0.0 < far <= metres and (told % 1 != 0).any():
         return "m", f"values {shown}", True
     if far >= millimetres:
@@ -141,7 +147,7 @@ def joints(table: DraftTable, names: Mapping[str, Name]) -> list[Found]:
     for name in _numeric(table, names):
         told = name.says(JOINT) or (name.says(_VECTORS) and not name.says(PLACE | PERSON))
         if not name.is_other and name.number is not None and told:
-            groups.setdefault(name.stem, []).append(name)
+            groups.setdefault(name.words, []).append(name)
     found = [numbered for group in groups.values() if len(numbered := _consecutive(group)) in _LENGTHS_OF_ARMS]
     found += [named] if (named := _named_joints(_numeric(table, names))) else []
     ranked = sorted(
@@ -247,7 +253,8 @@ def states(table: DraftTable, names: Mapping[str, Name]) -> list[tuple[str, dict
         cells = Counter(cell.strip() for cell in table.cells[name.column] if cell.strip())
         if not cells or len(cells) > _MOST_STATES:
             continue
-        known = {word: state for word in cells if (state := _STATES.get(word.lower().replace("_", " ")))}
+        words = _STATES | (_YES_NO if name.says(_YES_NO_NAMES) else {})
+        known = {word: state for word in cells if (state := words.get(word.lower().replace("_", " ")))}
         found.append((name.column, known, sorted(set(cells) - set(known))))
     return sorted(found, key=lambda entry: -len(entry[1]))
 
@@ -265,8 +272,3 @@ def person_columns(table: DraftTable, names: Mapping[str, Name]) -> list[str]:
 
 def _numeric(table: DraftTable, names: Mapping[str, Name]) -> list[Name]:
     return [name for column, name in names.items() if column in table.numbers]
-
-
-def words_of(names: Iterable[Name]) -> set[str]:
-    """Return all words of some names."""
-    return {word for name in names for word in name.words}

@@ -115,7 +115,8 @@ class Name:
 
     Attributes:
         column: The column.
-        words: What it says, in lower case, without axis, number and unit.
+        words: What it says, in lower case, without axis and unit, `#` for its last number: what columns of other axes or
+            numbers have in common with it.
         axis: x, y or z.
         number: The last number in it.
         unit: A key of `UNITS`' values.
@@ -127,14 +128,14 @@ class Name:
     number: int | None
     unit: str | None
 
-    @property
-    def stem(self) -> tuple[str, ...]:
-        """What it has in common with the columns of the other axes or numbers."""
-        return self.words
-
     def says(self, words: Iterable[str]) -> bool:
         """Tell whether one of `words` is in it."""
         return not set(self.words).isdisjoint(words)
+
+    @property
+    def is_time(self) -> bool:
+        """It is called a time; `t` alone only at its end, since it stands for many things."""
+        return self.says(TIME) or self.words[-1:] == ("t",)
 
     @property
     def is_set_point(self) -> bool:

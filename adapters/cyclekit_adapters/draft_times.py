@@ -14,11 +14,11 @@ import numpy as np
 import polars as pl
 
 from cyclekit_adapters.csv_map import SECONDS
-from cyclekit_adapters.draft_names import COUNTS, OTHER, SET_POINT, TIME, TIME_UNITS, Name
+from cyclekit_adapters.draft_names import COUNTS, OTHER, SET_POINT, TIME_UNITS, Name
 from cyclekit_adapters.written_time import written_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     Vector = NDArray[np.float64]
 
 _EPOCH_S = (9.4e8, 4.1e9)  # 2000 to 2099
-_STEP_S = (0.0008, 1.2)
-"""Seconds between rows of a log of motion; a whole thousand wide, so units a thousandfold apart seldom both fit."""
+_STEP_S = (0.0002, 1.2)
+"""Seconds between rows of a log of motion; from 5 kHz on."""
 _SLOWER_S = 60.0
 _LIKELY_S = (5e-5, 600.0)
 _PATTERNS = (
@@ -91,13 +91,13 @@ def counts_rows(table: DraftTable, names: Mapping[str, Name]) -> str | None:
 
 
 def _split(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
-    """Return pairs of a column of seconds and one of a part of a second, of one stem."""
+    """Return pairs of a column of seconds and one of a part of a second, of the same words."""
     found = []
     for whole in names.values():
         if whole.unit != "s" or whole.column not in table.numbers:
             continue
         for part in names.values():
-            if part.unit not in ("ns", "us", "ms") or part.stem != whole.stem or part.column not in table.numbers:
+            if part.unit not in ("ns", "us", "ms") or part.words != whole.words or part.column not in table.numbers:
                 continue
             seconds, rest = table.numbers[whole.column], table.numbers[part.column]
             second = SECONDS[str(part.unit)]
@@ -114,7 +114,7 @@ def _counted(table: DraftTable, name: Name) -> FoundTime | None:
     values = table.numbers.get(name.column)
     if values is None or not _rises(values):
         return None
-    named = name.says(TIME) or name.words[-1:] == ("t",) or (name.unit in TIME_UNITS and not name.words)
+    named = name.is_time or (name.unit in TIME_UNITS and not name.words)
     if not named or name.says(OTHER) or name.says(SET_POINT - {"d"}):
         return None
     said = name.unit if name.unit in TIME_UNITS else None
@@ -166,7 +166,7 @@ def _rises(values: Vector) -> bool:
 
 def _written(table: DraftTable, names: Mapping[str, Name]) -> list[FoundTime]:
     """Return columns of times written as text, alone or a date with a time of day."""
-    clocks = [name for name in names.values() if name.column in table.texts and name.says(TIME)]
+    clocks = [name for name in names.values() if name.column in table.texts and name.is_time]
     found = [time for name in clocks if (time := _patterned(table, (name.column,)))]
     dates = [name for name in clocks if name.says({"date", "datum"})]
     for date in dates:
@@ -193,8 +193,3 @@ def _patterned(table: DraftTable, columns: tuple[str, ...]) -> FoundTime | None:
     dated = fits[0] != "%H:%M:%S%.f"
     why = f"written as {shown[0][:30]!r}"
     return FoundTime(columns, patterns=tuple(fits), epoch=zoned and dated, zoned=zoned, why=why)
-
-
-def times_of_day(patterns: Sequence[str]) -> bool:
-    """Tell whether times written so have no date."""
-    return list(patterns) == ["%H:%M:%S%.f"]

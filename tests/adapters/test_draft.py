@@ -163,6 +163,12 @@ WHOLE = list(range(ROWS))
             [T, *((f"{side}_tcp_{axis}", MOVES) for side in ("left", "right") for axis in "xyz")],
             {"x", "y", "z", "length_unit"},
         ),
+        (
+            [("time", [0.5 * i for i in WHOLE]), ("tcp_x", [0.25] * ROWS), ("tcp_y", [0.5] * ROWS)],
+            {"time", "time_unit"},
+        ),
+        ([T, *((f"tcp_{axis}", [1000 * v / 4 for v in MOVES]) for axis in "xyz")], {"x", "y", "z", "length_unit"}),
+        ([T, *((f"person_{axis}", [1000 * v for v in MOVES]) for axis in "xy")], {"x", "y", "length_unit"}),
         ([("time_us", [8 * i for i in WHOLE]), *TCP], {"time", "time_unit"}),
         ([T, *((f"position[{i}]", MOVES) for i in range(6))], {"role", "joints", "joint_unit"}),
         ([T, *((f"pose.position.{axis}", MOVES) for axis in "xyz")], {"role"}),
@@ -195,6 +201,21 @@ def test_whole_numbers_of_a_robot_in_motion_are_milliseconds_if_seconds_would_be
     log = tmp_path / "log.csv"
     proposed = draft(log, lines(("time", [8 * i for i in range(ROWS)]), *TCP))
     assert (values(proposed)["time_unit"], asked(proposed)) == ("ms", set())
+
+
+def test_a_program_that_runs_or_not_is_a_state(tmp_path):
+    log = tmp_path / "log.csv"
+    proposed = draft(log, lines(T, *TCP, ("project_run", [i < 40 for i in WHOLE])))
+    assert asked(proposed) == set()
+    assert values(proposed)["states"] == {"True": "playing", "False": "stopped"}
+
+
+def test_five_rows_a_second_are_seconds_if_milliseconds_would_be_too_fast(tmp_path):
+    log = tmp_path / "log.csv"
+    proposed = draft(
+        log, lines(("time", [0.2 * i for i in WHOLE]), *((f"tcp_{a}", [0.02 * i for i in WHOLE]) for a in "xyz"))
+    )
+    assert (values(proposed)["time_unit"], asked(proposed)) == ("s", set())
 
 
 def test_people_by_id_and_names_that_repeat(tmp_path):

@@ -115,8 +115,8 @@ class Name:
 
     Attributes:
         column: The column.
-        words: What it says, in lower case, without axis and unit, `#` for its last number: what columns of other axes or
-            numbers have in common with it.
+        words: What it says, in lower case, without axis and unit, `#` for its last number: what columns of other axes
+            or numbers have in common with it.
         axis: x, y or z.
         number: The last number in it.
         unit: A key of `UNITS`' values.

@@ -65,7 +65,7 @@ class Recording:
         up: Axis that points up in the people's frame: trackers differ ("y" for Motive).
         joint_names: Names of the joints behind `q0_rad`, `q1_rad`, ... in that order.
         rows_are: What `source_row` counts: a `line` of a text file (from 1, as editors do), a `row` of a binary
-            table, a `message` of its topic, a `frame` of a take (from 0).
+            table (or, from 1, of a spreadsheet), a `message` of its topic, a `frame` of a take (from 0).
         rows_read: Data rows or messages looked at.
         set_aside: Rows not used: columns `source_row` (Int64), `reason` (String).
         warnings: What a person must know before trusting the log, one sentence each.

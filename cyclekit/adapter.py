@@ -65,7 +65,7 @@ class Recording:
         up: Axis that points up in the people's frame: trackers differ ("y" for Motive).
         joint_names: Names of the joints behind `q0_rad`, `q1_rad`, ... in that order.
         rows_are: What `source_row` counts: a `line` of a text file (from 1, as editors do), a `row` of a binary
-            table, a `message` of its topic, a `frame` of a take (from 0).
+            table (or, from 1, of a spreadsheet), a `message` of its topic, a `frame` of a take (from 0).
         rows_read: Data rows or messages looked at.
         set_aside: Rows not used: columns `source_row` (Int64), `reason` (String).
         warnings: What a person must know before trusting the log, one sentence each.
@@ -90,6 +90,43 @@ class Recording:
         """Return the tables that there are, by name."""
         named = {name: getattr(self, name) for name in TABLES}
         return {name: table for name, table in named.items() if table is not None}
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """One key that an adapter proposes for a source of the cell file.
+
+    Attributes:
+        key: Of the source, or of its map.
+        value: What TOML can hold.
+        why: What speaks for it, in a few words.
+        sure: Nothing else is possible; what is not sure is for a person to decide.
+    """
+
+    key: str
+    value: object
+    why: str = ""
+    sure: bool = True
+
+
+@dataclass(frozen=True)
+class Draft:
+    """What an adapter proposes to read a log by that it does not recognise; all that is sure must read it as it is.
+
+    Attributes:
+        source: Keys of the source: `role`, `rate_hz`.
+        map: Keys of its map.
+        notes: What a person should know, one sentence each.
+    """
+
+    source: tuple[Proposal, ...] = ()
+    map: tuple[Proposal, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def unsure(self) -> int:
+        """How many keys a person has to decide."""
+        return sum(not proposal.sure for proposal in (*self.source, *self.map))
 
 
 class Adapter(Protocol):
@@ -127,6 +164,19 @@ class StreamingAdapter(Adapter, Protocol):
 
         Raises:
             cyclekit.errors.LogError, cyclekit.errors.ConfigError: As `read`; while the parts are taken, too.
+        """
+        ...
+
+
+@runtime_checkable
+class DraftingAdapter(Adapter, Protocol):
+    """A format that a cell file must describe: one method more, which proposes how, for `inspect --write-cell`."""
+
+    def draft(self, path: Path) -> Draft | None:
+        """Propose how a file is to be read that no adapter recognises, from its first few KiB; None = not by me.
+
+        Raises:
+            cyclekit.errors.LogError: The file cannot be read.
         """
         ...
 

@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,16 +18,21 @@ from cyclekit import schema
 from cyclekit.adapter import ReadOptions
 from cyclekit.config import Cell, NamedPlace, Robot, Source, load_cell
 from cyclekit.dataset import CARD, Dataset
-from cyclekit.errors import ConfigError, LogError
+from cyclekit.errors import ConfigError, CyclekitError, LogError
 from cyclekit.files import resolved
 from cyclekit.inside import fitting, leads_out, real
 from cyclekit.plain_text import one_line
-from cyclekit.registry import Registered, adapter_named, find_logs, why_unknown
+from cyclekit.registry import Registered, adapter_named, drafted, find_logs, why_unknown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from cyclekit.adapter import Draft
 
 CELL_FILE = "cell.toml"
+_MOST_DRAFTS, _MOST_TRIED = 50, 500
+_OF_USE = {"x", "joints", "scaling", "signal"}
+"""A table in a folder in which none of these is found is no log, most likely."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,19 @@ class Log:
     robot: Robot | None = None
 
 
+@dataclass(frozen=True)
+class Suggested:
+    """A cell file to begin with.
+
+    Attributes:
+        cell: What it says.
+        drafts: Of sources that nobody recognises, by path: what is proposed for them.
+    """
+
+    cell: Cell
+    drafts: Mapping[str, Draft] = field(default_factory=dict)
+
+
 def cell_for(roots: Sequence[Path], given: Path | None) -> Cell:
     """Return the cell file given, else the one beside the logs, else the defaults.
 
@@ -62,25 +80,60 @@ def cell_for(roots: Sequence[Path], given: Path | None) -> Cell:
     return load_cell(files[0]) if files else Cell(name=resolved(roots[0]).stem)
 
 
-def suggest_cell(paths: Sequence[Path], *, follow_links: bool = False) -> Cell:
+def suggest_cell(paths: Sequence[Path], *, follow_links: bool = False) -> Suggested:
     """Return the cell file that an ingest of these paths would work with, for a person to complete.
 
-    A dataset gives its places as well; logs give one source each.
+    A dataset gives its places as well; logs give one source each, tables that nobody knows a draft of one.
 
     Raises:
         CyclekitError: As `ingest`, for paths that cannot be used.
     """
     if len(paths) == 1 and (paths[0] / CARD).is_file():
         dataset = Dataset.open(paths[0])
-        return Cell(
+        known = Cell(
             name=str(dataset.card["name"]),
             places={name: NamedPlace(p.xyz_m, max(p.radius_m, 0.01)) for name, p in dataset.places.items()},
             human_places={name: NamedPlace(p.xyz_m, p.radius_m) for name, p in dataset.human_places.items()},
         )
+        return Suggested(known)
     cell = cell_for(paths, None)
-    logs, _ = find_all(paths, cell, follow_links=follow_links)
+    drafts = _drafts(paths, cell, follow_links=follow_links)
+    try:
+        logs, _ = find_all(paths, cell, follow_links=follow_links)
+    except LogError:
+        if not drafts:
+            raise
+        logs = []
     sources = {source.path: source for log in logs for source in [log.source or Source(log.shown, log.adapter)]}
-    return replace(cell, sources=tuple(sources.values()))
+    sources |= {shown: Source(shown, adapter) for shown, (adapter, _) in drafts.items()}
+    return Suggested(
+        replace(cell, sources=tuple(sources.values())), {shown: draft for shown, (_, draft) in drafts.items()}
+    )
+
+
+def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> dict[str, tuple[str, Draft]]:
+    """Return what is proposed for files that nobody reads, with the adapter that proposes it, of the first few."""
+    found: dict[str, tuple[str, Draft]] = {}
+    prefixes, tried = _prefixes(roots), 0
+    for root in roots:
+        base = root if root.is_dir() else root.parent
+        for path, registered in _candidates(root, base, cell, follow_links=follow_links):
+            shown, is_text = _as_text(prefixes[base] + path.relative_to(base).as_posix())
+            known = registered is not None or any(matches(shown, path, source.path) for source in cell.sources)
+            if known or not is_text or len(found) >= _MOST_DRAFTS or tried >= _MOST_TRIED:
+                continue
+            if not path.is_file() or not path.stat().st_size or (not follow_links and leads_out(path, root)):
+                continue
+            tried += 1
+            try:
+                proposed = drafted(path)
+            except CyclekitError:  # of a file that was named it is the answer; beside others it is no log
+                if path in roots:
+                    raise
+                continue
+            if proposed is not None and (path in roots or not _OF_USE.isdisjoint(p.key for p in proposed[1].map)):
+                found[shown] = (proposed[0].name, proposed[1])
+    return found
 
 
 def find_all(

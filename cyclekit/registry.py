@@ -7,6 +7,7 @@ none by name. What a file contains is the adapters' business. An adapter that fa
 from __future__ import annotations
 
 import inspect
+import re
 import sys
 from dataclasses import dataclass
 from functools import cache
@@ -14,7 +15,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, cast
 
 from cyclekit import schema
-from cyclekit.adapter import Recording, StreamingAdapter
+from cyclekit.adapter import DraftingAdapter, Recording, StreamingAdapter
 from cyclekit.ahead import ahead
 from cyclekit.dataset import CARD
 from cyclekit.errors import BrokenAdapter, CyclekitError, LogError, UnknownFormat, UnknownName, command_line
@@ -25,11 +26,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from cyclekit.adapter import Adapter, ReadOptions
+    from cyclekit.adapter import Adapter, Draft, ReadOptions
 
 GROUP = "cyclekit.adapters"
 SMALL_BYTES = 1 << 20
 _CURE = "Check the file."
+_OLE = b"\xd0\xcf\x11\xe0"
 _LFS = b"version https://git-lfs.github.com/spec/"
 
 
@@ -191,6 +193,27 @@ def _recognises(entry: Registered, path: Path) -> bool:
         return False
 
 
+def drafted(path: Path) -> tuple[Registered, Draft] | None:
+    """Return what an adapter proposes to read a file by that none recognises, and that adapter; None = nothing.
+
+    Raises:
+        LogError: The file cannot be read.
+        BrokenAdapter: An adapter failed on it.
+    """
+    for entry in adapters().values():
+        if not isinstance(entry.adapter, DraftingAdapter):
+            continue
+        try:
+            draft = entry.adapter.draft(path)
+        except CyclekitError:
+            raise
+        except Exception as error:
+            raise BrokenAdapter(path, entry.name, entry.package, _told(error)) from error
+        if draft is not None:
+            return entry, draft
+    return None
+
+
 def find_logs(path: Path, *, follow_links: bool = True) -> Iterator[tuple[Path, Registered | None]]:
     """Walk `path`; yield each log with the adapter that reads it, None for what nobody reads.
 
@@ -252,15 +275,25 @@ def why_unknown(path: Path) -> UnknownFormat:
     cells = max(head.count(separator) for separator in (b",", b";", b"\t")) + 1
     if len(head) < 4096 and b"\0" not in head and cells > 3 and len(head.strip().splitlines()) == 1:
         return UnknownFormat(path, "a single line: a header and no rows", cure="Record again, or remove the file.")
+    if head.startswith(_OLE):
+        cause = "an old Excel workbook (.xls), or one with a password"
+        return UnknownFormat(path, cause, cure="Save it as .xlsx without a password, or as CSV.")
     if _is_table(head):
         cause = 'no adapter recognises this content, a table: map its columns in cell.toml, with adapter = "csv"'
-        return UnknownFormat(path, f"{cause} (docs/adapters.md)", cure=cure)
+        drafts = "`cyclekit inspect FILE --write-cell CELL.toml` drafts that"
+        draft = command_line("inspect", path, "--write-cell", path.with_suffix(".toml"))
+        return UnknownFormat(path, f"{cause} (docs/adapters.md); {drafts}", cure=f"Draft the map: {draft}")
     return UnknownFormat(path, "no adapter recognises this content", cure=cure)
 
 
 def _is_table(head: bytes) -> bool:
-    """Tell whether the first lines of a text have the same number of cells, three or more."""
-    lines = head.strip().splitlines()[:3]
-    return b"\0" not in head and any(
-        len({line.count(mark) for line in lines}) == 1 and lines[0].count(mark) > 1 for mark in (b",", b";", b"\t")
+    """Tell a table: lines of the same number of cells, three or more, or of numbers with blanks between; a workbook."""
+    if head.startswith(b"PK\x03\x04"):
+        return b"[Content_Types].xml" in head or b"xl/" in head
+    lines = head.strip().splitlines()[:12]
+    if b"\0" in head or not lines:
+        return False
+    numbers = {len(line.split()) for line in lines[1:-1] or lines if re.fullmatch(rb"[\s\d.,eE+-]+", line)}
+    return (len(numbers) == 1 and max(numbers) > 2) or any(
+        len({line.count(mark) for line in lines[:3]}) == 1 and lines[0].count(mark) > 1 for mark in (b",", b";", b"\t")
     )

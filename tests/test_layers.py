@@ -67,6 +67,7 @@ ROOMS_OF = {
     "onnxruntime": {"models"},
     "pyarrow": {"storage", "tables"},
     "ray": {"engine"},
+    "fastexcel": set(),
     "rosbags": set(),
     "mcap": set(),
     "cyclekit_adapters": set(),

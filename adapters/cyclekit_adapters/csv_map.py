@@ -23,16 +23,18 @@ FRAME = "frame"
 _CLOCKS = ("epoch", "uptime", "relative")
 _DELIMITERS = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";", "whitespace": "\\s+"}
 _NUMBERS = {"scaling_max": (1, 100)}
-_LISTS = ("time", "scaling", "joints", "columns")
+_LISTS = ("time", "time_unit", "scaling", "joints", "columns")
 
 
 @dataclass(frozen=True)
 class CsvMap:
-    """The keys; a column key names a column of the header line. Those that take several columns are tuples.
+    """The keys; what a column key may say is the business of `map_columns`. Those of several columns are tuples.
 
     Attributes:
+        sheet: Of an Excel workbook; the first that holds a table where none is named.
         columns: Names of the columns of a table without a header line.
-        time: Column of the time, or of date and time of day.
+        time: Column of the time, or of date and time of day, or of its parts (seconds and nanoseconds).
+        time_unit: Unit of a time that is a number, or of each of its parts, the largest first.
         time_format: How a time is written as text: "iso", or a pattern such as "%d.%m.%Y %H:%M:%S%.f".
         time_zone: Zone of such a time, as "Europe/Rome"; without it its clock counts as relative.
         confidence: Column of how sure the tracker is of a person's place; 0 = it repeats an old one.
@@ -40,13 +42,14 @@ class CsvMap:
         scaling: Columns whose product is the speed scaling.
     """
 
+    sheet: str | None = None
     delimiter: str | None = None
     decimal: str = "."
     encoding: str | None = None
     skip_rows: int = 0
     columns: tuple[str, ...] = ()
     time: tuple[str, ...] = ()
-    time_unit: str = "s"
+    time_unit: tuple[str, ...] = ("s",)
     time_format: str | None = None
     time_zone: str | None = None
     clock: str | None = None
@@ -117,7 +120,8 @@ def csv_map(options: ReadOptions) -> CsvMap:
             raise UnknownName(WHERE, "key", key, known)
         values[key] = _checked(key, value)
     mapping = CsvMap(**values)  # type: ignore[arg-type]  # types were checked key by key
-    _one_of("time_unit", mapping.time_unit, [*SECONDS, FRAME])
+    for unit in mapping.time_unit:
+        _one_of("time_unit", unit, [*SECONDS, FRAME])
     _one_of("length_unit", mapping.length_unit, METRES)
     _one_of("joint_unit", mapping.joint_unit, RADIANS)
     _one_of("clock", mapping.clock or "relative", _CLOCKS)
@@ -131,16 +135,29 @@ def csv_map(options: ReadOptions) -> CsvMap:
 def _agree(mapping: CsvMap, rate_hz: float | None) -> None:
     """Refuse keys that contradict each other."""
     separator = mapping.separator()
-    if separator is not None and (not separator or set(separator) & set('"\r\n') or separator == mapping.decimal):
+    if separator is not None and (
+        not separator or set(separator) & set('"\r\n') or separator == mapping.decimal == "."
+    ):
         raise ConfigError(f"{WHERE}: delimiter = {mapping.delimiter!r} cannot stand between fields")
     if mapping.time_zone is not None and mapping.time_format is None:
         raise ConfigError(f"{WHERE}: time_zone without time_format", cure='Add time_format = "iso" or a pattern.')
-    if len(mapping.time) > 1 and mapping.time_format is None:
-        raise ConfigError(f"{WHERE}: several columns of time", cure='Add time_format, as "%d.%m.%Y %H:%M:%S".')
+    _agree_on_time(mapping, rate_hz)
     if mapping.time_zone is not None and mapping.time_zone not in _zones():
         raise UnknownName(WHERE, "time_zone", mapping.time_zone, _zones(), cure="As in the IANA list: Europe/Rome.")
-    if mapping.time_unit == FRAME and not rate_hz:
+
+
+def _agree_on_time(mapping: CsvMap, rate_hz: float | None) -> None:
+    units, parts = mapping.time_unit, mapping.time
+    if FRAME in units and (not rate_hz or len(units) > 1):
         raise ConfigError(f"{WHERE}: time counts frames", cure="Give rate_hz = ... in the source.")
+    if mapping.time_format is not None:
+        return
+    if len(units) > 1 and (len(units) != len(parts) or sorted(units, key=lambda u: -SECONDS[u]) != list(units)):
+        seen = f"{WHERE}: {len(parts)} columns of time and time_unit = {list(units)}"
+        raise ConfigError(seen, cure='A unit for each, the largest first: time_unit = ["s", "ns"].')
+    if len(parts) > 1 and len(units) == 1:
+        cure = 'Add time_format, as "%d.%m.%Y %H:%M:%S", or the unit of each: time_unit = ["s", "ns"].'
+        raise ConfigError(f"{WHERE}: several columns of time", cure=cure)
 
 
 def _zones() -> set[str]:
@@ -154,7 +171,7 @@ def _checked(key: str, value: object) -> object:
         right = isinstance(value, Mapping) and all(isinstance(v, str) for v in value.values())
         wanted = "a table of texts"
     elif key in _LISTS:
-        if isinstance(value, str) and key in ("time", "scaling"):
+        if isinstance(value, str) and key != "columns":
             return (value,)
         right = isinstance(value, Sequence) and not isinstance(value, str) and all(isinstance(v, str) for v in value)
         wanted, value = "a list of column names", tuple(map(str, cast("Sequence[str]", value))) if right else value

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog
 from cyclekit_adapters.text_blocks import file_encoding, head_lines, head_of
-from cyclekit_adapters.text_layout import Layout, delimiter_of, fields_of, header_names
+from cyclekit_adapters.text_layout import Layout, delimiter_of, fields_of, header_names, strict_fields_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -54,18 +54,17 @@ def names_in(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
 
 
 def has_decimal_comma(rows: Iterable[str], delimiter: str) -> bool:
-    """Tell whether numbers are written `0,5`: where commas do not separate the fields, one in a number is decimal.
+    """Tell whether numbers are written `0,5`: where a comma does not separate fields, one in a number is decimal.
 
-    Where some numbers have a comma and others a point, the more frequent one is the decimal mark.
+    Where commas do separate, such numbers stand in quotes. Where some numbers have a comma and others a point, the more
+    frequent one is the decimal mark.
     """
-    if delimiter == ",":
-        return False
     cells = [cell.strip() for row in rows if "," in row for cell in fields_of(row, delimiter)]
     return sum(map(bool, map(_COMMA.fullmatch, cells))) > sum(map(bool, map(_POINT.fullmatch, cells)))
 
 
 def layout_below(path: Path, delimiters: str = ",;\t ") -> Layout:
-    """Return how the rows below the first line are written; where the names stand in quotes, cells may as well.
+    """Return how the rows below the first line are written; where names or cells stand in quotes, all may.
 
     Args:
         path: The log.
@@ -81,4 +80,13 @@ def layout_below(path: Path, delimiters: str = ",;\t ") -> Layout:
         raise DamagedLog(path, "the file is empty or not text", cure="Check the copy.")
     delimiter = delimiter_of(line, delimiters)
     names, comma = names_in(path, line, delimiter), has_decimal_comma(rows, delimiter)
-    return Layout(names, delimiter, 1, decimal_comma=comma, encoding=encoding, quotes='"' in line)
+    quotes = '"' in line or any(_is_quoted(row, delimiter, len(names)) for row in rows)
+    return Layout(names, delimiter, 1, decimal_comma=comma, encoding=encoding, quotes=quotes)
+
+
+def _is_quoted(row: str, delimiter: str, width: int) -> bool:
+    """Tell whether a row has as many cells as there are names if its quotes hold cells together, and only then."""
+    if '"' not in row:
+        return False
+    cells = strict_fields_of(row, delimiter)
+    return cells is not None and len(cells) == width != len(row.split(delimiter))

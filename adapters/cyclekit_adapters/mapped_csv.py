@@ -3,27 +3,31 @@
 This is how exports of FANUC, ABB, Yaskawa, Doosan, Techman and xArm, PLC logs and laser scanner tracks come in. The
 cell file says which column is what and in which unit, and nothing is guessed: no column is found by its name, no unit
 by the size of its values. Because such a table looks like any other, this adapter recognises nothing by itself and must
-be named.
+be named; what `draft` proposes for the cell file is a person's to look at.
 """
 
 from __future__ import annotations
 
-import codecs
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.adapter import ReadOptions, Recording, Role, StreamingAdapter, whole
-from cyclekit.errors import ConfigError, DamagedLog, MissingColumns
+from cyclekit.adapter import Draft, ReadOptions, Recording, Role, StreamingAdapter, whole
+from cyclekit.errors import ConfigError, MissingColumns
 from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
 from cyclekit_adapters.controller_time import Back, Once, Spread
 from cyclekit_adapters.csv_map import METRES, RADIANS, STATES, WHERE, CsvMap, csv_map
-from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, header_names, read_blocks, unique
-from cyclekit_adapters.header_line import names_in
+from cyclekit_adapters.draft import draft_of
+from cyclekit_adapters.draft_table import sheet_draft_table, text_draft_table
 from cyclekit_adapters.in_parts import in_parts
+from cyclekit_adapters.list_cells import ListCells, first_width
+from cyclekit_adapters.map_columns import Columns, columns_of, unresolved
+from cyclekit_adapters.map_table import MapTable, text_table
 from cyclekit_adapters.mapped_time import T_S, name_their_zone, require_epoch, timed
-from cyclekit_adapters.text_blocks import file_encoding, head_lines
+from cyclekit_adapters.sheets import sheet_table
+from cyclekit_adapters.text_rows import Rows, Wanted
+from cyclekit_adapters.workbook import is_workbook
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -32,12 +36,15 @@ if TYPE_CHECKING:
     from cyclekit.adapter import ClockKind
 
 _SLACK = 1e-3
-_LINES_SEARCHED = 50  # for the header, where it is not in the line that it should be in
 
 
 class _MappedCsv:
     def recognises(self, path: Path) -> bool:
         return False
+
+    def draft(self, path: Path) -> Draft | None:
+        table = sheet_draft_table(path) if is_workbook(path) else text_draft_table(path)
+        return None if table is None else draft_of(table)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         return whole(self.stream(path, options))
@@ -45,24 +52,23 @@ class _MappedCsv:
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         mapping = csv_map(options)
         role = options.role or mapping.role()
-        numbers, texts, required = _columns(mapping, role)
-        layout = _layout(path, mapping, {*numbers, *texts})
-        if both := set(numbers).intersection(texts):
-            raise ConfigError(f"{WHERE}: column {min(both)!r} is mapped to a number and to a text")
-        if missing := {*numbers, *texts}.difference(layout.names):
-            raise MissingColumns(path, missing, layout.names, _cure(path, layout, {*numbers, *texts}, mapping))
+        table, columns = _found(path, mapping, role)
+        mapping, names = columns.mapping, columns.names
         if not mapping.time and not options.rate_hz:
             cure = 'Map it in cell.toml (time = "..."), or give rate_hz = ... if the rows have a fixed rate.'
-            raise MissingColumns(path, ["time"], layout.names, cure)
-        zoned = name_their_zone(path, layout, mapping)
+            raise MissingColumns(path, ["time"], names, cure)
+        zoned = name_their_zone(table.first_rows, names, mapping)
         clock = mapping.clock_kind(zoned=zoned)
         once, seen, back = Once(T_S), _Seen(mapping, role), Back(T_S, mapping.person)
-        table: Callable[[pl.DataFrame, CsvMap], pl.DataFrame] = {"robot": _robot, "people": _people, "events": _events}[
-            role
-        ]
+        canonical: Callable[[pl.DataFrame, CsvMap], pl.DataFrame] = {
+            "robot": _robot,
+            "people": _people,
+            "events": _events,
+        }[role]
+        wanted, lists = _wanted(columns, role)
 
         def make(rows: Rows) -> Recording:
-            rows = timed(rows, mapping, options.rate_hz, zoned=zoned)
+            rows = timed(lists.rows(rows), mapping, options.rate_hz, zoned=zoned)
             if clock == "epoch":
                 require_epoch(path, rows.frame, mapping)
             if role == "robot":
@@ -72,26 +78,57 @@ class _MappedCsv:
             rows = replace(rows, frame=seen.without_missing(rows.frame))
             seen.add(rows.frame)
             return Recording(
-                **{role: table(rows.frame, mapping)},  # type: ignore[arg-type]  # the three roles are three fields
+                **{role: canonical(rows.frame, mapping)},  # type: ignore[arg-type]  # the three roles are three fields
                 clock=clock,
                 joint_names=mapping.joints if role == "robot" else (),
-                rows_are="line",
+                rows_are="row" if "sheet" in table.facts else "line",
                 rows_read=rows.rows_read,
                 set_aside=rows.set_aside,
             )
 
         def finish(last: Recording) -> Recording:
-            facts = {
-                "columns": ", ".join(name[:80] for name in layout.names[:60]),
-                "delimiter": repr(layout.delimiter),
-                "encoding": layout.encoding,
-            }
+            facts = {"columns": ", ".join(name[:80] for name in names[:60]), **table.facts}
             return replace(last, warnings=(*seen.warnings(once.back, clock), *back.warnings()), facts=facts)
 
-        some = [*numbers, *texts] if role == "robot" else []
-        some = [name for name in some if name not in mapping.time]
-        blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=required, any_of=some)
-        yield from in_parts(path, blocks, make, finish)
+        yield from in_parts(path, table.blocks(names, wanted), make, finish)
+
+
+def _found(path: Path, mapping: CsvMap, role: Role) -> tuple[MapTable, Columns]:
+    """Return the table and the columns that the map means.
+
+    Raises:
+        ConfigError: The map cannot be followed.
+        LogError: The table cannot be read, or has no such columns.
+    """
+    entries = {entry for kind in _columns(mapping, role) for entry in kind}
+    table: MapTable = sheet_table(path, mapping) if is_workbook(path) else text_table(path, mapping, entries)
+    if missing := unresolved(entries, table.names):
+        raise MissingColumns(path, missing, table.names, table.cure(entries, mapping))
+    cells = {name: [row[at] for row in table.first_rows if at < len(row)] for at, name in enumerate(table.names)}
+    widths = {name: width for name, told in cells.items() if (width := first_width(told)) is not None}
+    return table, columns_of(path, mapping, table.names, widths)
+
+
+def _wanted(columns: Columns, role: Role) -> tuple[Wanted, ListCells]:
+    """Return what is read of the table, and what takes its lists apart."""
+    mapping, made = columns.mapping, {name for lists in columns.lists.values() for name in lists.values()}
+    numbers, texts, required = _columns(mapping, role)
+    if missing := {name for name in {*numbers, *texts} - made if name not in columns.names}:
+        seen = f"{WHERE}: column {min(missing)!r} holds no list in the first rows"
+        raise ConfigError(seen, cure="Name its numbers one by one: [0], [1], ...")
+    if wrong := made.intersection(texts):
+        raise ConfigError(f"{WHERE}: {min(wrong)!r} is a number of a list, and mapped to a text")
+    texts = list(dict.fromkeys([*texts, *(column for column, lists in columns.lists.items() if made & set(numbers))]))
+    if both := set(numbers).intersection(texts):
+        raise ConfigError(f"{WHERE}: column {min(both)!r} is mapped to a number and to a text")
+    some = [name for name in (*numbers, *texts) if name not in mapping.time] if role == "robot" else []
+    wanted = Wanted(
+        numbers=[name for name in numbers if name not in made],
+        texts=texts,
+        required=[name for name in required if name not in made],
+        any_of=[name for name in some if name not in made],
+    )
+    return wanted, ListCells(columns.lists, tuple(name for name in required if name in made))
 
 
 def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[str]]:
@@ -119,50 +156,6 @@ def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[st
         raise ConfigError(f"{WHERE}: nothing of the robot is mapped", cure="Map x, y, z or joints, scaling or speed.")
     state = [mapping.state] if mapping.state else []
     return list(dict.fromkeys([*number_time, *numbers])), [*text_time, *state], time
-
-
-def _cure(path: Path, layout: Layout, wanted: set[str], mapping: CsvMap) -> str:
-    """Say what to do where a mapped column is not in the header."""
-    if any("\ufffd" in name for name in layout.names):
-        return f'The header is not written in {layout.encoding}: give encoding, for example "latin-1".'
-    for number, line in enumerate(head_lines(path, _LINES_SEARCHED, layout.encoding)):
-        for mark in dict.fromkeys((layout.delimiter, ",", ";", "\t", "|", " ")):
-            if wanted.issubset(header_names(line, mark)) and not mapping.columns:
-                return f"They stand in line {number + 1}: give skip_rows = {number}, delimiter = {mark!r}."
-    return f"Columns of line {mapping.skip_rows + 1}: {', '.join(name[:40] for name in layout.names[:60])}."
-
-
-def _layout(path: Path, mapping: CsvMap, wanted: set[str]) -> Layout:
-    try:
-        encoding = mapping.encoding or file_encoding(path)
-        codecs.getincrementaldecoder(encoding or "utf-8")("replace").decode("".encode(encoding or "utf-8"))
-    except (LookupError, UnicodeError) as error:
-        raise ConfigError(
-            f"{WHERE}: unknown encoding {mapping.encoding!r}", cure="For example utf-8 or latin-1."
-        ) from error
-    if encoding is None:
-        raise DamagedLog(path, "not a text file: it begins with NUL bytes", cure="Export the log as text again.")
-    lines = head_lines(path, mapping.skip_rows + 1, encoding)
-    if len(lines) <= mapping.skip_rows or not lines[mapping.skip_rows].strip():
-        cause = f"no header in line {mapping.skip_rows + 1}"
-        raise DamagedLog(path, cause, cure="The header line comes after skip_rows lines.")
-    line = lines[mapping.skip_rows]
-    delimiter = mapping.separator() or _delimiter(line, mapping, wanted)
-    names = unique(mapping.columns) if mapping.columns else names_in(path, line, delimiter)
-    skipped = mapping.skip_rows + (not mapping.columns)
-    return Layout(names, delimiter, skipped, decimal_comma=mapping.decimal == ",", encoding=encoding, quotes=True)
-
-
-def _delimiter(line: str, mapping: CsvMap, wanted: set[str]) -> str:
-    """Return the delimiter under which the mapped columns are there, else the likeliest."""
-    candidates = ";\t " if mapping.decimal == "," else ",;\t "
-
-    def fits(mark: str) -> bool:
-        if mapping.columns:
-            return line.rstrip(mark).count(mark) == len(mapping.columns) - 1
-        return wanted.issubset(header_names(line, mark))
-
-    return next((mark for mark in candidates if fits(mark)), delimiter_of(line, candidates))
 
 
 def _robot(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:

@@ -197,7 +197,7 @@ class RowParser:
         if cells is None or not cells.strip(_BLANKS):
             return self.ended or reason
         fields = [cell.strip().lstrip("\ufeff").strip('"') for cell in cells.split(CELL)]
-        if tuple(fields) == self.layout.names:
+        if self.layout.is_header(fields):
             self.ended, self.below_names = "", True
             return "the header once more"
         if self.ended or not is_name_line(fields, self.layout, self.wanted.numbers):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,13 @@ class Layout:
     encoding: str = "utf-8"
     quotes: bool = False
 
+    def is_header(self, fields: Sequence[str]) -> bool:
+        """Tell whether the cells of a line are the names once more; `#3` stands for any name of the third column."""
+        return len(fields) == len(self.names) and all(
+            name in (said, f"#{number}")
+            for number, (name, said) in enumerate(zip(self.names, unique(fields), strict=True), 1)
+        )
+
 
 def delimiter_of(line: str, candidates: str = ",;\t ") -> str:
     """Return the candidate that occurs most often in `line`, the first of them where none is ahead.
@@ -44,13 +51,16 @@ def delimiter_of(line: str, candidates: str = ",;\t ") -> str:
 
 
 def unique(names: Iterable[str]) -> tuple[str, ...]:
-    """Return `names` stripped, with `#2`, `#3` behind repeated or nameless ones, so that no column hides another."""
+    """Return `names` stripped, so that no column hides another.
+
+    The second column of a name has `#2` behind it; one without a name is `#` and its number, from 1.
+    """
     seen = {"source_row": 1}  # the name of the column that is added here
     out: list[str] = []
-    for raw in names:
+    for number, raw in enumerate(names, 1):
         name = raw.strip()
         seen[name] = seen.get(name, 0) + 1
-        out.append(name if name and seen[name] == 1 else f"{name}#{seen[name]}")
+        out.append(f"#{number}" if not name else name if seen[name] == 1 else f"{name}#{seen[name]}")
     return tuple(out)
 
 

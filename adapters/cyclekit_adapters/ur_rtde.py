@@ -1,7 +1,8 @@
 """Universal Robots: RTDE fields as UR's `record.py` (text or `--binary`) and `ur_rtde` write them.
 
 One row per controller sample; `record.py` separates by a space, `ur_rtde` by a comma, the column names are the same.
-A binary recording differs only in how its rows are packed (`rtde_binary`).
+A binary recording differs only in how its rows are packed (`rtde_binary`). Programs of one's own on `ur_rtde` write a
+vector as one list, `"[0.1, -0.2, ...]"` in a column `actual_q`; it becomes the columns of the others.
 Metres, radians, seconds since the controller was started. Two columns together are the override: the trajectory
 limiter (`speed_scaling`) times the slider (`target_speed_fraction`), and that product says something about speed only
 while the program plays (`runtime_state` 2). A pause writes the limiter as 0, which is no safety slow-down: there, and
@@ -24,6 +25,7 @@ from cyclekit_adapters.delimited import Layout, Rows, read_blocks
 from cyclekit_adapters.header_line import column_names, layout_below
 from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.input_events import InputEvents
+from cyclekit_adapters.list_cells import ListCells
 from cyclekit_adapters.rtde_binary import BinaryLayout, binary_layout, is_binary, read_binary_rows
 from cyclekit_adapters.text_blocks import head_of
 
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _FIELD = re.compile(r"(actual|target)_(q|qd|qdd|current|moment|TCP_pose|TCP_speed|TCP_force)_[0-5]")
+_VECTORS = {"actual_q": 6, "actual_qd": 6, "actual_TCP_pose": 6, "actual_TCP_speed": 6}
 _SCALARS = {"speed_scaling", "target_speed_fraction", "runtime_state", "safety_status", "safety_mode"}
 _STATES = {0: "stopped", 1: "stopped", 2: "playing", 3: "paused", 4: "paused", 5: "paused"}
 _PLAYING = 2
@@ -46,23 +49,25 @@ _SLACK = 1e-3  # a fraction may exceed 1 by rounding; by more it is something el
 class _UrRtdeCsv:
     def recognises(self, path: Path) -> bool:
         names = column_names(path)
-        return len(_SCALARS.intersection(names)) > 1 or any(_FIELD.fullmatch(name) for name in names)
+        told = len(_SCALARS.intersection(names)) > 1 or any(_FIELD.fullmatch(name) for name in names)
+        return told or ("timestamp" in names and not set(_VECTORS).isdisjoint(names))
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         return whole(self.stream(path, options))
 
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         layout = _layout(path)
+        lists = ListCells(_lists(layout.names))
+        names = (*layout.names, *(name for made in lists.wanted.values() for name in made.values()))
         register = _register(path, layout, options)
-        joints = _joints(layout.names)
-        _require(path, layout.names, joints)
+        joints = _joints(names)
+        _require(path, names, joints)
         inputs = _inputs(path, layout, options)
         wanted = _fields(register, joints, options.columns) + [_INPUTS] * (inputs is not None)
-        present = [name for name in wanted if name in layout.names]
         once, seen = Once("timestamp"), _Seen()
 
         def make(rows: Rows) -> Recording:
-            rows = once.rows(rows)
+            rows = once.rows(lists.rows(rows))
             seen.add(rows.frame)
             return Recording(
                 robot=_robot(rows.frame, register, joints),
@@ -81,14 +86,26 @@ class _UrRtdeCsv:
                 "repeated_rows": str(once.repeated),
                 "speed_scaling": "speed_scaling * target_speed_fraction while runtime_state is 2 (playing)",
             }
-            return replace(last, warnings=(*once.warnings(), *seen.warnings(layout.names)), facts=facts)
+            return replace(last, warnings=(*once.warnings(), *seen.warnings(names)), facts=facts)
 
-        if isinstance(layout, BinaryLayout):
-            blocks = read_binary_rows(path, layout, numbers=present, time="timestamp")
-        else:
-            some = [name for name in present if name != "timestamp"]
-            blocks = read_blocks(path, layout, numbers=present, required=["timestamp"], any_of=some)
-        yield from in_parts(path, blocks, make, finish)
+        yield from in_parts(path, _blocks(path, layout, wanted, tuple(lists.wanted)), make, finish)
+
+
+def _blocks(path: Path, layout: Layout | BinaryLayout, wanted: Sequence[str], lists: Sequence[str]) -> Iterator[Rows]:
+    present = [name for name in wanted if name in layout.names]
+    if isinstance(layout, BinaryLayout):
+        return read_binary_rows(path, layout, numbers=present, time="timestamp")
+    some = [*lists, *(name for name in present if name != "timestamp")]
+    return read_blocks(path, layout, numbers=present, texts=lists, required=["timestamp"], any_of=some)
+
+
+def _lists(names: Sequence[str]) -> dict[str, dict[int, str]]:
+    """Return the columns of lists, and what the numbers of each are called elsewhere."""
+    return {
+        name: {place: f"{name}_{place}" for place in range(length)}
+        for name, length in _VECTORS.items()
+        if name in names and f"{name}_0" not in names
+    }
 
 
 def _layout(path: Path) -> Layout | BinaryLayout:

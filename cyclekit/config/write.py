@@ -4,14 +4,29 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import get_args
+from typing import TYPE_CHECKING, get_args
 
-from cyclekit.config.cells import CLOCK_KEYS, Begin, Cell, Frame, Sync
+from cyclekit.config.cells import CLOCK_KEYS, Begin, Cell, Frame, Source, Sync
+from cyclekit.plain_text import one_line
+
+if TYPE_CHECKING:
+    from cyclekit.adapter import Draft, Proposal
+
+_ABOUT_DRAFTS = (
+    "# Sources that no adapter knows are proposed here by their header and first rows: look at each line.",
+    '# A line that begins with "# ?" is not sure: mend it, and take "# ?" away. Keys: docs/adapters.md, csv.',
+)
 
 
-def cell_to_toml(cell: Cell) -> str:
-    """Return the cell file that would give this cell; comments say what a person may want to fill in."""
-    lines = [f"name = {_toml(cell.name)}"]
+def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
+    """Return the cell file that would give this cell; comments say what a person may want to fill in.
+
+    Args:
+        cell: The cell.
+        drafts: Of sources by path, what is proposed for them; what is not sure becomes a comment.
+    """
+    drafts = drafts or {}
+    lines = [*(_ABOUT_DRAFTS if drafts else ()), f"name = {_toml(cell.name)}"]
     lines += [f"ignore = {_toml(list(cell.ignore))}"] if cell.ignore else []
     lines += [f"reference = {_toml(list(cell.reference))}  # logs with nobody in the cell"] if cell.reference else []
     lines += [f"rate_hz = {_toml(cell.rate_hz)}"] if cell.rate_hz != Cell.rate_hz else []
@@ -23,10 +38,14 @@ def cell_to_toml(cell: Cell) -> str:
         for key, value in vars(source).items():
             if value is not None and value not in ({}, ()) and (key, value) != ("clock_rate", 1.0):
                 lines.append(f"{key} = {_toml(value)}")
-        if source.role == "people" and source.frame is None:
+        draft = drafts.get(source.path)
+        lines += [_proposed(proposal) for proposal in draft.source] if draft else []
+        role = _role(source, draft)
+        if role == "people" and source.frame is None:
             lines.append("# frame = { xyz_m = [0.0, 0.0, 0.0], yaw_deg = 0.0 }  # where the tracker stands")
-        if source.role in {"people", "events"} and all(getattr(source, key) in (None, ()) for key in CLOCK_KEYS):
+        if role in {"people", "events"} and all(getattr(source, key) in (None, ()) for key in CLOCK_KEYS):
             lines.append("# clock_offset_s = 0.0  # add to this log's time to get the robot log's time")
+        lines += _drafted_map(draft) if draft else []
     for title, places in (("places", cell.places), ("human_places", cell.human_places)):
         for name, place in places.items():
             xyz, radius = _toml(list(place.xyz_m)), _toml(place.radius_m)
@@ -47,6 +66,22 @@ def cell_to_toml(cell: Cell) -> str:
     lines += [f"bit = {begin.bit}"] if begin.bit else []
     lines += [f"signal = {_toml(begin.signal)}"] if begin.signal else []
     return "\n".join(lines) + "\n"
+
+
+def _role(source: Source, draft: Draft | None) -> object:
+    proposed = [proposal.value for proposal in draft.source if proposal.key == "role"] if draft else []
+    return source.role or next(iter(proposed), None)
+
+
+def _drafted_map(draft: Draft) -> list[str]:
+    notes = [f"# {one_line(note)}" for note in draft.notes]
+    return ["", "[sources.map]", *(_proposed(proposal) for proposal in draft.map), *notes]
+
+
+def _proposed(proposal: Proposal) -> str:
+    """Return a key that is proposed; one that is not sure as a comment."""
+    why = f"  # {one_line(proposal.why)}" if proposal.why else ""
+    return f"{'' if proposal.sure else '# ? '}{_key(proposal.key)} = {_toml(proposal.value)}{why}"
 
 
 def _key(name: str) -> str:

@@ -199,7 +199,7 @@ def test_a_decimal_comma_is_a_decimal_mark():
 
 
 def test_columns_of_one_name_or_none_do_not_hide_each_other():
-    assert header_names("t,x,,x,,\n", ",") == ("t", "x", "#1", "x#2")
+    assert header_names("t,x,,x,,\n", ",") == ("t", "x", "#3", "x#2")
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,7 @@ def test_a_column_that_is_not_there_is_named_with_the_nearest(tmp_path):
         {"clock": "utc"},
         {"scaling_max": 255},
         {"skip_rows": -1},
-        {"joints": "J1"},
+        {"joints": 1},
         {"delimiter": ""},
         {"delimiter": "\n"},
         {"time_zone": "Europe/Rome"},
@@ -115,7 +115,10 @@ def test_a_column_that_is_not_there_is_named_with_the_nearest(tmp_path):
         {"encoding": "utf-99"},
         {"encoding": "hex"},
         {"states": {"3": "working"}},
-        {"decimal": ",", "delimiter": ","},
+        {"decimal": ".", "delimiter": "."},
+        {"time": ["t", "x"], "time_unit": ["ns", "s"]},
+        {"time": ["t"], "time_unit": ["s", "ns"]},
+        {"person": "*"},
     ],
 )
 def test_a_cell_file_that_says_something_impossible_is_refused(tmp_path, mapping):

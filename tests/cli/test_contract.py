@@ -20,7 +20,7 @@ COMMANDS = typer.main.get_command(app()).commands  # type: ignore[attr-defined]
 CONTRACT = {
     "simulate": (["scene"], ["--out", "--executions", "--seed", "--operator-log"]),
     "ingest": (["logs"], ["--out", "--cell", "--jobs", "--rate", "--align-clocks", "--keep-skeletons"]),
-    "inspect": (["path"], ["--write-cell"]),
+    "inspect": (["path", "cell_file"], ["--write-cell"]),
     "convert": (["log"], ["--out", "--table", "--rate", "--columns", "--cell"]),
     "trace": (["dataset"], ["--execution", "--at", "--logs"]),
     "levels": (["dataset"], ["--method", "--picture"]),

@@ -344,12 +344,12 @@ def test_executions_that_begin_by_a_register_nobody_logged_are_refused(three_run
 
 
 def test_the_cell_file_suggested_for_logs_names_each_with_its_adapter(three_runs: Path):
-    cell = suggest_cell([three_runs])
+    cell = suggest_cell([three_runs]).cell
     assert [(source.path, source.adapter) for source in cell.sources] == [(f"run_{i}.csv", "ur-rtde") for i in range(3)]
 
 
 def test_the_cell_file_suggested_for_a_dataset_names_the_places_found(boxes: SimulatedCell):
-    cell = suggest_cell([boxes.dataset.path])
+    cell = suggest_cell([boxes.dataset.path]).cell
     assert set(cell.places) == set(boxes.dataset.places)
     assert cell.places["conveyor"].xyz_m == pytest.approx((0.6, 0.0, 0.1), abs=1e-3)
 

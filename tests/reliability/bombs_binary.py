@@ -8,8 +8,9 @@ import struct
 import tempfile
 from pathlib import Path
 
-from reliability.explosives import GIB, bomb, put, sparse, zstd_of
+from reliability.explosives import CSV_CELL, GIB, bomb, put, sparse, zstd_of
 from reliability.own_logs import own_logs
+from sheet_files import frame_of, write_parts
 
 
 def _record(op: int, body: bytes) -> bytes:
@@ -138,3 +139,37 @@ def _(folder: Path) -> Path:
 def _(folder: Path) -> Path:
     names = " ".join(["timestamp", *(f"actual_TCP_pose_{i}" for i in range(100_000))])
     return sparse(folder / "run.bin", GIB, f"{names}\n{' '.join(['DOUBLE'] * 100_001)}\n".encode())
+
+
+_SHEET = (
+    '<worksheet xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"><sheetData>{}</sheetData></worksheet>'
+)
+_HEAD = '<row r="1"><c t="str"><v>t</v></c><c t="str"><v>x</v></c><c t="str"><v>y</v></c></row>'
+
+
+def _workbook(folder: Path, rows: str) -> Path:
+    parts = {
+        **frame_of(["S"]),
+        "xl/sharedStrings.xml": "<sst/>",
+        "xl/worksheets/sheet1.xml": _SHEET.format(_HEAD + rows),
+    }
+    write_parts(folder / "run.xlsx", parts)
+    words = CSV_CELL.format(name="run.xlsx", role="robot", map='time = "t", x = "x", y = "y"')
+    put(folder, "cell.toml", words.encode())
+    return folder
+
+
+@bomb("workbook with a cell in the last row and column")
+def _(folder: Path) -> Path:
+    return _workbook(folder, '<row r="1048576"><c r="XFD1048576"><v>1</v></c></row>')
+
+
+@bomb("workbook of a few kB with a sheet of 1 GB")
+def _(folder: Path) -> Path:
+    return _workbook(folder, " " * (1 << 30))
+
+
+@bomb("workbook as full as one may be", slow=True)
+def _(folder: Path) -> Path:
+    cells = "".join(f"<c><v>{(7919 * i) % 100_003}</v></c>" for i in range(200))
+    return _workbook(folder, "".join(f"<row>{cells}</row>" for i in range(49_999)))

@@ -26,6 +26,8 @@ QUICK = (
     "db3 whose header says 2**31 pages",
     "metadata.yaml that names itself a billion times",
     "gzip CSV of 2 GiB without a line end",
+    "workbook with a cell in the last row and column",
+    "workbook of a few kB with a sheet of 1 GB",
     "17,000 columns",
     "1,000,000 columns",
     "header line of 100 MB",

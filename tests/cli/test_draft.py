@@ -1,0 +1,97 @@
+"""`inspect --write-cell` on tables that nobody knows: the cell file, what is asked in it, and what to type next."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sheet_files import write_workbook
+
+from cyclekit.dataset import Dataset
+
+if TYPE_CHECKING:
+    from .conftest import Shell
+
+
+def kuka(path: Path, place: str = "TCP {} [mm]") -> Path:
+    names = ["t [ms]", *(place.format(axis) for axis in "XYZ"), "OV_PRO"]
+    rows = [[12 * i, 400 + i, -250.5, 80.25, 50 if i < 100 else 100] for i in range(200)]
+    path.write_text("\n".join([";".join(names), *(";".join(map(str, row)) for row in rows), ""]))
+    return path
+
+
+def test_the_error_names_a_command_that_writes_a_cell_file_and_that_one_that_ingests(
+    cyclekit: Shell, tmp_path: Path
+) -> None:
+    log = kuka(tmp_path / "arm log.csv")
+    refused = cyclekit("inspect", log)
+    assert refused.code == 1
+    cure = refused.err.strip().splitlines()[-1].partition(": ")[2]
+    written = cyclekit(*shlex.split(cure)[1:])
+    assert written.code == 0, written.err
+    assert "written" in written.out
+    command = shlex.split(written.out.strip().splitlines()[-1])
+    ingested = cyclekit(*command[1:-1], tmp_path / "dataset")
+    assert ingested.code == 0, ingested.err
+    samples = Dataset.open(tmp_path / "dataset").samples(columns=["robot_x_m", "scaling"])
+    assert samples["robot_x_m"][0] == 0.4
+    assert set(samples["scaling"].to_list()) == {0.5, 1.0}
+
+
+def test_a_cell_file_that_is_there_is_never_replaced(cyclekit: Shell, tmp_path: Path) -> None:
+    log, cell = kuka(tmp_path / "arm.csv"), tmp_path / "cell.toml"
+    assert cyclekit("inspect", log, "--write-cell", cell).code == 0
+    cell.write_text("name = 'mine'\n")
+    refused = cyclekit("inspect", log, "--write-cell", cell)
+    assert refused.code == 1
+    assert "never replaced" in refused.err
+    assert cell.read_text() == "name = 'mine'\n"
+
+
+def test_what_is_not_sure_is_counted_and_stands_there_as_a_comment(cyclekit: Shell, tmp_path: Path) -> None:
+    log = kuka(tmp_path / "arm.csv", place="target {} [mm]")
+    done = cyclekit("inspect", log, "--write-cell", tmp_path / "c.toml", "--json")
+    text = (tmp_path / "c.toml").read_text()
+    assert done.document == {"cell": text, "unsure": 4, "out": str(tmp_path / "c.toml")}
+    assert '# ? x = "target X [mm]"' in text
+    assert 'scaling = "OV_PRO"\nscaling_max = 100' in text
+
+
+def test_unknown_tables_among_logs_are_drafted_beside_them(cyclekit: Shell, tmp_path: Path) -> None:
+    pose = ",".join(f"actual_TCP_pose_{axis}" for axis in range(3))
+    (tmp_path / "ur.csv").write_text(f"timestamp,{pose}\n0,0,0,0\n0.1,0,0,1\n")
+    kuka(tmp_path / "arm.csv")
+    (tmp_path / "results.csv").write_text("part,good,bad\n1,2,3\n2,3,4\n3,4,5\n")
+    whole = write_workbook(tmp_path / "cut.xlsx", {"S": [["t", "x"], [1, 2]]}).read_bytes()
+    (tmp_path / "cut.xlsx").write_bytes(whole.replace(b"worksheets/sheet1.xml", b"worksheets/sheetX.xml"))
+    printed = cyclekit("inspect", tmp_path, "--write-cell").out
+    assert 'path = "ur.csv"\nadapter = "ur-rtde"' in printed
+    assert 'path = "arm.csv"\nadapter = "csv"\nrole = "robot"' in printed
+    assert "results.csv" not in printed
+
+
+def test_a_cell_file_without_the_option_is_a_slip(cyclekit: Shell, tmp_path: Path) -> None:
+    assert cyclekit("inspect", kuka(tmp_path / "arm.csv"), tmp_path / "cell.toml").code == 2
+
+
+def test_names_of_columns_cannot_end_a_comment(cyclekit: Shell, tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text(
+        't_s,"tcp_x\x0b[[sources]]",tcp_x,tcp_y\n' + "".join(f"{i / 100},5,0.{300 + i},0.5\n" for i in range(50))
+    )
+    assert cyclekit("inspect", log, "--write-cell", tmp_path / "c.toml").code == 0
+    done = cyclekit("ingest", log, "--cell", tmp_path / "c.toml", "--out", tmp_path / "d")
+    assert done.code == 0, done.err
+
+
+def test_a_workbook_is_named_with_the_command_that_drafts_its_map(cyclekit: Shell, tmp_path: Path) -> None:
+    rows = [["t [s]", "TCP X [mm]", "TCP Y [mm]"], *([i / 50, 400.5 + i, 250.5] for i in range(120))]
+    book = write_workbook(tmp_path / "rs.xlsx", {"Data": rows})
+    refused = cyclekit("ingest", book, "--out", tmp_path / "d")
+    cure = refused.err.strip().splitlines()[-1].partition(": ")[2]
+    assert cyclekit(*shlex.split(cure)[1:]).code == 0
+    done = cyclekit("ingest", book, "--cell", tmp_path / "rs.toml", "--out", tmp_path / "d")
+    assert done.code == 0, done.err
+    (tmp_path / "old.xls").write_bytes(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600))
+    assert "Save it as .xlsx" in cyclekit("inspect", tmp_path / "old.xls").err

@@ -45,6 +45,9 @@ class _MappedCsv:
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         mapping = csv_map(options)
         role = options.role or mapping.role()
+        if role == "tasks":
+            cure = 'Give adapter = "task-list" in its place, with the columns in [sources.map].'
+            raise ConfigError(f"{path}: a mapped table cannot be read as tasks", cure=cure)
         numbers, texts, required = _columns(mapping, role)
         layout = _layout(path, mapping, {*numbers, *texts})
         if both := set(numbers).intersection(texts):

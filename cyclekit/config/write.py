@@ -25,7 +25,9 @@ def cell_to_toml(cell: Cell) -> str:
                 lines.append(f"{key} = {_toml(value)}")
         if source.role == "people" and source.frame is None:
             lines.append("# frame = { xyz_m = [0.0, 0.0, 0.0], yaw_deg = 0.0 }  # where the tracker stands")
-        if source.role in {"people", "events"} and all(getattr(source, key) in (None, ()) for key in CLOCK_KEYS):
+        if source.role in {"people", "events", "tasks"} and all(
+            getattr(source, key) in (None, ()) for key in CLOCK_KEYS
+        ):
             lines.append("# clock_offset_s = 0.0  # add to this log's time to get the robot log's time")
     for title, places in (("places", cell.places), ("human_places", cell.human_places)):
         for name, place in places.items():

@@ -174,7 +174,9 @@ def planner(folder: Path, frames: int = 4) -> Path:
 
 
 def safety_log(folder: Path, frames: int = 4) -> Path:
-    return _lines(folder / "ovr.csv", [",Timestamp,Safe_Ovr", *(f"{i},{i}.500000,{100 - i}.000" for i in range(frames))])
+    return _lines(
+        folder / "ovr.csv", [",Timestamp,Safe_Ovr", *(f"{i},{i}.500000,{100 - i}.000" for i in range(frames))]
+    )
 
 
 WRITERS: dict[str, Callable[[Path, int], Path]] = {

@@ -21,7 +21,7 @@ from cyclekit_adapters.delimited import Layout, Rows, delimiter_of, fields_of, h
 from cyclekit_adapters.event_table import TIME_NAMES, UNITS, Times, counted_in, stem_of, times_of
 from cyclekit_adapters.events import T_S, timed
 from cyclekit_adapters.in_parts import in_parts
-from cyclekit_adapters.safety_columns import WHERE, SafetyColumns, is_safety_log, mapped_columns
+from cyclekit_adapters.safety_columns import LENGTHS, WHERE, SafetyColumns, is_safety_log, mapped_columns
 from cyclekit_adapters.text_blocks import file_encoding, head_lines, head_of
 
 if TYPE_CHECKING:
@@ -218,7 +218,8 @@ def _facts(columns: SafetyColumns, times: Times, said: _Said) -> dict[str, str]:
     unit = "percent" if said.full > 1.0 else "fraction"
     facts = {"time": f"{columns.time}: {times.why}"}
     facts |= {"override": f"{' * '.join(columns.overrides)}: {unit}"} if columns.overrides else {}
-    return facts | ({"distance": f"{columns.distance}, in {columns.metres:g} m"} if columns.distance else {})
+    length = next(name for name, metres in LENGTHS.items() if metres == columns.metres)
+    return facts | ({"distance": f"{columns.distance}: {length}"} if columns.distance else {})
 
 
 ADAPTER: StreamingAdapter = _SafetyCsv()

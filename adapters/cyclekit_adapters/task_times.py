@@ -85,7 +85,8 @@ def with_seconds(
     if plan == "execution":
         begin = pl.col("start_s").min().over("execution") if "execution" in cells.columns else pl.col("start_s").min()
         cells = cells.with_columns(pl.col(f"{key}_s") + begin for key in _PLAN if key in read)
-    warnings = [] if zoned or not start.pattern else ["its times name no zone: give time_zone to place it among logs"]
+    lacks = "name no zone: give time_zone to place it" if _dated(start) else "have no date, so it cannot be placed"
+    warnings = [] if zoned or not start.pattern else [f"its times {lacks} among other logs"]
     facts = {key.replace("_", " "): f"{columns[key]}: {times.why}" for key, times in read.items()}
     if plan is not None:
         facts["plan counts from"] = "the start of each execution" if plan == "execution" else "the zero of the log"

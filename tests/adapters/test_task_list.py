@@ -212,6 +212,17 @@ def test_times_without_a_zone_are_placed_by_the_zone_of_the_cell_file(tmp_path):
     assert (rome.clock, rome.task_list["t_s"][0]) == ("epoch", 1719820800.5)
 
 
+def test_times_of_day_lack_a_date_and_exports_of_process_mining_are_known(tmp_path):
+    log = read(table(tmp_path / "a.csv", "run,agent,task,begin,finish", "1,r,a,10:00:00.5,10:00:02"))
+    assert log.task_list["end_s"].to_list() == [36_002.0]
+    assert log.warnings == ("its times have no date, so it cannot be placed among other logs",)
+    header = "case:concept:name,concept:name,org:resource,start_timestamp,time:timestamp"
+    path = table(tmp_path / "b.csv", header, "7,a,human,2024-05-01 10:00:00+00:00,2024-05-01 10:00:30+00:00")
+    assert ADAPTER.recognises(path)
+    (row,) = read(path).task_list.select("execution", "agent", "task", "t_s", "end_s").rows()
+    assert row == ("7", "operator", "a", 1714557600.0, 1714557630.0)
+
+
 def test_a_zone_on_one_side_only_is_refused(tmp_path):
     path = table(tmp_path / "a.csv", "agent,task,start,end", "r,a,2024-07-01T10:00:00Z,2024-07-01T10:00:02")
     with pytest.raises(LogError, match="only one of 'start' and 'end' names its time zone"):

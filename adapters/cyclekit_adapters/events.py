@@ -93,7 +93,8 @@ def _said(options: ReadOptions) -> tuple[str | None, str | None]:
     zone = rest.pop("time_zone", None)
     unit = words(replace(options, map=rest), "event", {"time_unit": tuple(UNITS), "time_zone": ()}).get("time_unit")
     if options.role not in (None, "events"):
-        raise ConfigError(f"an event log cannot be read as {options.role}", cure='Map it with adapter = "csv".')
+        other = "task-list" if options.role == "tasks" else "csv"
+        raise ConfigError(f"an event log cannot be read as {options.role}", cure=f'Map it with adapter = "{other}".')
     if zone is not None and zone not in available_timezones():
         cure = "As in the IANA list: Europe/Rome."
         raise UnknownName(_WHERE, "time_zone", str(zone), available_timezones(), cure=cure)

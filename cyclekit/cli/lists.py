@@ -9,7 +9,7 @@ from cyclekit.cli.terminal import bullet, duration, percent, table
 if TYPE_CHECKING:
     from cyclekit.describe.facts import SafetyFacts, TaskListFacts
 
-SHOWN_TASKS, SHOWN_VALUES = 24, 6
+SHOWN_AGENTS, SHOWN_TASKS, SHOWN_VALUES = 12, 24, 6
 
 
 def task_list_tables(found: TaskListFacts) -> str:
@@ -27,10 +27,12 @@ def task_list_tables(found: TaskListFacts) -> str:
         [one.agent, one.task, f"{one.count}", *map(_seconds, (one.mean_s, one.sd_s, one.least_s, one.most_s))]
         for one in found.tasks
     ]
+    others = len(agents) - SHOWN_AGENTS
+    more_agents = f"\n... and {others} agents more (--json has all)" if others > 0 else ""
     more = f"\n... and {len(tasks) - SHOWN_TASKS} tasks more (--json has all)" if len(tasks) > SHOWN_TASKS else ""
     heads = ["agent ", "task ", "times", "mean, s", "sd", "min", "max"]
     parts = [
-        table(["agent ", "is ", "tasks", "overlaps"], agents),
+        table(["agent ", "is ", "tasks", "overlaps"], agents[:SHOWN_AGENTS]) + more_agents,
         table(heads, tasks[:SHOWN_TASKS]) + more,
         bullet(_said(found), mark=""),
     ]

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.describe.facts import AgentFacts, ListedTask, SafetyFacts, Span, TaskListFacts
-from cyclekit.plausible.task_lists import overlaps_s
+from cyclekit.plausible.task_lists import overlaps_of
 from cyclekit.rates import GAP_PERIODS, GAP_S
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     Vector = NDArray[np.float64]
 
+_AGENT = ("agent_name", "agent", "tasks", "overlaps", "overlap_s")
 _DECIMALS = 4
 """An override is told apart to so many: integer percent, and finer."""
 _MANY = 10_000
@@ -31,11 +32,9 @@ def task_list_facts(tasks: pl.DataFrame) -> TaskListFacts:
         tasks: Table TASK_LIST; with a column `session`, times of one session are one clock.
     """
     tasks = tasks.with_columns(took_s=pl.col("end_s") - pl.col("t_s"))
-    agents = []
-    for (kind, name), mine in tasks.group_by(["agent", "agent_name"], maintain_order=True):
-        clocks = mine.partition_by("session", maintain_order=True) if "session" in mine.columns else [mine]
-        over = [late for rows in clocks for late in overlaps_s(rows)]
-        agents.append(AgentFacts(str(name), str(kind), mine.height, len(over), max(over, default=0.0)))
+    clocks = [name for name in ("session",) if name in tasks.columns]
+    told = tasks.group_by("agent_name", maintain_order=True).agg(pl.col("agent").first())
+    agents = overlaps_of(tasks, ["agent_name", *clocks]).join(told, on="agent_name", how="left", maintain_order="left")
     kinds = tasks.group_by("agent_name", "task", maintain_order=True).agg(
         pl.len().alias("count"),
         pl.col("took_s").mean().alias("mean"),
@@ -50,7 +49,7 @@ def task_list_facts(tasks: pl.DataFrame) -> TaskListFacts:
     )
     lasted = (named["end"] - named["begin"]).drop_nulls().to_numpy()
     return TaskListFacts(
-        agents=tuple(agents),
+        agents=tuple(AgentFacts(*row) for row in agents.select(_AGENT).iter_rows()),
         tasks=tuple(ListedTask(*row) for row in kinds.sort("agent_name", "task").iter_rows()),
         executions=named.height,
         execution_s=span_of(lasted),

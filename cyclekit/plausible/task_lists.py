@@ -5,13 +5,20 @@ No row is set aside for it: a planner may well start an agent's next task before
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import polars as pl
 
 from cyclekit.plausible.checks import Checks
 from cyclekit.plausible.window import HERE, PLACE
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
 LONGEST_S, SHORTEST_S = 86_400.0, 1e-3
 """Half of the tasks of a list lie between these, unless its unit of time is another."""
+SHOWN = 6
+"""Agents that are named."""
 TOUCH_S = 1e-3
 """A task may start so much before its agent's last one has ended: clocks are rounded."""
 _READ = ("t_s", "end_s", "agent_name")
@@ -39,19 +46,35 @@ class TaskChecks(Checks):
             return said
         if open_ends := rows["end_s"].null_count():
             said.append(f"{open_ends} of {rows.height} tasks have no end: how long they took is unknown")
-        for (name,), mine in rows.group_by(["agent_name"], maintain_order=True):
-            over = overlaps_s(mine).to_list()
-            if over:
-                begun = f"{len(over)} of {mine.height} tasks of {name!r} start before its last one has ended"
-                said.append(f"{begun}, by up to {max(over):.1f} s")
+        said += self._said_of_overlaps(overlaps_of(rows, ["agent_name"]).filter(pl.col("overlaps") > 0))
         median_s = (rows["end_s"] - rows["t_s"]).median()
         if isinstance(median_s, float) and (median_s > LONGEST_S or 0.0 < median_s < SHORTEST_S):
             said.append(f"half of the tasks take {median_s:.3g} s: is the unit of time right? give time_unit")
         return said
 
+    def _said_of_overlaps(self, agents: pl.DataFrame) -> list[str]:
+        said = [
+            f"{count} of {tasks} tasks of {name!r} start before its last one has ended, by up to {most:.1f} s"
+            for name, tasks, count, most in agents[:SHOWN].iter_rows()
+        ]
+        return [*said, f"so do tasks of {agents.height - SHOWN} other agents"] if agents.height > SHOWN else said
 
-def overlaps_s(rows: pl.DataFrame) -> pl.Series:
-    """Return by how much tasks of one agent (`t_s`, `end_s`) start before all of its earlier ones have ended, s."""
-    before = pl.col("end_s").cum_max().shift(1).forward_fill()
-    over = rows.sort("t_s", maintain_order=True).select(over_s=before - pl.col("t_s"))["over_s"]
-    return over.filter(over > TOUCH_S)
+
+def overlaps_of(rows: pl.DataFrame, by: Sequence[str]) -> pl.DataFrame:
+    """Return how many tasks of each agent start before all of its earlier ones have ended.
+
+    Args:
+        rows: Columns `t_s`, `end_s`, `agent_name`, and those of `by`.
+        by: What makes one agent in one clock; `agent_name` is among them.
+
+    Returns:
+        Columns `agent_name`, `tasks`, `overlaps`, `overlap_s` (by how much at most), in order of appearance.
+    """
+    before = pl.col("end_s").cum_max().shift(1).forward_fill().over(by)
+    late = rows.sort("t_s", maintain_order=True).with_columns(over_s=before - pl.col("t_s"))
+    over = pl.col("over_s").filter(pl.col("over_s") > TOUCH_S)
+    found = late.group_by("agent_name", maintain_order=True).agg(
+        tasks=pl.len(), overlaps=over.len(), overlap_s=over.max().fill_null(0.0)
+    )
+    order = rows.select(pl.col("agent_name").unique(maintain_order=True))
+    return order.join(found, on="agent_name", how="left", maintain_order="left", nulls_equal=True)

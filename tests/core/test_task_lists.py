@@ -246,3 +246,12 @@ def test_role_tasks_is_refused_by_what_reads_no_task_lists(tmp_path: Path) -> No
     (logs / "cell.toml").write_text(source, encoding="utf-8")
     with pytest.raises(CyclekitError, match="task-list"):
         ingest([logs], tmp_path / "dataset")
+
+
+def test_of_many_agents_that_overlap_a_few_are_named() -> None:
+    rows = [(f"r{i}", begin, begin + 5.0) for i in range(10) for begin in (0.0, 1.0)]
+    table = pl.DataFrame(rows, schema=["agent_name", "t_s", "end_s"], orient="row")
+    said = examined(Recording(task_list=conform(table, TASK_LIST))).warnings
+    assert len(said) == 7
+    assert said[0] == "1 of 2 tasks of 'r0' start before its last one has ended, by up to 4.0 s"
+    assert said[-1] == "so do tasks of 4 other agents"

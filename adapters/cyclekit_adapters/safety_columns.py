@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 WHERE = "[sources.map] of a safety log"
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _OVERRIDE = re.compile(r"ovr|override")
-_DISTANCE = re.compile(r"dist(?:ance)?(?!inct|rib)|separation")
+_DISTANCE = re.compile(r"dist(?:ance|_|$|[cm]?m$|mean|min|\d)|separation")
 _DEVIATION = re.compile(r"(?:std|sd|stddev|deviation|sigma)$")
 _INDEX = {"index", "idx", "row", "seq", "unnamed0"}
 _LENGTH = re.compile(r"[ _.\[(](m|cm|mm)[\])]?$")

@@ -66,6 +66,7 @@ def test_override_and_distance_may_stand_in_one_log_in_millimetres(tmp_path):
         "time_s,distance,heart_rate",
         "time_s,mean,std",
         "override,distance",
+        "time_s,distortion",
         "time_s,q0,safe_ovr",
     ],
 )

@@ -346,3 +346,13 @@ def test_a_task_planner_of_a_research_cell(name, rows, executions):
     late = log.task_list["t_s"] - log.task_list["planned_start_s"]
     assert late.min() > -1.0  # a task waits for its planned start
     assert not ADAPTER.recognises(SAMPLES / "task_synergies.json")
+
+
+def test_a_date_a_name_and_a_status_beside_make_it_no_event_log(tmp_path):
+    path = table(
+        tmp_path / "a.csv",
+        "date,name,agent,t_start,t_end,status",
+        f"2023-07-31T19:57:11Z,pick,human,{T0},{T0 + 2},1",
+    )
+    assert [name for name, entry in adapters().items() if entry.adapter.recognises(path)] == ["task-list"]
+    assert read(path).task_list["outcome"].to_list() == ["done"]

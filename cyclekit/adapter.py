@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-Role = Literal["robot", "people", "events"]
+Role = Literal["robot", "people", "events", "tasks"]
 ClockKind = Literal["epoch", "uptime", "relative"]
 RowKind = Literal["line", "row", "message", "frame"]
-TABLES = ("robot", "people", "events", "skeletons", "stamps")
+TABLES = ("robot", "people", "events", "task_list", "safety", "skeletons", "stamps")
 """The fields of a `Recording` that are tables; each is kept by ingest under its name."""
 
 
@@ -58,6 +58,8 @@ class Recording:
         robot: Table ROBOT of `cyclekit.schema`, or None.
         people: Table PEOPLE, or None. An empty table means "recorded, and nobody was there".
         events: Table EVENTS, or None.
+        task_list: Table TASK_LIST, or None.
+        safety: Table SAFETY, or None.
         skeletons: Table SKELETONS, or None; only where `ReadOptions.skeletons` asks for it.
         stamps: Table STAMPS, or None: where the log holds a device's time and its host's, what each said.
         clock: `epoch` (s since 1970), `uptime` (since a controller or PC started) or `relative` (since the
@@ -75,6 +77,8 @@ class Recording:
     robot: pl.DataFrame | None = None
     people: pl.DataFrame | None = None
     events: pl.DataFrame | None = None
+    task_list: pl.DataFrame | None = None
+    safety: pl.DataFrame | None = None
     skeletons: pl.DataFrame | None = None
     stamps: pl.DataFrame | None = None
     clock: ClockKind = "relative"

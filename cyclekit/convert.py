@@ -37,6 +37,8 @@ TABLES: Mapping[str, Mapping[str, schema.Column]] = {
     "robot": schema.ROBOT,
     "people": schema.PEOPLE,
     "events": schema.EVENTS,
+    "task_list": schema.TASK_LIST,
+    "safety": schema.SAFETY,
     "skeletons": schema.SKELETONS,
 }
 GAP_PERIODS, GAP_S = 5.0, 0.25
@@ -75,7 +77,7 @@ def convert(
     Args:
         log: File, or folder that is one log.
         out: `.parquet` or `.csv`; replaced as a whole.
-        table: robot, people, events or skeletons; by default the first that the log has.
+        table: robot, people, events, task_list, safety or skeletons; by default the first that the log has.
         rate_hz: Rows a second: numbers are averaged over the length of one, texts are those in force at its end.
             By default every row of the log.
         columns: Columns to write; by default all that hold anything, `t_s` always.

@@ -3,7 +3,7 @@
     DATASET/dataset.json                                  schema version, provenance, executions, places, levels
     DATASET/recordings/<id>/{robot,people,events}.parquet native rate, SI, each log's own clock
     DATASET/samples/<session>.parquet                     `rate_hz`, one clock, one base frame
-    DATASET/tasks.parquet                                 one row per executed robot task
+    DATASET/tasks.parquet                                 one row per executed task
     DATASET/quarantine.parquet                            every row that was set aside, with file, row and reason
 
 A dataset is put in place as a whole (`atomic`). What goes into the tables is decided by `ingest`.
@@ -187,15 +187,42 @@ class Dataset:
             return schema.empty(schema.SAMPLES).lazy()
         return self._mine(self._files.scan(files, schema.SAMPLES, list(schema.SAMPLES)))
 
+    @property
+    def positions(self) -> tuple[str, ...]:
+        """Of whom places are known: `robot`, `people`."""
+        tables = {table for record in self.recordings for table in record["tables"]}
+        told = self.card.get("positions")
+        return tuple(told if told is not None else (whose for whose in ("robot", "people") if whose in tables))
+
+    def require_positions(self) -> None:
+        """Refuse a question about motion or places to a dataset that has neither.
+
+        Raises:
+            DatasetError: It was made of task lists, overrides or distances alone.
+        """
+        names = {"task_list": "task lists", "safety": "overrides or distances"}
+        held = [text for table, text in names.items() if any(table in record["tables"] for record in self.recordings)]
+        if held and not self.positions and not self.card["rows"]["samples"]:
+            look = command_line("inspect", self.place)
+            raise DatasetError(
+                f"{self.place}: made of {' and '.join(held)} alone: the positions of robot and people, which this "
+                "needs, were not logged",
+                cure=f"Ingest the robot's log with them. What is known: {look}",
+            )
+
     def tasks(self) -> pl.DataFrame:
-        """Return one row per executed robot task (table TASKS)."""
+        """Return one row per task found in the robot's motion (table TASKS)."""
+        return self.every_task().filter(pl.col("start_place").is_not_null())
+
+    def every_task(self) -> pl.DataFrame:
+        """Return one row per task of either agent, found in motion or from a task list (table TASKS)."""
         self._files.check_memory([self._files.whole(TASKS)], list(schema.TASKS))
         return self._files.collected(self._tasks(list(schema.TASKS)), TASKS)
 
     def done_tasks(self) -> pl.DataFrame:
-        """Return which tasks were done in which executions: execution, task, each pair once."""
-        rows = self._tasks(["execution", "task"]).unique(maintain_order=True)
-        return self._files.collected(rows, TASKS)
+        """Return which of the robot's tasks were done in which executions: execution, task, each pair once."""
+        rows = self._tasks(["execution", "task", "start_place"]).filter(pl.col("start_place").is_not_null())
+        return self._files.collected(rows.select("execution", "task").unique(maintain_order=True), TASKS)
 
     def quarantine(self) -> pl.DataFrame:
         """Return every row that was set aside (table QUARANTINE), in order of recording."""
@@ -297,7 +324,8 @@ class Dataset:
         return int(sum(one["end_s"] - one["start_s"] for one in entries) * self.rate_hz) + 2 * len(entries)
 
     def _tasks(self, columns: Sequence[str]) -> pl.LazyFrame:
-        return self._mine(self._files.scan([self._files.whole(TASKS)], schema.TASKS, columns))
+        file = self._files.whole(TASKS)
+        return self._mine(self._files.scan([file], schema.TASKS, columns, added=schema.ADDED_TO_TASKS))
 
     def _mine(self, rows: pl.LazyFrame) -> pl.LazyFrame:
         """Return the rows of the executions that the dataset holds, if it is only a part of what is on the disk."""

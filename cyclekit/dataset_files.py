@@ -79,13 +79,21 @@ class DatasetFiles:
         """
         return self._checked(name, None)
 
-    def scan(self, files: Sequence[Path], columns: Mapping[str, Column], wanted: Sequence[str]) -> pl.LazyFrame:
+    def scan(
+        self,
+        files: Sequence[Path],
+        columns: Mapping[str, Column],
+        wanted: Sequence[str],
+        *,
+        added: Mapping[str, str | None] | None = None,
+    ) -> pl.LazyFrame:
         """Return some columns of tables, unread.
 
         Args:
             files: Tables of the same columns, checked before.
             columns: Which type each column has.
             wanted: Which of them.
+            added: Columns that tables of earlier versions lack, and their value there.
 
         Raises:
             DatasetError: It is no table, or lacks a column, or one has another type.
@@ -93,8 +101,10 @@ class DatasetFiles:
         rows = pl.scan_parquet(list(files), glob=False)
         with reading(files[0], self._path):
             found = rows.collect_schema()
+        later = {name: value for name, value in (added or {}).items() if name in wanted and name not in found}
+        rows = rows.with_columns(pl.lit(value, columns[name].dtype).alias(name) for name, value in later.items())
         for name in wanted:
-            if found.get(name) != columns[name].dtype:
+            if name not in later and found.get(name) != columns[name].dtype:
                 seen = f"column {name!r} is {found[name]}" if name in found else f"no column {name!r}"
                 raise unreadable(files[0], self._path, f"{seen}, where {columns[name].dtype} is needed")
         return rows.select(wanted)

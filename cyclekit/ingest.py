@@ -34,7 +34,7 @@ from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.one_thread import one_thread
 from cyclekit.plain_json import finite
 from cyclekit.privacy import Names, numbered_logs, take_out
-from cyclekit.session import group_sessions, unpaired
+from cyclekit.session import WITHOUT_PLACES, group_sessions, unpaired
 from cyclekit.storage import is_url, mirrored, published
 from cyclekit.storage.cache import cached, of_file_url
 from cyclekit.tables import StoredTable
@@ -233,7 +233,7 @@ def _build(
     derived = derive(
         sessions, sources, native, stored, cell, staging / "samples", later, engine=wanted.engine, coarse=coarse
     )
-    derived.warnings.extend([*unpaired(sessions), *_unmatched(cell, wanted.logs)])
+    derived.warnings.extend([*unpaired(sessions), *_unmatched(cell, wanted.logs), *_without_places(entries)])
     digests.settle(entries)
     if names is not None:
         take_out(entries, names, staging)
@@ -305,12 +305,26 @@ def _card(
         "executions": derived.executions,
         "places": {name: _without_name(place) for name, place in derived.places.items()},
         "human_places": {name: _without_name(place) for name, place in derived.human_places.items()},
+        "positions": _placed(entries),
         "levels": list(derived.levels),
         "scaling_origin": derived.origin,
         "dynamics": asdict(derived.dynamics),
         "rows": {"samples": derived.samples, "tasks": derived.tasks.height},
         "warnings": derived.warnings,
     }
+
+
+def _without_places(entries: list[dict[str, Any]]) -> list[str]:
+    """Say so where nothing tells where the robot and the people were."""
+    if all(set(entry["tables"]) <= WITHOUT_PLACES for entry in entries):
+        return ["no positions: nothing tells where robot and people were, so no motion or safety can be learned"]
+    return []
+
+
+def _placed(entries: list[dict[str, Any]]) -> list[str]:
+    """Return of whom the recordings hold places."""
+    placed = [entry["tables"] for entry in entries if entry.get("positions") is not False]
+    return [whose for whose in ("robot", "people") if any(whose in tables for tables in placed)]
 
 
 def _without_name(place: object) -> dict[str, Any]:

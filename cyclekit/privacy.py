@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from cyclekit.config import Cell
     from cyclekit.discover import Log
 
+_SHIFTED = {"task_list": ("t_s", "end_s", "planned_start_s", "planned_end_s")}
+"""Columns of times of the log's clock, of tables that have others than `t_s`."""
 GONE = "…"
 """Stands where a name or a time was."""
 YEAR_S = 366 * 86400.0
@@ -67,12 +69,17 @@ class Nameless:
         """
         self._keep = keep
         self._numbers: dict[str, str] = {}
+        self._execution_numbers: dict[str, str] = {}
         self._spans: dict[str, tuple[float, float]] = {}
 
     def part(self, recording: Recording) -> Recording:
         """Return a part of the recording with numbered people, and without facts."""
         tables = recording.tables()
         changed = {name: self._numbered(table) for name, table in tables.items() if "person" in table.columns}
+        if "task_list" in tables:
+            changed["task_list"] = self._nameless_tasks(tables["task_list"])
+        if "safety" in tables:
+            changed["safety"] = tables["safety"].with_columns(self._executions(tables["safety"]))
         if "events" in tables:
             changed["events"] = tables["events"].with_columns(map(_timeless, ("signal", "value")))
         for name, table in tables.items():
@@ -98,6 +105,28 @@ class Nameless:
         if last - first > YEAR_S:
             cause = "its times lie more than a year apart, so its clock was set while it recorded; that tells the date"
             raise LogError(path, cause, cure="Split the log there, or ingest without --pseudonymise.")
+
+    def _nameless_tasks(self, table: pl.DataFrame) -> pl.DataFrame:
+        """Return a task list in which operators and executions are numbered, also in the names of tasks."""
+        operators = table.filter(pl.col("agent") == "operator")["agent_name"].drop_nulls().unique(maintain_order=True)
+        for name in operators:
+            self._numbers.setdefault(name, f"person_{len(self._numbers) + 1}")
+        agents = pl.col("agent_name").replace(self._numbers) if self._numbers else pl.col("agent_name")
+        tasks = pl.col("task").map_elements(self._task, return_dtype=pl.String)
+        return table.with_columns(agents, tasks, _timeless("outcome"), self._executions(table))
+
+    def _task(self, text: str) -> str:
+        for name in sorted(self._numbers, key=len, reverse=True):
+            text = text.replace(name, self._numbers[name]) if len(name) > 2 else text
+        return without_times(text)
+
+    def _executions(self, table: pl.DataFrame) -> pl.Expr:
+        """Return the column of executions, numbered: their names tell when they were, and sometimes whose."""
+        for name in table["execution"].drop_nulls().unique(maintain_order=True):
+            self._execution_numbers.setdefault(name, f"execution_{len(self._execution_numbers) + 1}")
+        if not self._execution_numbers:
+            return pl.col("execution")
+        return pl.col("execution").replace_strict(self._execution_numbers, default=None, return_dtype=pl.String)
 
     def _numbered(self, table: pl.DataFrame) -> pl.DataFrame:
         for name in table["person"].drop_nulls().unique(maintain_order=True).to_list():
@@ -206,7 +235,8 @@ def take_out(entries: Sequence[dict[str, Any]], names: Names, staging: Path) -> 
             entry["rows"] = {name: count for name, count in entry["rows"].items() if name != "stamps"}
         clock, shift_s = entry["clock"], entry["first_s"]
         for name in entry["tables"] if shift_s else ():
-            shift_times(folder / f"{name}.parquet", shift_s)
+            for column in _SHIFTED.get(name, ("t_s",)):
+                shift_times(folder / f"{name}.parquet", shift_s, column=column)
         offset_s = clock["offset_s"] + clock["rate"] * shift_s
         if abs(offset_s) > YEAR_S:
             seen = f"{log.shown}: begins more than a year apart from the robot's log; one of their clocks was not set"

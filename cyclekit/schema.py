@@ -1,8 +1,8 @@
 """The canonical tables: every column, its type, its unit and what it means.
 
-Adapters fill ROBOT, PEOPLE and EVENTS (SKELETONS and STAMPS where there are any); ingest makes SAMPLES and TASKS of
-them, and QUARANTINE of what it sets aside. A null always means "unknown", never zero. What is computed from the columns
-is the business of the rooms that use them.
+Adapters fill ROBOT, PEOPLE, EVENTS, TASK_LIST and SAFETY (SKELETONS and STAMPS where there are any); ingest makes
+SAMPLES and TASKS of them, and QUARANTINE of what it sets aside. A null always means "unknown", never zero. What is
+computed from the columns is the business of the rooms that use them.
 """
 
 from __future__ import annotations
@@ -63,6 +63,30 @@ EVENTS: Mapping[str, Column] = {
     "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
 }
 
+TASK_LIST: Mapping[str, Column] = {
+    "t_s": Column(F64, "s", "start of the task, the log's own clock"),
+    "end_s": Column(F64, "s", "its end, the log's own clock; null = not logged"),
+    "agent": Column(TEXT, "", "who did it: robot or operator"),
+    "agent_name": Column(TEXT, "", "the agent's name in the log"),
+    "task": Column(TEXT, "", "the task's name"),
+    "execution": Column(TEXT, "", "the execution's name in the log; null = not logged"),
+    "planned_start_s": Column(F64, "s", "planned start, the log's own clock; null = not logged"),
+    "planned_end_s": Column(F64, "s", "planned end, the log's own clock; null = not logged"),
+    "outcome": Column(TEXT, "", "done, failed, or the log's own word; null = not logged"),
+    "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
+}
+"""A task list: who did which task from when to when. It holds no positions."""
+
+SAFETY: Mapping[str, Column] = {
+    "t_s": Column(F64, "s", "time in the log's own clock"),
+    "override": Column(F64, "1", "speed override of the safety system in [0,1]; null = not logged"),
+    "distance_m": Column(F64, "m", "distance robot to person as the safety system logged it; null = not logged"),
+    "distance_sd_m": Column(F64, "m", "its standard deviation, where logged"),
+    "execution": Column(TEXT, "", "the execution's name in the log; null = not logged"),
+    "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
+}
+"""What a safety system logs of itself: override, distance or both, without positions."""
+
 SKELETONS: Mapping[str, Column] = {
     "t_s": Column(F64, "s", "time in the log's own clock"),
     "person": Column(TEXT, "", "track id, as in PEOPLE"),
@@ -112,20 +136,35 @@ SAMPLES: Mapping[str, Column] = {
 
 TASKS: Mapping[str, Column] = {
     "execution": Column(TEXT, "", "which execution of the process"),
-    "index": Column(pl.Int32(), "", "0-based order within the execution"),
-    "task": Column(TEXT, "", "`start->goal`"),
-    "start_place": Column(TEXT, "", "where the motion starts"),
+    "index": Column(pl.Int32(), "", "0-based order within the execution, of each agent by itself"),
+    "task": Column(TEXT, "", "`start->goal`, or its name in a task list"),
+    "start_place": Column(TEXT, "", "where the motion starts; null = of a task list"),
     "goal_place": Column(TEXT, "", "where it ends and the dwell happens"),
-    "start_s": Column(F64, "s", "start of the motion, session time"),
-    "arrival_s": Column(F64, "s", "end of the motion, session time"),
-    "end_s": Column(F64, "s", "end of dwell and wait, session time"),
+    "start_s": Column(F64, "s", "start of the motion, or of a listed task, session time"),
+    "arrival_s": Column(F64, "s", "end of the motion, session time; null = of a task list"),
+    "end_s": Column(F64, "s", "end of dwell and wait, or of a listed task, session time; null = not logged"),
     "nominal_s": Column(F64, "s", "duration of the motion at full speed; null = scaling unknown"),
     "slider_loss_s": Column(F64, "s", "time lost to the operator's speed slider: integral of s (1 - slider)"),
     "safety_loss_s": Column(F64, "s", "time lost to the safety system: integral of (1 - s) over the motion"),
     "dwell_s": Column(F64, "s", "process time at the goal"),
     "wait_s": Column(F64, "s", "standstill beyond dwell, or with the program paused, not explained by safety"),
+    "agent": Column(TEXT, "", "who did it: robot or operator"),
+    "agent_name": Column(TEXT, "", "the agent's name in a task list; null = found in the robot's motion"),
+    "planned_start_s": Column(F64, "s", "planned start, session time; null = not logged"),
+    "planned_end_s": Column(F64, "s", "planned end, session time; null = not logged"),
+    "outcome": Column(TEXT, "", "done, failed, or the log's own word; null = not logged"),
 }
-"""One row per executed robot task: nominal + slider loss + safety loss + dwell + wait = end - start."""
+"""One row per executed task. Where it was found in the robot's motion, nominal + slider loss + safety loss + dwell +
+wait = end - start. Of a task list only start, end and plan are known: no places, no motion, no split of the time."""
+
+ADDED_TO_TASKS: Mapping[str, str | None] = {
+    "agent": "robot",
+    "agent_name": None,
+    "planned_start_s": None,
+    "planned_end_s": None,
+    "outcome": None,
+}
+"""Columns that datasets of earlier versions lack, and what they would hold there."""
 
 SCALING_GAPS = (
     "standing",

@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 
     _Key = tuple[str, int, tuple[str, ...]]
 
+WITHOUT_PLACES = {"task_list", "safety"}
+"""Tables that hold no positions."""
+LISTED = "task list: "
+"""How a warning of a recording begins that was found when its tasks were put beside the robot's."""
+
 
 @dataclass
 class Session:
@@ -74,7 +79,9 @@ def group_sessions(
 def unpaired(sessions: list[Session]) -> list[str]:
     """Return what to say where robot logs without people lie beside logs without a robot; nothing if all is well."""
     tables = [(session, {table for entry in session.entries for table in entry["tables"]}) for session in sessions]
-    robots = [session for session, kinds in tables if "people" not in kinds and not session.reference]
+    robots = [
+        session for session, kinds in tables if "robot" in kinds and "people" not in kinds and not session.reference
+    ]
     others = [session for session, kinds in tables if "robot" not in kinds]
     if not robots or not others:
         return []
@@ -134,7 +141,23 @@ def _in_folder(folder: str, robots: list[dict[str, Any]], others: list[dict[str,
             f"{folder or 'the logs'}: {len(robots)} robot logs and {len(others)} others, unclear which belong together"
         )
         raise ConfigError(msg, cure=f"Put each session into a folder of its own ({', '.join(every[:4])}, …).")
-    return [[entry] for entry in robots + others]
+    return [[entry] for entry in robots] + _at_one_time(others)
+
+
+def _at_one_time(entries: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    """Put task lists and safety logs in epoch time together that were recorded at the same time; others stay alone."""
+    groups: list[list[dict[str, Any]]] = []
+    until_s = float("-inf")
+    for entry in sorted(filter(_has_own_time, entries), key=lambda entry: float(entry["first_s"])):
+        if not groups or entry["first_s"] > until_s:
+            groups.append([])
+        groups[-1].append(entry)
+        until_s = max(until_s, entry["last_s"])
+    return groups + [[entry] for entry in entries if not _has_own_time(entry)]
+
+
+def _has_own_time(entry: dict[str, Any]) -> bool:
+    return set(entry["tables"]) <= WITHOUT_PLACES and entry["clock"]["kind"] == "epoch"
 
 
 def _session_name(group: list[dict[str, Any]], taken: set[str]) -> str:

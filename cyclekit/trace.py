@@ -81,6 +81,7 @@ def trace(dataset: Dataset, execution: str, at_s: float, *, logs: Path | str | N
         UnknownName: There is no such execution.
         DatasetError: It has no samples, or `at_s` is after its end.
     """
+    dataset.require_positions()
     name = dataset.find_execution(execution)
     entry = next(entry for entry in dataset.card["executions"] if entry["execution"] == name)
     if at_s > (length_s := float(entry["end_s"]) - float(entry["start_s"])):

@@ -86,6 +86,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
         DatasetError: The dataset lacks what training needs; the message says what.
         MissingExtra: torch is not installed.
     """
+    dataset.require_positions()
     need_torch()
     from cyclekit.models.fitting import fit  # here, so that this module can be imported without torch
 

@@ -124,7 +124,9 @@ def _execute(name: str, start_s: float, rounds: int, operator: _Operator | None)
         tasks.append(
             [name, index, f"{start}->{goal}", start, goal, *edges, motion_s - loss_s, 0.0, loss_s, DWELL_S, 0.0]
         )
-    done = pl.DataFrame(tasks, schema=list(schema.TASKS), orient="row")
+    done = pl.DataFrame(
+        tasks, schema=[name for name in schema.TASKS if name not in schema.ADDED_TO_TASKS], orient="row"
+    )
     return _native(name, start_s, rows), done
 
 

@@ -181,6 +181,24 @@ def azure_kinect(folder: Path, frames: int = 4) -> Path:
     return dumped(folder / "out.json", about | {"k4abt_sdk_version": "1.1.2"})
 
 
+def task_list(folder: Path, frames: int = 4) -> Path:
+    rows = [f"1,{('human', 'ur5')[i % 2]},t{i},{i}.5,{i}.75" for i in range(frames)]
+    return _lines(folder / "tasks.csv", ["run,agent,task,start_s,end_s", *rows])
+
+
+def planner(folder: Path, frames: int = 4) -> Path:
+    return dumped(
+        folder / "tasks.json",
+        [{"agent": "r", "name": "t", "t_start": i + 0.5, "t_end": i + 1.0} for i in range(frames)],
+    )
+
+
+def safety_log(folder: Path, frames: int = 4) -> Path:
+    return _lines(
+        folder / "ovr.csv", [",Timestamp,Safe_Ovr", *(f"{i},{i}.500000,{100 - i}.000" for i in range(frames))]
+    )
+
+
 WRITERS: dict[str, Callable[[Path, int], Path]] = {
     "motive": motive,
     "qualisys": qualisys,
@@ -192,6 +210,7 @@ WRITERS: dict[str, Callable[[Path, int], Path]] = {
     "pose-rows": pose_rows,
     "ur-split": ur_split,
     "events": events,
+    "safety-log": safety_log,
 }
 """Adapter -> writer of a log of that many frames, for those whose logs may be larger than memory."""
 
@@ -202,6 +221,8 @@ ALL_WRITERS: list[tuple[str, Callable[[Path, int], Path]]] = [
     ("ur-nist", ur_nist),
     ("kuka-rsi", kuka_rsi),
     ("franka-log", franka_log),
+    ("task-list", task_list),
+    ("task-list", planner),
     ("mediapipe", mediapipe),
     ("zed", zed),
     ("azure-kinect", azure_kinect),

@@ -15,11 +15,11 @@ from cyclekit_adapters.delimited import delimiter_of, fields_of, unique
 from cyclekit_adapters.text_blocks import HEAD_BYTES
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Container, Sequence
 
     from cyclekit.adapter import ClockKind
 
-_TIMES = {
+TIME_NAMES = {
     *("t", "time", "timestamp", "timestring", "datetime", "dateandtime", "utc", "utctime", "localtime", "when"),
     *("epoch", "epochtime", "unixtime", "unixtimestamp", "zeit", "zeitstempel", "zeitpunkt", "uhrzeit", "datumzeit"),
     *("datumuhrzeit", "datumundzeit", "datumunduhrzeit", "timeofday"),
@@ -101,7 +101,7 @@ def event_table(head: str) -> EventTable | None:
         lines.pop()  # it may be cut
     names = unique(cell.strip().strip('"') for cell in fields_of(lines[0], delimiter))
     stems = {name: _stem(name)[0] for name in names}
-    if not any(stem in _TIMES or stem in _DATES for stem in stems.values()):
+    if not any(stem in TIME_NAMES or stem in _DATES for stem in stems.values()):
         return None
     said = set(stems.values())
     if not (said & _SIGNALS and said & (_VALUES[0] | _VALUES[1])) and not _may_be_wide(lines[1:2], stems, delimiter):
@@ -116,7 +116,7 @@ def _may_be_wide(first: list[str], stems: dict[str, str], delimiter: str) -> boo
     """Tell whether the first row is a time and states, before all the others are looked at."""
     cells = [cell.strip().lower() for line in first for cell in fields_of(line, delimiter)]
     pairs = zip(cells, stems.values(), strict=False)
-    return all(cell in _DIGITAL or not cell or stem in _TIMES or stem in _DATES for cell, stem in pairs)
+    return all(cell in _DIGITAL or not cell or stem in TIME_NAMES or stem in _DATES for cell, stem in pairs)
 
 
 def _long(
@@ -136,7 +136,7 @@ def _long(
 def _wide(
     names: tuple[str, ...], stems: dict[str, str], cells: dict[str, list[str]], delimiter: str
 ) -> EventTable | None:
-    clock = [name for name in names if stems[name] in _TIMES or stems[name] in _DATES]
+    clock = [name for name in names if stems[name] in TIME_NAMES or stems[name] in _DATES]
     signals = tuple(name for name in names if name not in clock)
     seen = {name: {cell.lower() for cell in cells[name]} - {""} for name in signals}
     if (
@@ -155,12 +155,21 @@ def _wide(
 
 
 def _stem(name: str) -> tuple[str, str | None]:
-    """Return a column's name without blanks, case and unit, and that unit: `Time [ms]` is ("time", "ms")."""
+    return stem_of(name, TIME_NAMES)
+
+
+def stem_of(name: str, times: Container[str]) -> tuple[str, str | None]:
+    """Return a column's name without blanks, case and unit, and that unit: `Time [ms]` is ("time", "ms").
+
+    Args:
+        name: As the header has it.
+        times: Such names of times; no other name is taken apart.
+    """
     lower = name.lower()
     if found := _IN_UNIT.match(lower):
         unit = _UNIT_WORDS.get(found[2] or found[3] or "")
         stem = _PLAIN.sub("", found[1])
-        if unit and stem in _TIMES:
+        if unit and stem in times:
             return stem, unit
     return _PLAIN.sub("", lower), None
 
@@ -168,7 +177,7 @@ def _stem(name: str) -> tuple[str, str | None]:
 def _times(names: Sequence[str], stems: dict[str, str], cells: dict[str, list[str]], delimiter: str) -> Times | None:
     """Return the best of the time columns: a date with its time, a count since 1970, then any other."""
     dates = [name for name in names if stems[name] in _DATES]
-    clocks = [name for name in names if stems[name] in _TIMES]
+    clocks = [name for name in names if stems[name] in TIME_NAMES]
     found = [times for name in (*clocks, *dates) if (times := _times_of((name,), stems, cells, delimiter))]
     if dates and clocks and (both := _times_of((dates[0], clocks[0]), stems, cells, delimiter)):
         found.insert(0, both)
@@ -183,16 +192,37 @@ def _times_of(
     shown = [text for row in rows if (text := " ".join(cell.strip('"') for cell in row).strip())]
     if not shown:
         return None
+    is_date = len(columns) > 1 or stems[columns[0]] in _DATES
+    return times_of(columns, shown, _stem(columns[0])[1], decimal_comma=delimiter != ",", only_written=is_date)
+
+
+def times_of(
+    columns: tuple[str, ...],
+    shown: Sequence[str],
+    unit: str | None,
+    *,
+    decimal_comma: bool = False,
+    only_written: bool = False,
+) -> Times | None:
+    """Return how times are read, None if they are none.
+
+    Args:
+        columns: Where they stand.
+        shown: Some of them as written, one at least.
+        unit: Of numbers, as the column's name has it.
+        decimal_comma: A number may be written `0,5`.
+        only_written: Numbers are no times here.
+    """
     if all(found := [_WRITTEN.match(text) for text in shown]):
         return _written(columns, shown, [match for match in found if match])
-    numbers = [_number(text, delimiter) for text in shown]
-    if len(columns) > 1 or any(number is None for number in numbers) or stems[columns[0]] in _DATES:
+    numbers = [_number(text, decimal_comma=decimal_comma) for text in shown]
+    if only_written or any(number is None for number in numbers):
         slashes = any(re.match(r"\d{1,2}/\d{1,2}/\d{2,4}\b", text) for text in shown)
         return Times(columns, "", None, "relative", "month and day cannot be told apart", shown[0]) if slashes else None
-    return _counted(columns, shown, [number for number in numbers if number is not None])
+    return _counted(columns, unit, shown, [number for number in numbers if number is not None])
 
 
-def _written(columns: tuple[str, ...], shown: list[str], found: list[re.Match[str]]) -> Times | None:
+def _written(columns: tuple[str, ...], shown: Sequence[str], found: list[re.Match[str]]) -> Times | None:
     if len({match[1] is None for match in found}) > 1:
         return None
     day, clock = found[0][1], found[0][2]
@@ -208,8 +238,7 @@ def _written(columns: tuple[str, ...], shown: list[str], found: list[re.Match[st
     return Times(columns, pattern, 1.0, "epoch" if zoned else "relative", why, shown[0])
 
 
-def _counted(columns: tuple[str, ...], shown: list[str], numbers: list[float]) -> Times:
-    unit = _stem(columns[0])[1]
+def _counted(columns: tuple[str, ...], unit: str | None, shown: Sequence[str], numbers: list[float]) -> Times:
     if unit is not None:
         return counted_in(columns, unit, "by the column's name", numbers, shown[0])
     for name, seconds in UNITS.items():
@@ -228,9 +257,9 @@ def counted_in(columns: tuple[str, ...], unit: str, why: str, numbers: Sequence[
     return Times(columns, "", seconds, "epoch" if since_1970 else "relative", said, shown)
 
 
-def _number(text: str, delimiter: str) -> float | None:
+def _number(text: str, *, decimal_comma: bool) -> float | None:
     try:
-        value = float(text.replace(",", ".") if delimiter != "," else text)
+        value = float(text.replace(",", ".") if decimal_comma else text)
     except ValueError:
         return None
     return value if abs(value) < 1e19 else None

@@ -21,7 +21,9 @@ from cyclekit.schema import EVENTS, conform, empty
 from cyclekit_adapters.delimited import Layout, Rows, read_blocks
 from cyclekit_adapters.event_table import UNITS, EventTable, Times, counted_in, event_table
 from cyclekit_adapters.in_parts import in_parts
+from cyclekit_adapters.safety_columns import is_safety_log
 from cyclekit_adapters.source_map import words
+from cyclekit_adapters.task_columns import is_task_list
 from cyclekit_adapters.text_blocks import file_encoding, head_of
 from cyclekit_adapters.written_time import written_seconds
 
@@ -30,14 +32,15 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _WHERE = "[sources.map] of an event log"
-_T = "\x1ft_s"  # a name that no column of a file has
+T_S = "\x1ft_s"  # a name that no column of a file has
 _WHEN = "\x1fwhen"
 
 
 class _EventCsv:
     def recognises(self, path: Path) -> bool:
         head = head_of(path)
-        return bool(head) and event_table(head) is not None
+        table = event_table(head) if head else None
+        return table is not None and not is_task_list(table.names) and not is_safety_log(path.name, table.names)
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         return whole(self.stream(path, options))
@@ -49,9 +52,9 @@ class _EventCsv:
         clock = "epoch" if times.clock == "epoch" or (zone and _has_date(times)) else "relative"
 
         def make(rows: Rows) -> Recording:
-            rows = _timed(rows, times, zone)
+            rows = timed(rows, times, zone)
             events = seen.changes(rows.frame, table.signals) if table.signals else _long(rows.frame, table)
-            seen.clock(rows.frame[_T])
+            seen.clock(rows.frame[T_S])
             return Recording(
                 events=events,
                 clock=clock,  # type: ignore[arg-type]  # one of two words
@@ -90,7 +93,8 @@ def _said(options: ReadOptions) -> tuple[str | None, str | None]:
     zone = rest.pop("time_zone", None)
     unit = words(replace(options, map=rest), "event", {"time_unit": tuple(UNITS), "time_zone": ()}).get("time_unit")
     if options.role not in (None, "events"):
-        raise ConfigError(f"an event log cannot be read as {options.role}", cure='Map it with adapter = "csv".')
+        other = "task-list" if options.role == "tasks" else "csv"
+        raise ConfigError(f"an event log cannot be read as {options.role}", cure=f'Map it with adapter = "{other}".')
     if zone is not None and zone not in available_timezones():
         cure = "As in the IANA list: Europe/Rome."
         raise UnknownName(_WHERE, "time_zone", str(zone), available_timezones(), cure=cure)
@@ -118,15 +122,15 @@ def _table(path: Path, unit: str | None) -> EventTable:
     return replace(table, times=times)
 
 
-def _timed(rows: Rows, times: Times, zone: str | None) -> Rows:
-    """Add the time in seconds; a row whose time is written otherwise is set aside."""
+def timed(rows: Rows, times: Times, zone: str | None) -> Rows:
+    """Add the time in seconds (column `T_S`); a row whose time is written otherwise is set aside."""
     frame = rows.frame
     if not times.pattern:
-        return replace(rows, frame=frame.with_columns((pl.col(times.columns[0]) * times.seconds).alias(_T)))
+        return replace(rows, frame=frame.with_columns((pl.col(times.columns[0]) * times.seconds).alias(T_S)))
     text = pl.concat_str(pl.col(times.columns), separator=" ").str.replace(r"([+-]\d{2})(\d{2})$", "$1:$2")
     plain = text.str.replace(",", ".", literal=True).str.replace(". ", " ", literal=True)  # 01.05.2024, 10:00
-    frame = frame.with_columns(text.alias(_WHEN), written_seconds(plain, times.pattern, zone).alias(_T))
-    bad = frame[_T].is_null()
+    frame = frame.with_columns(text.alias(_WHEN), written_seconds(plain, times.pattern, zone).alias(T_S))
+    bad = frame[T_S].is_null()
     first = frame.filter(bad)[_WHEN][:1].to_list()
     rows = replace(rows, frame=frame).without(
         bad, f"its time is written in another way ({first[0][:40]!r})" if first else ""
@@ -136,7 +140,7 @@ def _timed(rows: Rows, times: Times, zone: str | None) -> Rows:
 
 def _long(frame: pl.DataFrame, table: EventTable) -> pl.DataFrame:
     signal, value = pl.col(str(table.signal)).alias("signal"), pl.col(str(table.value)).alias("value")
-    return conform(frame.select(pl.col(_T).alias("t_s"), signal, value, "source_row"), EVENTS)
+    return conform(frame.select(pl.col(T_S).alias("t_s"), signal, value, "source_row"), EVENTS)
 
 
 @dataclass
@@ -158,7 +162,9 @@ class _Seen:
         """Return the first state of each signal and every change, in order of the rows."""
         found = [empty(EVENTS)]
         for name in signals:
-            known = frame.select(pl.col(_T).alias("t_s"), pl.col(name).alias("value"), "source_row").drop_nulls("value")
+            known = frame.select(pl.col(T_S).alias("t_s"), pl.col(name).alias("value"), "source_row").drop_nulls(
+                "value"
+            )
             if known.is_empty():
                 continue
             same = (known["value"] == known["value"].shift(1, fill_value=self._states.get(name))).fill_null(value=False)

@@ -72,6 +72,19 @@ def parts(pieces: Iterable[str], *, inside: str | None = None) -> Iterator[tuple
             raise BrokenJson(text.place, f"{rest!r} follows the end of the document")
 
 
+def documents(pieces: Iterable[str]) -> Iterator[object]:
+    """Yield one document after the other: JSON lines, or whole objects written one behind the other.
+
+    Raises:
+        BrokenJson: One is cut or garbled; what was yielded before is whole.
+    """
+    text = _Text(pieces)
+    while text.next():
+        if not text.shown().strip("\0"):
+            return
+        yield text.value()
+
+
 class _Text:
     """The document: what was read of it and not yet taken."""
 

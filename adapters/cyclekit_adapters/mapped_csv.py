@@ -52,6 +52,9 @@ class _MappedCsv:
     def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
         mapping = csv_map(options)
         role = options.role or mapping.role()
+        if role == "tasks":
+            cure = 'Give adapter = "task-list" in its place, with the columns in [sources.map].'
+            raise ConfigError(f"{path}: a mapped table cannot be read as tasks", cure=cure)
         table, columns = _found(path, mapping, role)
         mapping, names = columns.mapping, columns.names
         if not mapping.time and not options.rate_hz:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from cyclekit.cards.quantities import Card, Count, Digest, Hertz, Length, Name, Point, Scaling, Seconds, ascending
 from cyclekit.cards.recording import RecordingCard
 from cyclekit.cards.settings import CellSettings
@@ -17,6 +19,7 @@ class ExecutionCard(Card, frozen=True, kw_only=True):
         complete: The log shows all of it.
         reference: Recorded with nobody in the cell, as the cell file says.
         places: Where the robot stopped, in order.
+        logged_as: Its name in a task list; None where there is none.
     """
 
     execution: Name
@@ -26,6 +29,7 @@ class ExecutionCard(Card, frozen=True, kw_only=True):
     complete: bool
     reference: bool = False
     places: tuple[str, ...] = ()
+    logged_as: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse an execution that ends before it begins.
@@ -108,6 +112,7 @@ class DatasetCard(Card, frozen=True, kw_only=True):
         not_read: Files that were found and not used.
         executions: In the order of sessions and time.
         places, human_places: Of the robot and the operator, by name.
+        positions: Of whom places are known: robot, people; None = an earlier version did not say.
         levels: Of the speed scaling, ascending; empty where none were found.
         scaling_origin: `logged`, `inferred`, both joined by "and"; None without a scaling.
         dynamics: The safety function in time.
@@ -130,6 +135,7 @@ class DatasetCard(Card, frozen=True, kw_only=True):
     executions: tuple[ExecutionCard, ...]
     places: dict[str, PlaceCard]
     human_places: dict[str, PlaceCard]
+    positions: tuple[Literal["robot", "people"], ...] | None = None
     levels: tuple[Scaling, ...]
     scaling_origin: str | None = None
     dynamics: DynamicsCard = DynamicsCard()

@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from cyclekit.cards.quantities import Card, Count, Digest, Duration, Name, Point, Rotation, Seconds
 
-Table = Literal["robot", "people", "events", "skeletons", "stamps"]
+Table = Literal["robot", "people", "events", "task_list", "safety", "skeletons", "stamps"]
 """Tables that a log may give."""
 ClockMethod = Literal[
     "own",
@@ -130,6 +130,7 @@ class LogCard(Card, frozen=True, kw_only=True):
         tables: Which tables it has.
         sources: Its files; one, or all of a folder that is one log.
         adapter, adapter_package, adapter_version: Who read it.
+        positions: It holds places of the robot or of people; None = an earlier version did not say.
         up: Axis that points up in the frame of its people.
         joint_names: Of the joints q0, q1, ...
         rows: Rows kept, by table.
@@ -152,6 +153,7 @@ class LogCard(Card, frozen=True, kw_only=True):
     adapter_version: str
     clock: LogClock
     frame: FrameCard
+    positions: bool | None = None
     up: Literal["y", "z"]
     joint_names: tuple[str, ...]
     rows: dict[Table, Count]

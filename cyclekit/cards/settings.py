@@ -44,7 +44,7 @@ class SourceSettings(Card, frozen=True, kw_only=True):
 
     path: str
     adapter: str | None = None
-    role: Literal["robot", "people", "events"] | None = None
+    role: Literal["robot", "people", "events", "tasks"] | None = None
     clock_offset_s: Seconds | None = None
     clock_rate: float = 1.0
     sync: SyncSettings | None = None

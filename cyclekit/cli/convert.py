@@ -20,7 +20,8 @@ def convert(
     log: Annotated[Path, typer.Argument(help="A log: a file, or a folder that is one.", metavar="LOG")],
     out: Annotated[Path, typer.Option(help="The table, .parquet or .csv.", metavar="FILE")],
     table: Annotated[
-        str | None, typer.Option(help="robot, people, events or skeletons; default: the first there is.")
+        str | None,
+        typer.Option(help="robot, people, events, task_list, safety, skeletons; default: the first there is."),
     ] = None,
     rate: Annotated[
         float | None, typer.Option(help="Rows a second, averaged; default: every row.", metavar="HZ")

@@ -7,6 +7,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.cli.groups import grouped
+from cyclekit.cli.lists import safety_lines, task_list_tables
 from cyclekit.cli.terminal import bullet, duration, percent, table
 from cyclekit.plain_text import one_line
 
@@ -104,20 +105,24 @@ def _log(log: LogFacts) -> str:
     if log.levels:
         shown = ", ".join(f"{v:.2f} ({percent(s)})" for v, s in zip(log.levels, log.level_share, strict=True))
         lines.append(bullet([f"{shown} of the rows with a known scaling"], mark="  scaling   "))
+    if log.safety:
+        lines += safety_lines(log.safety)
     lines += [bullet([shorten(value)], mark=f"  {key}: ") for key, value in log.facts.items() if value]
+    if log.task_list:
+        lines.append("\n" + task_list_tables(log.task_list) + "\n")
     notes = bullet(log.warnings, mark="  ! ")
     return "\n".join(lines) + (f"\n{notes}" if notes else "")
 
 
 def _table(name: str, facts: TableFacts) -> list[str]:
-    rate = "" if name == "events" else f"{_rate(facts)}, "
+    rate = "" if name in ("events", "task_list") else f"{_rate(facts)}, "
     lines = [f"  {name:<9} {facts.rows} rows, {rate}{duration(facts.duration_s)}", *_steps(facts)]
     always = _columns([column for column, share in facts.known.items() if share == 1])
     partly = [f"{column} {percent(share)}" for column, share in facts.known.items() if share < 1]
     for title, columns in (("columns", always), ("partly known", partly)):
         if columns:
             lines.append(bullet([", ".join(columns)], mark=f"            {title}: "))
-    return [*lines, f"            gaps: {_gaps(facts.gaps)}"]
+    return lines if name == "task_list" else [*lines, f"            gaps: {_gaps(facts.gaps)}"]
 
 
 def _columns(names: Sequence[str]) -> list[str]:
@@ -139,14 +144,10 @@ def _gaps(gaps: Sequence[Gap]) -> str:
 def _dataset(found: DatasetDescription) -> str:
     complete = found.executions - found.executions_complete
     cut = f" ({complete} cut by the start or the end of a log)" if complete else ""
-    inferred = f", {percent(found.scaling_inferred)} of that inferred" if found.scaling_inferred else ""
     head = [
         f"{found.path}: dataset, schema version {found.schema_version}",
         f"  executions  {found.executions}{cut}, {duration(found.duration_s)} in all",
-        f"  samples     {found.samples} at {found.rate_hz:g} Hz; operator seen in {percent(found.operator_seen)}",
-        f"  scaling     known in {percent(found.scaling_known)} of them{inferred}",
-        f"  in motion   known in {percent(found.motion_covered)} of the samples{_deviation(found)}",
-        *([bullet([_reasons(found.scaling_gaps)], mark="  unknown     ")] if found.scaling_gaps else []),
+        *(_of_samples(found) if found.samples else ["  positions   none: neither of the robot nor of people"]),
         f"  recordings  {found.recordings}, from {found.sources} source files",
     ]
     head += [bullet([reason], mark=f"  set aside   {count} rows: ") for reason, count in found.set_aside.items()]
@@ -155,18 +156,30 @@ def _dataset(found: DatasetDescription) -> str:
         for level, share in zip(found.levels, found.level_share, strict=True)
     ]
     parts = ["\n".join(head)]
-    parts.append(
-        table(["scaling level ", "of those on a level", "of all samples"], levels)
-        if levels
-        else "no staircase levels found"
-    )
+    parts += ["\n".join([f"safety system, {name}", *safety_lines(facts)]) for name, facts in found.safety.items()]
+    if levels:
+        parts.append(table(["scaling level ", "of those on a level", "of all samples"], levels))
+    elif found.samples:
+        parts.append("no staircase levels found")
     parts += [_places("robot place ", found.places), _places("operator place ", found.human_places)]
-    parts.append(_tasks(found.tasks))
+    if found.samples:
+        parts.append(_tasks(found.tasks))
+    parts.append(task_list_tables(found.task_list) if found.task_list else "")
     parts += [_clocks(found.clocks), _operator(found.operator)]
     silences = [f"gaps in {name}: {_gaps(gaps)}" for name, gaps in found.gaps.items()]
     parts.append(bullet(_some(silences, SHOWN_FILES)))
     parts.append(bullet(_some(found.warnings, SHOWN_FILES), mark="! "))
     return "\n\n".join(part for part in parts if part)
+
+
+def _of_samples(found: DatasetDescription) -> list[str]:
+    inferred = f", {percent(found.scaling_inferred)} of that inferred" if found.scaling_inferred else ""
+    return [
+        f"  samples     {found.samples} at {found.rate_hz:g} Hz; operator seen in {percent(found.operator_seen)}",
+        f"  scaling     known in {percent(found.scaling_known)} of them{inferred}",
+        f"  in motion   known in {percent(found.motion_covered)} of the samples{_deviation(found)}",
+        *([bullet([_reasons(found.scaling_gaps)], mark="  unknown     ")] if found.scaling_gaps else []),
+    ]
 
 
 def _deviation(found: DatasetDescription) -> str:

@@ -85,8 +85,9 @@ def summary(report: IngestReport) -> str:
     if report.unchanged:
         return f"{report.place}: up to date ({report.recordings_kept} recordings, nothing read again)"
     kept = f", {report.recordings_kept} kept" if report.recordings_kept else ""
+    train = f", or {command_line('train', report.place, '--out', 'model')}" if report.samples else ""
     return (
-        f"{report.place}: {report.executions} executions, {report.tasks} robot tasks, {report.samples} samples\n"
+        f"{report.place}: {report.executions} executions, {report.tasks} tasks, {report.samples} samples\n"
         f"  recordings: {report.recordings_new} read{kept}; files not read: {len(report.not_read)}\n"
-        f"next: {command_line('inspect', report.place)}, or {command_line('train', report.place, '--out', 'model')}"
+        f"next: {command_line('inspect', report.place)}{train}"
     )

@@ -39,6 +39,7 @@ def levels(
     check_output(picture, "picture", [dataset], option="--picture", endings=(".svg", ".png", ".pdf"))
     with terminal.progress("looking for levels"):
         opened = Dataset.open(dataset)
+        opened.require_positions()
         frame = opened.samples(columns=["execution", "t_s", "scaling"])
         found = staircase_of(opened, frame, method)
         values, _ = scaling_in_time(frame, opened.rate_hz)

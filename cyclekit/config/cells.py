@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+Role = Literal["robot", "people", "events", "tasks"]
 Begin = Literal["auto", "file", "gap", "home", "register", "digital-output", "signal"]
 Point = tuple[float, float, float]
 Matrix = tuple[Point, Point, Point]
@@ -48,7 +49,7 @@ class Source:
     Attributes:
         path: File, folder or glob, relative to the folder of logs.
         adapter: Adapter to use; None = found by content.
-        role: robot, people or events; None = all that the log holds.
+        role: robot, people, events or tasks; None = all that the log holds.
         clock_offset_s: Added to this log's time to get the robot log's time; None = not known.
         clock_rate: Seconds of the robot log per second of this log.
         sync: Signals that change at the same instants in this log and the robot's; the clock is fitted to them.
@@ -67,7 +68,7 @@ class Source:
 
     path: str
     adapter: str | None = None
-    role: Literal["robot", "people", "events"] | None = None
+    role: Role | None = None
     clock_offset_s: float | None = None
     clock_rate: float = 1.0
     sync: Sync | None = None

@@ -20,6 +20,7 @@ from cyclekit.config.cells import (
     NamedPlace,
     Point,
     Robot,
+    Role,
     Source,
     Sync,
 )
@@ -164,8 +165,8 @@ def _executions(where: str, raw: Mapping[str, Any]) -> Executions:
 def _source(where: str, entry: Mapping[str, Any]) -> Source:
     _only(where, entry, Source)
     role = entry.get("role")
-    if role not in (None, "robot", "people", "events"):
-        raise UnknownName(where, "role", str(role), ["robot", "people", "events"])
+    if role not in (None, *get_args(Role)):
+        raise UnknownName(where, "role", str(role), get_args(Role))
     if entry.get("sees") not in (None, "tcp"):
         raise UnknownName(where, "value of sees", str(entry["sees"]), ["tcp"])
     if entry.get("silence") not in (None, "absent", "unknown"):

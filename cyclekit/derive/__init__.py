@@ -128,13 +128,14 @@ def derive(
     if _is_much(sessions) or any(run.is_inferred for run in robot.runs):
         forget()  # samples and scaling of many hours take that memory
     runs = {work.session.name: list(work.runs.values()) for work in works}
-    return _finished(passes, [one for one in made if one.samples], runs, robot, cell, folder)
+    return _finished(passes, made, runs, robot, cell, folder)
 
 
 def _finished(
     passes: _Passes, made: Sequence[Made], runs: Mapping[str, list[Run]], robot: _Robot, cell: Cell, folder: Path
 ) -> Derived:
     """Find the levels and the operator's places, and have the samples completed."""
+    every, made = made, [one for one in made if one.samples]
     spots = operator_places([stays for one in made for stays in one.stays], cell)
     staircase = _staircase([folder / f"{one.session}.parquet" for one in made], cell)
     labels = np.split(staircase.label, np.cumsum([one.samples for one in made])[:-1]) if made else []
@@ -147,17 +148,17 @@ def _finished(
     most = max(20, MOST // max(len(made), 1))
     rest = partial(finish, spots=spots, levels=levels, most_changes=most, folder=folder)
     changes = passes.over(rest, left, 0.85, 1.0, "levels")
-    rows = [row for one in made for row in one.tasks]
+    rows = [row for one in every for row in one.tasks]
     return Derived(
         samples=sum(one.samples for one in made),
         tasks=pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.TASKS.items()}, orient="row"),
-        executions=[card for one in made for card in one.cards],
+        executions=[card for one in every for card in one.cards],
         places=robot.places,
         human_places=spots,
         levels=levels,
         origin=" and ".join(sorted({name for one in made for name in one.origins}, reverse=True)) or None,
         dynamics=read_dynamics(changes),
-        warnings=[*robot.warnings, *staircase.warnings],
+        warnings=[*robot.warnings, *(staircase.warnings if made or not every else [])],
     )
 
 

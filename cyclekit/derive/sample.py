@@ -15,9 +15,11 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.account import account
 from cyclekit.activity import Watch
+from cyclekit.derive.listed import listed_in, operator_rows
 from cyclekit.derive.sample_file import AT_ONCE, write_samples
 from cyclekit.errors import EstimateError
 from cyclekit.motion import sampled
+from cyclekit.session import WITHOUT_PLACES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -113,12 +115,18 @@ def samples_of(
     session = work.session
     made = Made(session.name, session.entries, 0, [], [], [], set())
     courses = _courses(work, dwells, places, cell)
+    if not work.runs and (listed := listed_in(session, read, cell)):
+        rows = [row for one in listed for row in one.rows()]
+        return replace(made, cards=[one.card(session) for one in listed], tasks=rows)
+    if all(set(entry["tables"]) <= WITHOUT_PLACES for entry in session.entries):
+        return made
     if (first := next(courses, None)) is None:
         return made
     watch = Watch(session, sources, read, cell)
     frames = _frames(session, chain([first], courses), watch, made)
     samples = write_samples(frames, folder / f"{session.name}.parquet")
     watch.note()
+    made.tasks.extend(operator_rows(session, made.cards, read))
     return replace(made, samples=samples, silences=watch.silences)
 
 
@@ -232,6 +240,7 @@ def _task_rows(name: str, legs: Sequence[Leg]) -> list[tuple[object, ...]]:
         (
             name, index, f"{leg.start_place}->{leg.goal_place}", leg.start_place, leg.goal_place, leg.start_s,
             leg.arrival_s, leg.end_s, leg.nominal_s, leg.slider_loss_s, leg.safety_loss_s, leg.dwell_s, leg.wait_s,
+            "robot", None, None, None, None,
         )
         for index, leg in enumerate(legs)
     ]  # fmt: skip

@@ -23,6 +23,7 @@ from cyclekit.describe.facts import (
     ModelDescription,
     TableFacts,
 )
+from cyclekit.describe.lists import SafetySurvey, task_list_facts
 from cyclekit.describe.survey import TableSurvey
 from cyclekit.discover import cell_for, find_all, options_of
 from cyclekit.errors import LogError
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from cyclekit.adapter import ReadOptions
+    from cyclekit.describe.facts import SafetyFacts, TaskListFacts
     from cyclekit.registry import Registered
 
     Progress = Callable[[float, str], None]
@@ -50,7 +52,8 @@ __all__ = [
     "describe",
 ]
 
-MAIN = ("robot", "people", "events")
+MAIN = ("robot", "people", "events", "task_list", "safety")
+UNRATED = ("events", "task_list")
 _OF_SAMPLES = ("scaling", "scaling_sd", "scaling_gap", "scaling_origin", "step", "robot_moving", "human_x_m")
 
 
@@ -102,11 +105,14 @@ def _describe_logs(path: Path, progress: Progress | None, *, follow_links: bool)
 def _describe_log(path: Path, entry: Registered, options: ReadOptions) -> LogFacts:
     surveys, set_aside, rows_read = dict[str, TableSurvey](), dict[str, int](), 0
     warnings: dict[str, None] = {}
-    last = Recording()
+    last, tasks, safety = Recording(), list[pl.DataFrame](), SafetySurvey()
     for part in examined_parts(entry.parts(path, options)):
         last, rows_read = part, rows_read + part.rows_read
         for name, table in part.tables().items():
-            surveys.setdefault(name, TableSurvey(rated=name != "events")).add(table)
+            surveys.setdefault(name, TableSurvey(rated=name not in UNRATED)).add(table)
+        tasks += [] if part.task_list is None else [part.task_list]
+        if part.safety is not None:
+            safety.add(part.safety)
         if part.set_aside is not None:
             for reason, count in part.set_aside.group_by("reason").len().iter_rows():
                 set_aside[reason] = set_aside.get(reason, 0) + count
@@ -124,6 +130,8 @@ def _describe_log(path: Path, entry: Registered, options: ReadOptions) -> LogFac
         level_share=share,
         warnings=tuple(warnings),
         facts=dict(last.facts),
+        task_list=task_list_facts(pl.concat(tasks)) if tasks else None,
+        safety=safety.facts() if last.safety is not None else None,
     )
 
 
@@ -134,7 +142,7 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
     share = [float((levelled == index).sum()) / max(1, len(levelled)) for index in range(len(dataset.levels))]
     rows = max(1, samples.height)
     inferred = (samples["scaling_origin"] == "inferred").sum()
-    records = dataset.recordings
+    records, every = dataset.recordings, dataset.every_task()
     return DatasetDescription(
         path=dataset.path,
         schema_version=int(dataset.card["schema_version"]),
@@ -154,19 +162,42 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
             name: {"xyz_m": p.xyz_m, "radius_m": p.radius_m, "inferred": p.inferred}
             for name, p in dataset.human_places.items()
         },
-        tasks=tuple(_task_rows(dataset.tasks())),
+        tasks=tuple(_task_rows(every.filter(pl.col("start_place").is_not_null()))),
+        task_list=_listed(dataset, every),
+        safety=_safety(dataset),
+        positions=dataset.positions,
         levels=dataset.levels,
         level_share=tuple(share),
         on_level=len(levelled) / rows,
         scaling_known=len(scaling) / rows,
         scaling_inferred=float(inferred) / max(1, len(scaling)),
-        operator_seen=1 - samples["human_x_m"].null_count() / rows,
+        operator_seen=samples["human_x_m"].count() / rows,
         gaps=_recording_gaps(dataset, progress),
         warnings=tuple(_warnings(dataset)),
         clocks={str(record["id"]): dict(record["clock"]) for record in records},
         operator={str(record["id"]): dict(record["operator"]) for record in records if "operator" in record},
         **_coverage(samples),
     )
+
+
+def _listed(dataset: Dataset, tasks: pl.DataFrame) -> TaskListFacts | None:
+    """Return what the task lists in a dataset say; None without any."""
+    listed = tasks.drop_nulls("agent_name").rename({"start_s": "t_s"})
+    if listed.is_empty():
+        return None
+    return task_list_facts(listed.join(dataset.executions.select("execution", "session"), on="execution", how="left"))
+
+
+def _safety(dataset: Dataset) -> dict[str, SafetyFacts]:
+    """Return what each recording of a safety system's log says."""
+    found = {}
+    for record in dataset.recordings:
+        rows = dataset.recorded(record["id"], "safety") if "safety" in record["tables"] else None
+        if rows is not None:
+            survey = SafetySurvey()
+            survey.add(rows)
+            found[str(record["id"])] = survey.facts()
+    return found
 
 
 def _coverage(samples: pl.DataFrame) -> dict[str, Any]:
@@ -176,7 +207,7 @@ def _coverage(samples: pl.DataFrame) -> dict[str, Any]:
     reasons = samples["scaling_gap"].drop_nulls().value_counts(sort=True, name="samples")
     return {
         "scaling_gaps": dict(reasons.iter_rows()),
-        "motion_covered": 1.0 - moving.null_count() / max(1, len(moving)),
+        "motion_covered": moving.count() / max(1, len(moving)),
         "scaling_sd": deviation if isinstance(deviation, float) else None,
     }
 

@@ -44,15 +44,100 @@ class TableFacts:
 
 
 @dataclass(frozen=True)
+class Span:
+    """Least, median and most of a quantity."""
+
+    least: float
+    median: float
+    most: float
+
+
+@dataclass(frozen=True)
+class AgentFacts:
+    """An agent of a task list.
+
+    Attributes:
+        kind: robot or operator.
+        overlaps: Tasks that start before an earlier one of the agent has ended; `overlap_s`: by how much at most.
+    """
+
+    name: str
+    kind: str
+    tasks: int
+    overlaps: int
+    overlap_s: float
+
+
+@dataclass(frozen=True)
+class ListedTask:
+    """What one agent's executions of a task took, seconds; None where no end is known.
+
+    Attributes:
+        failed: How many failed.
+        no_end: How many have no end.
+    """
+
+    agent: str
+    task: str
+    count: int
+    mean_s: float | None
+    sd_s: float | None
+    least_s: float | None
+    most_s: float | None
+    failed: int
+    no_end: int
+
+
+@dataclass(frozen=True)
+class TaskListFacts:
+    """A task list.
+
+    Attributes:
+        executions: How many are named; `execution_s`: how long they lasted.
+        failed: Tasks that failed.
+        no_end: Tasks without an end.
+        planned: Tasks with a planned start.
+    """
+
+    agents: tuple[AgentFacts, ...]
+    tasks: tuple[ListedTask, ...]
+    executions: int
+    execution_s: Span | None
+    failed: int
+    no_end: int
+    planned: int
+
+
+@dataclass(frozen=True)
+class SafetyFacts:
+    """A safety system's log of itself.
+
+    Attributes:
+        override: Over time, 0 to 1; None = not logged.
+        override_values: Each value with the seconds it held, the longest first.
+        override_s: Seconds in which it is known.
+        distance_m: Of the rows; None = not logged.
+        distance_repeats: Part of the rows whose distance is that of the row before.
+    """
+
+    override: Span | None
+    override_values: tuple[tuple[float, float], ...]
+    override_s: float
+    distance_m: Span | None
+    distance_repeats: float
+
+
+@dataclass(frozen=True)
 class LogFacts:
     """One log file (or one folder that is a log).
 
     Attributes:
         rows_read: Data rows or messages looked at.
         set_aside: Rows not used, by reason.
-        tables: Facts of `robot`, `people`, `events`, where the log has them.
+        tables: Facts of `robot`, `people`, `events`, `task_list`, `safety`, where the log has them.
         levels: Levels of the logged speed scaling, ascending; `level_share`: fraction of its known rows on each.
         facts: What the log states about itself.
+        task_list: What its task list says; `safety`: what a safety system logged of itself. None where it has none.
     """
 
     path: Path
@@ -66,6 +151,8 @@ class LogFacts:
     level_share: tuple[float, ...]
     warnings: tuple[str, ...]
     facts: Mapping[str, str]
+    task_list: TaskListFacts | None = None
+    safety: SafetyFacts | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +180,11 @@ class DatasetDescription:
     Attributes:
         sources: Source files that went in; rows set aside from them, by reason.
         robot_place: Centre and radius per robot place, metres; `human_place` likewise.
-        tasks: Per task: how often, mean seconds of motion at full speed, of safety loss, of dwell and wait.
+        task_list: What the task lists in it say; None without any.
+        safety: What each recording of a safety system's log says, by recording.
+        positions: Of whom places are known.
+        tasks: Per task found in the robot's motion: how often, mean seconds of motion at full speed, of safety loss, of
+            dwell and wait.
         level_share: Per staircase level, fraction of those samples that are on a level; `on_level`: of all samples, the
             fraction that is.
         scaling_known: Fraction of the samples whose scaling is known; `scaling_inferred`: of those, not logged.
@@ -132,6 +223,9 @@ class DatasetDescription:
     motion_covered: float = 0.0
     scaling_sd: float | None = None
     on_level: float = 0.0
+    task_list: TaskListFacts | None = None
+    safety: Mapping[str, SafetyFacts] = field(default_factory=dict)
+    positions: tuple[str, ...] = ()
     kind: str = "dataset"
 
     def to_json(self) -> dict[str, Any]:

@@ -113,6 +113,7 @@ def estimate(
         EstimateError: A task was never logged, there is no operator track, or the support is too low.
     """
     tell = progress or (lambda fraction, text: None)
+    dataset.require_positions()
     chosen = _chosen(model, estimator)
     if chosen in ("rollout", "average"):
         refuse_other_cell(model.card, dataset, other_cell=other_cell)

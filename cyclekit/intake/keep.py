@@ -12,6 +12,7 @@ from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import polars as pl
 
 from cyclekit import schema
@@ -35,11 +36,17 @@ TABLES = {
     "robot": schema.ROBOT,
     "people": schema.PEOPLE,
     "events": schema.EVENTS,
+    "task_list": schema.TASK_LIST,
+    "safety": schema.SAFETY,
     "skeletons": schema.SKELETONS,
     "stamps": schema.STAMPS,
 }
-MAIN = ("robot", "people", "events")
+MAIN = ("robot", "people", "events", "task_list", "safety")
 """Tables one of which a log must hold; the first there is tells its rate."""
+UNRATED = ("events", "task_list")
+"""Tables whose rows come when something happens."""
+_PLACES = ("tcp_x_m", "x_m")
+_ENDS = ("t_s", "end_s")
 QUARANTINE = "quarantine"
 MAKING = ".making-"
 """Begins the name of the folder that a recording is written in before it has its own."""
@@ -150,21 +157,28 @@ class _Table:
         joints = sorted(filter(schema.is_joint, first.columns), key=schema.joint_order) if name == "robot" else []
         self.writer = TableWriter(folder / f"{name}.parquet", self._columns, more=joints)
         self.first_s, self.last_s = float("inf"), -float("inf")
-        self.rates = None if name == "events" else Rates()
+        self.rates = None if name in UNRATED else Rates()
+        self.placed = False
 
     def write(self, frame: pl.DataFrame) -> None:
         self.writer.write(schema.conform(frame, self._columns))
         if not frame.height:
             return
         times = frame["t_s"].to_numpy()
-        self.first_s, self.last_s = min(self.first_s, float(times.min())), max(self.last_s, float(times.max()))
+        last_s = max(
+            float(np.nanmax(frame[name].to_numpy(), initial=-np.inf)) for name in _ENDS if name in frame.columns
+        )
+        self.first_s, self.last_s = min(self.first_s, float(times.min())), max(self.last_s, last_s)
+        self.placed = self.placed or any(frame[name].count() for name in _PLACES if name in frame.columns)
         if self.rates is not None:
             self.rates.add(frame)
 
 
 def _check(log: Log, written: dict[str, _Table]) -> None:
     if not written.keys() & set(MAIN):
-        raise LogError(log.path, "holds neither robot, people nor events", cure="Check what was recorded.")
+        raise LogError(
+            log.path, "holds neither robot, people, events, tasks nor an override", cure="Check what was recorded."
+        )
     if not any(written[name].writer.rows for name in MAIN if name in written):
         raise LogError(log.path, "holds a header and no data", cure="Record again, or remove the file.")
 
@@ -196,6 +210,7 @@ def _entry(
         "adapter_version": log.version,
         "clock": {"kind": last.clock},
         "frame": _frame_card(log.source, last),
+        "positions": any(table.placed for name, table in written.items() if name in ("robot", "people")),
         "up": last.up,
         "joint_names": list(last.joint_names),
         "rows": {name: table.writer.rows for name, table in written.items()},

@@ -14,6 +14,7 @@ from cyclekit.align import CLOCK
 from cyclekit.errors import OutsideFolder
 from cyclekit.inside import inside
 from cyclekit.intake.keep import QUARANTINE
+from cyclekit.session import LISTED
 from cyclekit.tables import TableWriter, parts_of
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def named_anew(quarantine: pl.DataFrame, log: Log) -> pl.DataFrame:
 def as_read(entry: dict[str, Any], log: Log) -> dict[str, Any]:
     """Return the entry without what was found out later: session, clock and operator."""
     clock = {"kind": entry["clock"]["kind"]}
-    warnings = [text for text in entry["warnings"] if not text.startswith((CLOCK, OPERATOR))]
+    warnings = [text for text in entry["warnings"] if not text.startswith((CLOCK, OPERATOR, LISTED))]
     return {**entry, "id": log.id, "session": "", "clock": clock, "warnings": warnings}
 
 

@@ -61,7 +61,9 @@ def refuse_other_cell(card: Mapping[str, Any], dataset: Dataset, *, other_cell: 
 
     Raises:
         ModelError: It was learned in another cell.
+        DatasetError: The dataset has no positions.
     """
+    dataset.require_positions()
     reason = None if other_cell else other_cell_of(card, dataset)
     if reason is not None:
         learned = card["cell"]["name"]

@@ -16,7 +16,8 @@ import polars as pl
 
 from cyclekit.adapter import whole
 from cyclekit.plain_text import one_line
-from cyclekit.plausible.checks import EventChecks, PeopleChecks, RobotChecks
+from cyclekit.plausible.checks import EventChecks, PeopleChecks, RobotChecks, SafetyChecks
+from cyclekit.plausible.task_lists import TaskChecks
 from cyclekit.plausible.window import Sliding, let_through
 from cyclekit.text_columns import in_one_line
 
@@ -25,7 +26,13 @@ if TYPE_CHECKING:
 
     from cyclekit.adapter import Recording
 
-_TEXTS = {"people": ("person",), "events": ("signal", "value"), "skeletons": ("person", "joint")}
+_TEXTS = {
+    "people": ("person",),
+    "events": ("signal", "value"),
+    "skeletons": ("person", "joint"),
+    "task_list": ("agent", "agent_name", "task", "execution", "outcome"),
+    "safety": ("execution",),
+}
 """Columns of names and values as logs have them."""
 
 
@@ -43,8 +50,14 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
 
     A row stands in the part in which it could be judged, which may be the one after that in which it came.
     """
-    checks: dict[str, RobotChecks | PeopleChecks | EventChecks]
-    checks = {"robot": RobotChecks(), "people": PeopleChecks(), "events": EventChecks()}
+    checks: dict[str, RobotChecks | PeopleChecks | EventChecks | TaskChecks | SafetyChecks]
+    checks = {
+        "robot": RobotChecks(),
+        "people": PeopleChecks(),
+        "events": EventChecks(),
+        "task_list": TaskChecks(),
+        "safety": SafetyChecks(),
+    }
     sliding = {name: Sliding(check.beside) for name, check in checks.items()}
     parts = iter(parts)
     part = next(parts, None)

@@ -34,7 +34,7 @@ LATEST_S = 1e11
 """The year 5138: no clock shows that."""
 
 
-class _Checks:
+class Checks:
     """What all tables have in common: rows set aside, numbers that are none, time."""
 
     whose = "the log"
@@ -118,7 +118,7 @@ NO_TCP = (
 """Said of a robot whose joints alone were logged."""
 
 
-class EventChecks(_Checks):
+class EventChecks(Checks):
     """Events: only their time can be impossible."""
 
     whose = "an event"
@@ -132,7 +132,21 @@ class EventChecks(_Checks):
         return self._said_of_time()
 
 
-class RobotChecks(_Checks):
+class SafetyChecks(Checks):
+    """Override and distance of a safety system."""
+
+    whose = "the safety system"
+
+    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return the window without what cannot be."""
+        return self.timed(self.finite(frame))
+
+    def warnings(self) -> list[str]:
+        """Say what was found, once all was seen."""
+        return [*self._said_of_numbers(), *self._said_of_time()]
+
+
+class RobotChecks(Checks):
     """A robot's rows."""
 
     whose = "the robot"
@@ -186,7 +200,7 @@ class RobotChecks(_Checks):
         return [*said, *still]
 
 
-class PeopleChecks(_Checks):
+class PeopleChecks(Checks):
     """The people of a tracker; neighbours are rows of one person."""
 
     whose = "a person"
@@ -253,7 +267,7 @@ def scaling_while_playing(frame: pl.DataFrame) -> pl.DataFrame:
     return frame.with_columns(pl.when(~halted).then("scaling").alias("scaling"))
 
 
-def placed(checks: _Checks, frame: pl.DataFrame, places: Places, groups: Sequence[Track]) -> pl.DataFrame:
+def placed(checks: Checks, frame: pl.DataFrame, places: Places, groups: Sequence[Track]) -> pl.DataFrame:
     """Set aside positions out of reach and single positions that nothing can have jumped to."""
     kind: Kind = places.kind
     times, xyz = column(frame, "t_s"), positions(frame, kind)

@@ -94,6 +94,7 @@ def write_replay(
         CyclekitError: Too many executions, `at` is after the end, or the file cannot be written.
     """
     say = progress or (lambda _part, _text: None)
+    dataset.require_positions()
     if model is not None:
         refuse_other_cell(getattr(model, "card", {}), dataset, other_cell=other_cell)
     wanted = [execution] if isinstance(execution, str) else list(execution)

@@ -94,6 +94,7 @@ def write_report(
         CyclekitError: The file cannot be written, or something in the template folder is wrong.
     """
     say = progress or (lambda _part, _text: None)
+    dataset.require_positions()
     look = Template(template)
     say(0.02, "reading the dataset")
     samples, tasks = dataset.samples(), dataset.tasks()

@@ -67,6 +67,10 @@ def own_logs(folder: Path) -> list[OwnLog]:
         "nuitrack": ("nuitrack", _nuitrack, ReadOptions()),
         "pedestrian": ("pedestrian", _pedestrian, ReadOptions(rate_hz=25.0)),
         "mediapipe": ("mediapipe", _mediapipe, ReadOptions()),
+        "task table": ("task-list", _task_table, ReadOptions()),
+        "task json": ("task-list", _task_json, ReadOptions()),
+        "xes": ("task-list", _xes, ReadOptions()),
+        "safety": ("safety-log", _safety, ReadOptions()),
     }
     written = [OwnLog(name, a, {"log.txt": text().encode()}, options) for name, (a, text, options) in texts.items()]
     binary = [OwnLog("ur binary", "ur-rtde", {"log.bin": _ur_binary()}), OwnLog("c3d", "c3d", {"log.c3d": _c3d()})]
@@ -185,6 +189,39 @@ def _pedestrian() -> str:
 def _mediapipe() -> str:
     names = ["time", *(f"{axis}{i}" for i in range(33) for axis in ("x", "y", "z", "visibility"))]
     return _table(names, [[row, *(["0.5"] * 132)] for row in range(4)])
+
+
+def _tasks() -> list[list[object]]:
+    agents = ("human", "ur5")
+    return [[row // 6, agents[row % 2], f"t{row % 4}", row + 0.25, row + 1.75, row % 6 + 0.5] for row in range(ROWS)]
+
+
+def _task_table() -> str:
+    return _table(["run", "agent", "task", "start_s", "end_s", "planned_start"], _tasks())
+
+
+def _task_json() -> str:
+    keys = ("recipe", "agent", "name", "t_start", "t_end", "t_start_planned")
+    return json.dumps([dict(zip(keys, row, strict=True)) for row in _tasks()], indent=1)
+
+
+def _xes() -> str:
+    def event(row: int, agent: object, task: object, which: str) -> str:
+        told = {"concept:name": task, "org:resource": agent, "lifecycle:transition": which}
+        texts = "".join(f'<string key="{key}" value="{value}"/>' for key, value in told.items())
+        return f'<event>{texts}<date key="time:timestamp" value="2024-05-01T10:{row:02d}:00Z"/></event>\n'
+
+    rows = "".join(
+        event(row, agent, task, "start") + event(row, agent, task, "complete")
+        for row, (_, agent, task, *_) in enumerate(_tasks())
+    )
+    return f'<log><trace><string key="concept:name" value="1"/>\n{rows}</trace></log>\n'
+
+
+def _safety() -> str:
+    names = ["", "Timestamp", "Safe_Ovr", "distance", "Recipe"]
+    rows: list[list[object]] = [[row, 1.6e9 + row / 30, row % 101, 2.0 - row / 50, "a"] for row in range(ROWS)]
+    return _table(names, rows)
 
 
 def _signal() -> str:

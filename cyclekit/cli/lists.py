@@ -1,0 +1,74 @@
+"""Task lists and safety systems' logs as lines and tables for people."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cyclekit.cli.terminal import bullet, duration, percent, table
+
+if TYPE_CHECKING:
+    from cyclekit.describe.facts import SafetyFacts, TaskListFacts
+
+SHOWN_AGENTS, SHOWN_TASKS, SHOWN_VALUES = 12, 24, 6
+
+
+def task_list_tables(found: TaskListFacts) -> str:
+    """Return who is in a task list, what each task took, and what is odd."""
+    agents = [
+        [
+            one.name,
+            one.kind,
+            f"{one.tasks}",
+            f"{one.overlaps}" + (f" (to {one.overlap_s:.1f} s)" if one.overlaps else ""),
+        ]
+        for one in found.agents
+    ]
+    tasks = [
+        [one.agent, one.task, f"{one.count}", *map(_seconds, (one.mean_s, one.sd_s, one.least_s, one.most_s))]
+        for one in found.tasks
+    ]
+    others = len(agents) - SHOWN_AGENTS
+    more_agents = f"\n... and {others} agents more (--json has all)" if others > 0 else ""
+    more = f"\n... and {len(tasks) - SHOWN_TASKS} tasks more (--json has all)" if len(tasks) > SHOWN_TASKS else ""
+    heads = ["agent ", "task ", "times", "mean, s", "sd", "min", "max"]
+    parts = [
+        table(["agent ", "is ", "tasks", "overlaps"], agents[:SHOWN_AGENTS]) + more_agents,
+        table(heads, tasks[:SHOWN_TASKS]) + more,
+        bullet(_said(found), mark=""),
+    ]
+    return "\n\n".join(parts)
+
+
+def _said(found: TaskListFacts) -> list[str]:
+    total = sum(one.tasks for one in found.agents)
+    lasted = found.execution_s
+    spans = f", {lasted.least:.1f} to {lasted.most:.1f} s long (median {lasted.median:.1f} s)" if lasted else ""
+    return [
+        f"executions: {found.executions}{spans}" if found.executions else "executions: none named",
+        f"outcome: {found.failed} of {total} tasks failed; without an end: {found.no_end}",
+        f"planned start: known of {percent(found.planned / max(total, 1))} of the tasks",
+    ]
+
+
+def _seconds(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.2f}"
+
+
+def safety_lines(found: SafetyFacts) -> list[str]:
+    """Return the range of override and distance, and how long the override stood at its values."""
+    lines = []
+    if (span := found.override) is not None:
+        values, total = found.override_values, max(found.override_s, 1e-9)
+        shown = ", ".join(f"{percent(s / total)} of the time at {100 * v:g} %" for v, s in values[:SHOWN_VALUES])
+        others = len(values) - SHOWN_VALUES
+        rest = f", the rest at {others} other values" if others > 0 else ""
+        known = duration(found.override_s)
+        lines.append(
+            f"  override  {100 * span.least:g} to {100 * span.most:g} %, {len(values)} values, known for {known}"
+        )
+        lines.append(bullet([f"{shown}{rest}"], mark="            "))
+    if (span := found.distance_m) is not None:
+        repeats = f"{percent(found.distance_repeats)} of the rows repeat the one before"
+        said = f"{span.least:.2f} to {span.most:.2f} m (median {span.median:.2f} m); {repeats}"
+        lines.append(bullet([said], mark="  distance  "))
+    return lines

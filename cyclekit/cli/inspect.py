@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -14,6 +15,9 @@ EXAMPLE = "cyclekit inspect logs --write-cell"
 
 def inspect(
     path: Annotated[str, typer.Argument(help="A log, a folder of logs, a dataset or a model.", metavar="PATH")],
+    cell: Annotated[
+        Path | None, typer.Option(help="Cell file that says how logs are read; default: the one beside them.")
+    ] = None,
     write_cell: Annotated[
         bool, typer.Option("--write-cell", help="Print the cell file that fits these logs, and nothing else.")
     ] = False,
@@ -43,7 +47,7 @@ def inspect(
     from cyclekit.describe import describe
 
     with terminal.progress("looking") as progress:
-        found = describe(local(path), progress=progress, follow_links=follow_links)
+        found = describe(local(path), cell=cell, progress=progress, follow_links=follow_links)
     if checked is None:
         terminal.answer(found.to_json(), page(found))
     else:

@@ -5,7 +5,7 @@ Samples of one execution are alike, so executions are what is counted: the error
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cyclekit.models.saved import TrainedModel
     from cyclekit.samples import Samples
 
 STAIRCASE = "distance staircase"
@@ -69,6 +70,23 @@ def _otherwise(card: Mapping[str, Any]) -> list[str]:
     if spec.get("network") in RECURRENT or spec.get("features") == "distance":
         return [*words, "--seed", str(int(spec.get("seed", 0)) + 1)]
     return [*words, "--seed", str(spec["seed"])] if spec.get("seed") else words
+
+
+def staircase_if_better(model: TrainedModel, spec: ModelSpec, learn: Samples, judge: Samples) -> Better | None:
+    """Return the staircase over the distance, fitted to rows to learn from, if it is better than the model.
+
+    Args:
+        model: The model, its card not yet written.
+        spec: Of its training.
+        learn: Rows to learn from; to rows in files nothing is fitted.
+        judge: Rows that it has not seen.
+    """
+    if len(model.levels) < 2 or learn.in_files:
+        return None
+    thresholds = fit_thresholds(distance_of(learn), learn.scaling, model.levels)
+    squared = (staircase_at(thresholds, model.levels, judge) - judge.scaling) ** 2
+    mine = (model.predict(judge.model_inputs) - judge.scaling) ** 2
+    return better_rival({"spec": asdict(spec)}, mine, {STAIRCASE: squared}, judge.execution)
 
 
 def better_rival(

@@ -118,13 +118,14 @@ def test_few_executions_prove_nothing():
 @pytest.mark.parametrize(
     ("settings", "options"),
     [
-        ({}, ["--features", "distance"]),
+        ({"features": "positions"}, ["--features", "distance"]),
+        ({}, ["--features", "distance", "--seed", "1"]),
         ({"features": "distance", "seed": 3}, ["--features", "distance", "--seed", "4"]),
         (
-            {"network": "regressor", "norm": "none"},
+            {"network": "regressor", "norm": "none", "features": "positions"},
             ["--network", "regressor", "--norm", "none", "--features", "distance"],
         ),
-        ({"noise_m": 0.02, "seed": 1}, ["--noise", "0.02", "--features", "distance", "--seed", "1"]),
+        ({"noise_m": 0.02, "seed": 1}, ["--noise", "0.02", "--features", "distance", "--seed", "2"]),
         (
             {"problem": "ahead", "network": "lstm-1"},
             ["--problem", "ahead", "--horizon", "2s", "--network", "lstm-1", "--seed", "1"],
@@ -133,7 +134,7 @@ def test_few_executions_prove_nothing():
 )
 def test_the_better_training_is_like_the_first_but_for_one_thing(settings, options):
     model, execution = squared_errors([0.024, 0.026, 0.025, 0.027])
-    card = {"spec": asdict(ModelSpec.of(**settings))}
+    card = {"spec": asdict(ModelSpec.of(**settings).with_features())}
     better = better_rival(card, model, {"distance staircase": model / 2}, execution)
     assert list(better.otherwise) == options
     line = better.said("my dataset", "model")
@@ -143,7 +144,7 @@ def test_the_better_training_is_like_the_first_but_for_one_thing(settings, optio
 def test_what_beats_a_model_is_said_with_the_command_that_mends_it(cell, tmp_path, capsys):
     """A network that hardly learned is beaten by the staircase; the command as printed gives one that is not."""
     out = tmp_path / "model"
-    save_model(out, train(cell, ModelSpec.of(batch=256, epochs=2, test_fraction=0.4)))
+    save_model(out, train(cell, ModelSpec.of(batch=256, epochs=2, test_fraction=0.4, features="positions")))
     assert run(["evaluate", str(out), str(cell.path)]) == 0
     line = next(text for text in capsys.readouterr().out.splitlines() if "beyond chance" in text)
     assert line.startswith("the distance staircase is better than the model beyond chance")

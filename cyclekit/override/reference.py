@@ -213,6 +213,8 @@ def _tcp_along(path: Path, own_s: Vector, tcp_m: Points) -> Points:
 
 def _tcp_peak(path: Path, pace: Vector, tcp_m: Points) -> Vector:
     """Return greatest speed and acceleration of the TCP, shape (M, 3), along its path at nominal pace, shape (2,)."""
+    if len(pace) < 5:
+        return np.full(2, np.nan)
     over = max(1, min(round(SMOOTH_S / float(path.own_s[1])), len(pace) // 5))
     nominal = _integral(1.0 / pace, path.own_s)
     lasts = nominal[2 * over :] - nominal[: -2 * over]

@@ -205,6 +205,22 @@ def test_a_joint_that_only_trembles_proves_no_full_speed():
     assert slowed_of(motions, [1.0, 1.0, 0.5, 1.0]) == pytest.approx([1.0, 1.0, 0.5, 1.0], abs=0.05)
 
 
+@pytest.mark.parametrize("moving", [2, 3, 4, 6, 9])
+@pytest.mark.parametrize("tcp_known", [True, False])
+def test_motions_of_a_few_rows_are_looked_at_as_well(moving: int, tcp_known: bool):
+    """And logs of joint angles whose TCP is not known."""
+    way = np.concatenate([np.linspace(0.0, 0.5, moving), np.full(4, 0.5)])
+    rows = len(way)
+    t_s = 0.3 * np.arange(rows)
+    tcp = np.column_stack([way, np.zeros(rows), np.zeros(rows)])
+    xyz = tcp if tcp_known else np.full_like(tcp, np.nan)
+    runs = [RobotRun(t_s, xyz, tcp_speed(t_s, tcp), np.full(rows, np.nan), q_rad=tcp) for _ in range(4)]
+    for one in inferred(runs):
+        assert one.gap is not None
+        assert (one.gap != NEVER_FULL).all()
+        assert (one.scaling[np.isfinite(one.scaling)] > 0.9).all()
+
+
 def test_rows_that_a_recorder_wrote_twice_do_not_look_like_halts():
     one, _ = run(lambda _: 0.5, seed=1)
     twice = np.repeat(np.arange(one.rows), 2)

@@ -15,6 +15,7 @@ from cyclekit.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, RobotRun, tcp_
 from cyclekit.override import infer_overrides
 from cyclekit.override.advance import advance
 from cyclekit.override.path import along, path_of
+from cyclekit.override.reference import _tcp_peak as tcp_peak
 from cyclekit.segment import Execution, Visit
 
 if TYPE_CHECKING:
@@ -219,6 +220,13 @@ def test_motions_of_a_few_rows_are_looked_at_as_well(moving: int, tcp_known: boo
         assert one.gap is not None
         assert (one.gap != NEVER_FULL).all()
         assert (one.scaling[np.isfinite(one.scaling)] > 0.9).all()
+
+
+@pytest.mark.parametrize("rows", [2, 3, 4])
+def test_a_path_of_very_few_rows_has_no_peak(rows: int):
+    t_s = 0.3 * np.arange(rows)
+    tcp = np.column_stack([t_s, t_s, t_s])
+    assert np.isnan(tcp_peak(path_of(t_s, tcp / NOISE_M), np.ones(rows), tcp)).all()
 
 
 def test_rows_that_a_recorder_wrote_twice_do_not_look_like_halts():

@@ -34,7 +34,10 @@ GOAL = 8.0
 def judged(dataset: Dataset, network: str, norm: str, seed: int, *, boosting: bool) -> tuple[Evaluation, float]:
     """Train one network and judge it; also return the seconds that training took."""
     begin = time.perf_counter()
-    model = train(dataset, ModelSpec.of("now", network, norm="none" if norm == "none" else "batch", seed=seed))
+    model = train(
+        dataset,
+        ModelSpec.of("now", network, features="positions", norm="none" if norm == "none" else "batch", seed=seed),
+    )
     took_s = time.perf_counter() - begin
     return evaluate(model, dataset, boosting=boosting), took_s
 

@@ -74,7 +74,8 @@ ARMS = (
     _ur("UR3", 0.1519, -0.24365, -0.21325, 0.11235, 0.08535, 0.0819),
     _ur("UR10", 0.1273, -0.612, -0.5723, 0.163941, 0.1157, 0.0922),
 )
-"""Universal Robots' published parameters, e-Series first."""
+"""e-Series first. From Universal Robots' article "DH Parameters for calculations of kinematics and dynamics"; UR30 from
+`config/ur30/default_kinematics.yaml` of their ROS 2 description."""
 MODELS = {
     arm.name: arm
     for arm in (
@@ -85,7 +86,8 @@ MODELS = {
         _iiwa("iiwa 14", 0.36, 0.42, 0.4, 0.126),
     )
 }
-"""Arms that a cell file can name."""
+"""Arms that a cell file can name. Panda and FR3 have one kinematic chain, published by Franka in "Control Interface
+Specification and Robot Limits" (there in Craig's convention, with the flange at 0.107 m)."""
 _UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 
 

@@ -16,10 +16,10 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.atomic import replaced
-from cyclekit.config import Cell
-from cyclekit.discover import find_all, options_of
+from cyclekit.discover import cell_for, find_all, options_of
 from cyclekit.errors import ConfigError, LogError, UnknownName
 from cyclekit.guard import check_output
+from cyclekit.intake.tool_point import TCP, with_tool_point
 from cyclekit.plain_text import FORMULA
 from cyclekit.plausible import examined_parts
 from cyclekit.registry import adapter_named
@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.adapter import Recording
+    from cyclekit.adapter import ReadOptions, Recording
+    from cyclekit.config import Cell
+    from cyclekit.discover import Log
 
     Vector = NDArray[np.float64]
 
@@ -81,7 +83,8 @@ def convert(
         rate_hz: Rows a second: numbers are averaged over the length of one, texts are those in force at its end.
             By default every row of the log.
         columns: Columns to write; by default all that hold anything, `t_s` always.
-        cell: What a cell file says about the log (a CSV to be mapped).
+        cell: What a cell file says about the log (a CSV to be mapped, the arm of a log of joint angles alone); by
+            default that of the cell file beside it.
         progress: Told the fraction done and what is being done.
 
     Raises:
@@ -96,11 +99,13 @@ def convert(
     check_output(out, "table-csv" if out.suffix == ".csv" else "table-parquet", [log])
     if table is not None and table not in TABLES:
         raise UnknownName("convert", "table", table, TABLES)
-    found, _ = find_all([log], cell or Cell(), follow_links=True)
+    found, _ = find_all([log], cell or cell_for([log], None), follow_links=True)
     if len(found) != 1:
         raise LogError(log, f"holds {len(found)} logs", cure="Convert one at a time, or use `cyclekit ingest`.")
-    options = replace(options_of(found[0].source, skeletons=table == "skeletons"), columns=tuple(columns))
-    parts = _Parts(found[0].path, found[0].adapter, options)
+    computed = found[0].robot is not None and not {*TCP}.isdisjoint(columns)  # from columns that nobody asked for
+    wanted = () if computed else tuple(columns)
+    options = replace(options_of(found[0].source, skeletons=table == "skeletons"), columns=wanted)
+    parts = _Parts(found[0], options)
     with replaced(out) as temporary:
         rows = _write(parts, temporary, out, table, rate_hz, columns, progress)
     about = (found[0].adapter, parts.table, rows, parts.rows_read, parts.set_aside)
@@ -110,12 +115,14 @@ def convert(
 class _Parts:
     """The parts of one table of a log, and what else there is to say of it."""
 
-    def __init__(self, path: Path, adapter: str, options: Any) -> None:  # noqa: ANN401
-        self.path, self._adapter, self._options = path, adapter_named(adapter), options
+    def __init__(self, log: Log, options: ReadOptions) -> None:
+        self.path, self._robot = log.path, log.robot
+        self._adapter, self._options = adapter_named(log.adapter), options
         self.table, self.rows_read, self.set_aside, self.warnings = "", 0, 0, tuple[str, ...]()
 
     def of(self, table: str | None) -> Iterator[pl.DataFrame]:
-        for part in examined_parts(self._adapter.parts(self.path, self._options)):
+        read = self._adapter.parts(self.path, self._options)
+        for part in examined_parts(with_tool_point(read, self._robot)):
             self._note(part)
             tables = part.tables()
             self.table = self.table or table or next((name for name in TABLES if name in tables), "")

@@ -23,6 +23,7 @@ from cyclekit.errors import DatasetError, MissingExtra, command_line
 from cyclekit.guard import check_output
 from cyclekit.height import said_of_height
 from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
+from cyclekit.models.beaten import staircase_if_better
 from cyclekit.models.cell import cell_of, fingerprint
 from cyclekit.models.metrics import measure
 from cyclekit.models.saved import MODEL_VERSION, TrainedModel, check_model_output, save_model
@@ -90,7 +91,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
     need_torch()
     from cyclekit.models.fitting import fit  # here, so that this module can be imported without torch
 
-    spec = spec.at_rate(dataset.rate_hz)
+    spec = spec.at_rate(dataset.rate_hz).with_features()
     with Scratch() as scratch:
         if rows_of(dataset) <= memory_rows():
             found = _in_memory(dataset, spec)
@@ -101,6 +102,8 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
         made = (spec.problem, spec.network, spec.horizon_s, found.levels, fitted.weights)
         model = TrainedModel(*made, history=spec.history or (1, 1))
         card = _card(dataset, found, fitted, measure(model, found.held_out))
+        better = staircase_if_better(model, fitted.spec, found.learn, found.held_out)
+        card["warnings"] += [better.said(dataset.place, "MODEL")] if better else []
     return replace(model, card=json.loads(json.dumps(card)))  # as it will be read back: lists, no tuples
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cyclekit.evaluate.baselines import distance_of, fit_thresholds
+from cyclekit.models.beaten import distance_of, fit_thresholds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

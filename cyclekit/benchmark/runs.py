@@ -191,7 +191,7 @@ class _Cell:
         return result | {"seconds": round(took[0], 2), "cpu_seconds": round(took[1], 2)}
 
     def _spec(self, entry: Entry) -> ModelSpec:
-        settings: dict[str, Any] = dict(entry.settings)
+        settings: dict[str, Any] = {"features": "positions", **dict(entry.settings)}  # as in the literature
         if self.steps is not None:
             rows = self.dataset.samples().height * 0.72  # what two divisions leave to learn from
             settings["epochs"] = max(round(self.steps / max(rows // 1024, 1)), 1)

@@ -53,12 +53,14 @@ def evaluate(
     terminal.warnings(list(dict.fromkeys(note for judged, _ in found.values() for note in judged.notes)))
     if models == [model]:
         judged, changed = found[model]
-        terminal.answer(_document(judged, changed), _head(judged), _errors(judged), _levels(judged), _drift(changed))
+        told = (_head(judged), _errors(judged), _better({model: judged}, dataset), _levels(judged), _drift(changed))
+        terminal.answer(_document(judged, changed), *told)
         return
     rows = {Path(each).name: found[each] for each in models}
     documents = {name: _document(*both) for name, both in rows.items()}
     changes = [f"{name}\n{_drift(changed)}" for name, (_, changed) in rows.items() if changed is not None]
-    terminal.answer({"models": documents}, _beside(rows), *changes)
+    better = _better({each: found[each][0] for each in models}, dataset)
+    terminal.answer({"models": documents}, _beside(rows), better, *changes)
 
 
 def _document(found: Evaluation, changed: Drift | None) -> dict[str, Any]:
@@ -87,6 +89,13 @@ def _head(found: Evaluation) -> str:
 def _errors(found: Evaluation) -> str:
     rows = [[row.name, f"{row.mse:.2e}", row.note] for row in found.mse]
     return table(["predicted by ", "MSE", "what it is "], rows)
+
+
+def _better(found: Mapping[str, Evaluation], dataset: str) -> str:
+    """Return a line for each model, by its place, that a rival beats."""
+    named = {place: f"{Path(place).name}: " if len(found) > 1 else "" for place in found}
+    better = {place: judged.better for place, judged in found.items()}
+    return "\n".join(f"{named[place]}{one.said(dataset, place)}" for place, one in better.items() if one)
 
 
 def _levels(found: Evaluation) -> str:

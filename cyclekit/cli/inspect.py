@@ -19,6 +19,9 @@ def inspect(
     cell_file: Annotated[
         Path | None, typer.Argument(help="With --write-cell: the new file to write it to.", metavar="[CELL.toml]")
     ] = None,
+    cell: Annotated[
+        Path | None, typer.Option(help="Cell file that says how logs are read; default: the one beside them.")
+    ] = None,
     write_cell: Annotated[
         bool, typer.Option("--write-cell", help="Give the cell file that fits these logs; a draft for unknown tables.")
     ] = False,
@@ -46,7 +49,7 @@ def inspect(
     from cyclekit.describe import describe
 
     with terminal.progress("looking") as progress:
-        found = describe(local(path), progress=progress, follow_links=follow_links)
+        found = describe(local(path), cell=cell, progress=progress, follow_links=follow_links)
     if checked is None:
         terminal.answer(found.to_json(), page(found))
     else:

@@ -42,8 +42,9 @@ def train(
         Literal["batch", "none"], typer.Option(help="Batch normalisation as in the literature, or none.")
     ] = "batch",
     features: Annotated[
-        Literal["positions", "distance"], typer.Option(help="Give the network the distance as well.")
-    ] = "positions",
+        Literal["auto", "positions", "distance"],
+        typer.Option(help="distance: the network sees it as well; auto: for problem now."),
+    ] = "auto",
     optimiser: Annotated[
         Literal["auto", "muon", "adamw"],
         typer.Option(help="How weights are moved; auto: muon where it was measured better."),

@@ -27,6 +27,7 @@ from cyclekit.describe.lists import SafetySurvey, task_list_facts
 from cyclekit.describe.survey import TableSurvey
 from cyclekit.discover import cell_for, find_all, options_of
 from cyclekit.errors import LogError
+from cyclekit.intake.tool_point import with_tool_point
 from cyclekit.models.saved import CARD as MODEL_CARD
 from cyclekit.models.saved import load_model
 from cyclekit.plausible import examined_parts
@@ -35,9 +36,8 @@ from cyclekit.registry import adapter_named
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from cyclekit.adapter import ReadOptions
     from cyclekit.describe.facts import SafetyFacts, TaskListFacts
-    from cyclekit.registry import Registered
+    from cyclekit.discover import Log
 
     Progress = Callable[[float, str], None]
 
@@ -57,16 +57,20 @@ UNRATED = ("events", "task_list")
 _OF_SAMPLES = ("scaling", "scaling_sd", "scaling_gap", "scaling_origin", "step", "robot_moving", "human_x_m")
 
 
-def describe(path: Path, *, progress: Progress | None = None, follow_links: bool = False) -> Description:
+def describe(
+    path: Path, *, cell: Path | None = None, progress: Progress | None = None, follow_links: bool = False
+) -> Description:
     """Return what is at `path`: logs, a dataset or a model, told apart by content.
 
     Args:
         path: A file or a folder.
+        cell: Cell file that says how logs are read; by default the one beside them.
         progress: Called with the fraction done and what is being looked at.
         follow_links: Look at what links in a folder of logs lead to outside of it.
 
     Raises:
         LogError: There is nothing there, or nothing that can be read.
+        ConfigError: The cell file cannot be followed.
         DatasetError: The dataset is of another schema version.
         ModelError: The model is of another schema version, or damaged.
     """
@@ -77,7 +81,7 @@ def describe(path: Path, *, progress: Progress | None = None, follow_links: bool
         return _describe_dataset(Dataset.open(path), progress)
     if (path / MODEL_CARD).is_file():
         return _describe_model(path)
-    return _describe_logs(path, progress, follow_links=follow_links)
+    return _describe_logs(path, cell, progress, follow_links=follow_links)
 
 
 def _describe_model(path: Path) -> ModelDescription:
@@ -86,14 +90,14 @@ def _describe_model(path: Path) -> ModelDescription:
     return ModelDescription(path, model.problem, model.network, model.horizon_s, model.levels, count, model.card)
 
 
-def _describe_logs(path: Path, progress: Progress | None, *, follow_links: bool) -> LogsDescription:
-    found, passed_over = find_all([path], cell_for([path], None), follow_links=follow_links)
+def _describe_logs(path: Path, cell: Path | None, progress: Progress | None, *, follow_links: bool) -> LogsDescription:
+    found, passed_over = find_all([path], cell_for([path], cell), follow_links=follow_links)
     logs, not_read, failed = [], [(Path(name), reason) for name, reason in passed_over], None
     for done, log in enumerate(found):
         if progress:
             progress(done / len(found), log.shown)
         try:
-            logs.append(_describe_log(log.path, adapter_named(log.adapter), options_of(log.source)))
+            logs.append(_describe_log(log))
         except LogError as error:
             failed = error
             not_read.append((log.path, error.cause))
@@ -102,11 +106,13 @@ def _describe_logs(path: Path, progress: Progress | None, *, follow_links: bool)
     return LogsDescription(path, tuple(logs), tuple(not_read))
 
 
-def _describe_log(path: Path, entry: Registered, options: ReadOptions) -> LogFacts:
+def _describe_log(log: Log) -> LogFacts:
+    entry = adapter_named(log.adapter)
     surveys, set_aside, rows_read = dict[str, TableSurvey](), dict[str, int](), 0
     warnings: dict[str, None] = {}
     last, tasks, safety = Recording(), list[pl.DataFrame](), SafetySurvey()
-    for part in examined_parts(entry.parts(path, options)):
+    read = entry.parts(log.path, options_of(log.source))
+    for part in examined_parts(with_tool_point(read, log.robot)):
         last, rows_read = part, rows_read + part.rows_read
         for name, table in part.tables().items():
             surveys.setdefault(name, TableSurvey(rated=name not in UNRATED)).add(table)
@@ -119,7 +125,7 @@ def _describe_log(path: Path, entry: Registered, options: ReadOptions) -> LogFac
         warnings |= dict.fromkeys(part.warnings)
     levels, share = surveys["robot"].levels() if "robot" in surveys else ((), ())
     return LogFacts(
-        path=path,
+        path=log.path,
         adapter=entry.name,
         package=f"{entry.package} {entry.version}",
         clock=last.clock,

@@ -14,10 +14,11 @@ import numpy as np
 
 from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError, command_line
-from cyclekit.evaluate.baselines import Row, rivals
+from cyclekit.evaluate.baselines import rivals
 from cyclekit.evaluate.drift import Drift, drift
 from cyclekit.height import said_of_height
 from cyclekit.labelling import without_slider
+from cyclekit.models.beaten import Better, better_rival
 from cyclekit.models.cell import fingerprint, refuse_other_cell
 from cyclekit.models.metrics import Metrics, measure
 from cyclekit.models.saved import load_model
@@ -31,6 +32,15 @@ if TYPE_CHECKING:
     from cyclekit.models.saved import TrainedModel
 
 __all__ = ["Evaluation", "LevelRow", "Row", "evaluate", "evaluate_at"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the comparison: mean squared error of the scaling, and what was done."""
+
+    name: str
+    mse: float
+    note: str
 
 
 @dataclass(frozen=True)
@@ -67,6 +77,7 @@ class Evaluation:
         levels: One entry per level, ascending; empty for an average.
         dropped: Rows left out, by reason.
         notes: What limits the comparison, one sentence each.
+        better: The rival that is better than the model beyond chance; None where none is.
     """
 
     problem: str
@@ -79,6 +90,7 @@ class Evaluation:
     levels: tuple[LevelRow, ...]
     dropped: Mapping[str, int]
     notes: tuple[str, ...] = ()
+    better: Better | None = None
 
     @property
     def accuracy(self) -> float | None:
@@ -98,6 +110,7 @@ class Evaluation:
             "levels": [vars(row) for row in self.levels],
             "dropped": dict(self.dropped),
             "notes": list(self.notes),
+            "better": None if self.better is None else vars(self.better),
         }
 
 
@@ -142,7 +155,7 @@ def evaluate(
         raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
     tell(0.2, f"judging {len(rows)} samples")
     metrics = measure(model, rows)
-    table, notes = list(_read_outs(metrics)), list[str]()
+    table, notes, better = list(_read_outs(metrics)), list[str](), None
     if len(executions) < every:
         notes.append(f"{len(executions)} of {every} executions are judged, drawn at random: memory takes no more")
     notes += said_of_height(dataset.samples(executions, columns=["human_x_m", "human_z_m"]))
@@ -150,7 +163,10 @@ def evaluate(
         tell(0.4, "reading what the rivals learn from")
         learned = _rows(model, dataset, some_executions(dataset, model.card["split"]["train"], memory_rows()))
         tell(0.6, f"fitting the rivals to {len(learned)} samples")
-        table += rivals(learned, rows, model.levels, boosting=boosting)
+        others = rivals(learned, rows, model.levels, boosting=boosting)
+        table += [Row(other.name, float(other.squared.mean()), other.note) for other in others]
+        squared = (model.predict(rows.model_inputs) - rows.scaling) ** 2
+        better = better_rival(model.card, squared, {other.name: other.squared for other in others}, rows.execution)
     else:
         notes.append("not the dataset the model was trained on: all executions are judged, without rivals")
     tell(0.95, "naming levels")
@@ -166,6 +182,7 @@ def evaluate(
         () if confusion is None else _per_level(model, rows, confusion),
         dict(rows.dropped),
         tuple(notes),
+        better,
     )
 
 

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from cyclekit.adapter import Recording
     from cyclekit.config import Robot
 
-_TCP = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
+TCP = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
+"""The columns that are computed."""
 
 
 def with_tool_point(parts: Iterable[Recording], robot: Robot | None) -> Iterator[Recording]:
@@ -33,7 +34,7 @@ def with_tool_point(parts: Iterable[Recording], robot: Robot | None) -> Iterator
 
 def _computed(part: Recording, robot: Robot) -> Recording:
     frame = part.robot
-    if frame is None or any(name in frame.columns and frame[name].count() for name in _TCP):
+    if frame is None or any(name in frame.columns and frame[name].count() for name in TCP):
         return part
     names = sorted((n for n in frame.columns if is_joint(n) and n.endswith("_rad")), key=lambda n: int(n[1:-4]))
     arm = _arm(robot)
@@ -46,7 +47,7 @@ def _computed(part: Recording, robot: Robot) -> Recording:
     angles = np.column_stack([frame[names[i]].cast(pl.Float64).to_numpy() for i in order])
     points, turn = joint_points(arm, angles)
     tcp = points[:, -1] + turn @ np.asarray(robot.tool_m)
-    columns = [pl.Series(name, tcp[:, axis], nan_to_null=True) for axis, name in enumerate(_TCP)]
+    columns = [pl.Series(name, tcp[:, axis], nan_to_null=True) for axis, name in enumerate(TCP)]
     at = "the flange" if robot.tool_m == (0.0, 0.0, 0.0) else "the tool of the cell file"
     said = f"the TCP was not logged: computed for {at} from the joint angles ({arm.name})"
     return replace(part, robot=frame.with_columns(columns), warnings=(*part.warnings, said))

@@ -171,7 +171,8 @@ def _repetition(run: Run, leg: _Leg, noise: Mapping[int, Vector]) -> Repetition 
     if points.shape[1] not in noise or not np.isfinite(points).all():
         return None
     known = part.scaling if run.knows_scaling else np.ones(len(slider))
-    return Repetition(part.t_s, points / noise[points.shape[1]], slider * np.where(known >= SLOW, known, np.nan))
+    over_noise = points / noise[points.shape[1]]
+    return Repetition(part.t_s, over_noise, part.xyz_m, slider * np.where(known >= SLOW, known, np.nan))
 
 
 def _references(

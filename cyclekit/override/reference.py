@@ -37,9 +37,14 @@ VAGUE_SD = 0.1
 OFF = 0.03
 """A repetition whose way leaves the path by more than this fraction of its length takes another path."""
 SLOWED, ALIKE = 0.97, 0.06
-"""A motion was slowed in every repetition if speed and root of acceleration are lower than this, and alike."""
+"""A motion was slowed in every repetition if speed and root of acceleration are below this part of every limit, and
+alike."""
 STOP_S, STILL = 0.2, 0.02
 """A repetition stands where it advances slower than STILL for longer than STOP_S; stops so near in it are one."""
+CLEAR = 10.0
+"""A limit of speed or acceleration that is not so many times its noise is none: that joint hardly moves."""
+STRAIGHT = 0.01
+"""A TCP that never leaves the straight line to its goal by more than this fraction of its length goes straight."""
 LOOKED_AT = 60
 """So many rows of a repetition tell which path it takes."""
 
@@ -51,12 +56,14 @@ class Repetition:
     Attributes:
         t_s: Time, shape (T,), strictly increasing, seconds.
         points: Joint angles or TCP positions over their noise, shape (T, D).
+        tcp_m: TCP, shape (T, 3), metres; NaN where it is not known.
         slider: What is known to have slowed it, shape (T,), in (0, 1]: the operator's slider, and the scaling where it
             was logged; NaN = it was slowed too much to tell the pace.
     """
 
     t_s: Vector
     points: Points
+    tcp_m: Points
     slider: Vector
 
 
@@ -70,7 +77,10 @@ class Reference:
         stops: Where every repetition stands for a while, `own_s` of the path: the program may want it so.
         repetitions: How many repetitions it was taken from.
         alone: It was recorded with nobody in the cell.
-        peak: Greatest speed and acceleration of each joint (or axis) at nominal pace, (2, D), in units of its noise.
+        peak: Greatest speed and acceleration at nominal pace, (2, D + 1): of each joint (or axis), in units of its
+            noise, and of the TCP along its path, m/s and m/s² (NaN: the TCP is not known).
+        noise: Its standard deviation by the noise of the log, (2, D + 1); that of the TCP is taken for 0.
+        straight: The TCP goes straight to its goal.
         slowed: It was slowed in every repetition by so much (its share of full speed); 1 = there is no sign of that.
     """
 
@@ -80,6 +90,8 @@ class Reference:
     repetitions: int
     alone: bool
     peak: Points
+    noise: Points
+    straight: bool
     slowed: float = 1.0
 
 
@@ -94,7 +106,7 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
     if not fastest or (len(fastest) == 1 and not alone):
         return None
     path = path_of(fastest[0].t_s, fastest[0].points)
-    rates, deviations, stops = [], [], []
+    rates, deviations, stops, ways = [], [], [], []
     for repetition in fastest:
         found = along(path, repetition.t_s, repetition.points)
         if is_elsewhere(path, found.off):
@@ -103,6 +115,7 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
         stops.append(_stops(repetition.t_s, rate, found.own_s))
         rows = np.searchsorted(np.maximum.accumulate(found.own_s), path.own_s, side="right") - 1
         rows = np.clip(rows, 0, len(rate) - 1)
+        ways.append(_tcp_along(path, found.own_s, repetition.tcp_m))
         rates.append(rate[rows] / repetition.slider[rows])
         deviations.append(deviation[rows] / repetition.slider[rows])
     if len(rates) < 2 and not alone:
@@ -114,7 +127,9 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
         _common(stops) if not alone else np.empty(0),
         len(rates),
         alone,
-        _peak(path, pace),
+        np.column_stack([_peak(path, pace), _tcp_peak(path, pace, ways[0])]),
+        np.column_stack([np.tile(_peak_noise(path), (path.points.shape[1], 1)).T, np.zeros(2)]),
+        _is_straight(ways[0]),
     )
 
 
@@ -182,22 +197,80 @@ def _peak(path: Path, pace: Vector) -> Points:
     return np.array([np.quantile(values, 0.98, axis=0) for values in both])
 
 
+def _peak_noise(path: Path) -> Vector:
+    """Return the standard deviation of speed and acceleration as `_peak` takes them, shape (2,), points having 1."""
+    period = float(path.own_s[1])
+    over = max(2, round(SMOOTH_S / period))
+    speed = 2.7 * over**-1.5 / period  # of the slope of a cubic over 2 over + 1 rows
+    return np.array([speed, speed / (np.sqrt(2.0) * over * period)])
+
+
+def _tcp_along(path: Path, own_s: Vector, tcp_m: Points) -> Points:
+    """Return the TCP at each row of a path, shape (M, 3), from that of a repetition at rows of known place."""
+    place, first = np.unique(np.maximum.accumulate(own_s), return_index=True)
+    return np.column_stack([np.interp(path.own_s, place, tcp_m[first, axis]) for axis in range(3)])
+
+
+def _tcp_peak(path: Path, pace: Vector, tcp_m: Points) -> Vector:
+    """Return greatest speed and acceleration of the TCP, shape (M, 3), along its path at nominal pace, shape (2,)."""
+    if len(pace) < 5:
+        return np.full(2, np.nan)
+    over = max(1, min(round(SMOOTH_S / float(path.own_s[1])), len(pace) // 5))
+    nominal = _integral(1.0 / pace, path.own_s)
+    lasts = nominal[2 * over :] - nominal[: -2 * over]
+    speed = np.linalg.norm(tcp_m[2 * over :] - tcp_m[: -2 * over], axis=1) / lasts
+    force = (speed[2 * over :] - speed[: -2 * over]) / lasts[over:-over]
+    return np.array([np.quantile(speed, 0.98), np.quantile(np.abs(force), 0.98)])
+
+
+def _is_straight(tcp_m: Points) -> bool:
+    """Tell whether the TCP, shape (M, 3), goes straight to its goal."""
+    way = tcp_m[-1] - tcp_m[0]
+    length = float(np.linalg.norm(way))
+    if not length > 0.0:  # NaN: not known
+        return False
+    off = tcp_m - tcp_m[0]
+    return bool(np.linalg.norm(off - np.outer(off @ way, way) / length**2, axis=1).max() < STRAIGHT * length)
+
+
 def with_dynamics(references: Sequence[Reference]) -> list[float]:
     """Return for each reference the share of full speed at which its motion was always run; 1 = no sign of that.
 
-    Full speed and acceleration of a joint are what two motions at least have reached. A motion is judged by the joint
-    that goes farthest in it; one that was recorded in an empty cell is not.
+    Like is compared with like: a straight motion has a limit of the TCP's speed and acceleration along its path, and
+    what its joints do follows from where it lies; any other motion has limits of its joints too. A motion that reaches
+    any of these limits was at full speed, and so was one that was recorded in an empty cell.
     """
     shares = [1.0] * len(references)
-    widths = {reference.peak.shape[1] for reference in references}
-    for mine in ([i for i, r in enumerate(references) if r.peak.shape[1] == width] for width in widths):
-        if len(mine) < 2:
-            continue
-        full = np.sort([references[i].peak for i in mine], axis=0)[-2]
+    for width in {reference.peak.shape[1] for reference in references}:
+        mine = [i for i, reference in enumerate(references) if reference.peak.shape[1] == width]
+        curved = [references[i] for i in mine if not references[i].straight]
+        joints = _limits(curved, slice(-1)) if curved else np.full((2, width - 1), np.nan)
+        tcp = _limits([references[i] for i in mine], slice(-1, None))
         for i in mine:
-            points = references[i].path.points
-            leading = int(np.abs(points[-1] - points[0]).argmax())
-            speed, force = references[i].peak[:, leading] / np.maximum(full[:, leading], 1e-12)
-            if not references[i].alone and max(speed, force**0.5) < SLOWED and abs(speed - force**0.5) < ALIKE:
-                shares[i] = float(speed)
+            one = references[i]
+            limits = np.column_stack([np.full_like(joints, np.nan) if one.straight else joints, tcp])
+            shares[i] = 1.0 if one.alone else _share(one.peak / limits)
     return shares
+
+
+def _limits(references: Sequence[Reference], columns: slice) -> Points:
+    """Return the speed and acceleration that two motions at least have reached, (2, C); NaN where that is but noise.
+
+    One motion alone proves no limit.
+    """
+    peaks = np.array([reference.peak[:, columns] for reference in references])
+    if len(peaks) < 2:
+        return np.full_like(references[0].peak[:, columns], np.nan)
+    noise = np.median([reference.noise[:, columns] for reference in references], axis=0)
+    second = np.sort(np.where(np.isnan(peaks), 0.0, peaks), axis=0)[-2]
+    return np.where(second > CLEAR * noise, second, np.nan)
+
+
+def _share(part: Points) -> float:
+    """Return the share of full speed that peaks (2, D), as parts of their limits, tell; NaN = there is no limit."""
+    known = np.isfinite(part).all(axis=0)
+    speed, force = part[0, known], part[1, known] ** 0.5
+    if not known.any() or max(speed.max(), force.max()) >= SLOWED:
+        return 1.0
+    leading = int(speed.argmax())
+    return float(speed[leading]) if abs(speed[leading] - force[leading]) < ALIKE else 1.0

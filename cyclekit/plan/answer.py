@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.estimate.transit import TransitTable
     from cyclekit.plan.jobs import Jobs
@@ -46,7 +47,7 @@ class Plan:
         expected_s: Mean cycle time of it over the logged operators, as `estimate` gives it for these places.
         against: What it is compared with: `logged orders` or `random orders`.
         against_s: Mean cycle time of those over the same operators.
-        saves_s: against_s - expected_s, and its 95 % interval from resampling executions.
+        saves_s: against_s - expected_s, and its 95 % interval from resampling executions, widened by a doubted bias.
         saves_unseen_s: What an order saves that is chosen by one half of the executions, on the other half (mean of
             both halves): the part of the saving that is no luck of these logs.
         searched: `all orders`, `all orders of logged tasks` (others need what was never logged) or `search`.
@@ -135,13 +136,14 @@ def plan(
     (found,) = walker.estimates([order], validate=validate, check=check)
     saved = walker.mean_of(basis, every, found.check) - np.array(found.durations_s)
     low, high = np.quantile(resampled(tracks.executions, seed) @ saved, (0.025, 0.975)).tolist()
+    doubt_s = _doubt_s(found, float(saved.mean()))
     return Plan(
         order=order,
         places=jobs.places(order),
         expected_s=found.expected_s,
         against=against,
         against_s=found.expected_s + float(saved.mean()),
-        saves_s=(float(saved.mean()), low, high),
+        saves_s=(float(saved.mean()), low - doubt_s, high + doubt_s),
         saves_unseen_s=unseen * found.expected_s / looked_up,  # seconds of the table, made those of the walk
         searched=searched,
         tried=tried,
@@ -153,6 +155,16 @@ def plan(
         unlogged=tuple(unlogged),
         notes=tuple(said_of_height(dataset.samples(columns=["human_x_m", "human_z_m"]))),
     )
+
+
+def _doubt_s(found: CycleEstimate, saved_s: float) -> float:
+    """Return what a saving may be off by to either side, s, where the validation doubts the rollout.
+
+    A rollout is off in its safety loss, and orders differ by that: as large a part of the saving is in doubt as of the
+    loss, and never more than the whole bias.
+    """
+    bias_s = found.expected_s * found.check.doubted_bias if found.check else 0.0
+    return min(bias_s, abs(saved_s) * bias_s / found.safety_loss_s) if found.safety_loss_s > 0.0 else bias_s
 
 
 def _tasks(jobs: Jobs, dataset: Dataset) -> tuple[dict[str, NominalTask], list[str]]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.evaluate.baselines import fit_thresholds
+from cyclekit.models.beaten import fit_thresholds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,7 @@ from cyclekit.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, RobotRun, tcp_
 from cyclekit.override import infer_overrides
 from cyclekit.override.advance import advance
 from cyclekit.override.path import along, path_of
+from cyclekit.override.reference import _tcp_peak as tcp_peak
 from cyclekit.segment import Execution, Visit
 
 if TYPE_CHECKING:
@@ -156,6 +158,75 @@ def test_a_motion_never_run_at_full_speed_gives_itself_away_by_its_dynamics():
     assert set(parts[8][0].gap.tolist()) == {NEVER_FULL}
     assert np.isnan(parts[8][0].scaling).all()
     assert np.nanmean(parts[0][0].scaling) == pytest.approx(1.0, abs=0.01)
+
+
+def elbow(nominal_s: Vector, x_m: float, y_m: float, way_m: tuple[float, float]) -> tuple[Points, Points]:
+    """TCP and joints of an arm of two links of 0.5 m that goes straight from a place, minimum jerk, in 2 s."""
+    u = np.clip(nominal_s / 2.0, 0.0, 1.0)
+    tcp = np.array([x_m, y_m]) + (10 * u**3 - 15 * u**4 + 6 * u**5)[:, None] * np.array(way_m)
+    bend = np.arccos(np.clip((tcp**2).sum(axis=1) / 0.5 - 1.0, -1.0, 1.0))
+    return np.column_stack([tcp, 0.0 * u]), np.column_stack([np.arctan2(tcp[:, 1], tcp[:, 0]) - bend / 2, bend])
+
+
+def slowed_of(motions: list[Callable[[Vector], tuple[Points, Points]]], rates: list[float]) -> list[float]:
+    """The share of full speed that is told of motions to as many places, three times each at its rate."""
+    runs, executions = list[RobotRun](), list[Execution]()
+    for number, (motion, rate) in enumerate(zip(motions, rates, strict=True)):
+        for seed in range(3):
+            t_s = np.arange(int(2.0 / rate / PERIOD_S) + 1) * PERIOD_S
+            tcp, joints = motion(rate * t_s)
+            q_rad = joints + np.random.default_rng(10 * number + seed).normal(0.0, NOISE_M, joints.shape)
+            runs.append(RobotRun(t_s, tcp, tcp_speed(t_s, tcp), np.full(len(t_s), np.nan), q_rad=q_rad))
+            visits = Visit("a", 0, 0), Visit(f"b{number}", len(t_s) - 1, len(t_s) - 1)
+            executions.append(Execution(len(runs) - 1, visits, complete=True))
+    _, references = infer_overrides(runs, executions)
+    return [references[f"a->b{number}"][0].slowed for number in range(len(motions))]
+
+
+STRAIGHT = [partial(elbow, x_m=x_m, y_m=-0.2, way_m=(0.0, 0.4)) for x_m in (0.38, 0.4, 0.44, 0.45, 0.6, 0.8)]
+"""Equal speeds of the TCP; what the joints do differs by where it goes."""
+
+
+def test_straight_motions_at_full_speed_are_not_taken_for_slowed_by_what_their_joints_do():
+    assert slowed_of(STRAIGHT, [1.0] * 6) == [1.0] * 6
+
+
+def test_a_straight_motion_never_run_at_full_speed_still_gives_itself_away():
+    assert slowed_of(STRAIGHT, [1.0, 1.0, 1.0, 0.5, 1.0, 0.75]) == pytest.approx([1, 1, 1, 0.5, 1, 0.75], abs=0.03)
+
+
+def test_a_joint_that_only_trembles_proves_no_full_speed():
+    """The second joint holds still: its greatest speed is noise, alike in all motions however slow."""
+
+    def turning(nominal_s: Vector, reach: float) -> tuple[Points, Points]:
+        tcp = arc(nominal_s)
+        return tcp, np.column_stack([reach * np.arctan2(tcp[:, 1], tcp[:, 0]), 0.0 * nominal_s])
+
+    motions = [partial(turning, reach=reach) for reach in (1.0, -1.0, 1.0, -1.0)]
+    assert slowed_of(motions, [1.0, 1.0, 0.5, 1.0]) == pytest.approx([1.0, 1.0, 0.5, 1.0], abs=0.05)
+
+
+@pytest.mark.parametrize("moving", [2, 3, 4, 6, 9])
+@pytest.mark.parametrize("tcp_known", [True, False])
+def test_motions_of_a_few_rows_are_looked_at_as_well(moving: int, tcp_known: bool):
+    """And logs of joint angles whose TCP is not known."""
+    way = np.concatenate([np.linspace(0.0, 0.5, moving), np.full(4, 0.5)])
+    rows = len(way)
+    t_s = 0.3 * np.arange(rows)
+    tcp = np.column_stack([way, np.zeros(rows), np.zeros(rows)])
+    xyz = tcp if tcp_known else np.full_like(tcp, np.nan)
+    runs = [RobotRun(t_s, xyz, tcp_speed(t_s, tcp), np.full(rows, np.nan), q_rad=tcp) for _ in range(4)]
+    for one in inferred(runs):
+        assert one.gap is not None
+        assert (one.gap != NEVER_FULL).all()
+        assert (one.scaling[np.isfinite(one.scaling)] > 0.9).all()
+
+
+@pytest.mark.parametrize("rows", [2, 3, 4])
+def test_a_path_of_very_few_rows_has_no_peak(rows: int):
+    t_s = 0.3 * np.arange(rows)
+    tcp = np.column_stack([t_s, t_s, t_s])
+    assert np.isnan(tcp_peak(path_of(t_s, tcp / NOISE_M), np.ones(rows), tcp)).all()
 
 
 def test_rows_that_a_recorder_wrote_twice_do_not_look_like_halts():

@@ -11,10 +11,12 @@ import pytest
 from cyclekit.adapter import Recording
 from cyclekit.arm import MODELS, joint_order, joint_points
 from cyclekit.config import Cell, Robot, cell_to_toml, load_cell
+from cyclekit.convert import convert
 from cyclekit.dataset import Dataset
+from cyclekit.describe import describe
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.ingest import ingest
-from cyclekit.intake.tool_point import with_tool_point
+from cyclekit.intake.tool_point import TCP, with_tool_point
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     ("model", "flange_m"),
     [
         ("UR5e", (-0.8172, -0.2329, 0.0628)),
+        ("UR20", (-1.5907, -0.3553, 0.077)),
+        ("UR30", (-1.1407, -0.3553, 0.077)),
         ("Panda", (0.088, 0.0, 0.926)),
         ("FR3", (0.088, 0.0, 0.926)),
         ("iiwa 7", (0.0, 0.0, 1.266)),
@@ -68,6 +72,27 @@ def test_a_log_of_joints_alone_has_tasks_once_the_arm_is_named(tmp_path: Path):
     found = Dataset.open(ingest([log], tmp_path / "dataset", cell=Cell(robot=Robot("UR5e"))).dataset)
     assert found.tasks().height == 8
     assert any("computed for the flange" in text for entry in found.card["recordings"] for text in entry["warnings"])
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_inspect_and_convert_compute_the_tcp_as_ingest_does(tmp_path: Path, beside: bool):
+    log = joints_only(tmp_path / "run.csv")
+    without = convert(log, tmp_path / "out.parquet")
+    (facts,) = describe(log).logs  # type: ignore[union-attr]
+    for said in (without.warnings, facts.warnings):
+        assert any("name the arm in cell.toml" in text for text in said)
+    cell = tmp_path / ("cell.toml" if beside else "elsewhere.toml")
+    cell.write_text(cell_to_toml(Cell(robot=Robot("UR5e", (), (0.0, 0.0, 0.1)))), encoding="utf-8")
+    (facts,) = describe(log, cell=None if beside else cell).logs  # type: ignore[union-attr]
+    done = convert(log, tmp_path / "out.parquet", columns=TCP, cell=None if beside else load_cell(cell))
+    for said in (done.warnings, facts.warnings):
+        assert any("computed for the tool of the cell file" in text for text in said)
+        assert not any("no TCP" in text for text in said)
+    assert set(TCP) <= set(facts.tables["robot"].known)
+    made = pl.read_parquet(tmp_path / "out.parquet")
+    assert made.columns == ["t_s", *TCP]
+    kept = Dataset.open(ingest([log], tmp_path / "dataset", cell=load_cell(cell)).dataset)
+    assert made.select(TCP).rows() == kept.recorded(kept.recordings[0]["id"], "robot").select(TCP).rows()  # type: ignore[union-attr]
 
 
 def test_parameters_and_a_tool_of_the_cell_file_are_used_and_another_number_of_joints_is_said():

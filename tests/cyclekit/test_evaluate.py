@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+from dataclasses import asdict
 
 import numpy as np
 import polars as pl
@@ -12,9 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.atomic import write_parquet
+from cyclekit.cli import run
 from cyclekit.errors import DatasetError
 from cyclekit.evaluate import evaluate
-from cyclekit.evaluate.baselines import fit_thresholds
+from cyclekit.models.beaten import better_rival, fit_thresholds
+from cyclekit.models.saved import load_model, save_model
 from cyclekit.models.spec import ModelSpec
 from cyclekit.train import train
 
@@ -77,6 +81,77 @@ def test_the_confusion_counts_every_row_on_a_level_once(judged):
     assert [row.rows for row in judged.levels] == confusion.sum(axis=1).tolist()
     assert judged.levels[4].recall == pytest.approx(confusion[4, 4] / confusion[4].sum())
     assert judged.levels[4].precision == pytest.approx(confusion[4, 4] / confusion[:, 4].sum())
+
+
+def squared_errors(each: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Squared errors of 20 rows of each execution, about one value each; and the execution of each row."""
+    execution = np.repeat(np.arange(len(each)), 20)
+    return np.array(each)[execution] * np.tile([0.5, 1.5], 10 * len(each)), execution
+
+
+def test_a_rival_that_is_better_in_every_execution_is_named():
+    model, execution = squared_errors([0.024, 0.026, 0.025, 0.027])
+    rivals = {"distance staircase": model / 2, "constant mean": 2 * model, "gradient boosting": model / 1.9}
+    better = better_rival({}, model, rivals, execution)
+    assert (better.name, better.executions) == ("distance staircase", 4)
+    assert better.model_mse / better.mse == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    "rival",
+    [
+        [0.001, 0.030, 0.024, 0.026],  # in one execution alone
+        [0.022, 0.023, 0.022, 0.023],  # hardly
+        [0.050, 0.050, 0.050, 0.050],  # worse
+    ],
+)
+def test_a_rival_that_is_not_surely_better_is_not_named(rival):
+    model, execution = squared_errors([0.024, 0.026, 0.025, 0.027])
+    assert better_rival({}, model, {"distance staircase": squared_errors(rival)[0]}, execution) is None
+
+
+def test_few_executions_prove_nothing():
+    model, execution = squared_errors([0.024, 0.026])
+    assert better_rival({}, model, {"distance staircase": model / 10}, execution) is None
+
+
+@pytest.mark.parametrize(
+    ("settings", "options"),
+    [
+        ({"features": "positions"}, ["--features", "distance"]),
+        ({}, ["--features", "distance", "--seed", "1"]),
+        ({"features": "distance", "seed": 3}, ["--features", "distance", "--seed", "4"]),
+        (
+            {"network": "regressor", "norm": "none", "features": "positions"},
+            ["--network", "regressor", "--norm", "none", "--features", "distance"],
+        ),
+        ({"noise_m": 0.02, "seed": 1}, ["--noise", "0.02", "--features", "distance", "--seed", "2"]),
+        (
+            {"problem": "ahead", "network": "lstm-1"},
+            ["--problem", "ahead", "--horizon", "2s", "--network", "lstm-1", "--seed", "1"],
+        ),
+    ],
+)
+def test_the_better_training_is_like_the_first_but_for_one_thing(settings, options):
+    model, execution = squared_errors([0.024, 0.026, 0.025, 0.027])
+    card = {"spec": asdict(ModelSpec.of(**settings).with_features())}
+    better = better_rival(card, model, {"distance staircase": model / 2}, execution)
+    assert list(better.otherwise) == options
+    line = better.said("my dataset", "model")
+    assert shlex.split(line.partition("cyclekit ")[2]) == ["train", "my dataset", "--out", "model", *options]
+
+
+def test_what_beats_a_model_is_said_with_the_command_that_mends_it(cell, tmp_path, capsys):
+    """A network that hardly learned is beaten by the staircase; the command as printed gives one that is not."""
+    out = tmp_path / "model"
+    save_model(out, train(cell, ModelSpec.of(batch=256, epochs=2, test_fraction=0.4, features="positions")))
+    assert run(["evaluate", str(out), str(cell.path)]) == 0
+    line = next(text for text in capsys.readouterr().out.splitlines() if "beyond chance" in text)
+    assert line.startswith("the distance staircase is better than the model beyond chance")
+    command = shlex.split(line.partition("train again: cyclekit ")[2])
+    assert run([*command, "--quiet"]) == 0
+    assert load_model(out).card["spec"]["features"] == "distance"
+    assert load_model(out).card["metrics"]["mse_mean"] < 0.01
 
 
 def test_an_evaluation_is_one_json_document(judged):

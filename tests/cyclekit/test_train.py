@@ -136,7 +136,7 @@ def test_progress_is_told_after_every_epoch(cell):
 
 def test_an_input_that_never_varies_is_switched_off(cell, tmp_path):
     flat = changed(cell, tmp_path, pl.when(pl.col("human_z_m").is_not_null()).then(pl.lit(1.3)).alias("human_z_m"))
-    model = train(flat, ModelSpec.of(epochs=2))
+    model = train(flat, ModelSpec.of(epochs=2, features="positions"))  # in a distance it counts as metres do
     inputs = np.array([[0.5, 0.1, 0.3, 2.0, 0.2, z] for z in (1.3, 1.8)])
     assert np.ptp(model.predict(inputs)) == 0
 
@@ -293,14 +293,34 @@ def test_executions_under_different_sliders_teach_one_safety_function(cell, tmp_
     assert any("slider" in text for text in model.card["warnings"])
 
 
-@pytest.mark.parametrize("settings", [{"features": "distance"}, {"optimiser": "muon"}])
+@pytest.mark.parametrize(
+    ("problem", "settings", "sees"),
+    [
+        ("now", {}, "distance"),
+        ("now", {"features": "positions"}, "positions"),
+        ("average", {}, "positions"),
+        ("ahead", {"network": "lstm-1"}, "positions"),
+    ],
+)
+def test_a_network_sees_the_distance_too_where_the_present_scaling_is_asked_for(cell, problem, settings, sees):
+    model = train(cell, ModelSpec.of(problem, horizon_s=None if problem == "now" else 2.0, epochs=1, **settings))
+    assert model.card["spec"]["features"] == sees
+    assert (model.weights.distance is not None) == (sees == "distance")
+
+
+def test_a_network_that_the_staircase_beats_is_said_to_be_so(cell):
+    spec = ModelSpec.of(batch=256, epochs=2, test_fraction=0.4, features="positions")
+    poor = train(cell, spec).card["warnings"]
+    assert any("distance staircase is better" in text and "--features distance" in text for text in poor)
+
+
+@pytest.mark.parametrize("settings", [{"features": "positions"}, {"optimiser": "muon"}])
 def test_what_differs_from_the_paper_learns_as_well_and_survives_the_disk(cell, tmp_path, settings):
     model = train(cell, ModelSpec.of(batch=256, epochs=5, **settings))
     assert model.card["metrics"]["mse_mean"] < 0.03
     save_model(tmp_path / "model", model)
     rows = build_samples(cell.samples(model.card["split"]["test"]), "now", 0.0, LEVELS, allow=("human",), rate_hz=10.0)
     assert np.array_equal(load_model(tmp_path / "model").predict(rows.X), model.predict(rows.X))
-    assert (model.weights.distance is not None) == ("features" in settings)
     assert model.card["spec"]["optimiser"] == settings.get("optimiser", "adamw")  # of the default: what it came to
 
 

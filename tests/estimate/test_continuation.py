@@ -88,3 +88,21 @@ def test_same_seed_same_operator():
     )
     np.testing.assert_array_equal(one, two)
     assert not np.array_equal(one, other)
+
+
+def test_what_an_operator_does_next_does_not_depend_on_how_far_he_is_continued():
+    rng = np.random.default_rng(6)
+    logged = [operator(rng, length_s) for length_s in (15.0, 20.0, 25.0, 30.0)]
+    continuation = Continuation(logged, STEP_S, phase_free=True)
+    (far, far_doing), (near, near_doing) = (continuation.extend(logged, range(4), length) for length in (900, 500))
+    np.testing.assert_array_equal(far[:, :500], near)
+    np.testing.assert_array_equal(far_doing[:, :500], near_doing)
+
+
+def test_who_is_not_among_the_remembered_goes_on_as_well():
+    rng = np.random.default_rng(7)
+    logged = [operator(rng, 20.0) for _ in range(10)]
+    strange = operator(rng, 3.0)
+    where, activity = Continuation(logged, STEP_S, phase_free=True).extend([strange], [-1], 600)
+    assert np.isfinite(where).all()
+    assert set(activity[0].tolist()) == {0, 1}

@@ -32,12 +32,15 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset import Dataset
     from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.sequences import TaskSequence
 
     Vector = NDArray[np.float64]
 
 MOST = 200
 """Logged executions that are rolled out at most, evenly chosen: whoever asks, a number is corrected by the same ones.
 How many of them lie in their intervals is then known to two percent points."""
+ENOUGH = 1.25
+"""Tracks are so many times as long as the longest logged execution, and longer only where a cycle does not end."""
 LEAST = 3
 """From fewer executions no standard error of the bias can be told, so nothing is corrected."""
 FEW_EXECUTIONS = 10
@@ -193,18 +196,19 @@ def check_rollout(
     nominal = nominal_tasks(dataset)
     sequences = logged_sequences(dataset, nominal)
     _enough(dataset, len(sequences))
-    longest = max(sum(nominal[task].nominal_s + nominal[task].dwell_s for task in s.tasks) for s in sequences)
-    tracks = operator_tracks(dataset, horizon_s=3.0 * longest, phases=1)
-    sequences = [sequence for sequence in sequences if sequence.name in tracks.executions]
-    _enough(dataset, len(sequences))
-    if most is not None and len(sequences) > most:
-        sequences = [sequences[i] for i in np.linspace(0, len(sequences) - 1, most).astype(int)]
+    longest_s = 3.0 * max(sum(nominal[task].nominal_s + nominal[task].dwell_s for task in s.tasks) for s in sequences)
+    usual_s = min(ENOUGH * float(logged_durations(dataset, sequences).max()), longest_s)
+    for until_s in (usual_s, longest_s):
+        tracks = operator_tracks(dataset, horizon_s=until_s, phases=1)
+        sequences = _some([sequence for sequence in sequences if sequence.name in tracks.executions], most)
+        _enough(dataset, len(sequences))
         tracks = only_tracks(tracks, {sequence.name for sequence in sequences})
-    own = beside_own(model, dataset, sequences, nominal, tracks)
-    asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
-    crossed = transit_table(model, asked, tracks, progress=progress).durations(
-        [sequence.tasks for sequence in sequences], seed=seed
-    )
+        own = beside_own(model, dataset, sequences, nominal, tracks)
+        asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
+        table = transit_table(model, asked, tracks, progress=progress)
+        crossed = table.durations([sequence.tasks for sequence in sequences], seed=seed)
+        if np.isfinite(own).all() and np.isfinite(crossed).all():
+            break
     logged = logged_durations(dataset, sequences)
     column = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
     crossed[np.arange(len(sequences)), column] = np.nan  # its own operator is left out
@@ -212,6 +216,13 @@ def check_rollout(
     unseen = set((model.card.get("split") or {}).get("test", ()))
     held_out = np.array([sequence.name in unseen for sequence in sequences])
     return compare(logged, own, np.where(np.isfinite(crossed), crossed, np.nan), held_out, levels)
+
+
+def _some(sequences: list[TaskSequence], most: int | None) -> list[TaskSequence]:
+    """Return at most so many of them, evenly chosen."""
+    if most is None or len(sequences) <= most:
+        return sequences
+    return [sequences[i] for i in np.linspace(0, len(sequences) - 1, most).astype(int)]
 
 
 def _enough(dataset: Dataset, count: int) -> None:

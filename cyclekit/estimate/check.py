@@ -20,6 +20,7 @@ import numpy as np
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.logged import beside_own, logged_durations, logged_sequences, only_tracks
 from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.one_thread import one_thread
@@ -47,6 +48,9 @@ FEW_EXECUTIONS = 10
 """With fewer executions no coverage is told: a 5 % quantile of them would be guessed."""
 REACTS_Z = 3.0
 """So many standard errors between crossed and logged durations are no chance."""
+ELSEWHERE = 0.3
+"""Of a bias that was taken out, so much remains on other orders (standard deviation, as part of it): measured with the
+learned safety function beside the true one, in cells with ramps and hysteresis."""
 OWN_BIAS = 0.01
 """A rollout beside the operators themselves that is off by more than this part is wrong."""
 ALARMING_BIAS = 0.03
@@ -102,7 +106,8 @@ class Check:
     @property
     def model_error(self) -> float:
         """Standard deviation of the mean that the network's error still stands for, as part of it."""
-        return float(np.hypot(self.own_bias * (1 - self._sure), self.own_error))
+        left = 1 - self._sure, ELSEWHERE * self._sure
+        return float(np.hypot(self.own_bias * np.hypot(*left), self.own_error))
 
     @property
     def _sure(self) -> float:
@@ -122,9 +127,8 @@ class Check:
 
     @property
     def doubted_bias(self) -> float:
-        """The largest bias that a doubt names, as part of the duration: the interval of a mean is no narrower."""
-        named = [(self._own_doubted, self.own_bias), (self._reacts, self.crossed_bias)]
-        return max((abs(bias) for doubted, bias in named if doubted), default=0.0)
+        """A bias that a doubt names and nothing takes out, as part of the duration: the interval is no narrower."""
+        return abs(self.crossed_bias) if self._reacts else 0.0
 
     @property
     def alarm(self) -> str | None:
@@ -211,11 +215,22 @@ def check_rollout(
             break
     logged = logged_durations(dataset, sequences)
     column = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
+    if not Dynamics.of(dataset.card).none:
+        crossed *= _late(own, crossed[np.arange(len(sequences)), column])
     crossed[np.arange(len(sequences)), column] = np.nan  # its own operator is left out
     _enough(dataset, int((np.isfinite(own) & np.isfinite(crossed).any(axis=1)).sum()))
     unseen = set((model.card.get("split") or {}).get("test", ()))
     held_out = np.array([sequence.name in unseen for sequence in sequences])
     return compare(logged, own, np.where(np.isfinite(crossed), crossed, np.nan), held_out, levels)
+
+
+def _late(own_s: Vector, at_once_s: Vector) -> float:
+    """Return what cycles of the table of arrivals, in which s answers at once, are to be multiplied by.
+
+    The executions beside their own operators tell: walked with latency, ramps and hysteresis, and by the table.
+    """
+    both = np.isfinite(own_s) & np.isfinite(at_once_s)
+    return float(own_s[both].sum() / at_once_s[both].sum()) if both.any() else 1.0
 
 
 def _some(sequences: list[TaskSequence], most: int | None) -> list[TaskSequence]:

@@ -5,7 +5,8 @@ that begins in the same state: what the operator does, where he is, how he moves
 (or away). Of the tracks that come nearest one is drawn. A logged execution ends when the robot is done, which depends
 on what the operator did before and not on what he does next; so what followed the same state elsewhere is a fair draw
 of what follows here, however long or short the execution was that it comes from. (A block bootstrap with matched
-blocks: Carlstein, Do, Hall, Hesterberg and Künsch, Bernoulli 4, 1998.)
+blocks: Carlstein, Do, Hall, Hesterberg and Künsch, Bernoulli 4, 1998.) No state says everything, and a log ends more
+often where its operator is away; so instants are weighed until all of the logs is used alike (`Continuation._weights`).
 """
 
 from __future__ import annotations
@@ -48,10 +49,18 @@ EVERY_S = 0.5
 """Instants of a track at which a stretch may begin are so far apart,"""
 LEAST_S = 1.0
 """... and the last one is so long before its end."""
-DRAWN = 5
+DRAWN = 15
 """The nearest instants of so many tracks can be drawn,"""
-WITHIN = 1.0
+WITHIN = 1.5
 """... if they are no farther than the best one by so many units."""
+TURNS = 60
+"""Rounds in which the weights of the tracks are found."""
+MOST_WEIGHED = 400
+"""More tracks than this are no few that follow each other: all instants weigh the same."""
+PARTS = 4
+"""Parts of a track that are weighed apart."""
+MOST_WEIGHT = 30.0
+"""No track is drawn so many times as often as its likeness alone would have it, or as rarely."""
 BLEND_S = 1.0
 """The step between two tracks is smoothed over this time; no longer than the shortest stretch."""
 AT_ONCE = 2_000_000
@@ -99,6 +108,42 @@ class Continuation:
         since = self._at - logs.first[self._owner]
         self._states = np.hstack([logs.states(self._at, self._kinds), self._times(logs.spell[self._at], since)])
         self._owners, self._begins = np.unique(self._owner, return_index=True)
+        self._weight: Vector | None = None
+
+    def _weights(self) -> Vector:
+        """Return how readily each instant is drawn, shape (instants,), so that all of the logs is used alike.
+
+        By likeness alone a few tracks follow each other again and again, their ends more than their beginnings, and
+        what happens there would be taken for what operators do. Each end of a track leads to instants that are like
+        it. Their weights, one for each of PARTS parts of each track, are changed in turns until, walked for ever,
+        every part comes as often as in the logs.
+        """
+        logs, count = self._logs, len(self._logs.last)
+        length = (logs.last + 1 - logs.first).astype(np.float64)
+        times = self._times(logs.spell[logs.last], length.astype(np.int64) - 1)
+        found, near = self.nearest(np.hstack([logs.states(logs.last, self._kinds), times]), np.arange(count))
+        may = np.arange(found.shape[1]) < near[:, None]
+        to = self._owner[found]
+        into = (self._at[found] - logs.first[to]) / length[to]  # where each track is entered, in [0, 1)
+        begin = np.arange(PARTS) / PARTS
+        covers = np.clip(begin + 1.0 / PARTS - into[..., None], 0.0, 1.0 / PARTS) * length[to][..., None]
+        covers[~may] = 0.0
+        part = to * PARTS + (into * PARTS).astype(np.int64)
+        every = (to[..., None] * PARTS + np.arange(PARTS)).ravel()
+        weight, at = np.ones(count * PARTS), length / length.sum()
+        wanted = np.repeat(length / length.sum() / PARTS, PARTS)
+        for _ in range(TURNS):
+            step = np.where(may, weight[part], 0.0)
+            step *= (at / step.sum(axis=1))[:, None]
+            at = 0.5 * at + 0.5 * np.bincount(to.ravel(), step.ravel(), minlength=count)
+            used = np.bincount(every, (step[..., None] * covers).ravel(), minlength=len(weight))
+            off = np.clip(wanted / np.maximum(used / used.sum(), 1e-9), 0.1, 10.0)
+            ahead = (covers * off[every].reshape(covers.shape)).sum(axis=2) / np.maximum(covers.sum(axis=2), 1e-9)
+            total = np.bincount(part[may], minlength=len(weight))
+            mean = np.bincount(part[may], ahead[may], minlength=len(weight)) / np.maximum(total, 1)
+            weight = np.clip(weight * np.where(total > 0, mean, 1.0) ** 0.5, 1.0 / MOST_WEIGHT, MOST_WEIGHT)
+        parts = ((self._at - logs.first[self._owner]) / length[self._owner] * PARTS).astype(np.int64)
+        return np.asarray(weight[self._owner * PARTS + parts])
 
     def extend(
         self, begun: Sequence[Stretch], owners: Sequence[int], length: int, *, seed: int = 0
@@ -183,6 +228,12 @@ class Continuation:
             ]
         return np.array(found), np.concatenate(counts)
 
+    def weight_of(self, instants: Whole) -> Vector:
+        """Return the weights of instants of any shape, in that shape."""
+        if self._weight is None:
+            self._weight = self._weights() if len(self._logs.last) <= MOST_WEIGHED else np.ones(len(self._at))
+        return np.asarray(self._weight[instants])
+
     def _write(self, where: Points, activity: Whole, pieces: Sequence[_Piece]) -> None:
         """Write the pieces into tracks, shape (K, length, 3 or 6) and (K, length), in place."""
         length = where.shape[1]
@@ -228,8 +279,12 @@ class _Choices:
             self._instants += list(instants)
             self._counts += counts.tolist()
         number = np.array([self._number[key] for key in keys])
-        which = (luck * np.array(self._counts)[number]).astype(np.int64)
-        return np.asarray(np.array(self._instants)[number, which])
+        instants = np.array(self._instants)[number]
+        weight = self._continuation.weight_of(instants)
+        weight[np.arange(weight.shape[1]) >= np.array(self._counts)[number][:, None]] = 0.0
+        until = np.cumsum(weight, axis=1)
+        which = (until < (luck * until[:, -1])[:, None]).sum(axis=1)
+        return np.asarray(instants[np.arange(len(instants)), which])
 
 
 class _Logs:

@@ -11,7 +11,6 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cyclekit.dataset import Place
 from cyclekit.motion import pieces
@@ -132,6 +131,8 @@ def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArr
         rows: Which of them to group.
         radius_m: Reach of a group around its spot.
     """
+    from scipy.spatial import cKDTree  # takes long, and only who looks for places needs it
+
     groups: list[NDArray[np.int64]] = []
     rows = rows[np.isfinite(xyz[rows]).all(axis=1)]
     if not len(rows):

@@ -104,13 +104,19 @@ class Follower:
     def __init__(self, model: SafetyModel, dynamics: Dynamics, step_s: float) -> None:
         self._model, self._dynamics, self._step_s = model, dynamics, step_s
         self._delay = round((dynamics.latency_s or 0.0) / step_s)
+        self._asked = np.empty(0)
         self._seen: deque[Vector] = deque()
         self._held: Vector | None = None
         self._s: Vector | None = None
 
     def advance(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
         """Return s (N,) of this step for positions (N, 3) at its middle."""
-        self._seen.append(self._wanted(robot_m, human_m))
+        self._asked = self._wanted(robot_m, human_m)
+        return self.go_on()
+
+    def go_on(self) -> Vector:
+        """Return s (N,) of one more step for the positions that were told last."""
+        self._seen.append(self._asked)
         wanted = self._seen.popleft() if len(self._seen) > self._delay else self._seen[0]
         if self._s is not None:
             down, up = self._dynamics.ramp_down_per_s, self._dynamics.ramp_up_per_s
@@ -122,7 +128,7 @@ class Follower:
 
     def keep(self, going: NDArray[np.bool_]) -> None:
         """Leave the other rows out from now on."""
-        self._seen = deque(wanted[going] for wanted in self._seen)
+        self._seen, self._asked = deque(wanted[going] for wanted in self._seen), self._asked[going]
         self._s, self._held = (None if part is None else part[going] for part in (self._s, self._held))
 
     def _wanted(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
@@ -145,4 +151,5 @@ class Follower:
         human_m = in_plane(robot_m, human_m)
         way = human_m - robot_m
         way *= margin_m / 2 / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
-        return scaling_of(self._model, robot_m, human_m - way), scaling_of(self._model, robot_m, human_m + way)
+        found = scaling_of(self._model, np.tile(robot_m, (2, 1)), np.concatenate([human_m - way, human_m + way]))
+        return found[: len(robot_m)], found[len(robot_m) :]

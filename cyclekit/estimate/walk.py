@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
 TIME_STEP_S, FINE_STEP_S = 0.2, 0.1
 """Step of the walk, and of one in which s follows the safety function late, in ramps or with hysteresis, or in which
-single cycles count more than their mean; positions are taken at its middle."""
+single cycles count more than their mean. The safety function is asked once per TIME_STEP_S, where single cycles count
+once per step, at the positions in the middle."""
 SUPPORT_EVERY_S = 0.4
 """Support is looked up this often."""
 ROWS = 4096
@@ -162,13 +163,16 @@ def walk(
     duration, activity_s = np.full(count, np.inf), np.zeros(count * kinds)
     known, looked, spliced, own_loss = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
     follower = None if dynamics.none else Follower(model, dynamics, step_s)
-    looks_after = round(SUPPORT_EVERY_S / step_s)
+    looks_after, asks_after = round(SUPPORT_EVERY_S / step_s), 1 if fine else round(TIME_STEP_S / step_s)
     rows, mine, scaling = np.arange(count), track, np.ones(count)  # of the rows that are not at their end
-    for number in range(int((samples - 2) * tracks.step_s / step_s)):
-        robot = lines.robot_at(scaling * step_s / 2)
-        where, doing, sample = people.at((number + 0.5) * step_s)
-        human = where.take(mine, axis=0)
-        scaling = _follow(model, follower, lines, robot, human)
+    for number in range(int((samples - 2) * tracks.step_s / step_s) - asks_after + 1):
+        if number % asks_after == 0:
+            robot = lines.robot_at(scaling * asks_after * step_s / 2)
+            where, doing, sample = people.at((number + asks_after / 2) * step_s)
+            human = where.take(mine, axis=0)
+            scaling = _follow(model, follower, lines, robot, human)
+        elif follower is not None:
+            scaling = follower.go_on()
         lost, left = lines.advance(scaling)
         activity_s[rows * kinds + doing[mine]] += lost
         own = sample < tracks.logged[mine]

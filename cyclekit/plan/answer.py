@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import permutations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +16,6 @@ from cyclekit.height import said_of_height
 from cyclekit.models.cell import refuse_other_cell
 from cyclekit.one_thread import one_thread
 from cyclekit.plan.exact import Walker
-from cyclekit.plan.jobs import tasks_of
 from cyclekit.plan.search import Scorer, best_order, first_order, random_order
 
 if TYPE_CHECKING:
@@ -173,17 +171,8 @@ def _tasks(jobs: Jobs, dataset: Dataset) -> tuple[dict[str, NominalTask], list[s
     for name in (*jobs.visit, jobs.start, jobs.end, jobs.via):
         if name is not None and name not in dataset.places:
             raise UnknownName(jobs.shown, "place", name, dataset.places)
-    names = list(dict.fromkeys(jobs.visit))
-    pairs = [pair for pair in permutations(names, 2) if (pair[1], pair[0]) not in jobs.before]
-    wanted = {task for pair in pairs for task in tasks_of(jobs.places(pair))}
-    wanted |= {task for name in names for task in tasks_of(jobs.places((name,)))}
-    # an order of two visits begins and ends with any, unless something must come before or after it
-    late = {b for _, b in jobs.before}
-    early = {a for a, _ in jobs.before}
-    impossible = {tasks_of(jobs.places((name,)))[0] for name in late} if jobs.via is None else set()
-    if jobs.end is not None:
-        impossible |= {f"{name}->{jobs.end}" for name in early}
-    missing = sorted(task for task in wanted - impossible if task not in known)
+    wanted = jobs.needed()
+    missing = sorted(wanted.difference(known))
     return {task: known[task] for task in wanted if task in known}, missing
 
 

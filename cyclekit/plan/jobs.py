@@ -9,7 +9,7 @@ before = [["left_1", "left_2"]]         # the first one before the second one
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -83,6 +83,16 @@ class Jobs:
         if not all(last[a] < first[b] for a, b in self.before):
             return False
         return not self.unlogged.intersection(tasks_of(self.places(order)))
+
+    def needed(self) -> set[str]:
+        """Return every task that an order may need which keeps the constraints; whether it was logged is not asked."""
+        names = set(self.visit)
+        first, last = names.difference(b for _, b in self.before), names.difference(a for a, _ in self.before)
+        follow = [(a, b) for a in names for b in names if (b, a) not in self.before]
+        ways = [replace(self, start=a, end=None).places((b,)) for a, b in follow if a != b or self.visit.count(a) > 1]
+        ways += [replace(self, end=None).places((name,)) for name in first]
+        ways += [(name, self.end) for name in last if self.end not in (None, name)]
+        return {task for places in ways for task in tasks_of(places)}
 
     def next_of(self, left: Sequence[str], last: str | None = None) -> list[str]:
         """Return which of the visits that are left may come next, each once.

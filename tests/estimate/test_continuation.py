@@ -88,3 +88,41 @@ def test_same_seed_same_operator():
     )
     np.testing.assert_array_equal(one, two)
     assert not np.array_equal(one, other)
+
+
+def test_what_an_operator_does_next_does_not_depend_on_how_far_he_is_continued():
+    rng = np.random.default_rng(6)
+    logged = [operator(rng, length_s) for length_s in (15.0, 20.0, 25.0, 30.0)]
+    continuation = Continuation(logged, STEP_S, phase_free=True)
+    (far, far_doing), (near, near_doing) = (continuation.extend(logged, range(4), length) for length in (900, 500))
+    np.testing.assert_array_equal(far[:, :500], near)
+    np.testing.assert_array_equal(far_doing[:, :500], near_doing)
+
+
+def test_who_is_not_among_the_remembered_goes_on_as_well():
+    rng = np.random.default_rng(7)
+    logged = [operator(rng, 20.0) for _ in range(10)]
+    strange = operator(rng, 3.0)
+    where, activity = Continuation(logged, STEP_S, phase_free=True).extend([strange], [-1], 600)
+    assert np.isfinite(where).all()
+    assert set(activity[0].tolist()) == {0, 1}
+
+
+def beside_a_robot(rng: np.random.Generator, work_s: float) -> Stretch:
+    """An operator in whose presence the robot halts: his log ends when it has worked so long, so never while he is."""
+    track = operator(rng, 8 * work_s, away=True)
+    done = np.flatnonzero(np.cumsum(track.activity == 1) * STEP_S >= work_s)[0] + 1
+    return Stretch(track.where[:done], track.activity[:done])
+
+
+def test_he_is_there_for_as_long_as_in_the_logs_although_these_end_when_he_goes():
+    """No few logs follow each other again and again: one set of logs is continued as well as the other."""
+    off = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        logged = [beside_a_robot(rng, 20.0) for _ in range(30)]
+        usual = np.mean(np.concatenate([track.activity for track in logged]) == 0)
+        _, activity = Continuation(logged, STEP_S, phase_free=True).extend(logged, list(range(30)), 1500)
+        off.append(np.mean(activity[:, 500:] == 0) / usual - 1)
+    assert np.mean(off) == pytest.approx(0.0, abs=0.05)
+    assert np.std(off) < 0.035

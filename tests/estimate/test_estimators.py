@@ -354,10 +354,21 @@ def test_the_interval_of_a_mean_is_no_narrower_than_the_bias_that_a_doubt_names(
     assert doubt in found.to_json()["doubts"]
 
 
-def test_a_doubted_own_bias_widens_the_interval_as_well():
+def test_of_a_bias_that_was_taken_out_a_part_stays_in_the_interval():
+    """It was measured on the logged orders; nothing of it is added to both sides again."""
     check = replace(crossing(100, 0.0), own_bias=0.02, own_error=0.001)
-    assert check.doubted_bias == 0.02
-    assert replace(check, own_error=0.01).doubted_bias == 0.0
+    assert check.doubted_bias == 0.0
+    assert check.model_error == pytest.approx(0.3 * 0.02, rel=0.05)
+    assert replace(check, own_bias=0.0).model_error == pytest.approx(0.001)
+
+
+def test_beside_other_operators_s_follows_as_late_as_beside_their_own(logged: Dataset, staircase: Any, monkeypatch: Any):
+    """Slow recovery makes every cycle longer; no operator reacts to the robot because of it."""
+    at_once = check_rollout(staircase, logged)
+    monkeypatch.setitem(logged.card, "dynamics", {"ramp_up_per_s": 0.1})
+    slow = check_rollout(staircase, logged)
+    assert slow.own_bias > at_once.own_bias + 0.02
+    assert slow.crossed_bias - slow.own_bias == pytest.approx(at_once.crossed_bias - at_once.own_bias, abs=0.01)
 
 
 def test_what_was_never_logged_is_a_doubt_that_says_what_the_interval_leaves_out(logged: Dataset, staircase: Any):

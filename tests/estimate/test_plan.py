@@ -170,6 +170,17 @@ def test_orders_of_logged_tasks_are_searched_where_others_need_what_was_never_lo
     assert found.unlogged == (f"{last}->conveyor",)
 
 
+def test_a_way_that_ends_an_order_and_is_needed_within_it_as_well_is_refused_by_its_name(
+    logged: Dataset, staircase: Any, monkeypatch: pytest.MonkeyPatch
+):
+    one, other = jobs_logged(logged, 2).visit
+    tasks = nominal_tasks(logged)
+    del tasks[f"{one}->conveyor"]
+    monkeypatch.setattr("cyclekit.plan.answer.nominal_tasks", lambda _: tasks)
+    with pytest.raises(EstimateError, match=f"{one}->conveyor"):
+        plan(staircase, logged, Jobs((one, other), "home", "conveyor", "conveyor", ((one, other),)))
+
+
 PAIRS = [f"{a}->{b}" for a, b in permutations(("home", "via", *NAMES), 2)]
 
 
@@ -188,6 +199,24 @@ def test_the_orders_of_logged_tasks_are_those_among_all_that_need_no_other(
     assert {order for order in permutations(visit) if jobs.allowed(order)} == every
     if every:
         assert random_order(jobs, np.random.default_rng(1)) in every
+
+
+@given(
+    st.sampled_from(["home", "a"]),
+    st.sampled_from([None, "via", "b"]),
+    st.sampled_from([None, "home", "a", "b", "via"]),
+    st.lists(st.sampled_from(NAMES[:4]), min_size=2, max_size=4),
+    st.lists(st.tuples(st.sampled_from(NAMES[:4]), st.sampled_from(NAMES[:4])), max_size=2),
+)
+def test_every_task_that_an_order_may_need_is_asked_for(
+    start: str, via: str | None, end: str | None, visit: list[str], before: list[tuple[str, str]]
+):
+    try:
+        jobs = Jobs(tuple(visit), start, end, via, tuple(before))
+    except (ConfigError, UnknownName):
+        return  # no order keeps these constraints
+    orders = {order for order in permutations(visit) if jobs.allowed(order)}
+    assert {task for order in orders for task in tasks_of(jobs.places(order))} <= jobs.needed()
 
 
 def test_one_place_from_which_nothing_leads_on_is_visited_last_and_two_are_refused_at_once():

@@ -362,7 +362,9 @@ def test_of_a_bias_that_was_taken_out_a_part_stays_in_the_interval():
     assert replace(check, own_bias=0.0).model_error == pytest.approx(0.001)
 
 
-def test_beside_other_operators_s_follows_as_late_as_beside_their_own(logged: Dataset, staircase: Any, monkeypatch: Any):
+def test_beside_other_operators_s_follows_as_late_as_beside_their_own(
+    logged: Dataset, staircase: Any, monkeypatch: Any
+):
     """Slow recovery makes every cycle longer; no operator reacts to the robot because of it."""
     at_once = check_rollout(staircase, logged)
     monkeypatch.setitem(logged.card, "dynamics", {"ramp_up_per_s": 0.1})

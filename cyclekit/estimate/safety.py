@@ -26,6 +26,10 @@ BLOCK = 2048
 """Rows predicted at once: a block and its layers stay in the fast cache."""
 
 
+SURE = 0.99
+"""A level of this probability is farther from every other than half the hysteresis."""
+
+
 class SafetyModel(Protocol):
     """What a rollout asks of a model; a staircase written down in a file has it as well."""
 
@@ -47,6 +51,22 @@ class Written(SafetyModel, Protocol):
 
     def moved_outwards(self, margin_m: float, /) -> SafetyModel:
         """Return it with its thresholds and zones moved outwards by the hysteresis: what s rises by."""
+
+
+@runtime_checkable
+class Classifier(SafetyModel, Protocol):
+    """A network that may tell how likely each level is, if `network` says that it is a classifier."""
+
+    @property
+    def network(self) -> str:
+        """Its kind."""
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Its levels, ascending."""
+
+    def probabilities(self, X: NDArray[np.float32], /) -> Vector:
+        """Return the probability of every level (N, P) for rows x_r, x_h (N, 6), m."""
 
 
 @dataclass(frozen=True)
@@ -81,21 +101,51 @@ def scaling_of(model: SafetyModel, robot_m: NDArray[np.float64], human_m: NDArra
 
     Of somebody whose height is unknown (NaN) it is that of the distance in the plane.
     """
+    scaling, inputs, present = _asked(model, robot_m, human_m)
+    if len(inputs):
+        blocks = range(0, len(inputs), BLOCK)
+        found = [model.predict(inputs[start : start + BLOCK]) for start in blocks]
+        scaling[present] = np.clip(np.concatenate(found), 0.0, 1.0)
+    return scaling
+
+
+def likeliest_of(
+    model: Classifier, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]
+) -> tuple[Vector, NDArray[np.bool_]]:
+    """Return the likeliest level of each pair of positions, as `scaling_of`, and whether it is SURE; (N,) each."""
+    scaling, inputs, present = _asked(model, robot_m, human_m)
+    sure = np.ones(len(scaling), dtype=np.bool_)
+    if len(inputs):
+        blocks = range(0, len(inputs), BLOCK)
+        found = np.concatenate([model.probabilities(inputs[start : start + BLOCK]) for start in blocks])
+        scaling[present] = np.array(model.levels)[found.argmax(axis=1)]
+        sure[present] = found.max(axis=1) >= SURE
+    return scaling, sure
+
+
+def around(robot_m: NDArray[np.float64], human_m: NDArray[np.float64], by_m: float) -> list[NDArray[np.float64]]:
+    """Return the operators (N, 3) moved by `by_m` towards the robot, away from it, and to both sides on the floor."""
+    way = human_m - robot_m
+    way *= by_m / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+    side = np.stack([-way[:, 1], way[:, 0], np.zeros(len(way))], axis=1)
+    side *= abs(by_m) / np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
+    return [human_m - way, human_m + way, human_m - side, human_m + side]
+
+
+def _asked(
+    model: SafetyModel, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]
+) -> tuple[Vector, NDArray[np.float32], NDArray[np.int64] | slice]:
+    """Return s where nobody is seen (N,), the inputs of the other pairs (M, 6), and which those are."""
     without = model.card.get("scaling_without_operator")
     scaling = np.full(len(robot_m), 1.0 if without is None else float(without))
     inputs = np.empty((len(robot_m), 6), dtype=np.float32)
     inputs[:, :3], inputs[:, 3:] = robot_m, human_m
     inputs = inputs_in_plane(inputs)
     seen = np.isfinite(inputs[:, 3] + inputs[:, 4] + inputs[:, 5])
-    present: NDArray[np.int64] | slice = slice(None)
-    if not seen.all():
-        present = np.flatnonzero(seen)
-        inputs = inputs[present]
-    if len(inputs):
-        blocks = range(0, len(inputs), BLOCK)
-        found = [model.predict(inputs[start : start + BLOCK]) for start in blocks]
-        scaling[present] = np.clip(np.concatenate(found), 0.0, 1.0)
-    return scaling
+    if seen.all():
+        return scaling, inputs, slice(None)
+    present = np.flatnonzero(seen)
+    return scaling, inputs[present], present
 
 
 class Follower:
@@ -144,12 +194,22 @@ class Follower:
     def _within(
         self, margin_m: float, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]
     ) -> tuple[Vector, Vector]:
-        """Return up to which s may rise and down to which it must fall; what was learned lies half way between."""
+        """Return up to which s may rise and down to which it must fall; what was learned lies half way between.
+
+        A classifier hesitates within the hysteresis, where s was now one level, now the other. Its likeliest level
+        there is on either side of the middle; of what lies within half the hysteresis the slowest may be risen to, and
+        the quickest need not be fallen below.
+        """
         if isinstance(self._model, Written):
             outer = self._model.moved_outwards(margin_m)
             return scaling_of(outer, robot_m, human_m), scaling_of(self._model, robot_m, human_m)
         human_m = in_plane(robot_m, human_m)
-        way = human_m - robot_m
-        way *= margin_m / 2 / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
-        found = scaling_of(self._model, np.tile(robot_m, (2, 1)), np.concatenate([human_m - way, human_m + way]))
-        return found[: len(robot_m)], found[len(robot_m) :]
+        if not isinstance(self._model, Classifier) or self._model.network != "classifier":
+            nearer, farther, *_ = around(robot_m, human_m, margin_m / 2)
+            return scaling_of(self._model, robot_m, nearer), scaling_of(self._model, robot_m, farther)
+        rising, sure = likeliest_of(self._model, robot_m, human_m)
+        falling, near = rising.copy(), np.flatnonzero(~sure)
+        for moved in around(robot_m[near], human_m[near], margin_m / 2):
+            level, _ = likeliest_of(self._model, robot_m[near], moved)
+            rising[near], falling[near] = np.minimum(rising[near], level), np.maximum(falling[near], level)
+        return rising, falling

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.safety import Dynamics, SafetyModel, scaling_of
+from cyclekit.estimate.safety import Classifier, Dynamics, SafetyModel, around, likeliest_of, scaling_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -93,9 +93,17 @@ class LearnedSafety:
 
     def predict(self, X: NDArray[np.float32]) -> Vector:
         """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
-        way = X[:, 3:] - X[:, :3]
-        way *= (self.hysteresis_m / 2 - self.margin_m) / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
-        return self.model.predict(np.hstack([X[:, :3], X[:, 3:] + way]))
+        outwards_m = self.margin_m - self.hysteresis_m / 2
+        robot_m, human_m = X[:, :3].astype(np.float64), X[:, 3:].astype(np.float64)
+        every = [human_m, *(around(robot_m, human_m, abs(outwards_m)) if outwards_m else ())]
+        found = np.stack([self._level(robot_m, moved) for moved in every])
+        return np.asarray(found.min(axis=0) if outwards_m > 0.0 else found.max(axis=0))
+
+    def _level(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
+        """Return the likeliest level where the model is a classifier: it hesitates within the hysteresis."""
+        if isinstance(self.model, Classifier) and self.model.network == "classifier":
+            return likeliest_of(self.model, robot_m, human_m)[0]
+        return scaling_of(self.model, robot_m, human_m)
 
 
 def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> SafetyModel:

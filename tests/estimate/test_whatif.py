@@ -72,6 +72,28 @@ def test_a_written_function_slows_at_its_thresholds_and_lets_go_by_the_hysteresi
     assert [float(follower.advance(np.zeros((1, 3)), at[None])[0]) for at in beside] == [1.0, 0.5, 0.5, 1.0]
 
 
+class Hesitant:
+    """0.5 within 0.9 m of the x axis, else 1; at 0.9 to 1.1 m now one, now the other, as logged with hysteresis."""
+
+    problem, network, levels, card = "now", "classifier", (0.5, 1.0), {}
+
+    def probabilities(self, X: np.ndarray) -> np.ndarray:
+        quick = np.clip((np.abs(X[:, 4]) - 0.9) / 0.2, 0.0, 1.0)
+        return np.stack([1.0 - quick, quick], axis=1)
+
+    def predict(self, X: np.ndarray) -> np.ndarray:
+        return self.probabilities(X) @ np.array(self.levels)
+
+
+def test_a_classifier_that_hesitates_within_the_hysteresis_is_on_a_level_and_zones_have_sides_too():
+    follower = Follower(Hesitant(), Dynamics(hysteresis_m=0.2), 0.1)
+    way = [np.array([[1.5, y, 0.0]]) for y in (1.3, 1.05, 0.85, 1.05, 1.15)]
+    assert [float(follower.advance(np.zeros((1, 3)), at)[0]) for at in way] == [1.0, 1.0, 0.5, 0.5, 1.0]
+    at_once = altered_safety(Change("other", dynamics={"hysteresis_m": 0.0}), Hesitant(), Dynamics(hysteresis_m=0.2))
+    rows = np.array([[0.0, 0.0, 0.0, 1.5, y, 0.0] for y in (0.85, 0.95, 1.05)], dtype=np.float32)
+    assert at_once.predict(rows).tolist() == [0.5, 1.0, 1.0]
+
+
 def test_what_is_learned_keeps_where_it_slows_when_the_hysteresis_is_changed(staircase: Any):
     logged = Dynamics(hysteresis_m=0.2)  # so the outer threshold of 2.4 m stands for falls at 2.3, rises at 2.5
     outwards = [2.6, 2.28, 2.45, 2.55]

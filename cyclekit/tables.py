@@ -13,7 +13,7 @@ from collections import OrderedDict
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 GROUP_ROWS = 1 << 17
 _KEPT_BYTES = 64 << 20
+_SMALL_BYTES = 1 << 19  # half an hour at 10 Hz, some seconds at 500
 _LEVEL = 1  # of zstd: higher ones take longer and save a hundredth
 
 
@@ -159,10 +160,14 @@ class StoredTable:
         """
         self._file, self._columns = file, list(columns)
         self.columns = tuple(columns)
-        self.names, starts, unknown = _layout(file, regular(file).stat().st_mtime_ns)
-        self.rows = starts[-1]
-        self.groups = [(begin, end) for begin, end in pairwise(starts) if end > begin]
-        self._unknown = {name: unknown[name] for name in columns}
+        layout = self._layout()
+        self.names, self.rows = layout.names, layout.starts[-1]
+        self.groups = [(begin, end) for begin, end in pairwise(layout.starts) if end > begin]
+        self._unknown = {name: layout.unknown[name] for name in columns}
+
+    def _layout(self) -> _Layout:
+        about = regular(self._file).stat()
+        return _layout(self._file, about.st_mtime_ns, about.st_size)
 
     def unknown(self, column: str) -> int:
         """Return how many rows have no value in a column, as far as the file says; all where it does not."""
@@ -188,8 +193,12 @@ class StoredTable:
 
     def whole_numbers(self, number: int, column: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Return a column of whole numbers in one row group, all 64 bits of them, and which are known, shape (N,)."""
-        with pq.ParquetFile(self._file) as parquet:
-            values = pl.DataFrame(parquet.read_row_group(number, columns=[column], use_threads=False))[column]
+        if (whole := self._layout().whole) is not None:
+            begin, end = self.groups[number]
+            values = whole[column][begin:end]
+        else:
+            with pq.ParquetFile(self._file) as parquet:
+                values = pl.DataFrame(parquet.read_row_group(number, columns=[column], use_threads=False))[column]
         return values.fill_null(0).cast(pl.Int64).to_numpy(), values.is_not_null().to_numpy()
 
     def states(self, column: str) -> Iterator[tuple[int, int, str]]:
@@ -207,6 +216,9 @@ class StoredTable:
 
     def _stretches(self, column: str) -> Iterator[tuple[int, int, str | None]]:
         """Yield stretches of equal texts in one piece of the table each; the texts themselves are looked at once."""
+        if (whole := self._layout().whole) is not None:
+            yield from _stretches_of(whole[column])
+            return
         begin = 0
         with pq.ParquetFile(self._file, read_dictionary=[column]) as parquet:
             for number in range(len(self.groups)):
@@ -225,9 +237,13 @@ class StoredTable:
         known = {name: _decoded.get((self._file, name, number)) for name in names}
         columns = {name: values for name, values in known.items() if values is not None}
         if missing := [name for name in names if name not in columns]:
-            with pq.ParquetFile(self._file) as parquet:
-                table = parquet.read_row_group(number, columns=missing)
-            frame = pl.DataFrame(table)  # not by Arrow's own way to numpy, which imports pandas where there is one
+            frame = self._layout().whole
+            if frame is None:
+                with pq.ParquetFile(self._file) as parquet:
+                    table = parquet.read_row_group(number, columns=missing)
+                frame = pl.DataFrame(table)  # not by Arrow's own way to numpy, which imports pandas where there is one
+            else:
+                frame = frame[slice(*self.groups[number])]
             for name in missing:
                 columns[name] = _floats(frame[name])
                 _decoded.keep((self._file, name, number), columns[name])
@@ -287,20 +303,48 @@ def forget() -> None:
     pa.default_memory_pool().release_unused()  # else Arrow keeps it for the next table
 
 
-@lru_cache(maxsize=16)  # whoever opens a table opens it several times, for other columns
-def _layout(file: Path, _written_ns: int) -> tuple[tuple[str, ...], list[int], dict[str, int]]:
-    """Return the names of a table's columns, where its row groups begin and end, and the unknown rows of each column.
+class _Layout(NamedTuple):
+    """What a table is made of.
+
+    Attributes:
+        names: Of its columns.
+        starts: Where its row groups begin, and where the last one ends.
+        unknown: The unknown rows of each column.
+        whole: A small table itself: to read a part of it takes as long.
+    """
+
+    names: tuple[str, ...]
+    starts: list[int]
+    unknown: dict[str, int]
+    whole: pl.DataFrame | None
+
+
+@lru_cache(maxsize=8)  # whoever opens a table opens it several times, for other columns
+def _layout(file: Path, _written_ns: int, size: int) -> _Layout:
+    """Return what a table is made of.
 
     Args:
         file: The Parquet file.
         _written_ns: When it was last written: a file that was written again is another one.
+        size: Its size in bytes.
     """
     with pq.ParquetFile(file) as parquet:
         about, names = parquet.metadata, tuple(parquet.schema_arrow.names)
+        whole = pl.DataFrame(parquet.read(use_threads=False)) if size <= _SMALL_BYTES else None
     starts = [0]
     for group in range(about.num_row_groups):
         starts.append(starts[-1] + about.row_group(group).num_rows)
-    return names, starts, {name: _unknown(about, column) for column, name in enumerate(names)}
+    if whole is not None:
+        return _Layout(names, starts, {name: whole[name].null_count() for name in names}, whole)
+    return _Layout(names, starts, {name: _unknown(about, column) for column, name in enumerate(names)}, None)
+
+
+def _stretches_of(texts: pl.Series) -> Iterator[tuple[int, int, str | None]]:
+    """Yield stretches of equal texts."""
+    begins = np.flatnonzero(texts.ne_missing(texts.shift(1)).to_numpy())
+    begins = np.unique(np.concatenate([[0], begins])).tolist() if len(texts) else []
+    for first, end in pairwise([*begins, len(texts)]):
+        yield first, end - 1, texts[first]
 
 
 def _floats(values: pl.Series) -> NDArray[np.float64]:

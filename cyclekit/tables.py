@@ -158,7 +158,7 @@ class StoredTable:
             file: The Parquet file.
             columns: The columns that will be read, all of numbers.
         """
-        self._file, self._columns = file, list(columns)
+        self._file, self._key, self._columns = file, str(file), list(columns)
         self.columns = tuple(columns)
         layout = self._layout()
         self.names, self.rows = layout.names, layout.starts[-1]
@@ -182,6 +182,8 @@ class StoredTable:
         return self._rows([name], first, end)[name]
 
     def _rows(self, names: Sequence[str], first: int, end: int) -> Columns:
+        if len(self.groups) == 1:
+            return {name: values[first:end] for name, values in self._group(0, names).items()}
         parts = [
             {name: values[max(first - begin, 0) : end - begin] for name, values in self._group(number, names).items()}
             for number, (begin, after) in enumerate(self.groups)
@@ -234,7 +236,7 @@ class StoredTable:
                     begin += len(index)
 
     def _group(self, number: int, names: Sequence[str]) -> Columns:
-        known = {name: _decoded.get((self._file, name, number)) for name in names}
+        known = {name: _decoded.get((self._key, name, number)) for name in names}
         columns = {name: values for name, values in known.items() if values is not None}
         if missing := [name for name in names if name not in columns]:
             frame = self._layout().whole
@@ -246,7 +248,7 @@ class StoredTable:
                 frame = frame[slice(*self.groups[number])]
             for name in missing:
                 columns[name] = _floats(frame[name])
-                _decoded.keep((self._file, name, number), columns[name])
+                _decoded.keep((self._key, name, number), columns[name])
         return columns
 
 
@@ -255,17 +257,17 @@ class _Decoded:
 
     def __init__(self) -> None:
         self.most_bytes = _KEPT_BYTES
-        self._parts: OrderedDict[tuple[Path, str, int], NDArray[np.float64]] = OrderedDict()
+        self._parts: OrderedDict[tuple[str, str, int], NDArray[np.float64]] = OrderedDict()
         self.bytes = 0
         self._lock = threading.Lock()
 
-    def get(self, key: tuple[Path, str, int]) -> NDArray[np.float64] | None:
+    def get(self, key: tuple[str, str, int]) -> NDArray[np.float64] | None:
         with self._lock:
             if key in self._parts:
                 self._parts.move_to_end(key)
             return self._parts.get(key)
 
-    def keep(self, key: tuple[Path, str, int], values: NDArray[np.float64]) -> None:
+    def keep(self, key: tuple[str, str, int], values: NDArray[np.float64]) -> None:
         with self._lock:
             before = self._parts.pop(key, None)  # another thread may have read it meanwhile
             self._parts[key] = values

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.median import median
 from cyclekit.motion import PAUSED, STOPPED, Halt, Overlay, Part, RobotRun, half_window, moving_slider, slope
 
 if TYPE_CHECKING:
@@ -135,7 +136,7 @@ class StoredRun:
 
 @lru_cache(maxsize=4)
 def _whole(run: StoredRun) -> RobotRun:
-    return run._window(0, run.rows - 1)  # noqa: SLF001 - its own
+    return run._window(0, run.rows - 1)
 
 
 def runs_of(
@@ -161,7 +162,7 @@ def runs_of(
         between = np.diff(t, prepend=before)
         cuts += (begin + np.flatnonzero((between > gap_s) | (between <= 0))).tolist()
         firsts.append((begin, float(t[0])))
-        periods.append(np.median(between[1:]) if len(between) > 1 else np.nan)
+        periods.append(median(between[1:]) if len(between) > 1 else np.nan)
         before = t[-1]
     known = [float(period) for period in periods if np.isfinite(period)]
     period_s = float(np.median(known)) if known else 0.1

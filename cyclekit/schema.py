@@ -8,6 +8,7 @@ is the business of the rooms that use them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -153,6 +154,7 @@ QUARANTINE: Mapping[str, Column] = {
 """Rows (or messages, or damaged parts) of the logs that no other table holds."""
 
 
+@lru_cache(maxsize=1024)
 def is_joint(name: str) -> bool:
     """Tell whether a column is a joint angle (`q3_rad`) or joint speed (`qd3_rad_s`)."""
     stem, _, unit = name.partition("_")
@@ -181,10 +183,14 @@ def conform(frame: pl.DataFrame | pl.LazyFrame, table: Mapping[str, Column]) -> 
     wanted = {name: column.dtype for name, column in table.items()} | dict.fromkeys(joints, F64)
     if isinstance(frame, pl.DataFrame) and list(have.items()) == list(wanted.items()):
         return frame
-    columns = [
-        (pl.col(name) if name in have else pl.lit(None)).cast(dtype).alias(name) for name, dtype in wanted.items()
-    ]
+    columns = [_column(name, dtype, have.get(name)) for name, dtype in wanted.items()]
     return frame.lazy().select(columns).collect(engine="in-memory")
+
+
+def _column(name: str, dtype: pl.DataType, have: pl.DataType | None) -> pl.Expr:
+    if have is None:
+        return pl.lit(None, dtype=dtype).alias(name)
+    return pl.col(name) if have == dtype else pl.col(name).cast(dtype)
 
 
 def joint_order(name: str) -> tuple[bool, int]:

@@ -169,14 +169,15 @@ class StoredTable:
         """
         self._file, self._key, self._columns = file, str(file), list(columns)
         self.columns = tuple(columns)
+        about = regular(file).stat()
+        self._written_ns, self._bytes = about.st_mtime_ns, about.st_size
         layout = self._layout()
         self.names, self.rows = layout.names, layout.starts[-1]
         self.groups = [(begin, end) for begin, end in pairwise(layout.starts) if end > begin]
         self._unknown = {name: layout.unknown[name] for name in columns}
 
     def _layout(self) -> _Layout:
-        about = regular(self._file).stat()
-        return _layout(self._file, about.st_mtime_ns, about.st_size)
+        return _layout(self._key, self._written_ns, self._bytes)
 
     def unknown(self, column: str) -> int:
         """Return how many rows have no value in a column, as far as the file says; all where it does not."""
@@ -331,7 +332,7 @@ class _Layout(NamedTuple):
 
 
 @lru_cache(maxsize=8)  # whoever opens a table opens it several times, for other columns
-def _layout(file: Path, _written_ns: int, size: int) -> _Layout:
+def _layout(file: str, _written_ns: int, size: int) -> _Layout:
     """Return what a table is made of.
 
     Args:
@@ -352,6 +353,9 @@ def _layout(file: Path, _written_ns: int, size: int) -> _Layout:
 
 def _stretches_of(texts: pl.Series) -> Iterator[tuple[int, int, str | None]]:
     """Yield stretches of equal texts."""
+    if texts.n_unique() == 1:
+        yield 0, len(texts) - 1, texts[0]
+        return
     begins = np.flatnonzero(texts.ne_missing(texts.shift(1)).to_numpy())
     begins = np.unique(np.concatenate([[0], begins])).tolist() if len(texts) else []
     for first, end in pairwise([*begins, len(texts)]):

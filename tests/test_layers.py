@@ -44,6 +44,7 @@ FLOORS = [
         "files",
         "height",
         "labels",
+        "median",
         "memory",
         "one_thread",
         "plain_json",

@@ -13,7 +13,7 @@ from collections import OrderedDict
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 
 from cyclekit.behind import Behind
 from cyclekit.files import regular
+from cyclekit.table_layout import layout_of
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Mapping, Sequence
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.schema import Column
+    from cyclekit.table_layout import Layout
 
     Columns = Mapping[str, NDArray[np.float64]]
 
@@ -39,7 +41,6 @@ GROUP_ROWS = 1 << 17
 SMALL_ROWS = 1 << 14
 """A table of fewer rows is packed by LZ4: zstd makes it a tenth smaller, and takes almost twice as long to begin."""
 _KEPT_BYTES = 64 << 20
-_SMALL_BYTES = 1 << 19  # half an hour at 10 Hz, some seconds at 500
 _LEVEL = 1  # of zstd: higher ones take longer and save a hundredth
 
 
@@ -176,8 +177,8 @@ class StoredTable:
         self.groups = [(begin, end) for begin, end in pairwise(layout.starts) if end > begin]
         self._unknown = {name: layout.unknown[name] for name in columns}
 
-    def _layout(self) -> _Layout:
-        return _layout(self._key, self._written_ns, self._bytes)
+    def _layout(self) -> Layout:
+        return layout_of(self._key, self._written_ns, self._bytes)
 
     def unknown(self, column: str) -> int:
         """Return how many rows have no value in a column, as far as the file says; all where it does not."""
@@ -228,9 +229,6 @@ class StoredTable:
 
     def _stretches(self, column: str) -> Iterator[tuple[int, int, str | None]]:
         """Yield stretches of equal texts in one piece of the table each; the texts themselves are looked at once."""
-        if (whole := self._layout().whole) is not None:
-            yield from _stretches_of(whole[column])
-            return
         begin = 0
         with pq.ParquetFile(self._file, read_dictionary=[column]) as parquet:
             for number in range(len(self.groups)):
@@ -315,63 +313,8 @@ def forget() -> None:
     pa.default_memory_pool().release_unused()  # else Arrow keeps it for the next table
 
 
-class _Layout(NamedTuple):
-    """What a table is made of.
-
-    Attributes:
-        names: Of its columns.
-        starts: Where its row groups begin, and where the last one ends.
-        unknown: The unknown rows of each column.
-        whole: A small table itself: to read a part of it takes as long.
-    """
-
-    names: tuple[str, ...]
-    starts: list[int]
-    unknown: dict[str, int]
-    whole: pl.DataFrame | None
-
-
-@lru_cache(maxsize=8)  # whoever opens a table opens it several times, for other columns
-def _layout(file: str, _written_ns: int, size: int) -> _Layout:
-    """Return what a table is made of.
-
-    Args:
-        file: The Parquet file.
-        _written_ns: When it was last written: a file that was written again is another one.
-        size: Its size in bytes.
-    """
-    with pq.ParquetFile(file) as parquet:
-        about, names = parquet.metadata, tuple(parquet.schema_arrow.names)
-        whole = pl.DataFrame(parquet.read(use_threads=False)) if size <= _SMALL_BYTES else None
-    starts = [0]
-    for group in range(about.num_row_groups):
-        starts.append(starts[-1] + about.row_group(group).num_rows)
-    if whole is not None:
-        return _Layout(names, starts, {name: whole[name].null_count() for name in names}, whole)
-    return _Layout(names, starts, {name: _unknown(about, column) for column, name in enumerate(names)}, None)
-
-
-def _stretches_of(texts: pl.Series) -> Iterator[tuple[int, int, str | None]]:
-    """Yield stretches of equal texts."""
-    if texts.n_unique() == 1:
-        yield 0, len(texts) - 1, texts[0]
-        return
-    begins = np.flatnonzero(texts.ne_missing(texts.shift(1)).to_numpy())
-    begins = np.unique(np.concatenate([[0], begins])).tolist() if len(texts) else []
-    for first, end in pairwise([*begins, len(texts)]):
-        yield first, end - 1, texts[first]
-
-
 def _floats(values: pl.Series) -> NDArray[np.float64]:
     return (values if values.dtype == pl.Float64 else values.cast(pl.Float64)).to_numpy()
-
-
-def _unknown(about: pq.FileMetaData, column: int) -> int:
-    total = 0
-    for group in range(about.num_row_groups):
-        said = about.row_group(group).column(column).statistics
-        total += said.null_count if said is not None and said.has_null_count else about.row_group(group).num_rows
-    return total
 
 
 def spans(file: Path, column: str, least: float, most: float) -> list[tuple[int, int]]:

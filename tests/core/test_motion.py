@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit import motion, stored_run, tables
+from cyclekit import motion, stored_run, table_layout, tables
 from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
 from cyclekit.motion import COLUMNS, NEVER_FULL, STANDING, Part, RobotRun, pieces, sampled, tcp_speed
@@ -50,7 +50,7 @@ def in_memory(frame: pl.DataFrame, offset_s: float) -> RobotRun:
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Row groups of 100 rows, blocks of 64; nothing is small enough to be kept as a whole."""
     monkeypatch.setattr(tables, "GROUP_ROWS", 100)
-    monkeypatch.setattr(tables, "_SMALL_BYTES", 0)
+    monkeypatch.setattr(table_layout, "SMALL_BYTES", 0)
     monkeypatch.setattr(stored_run, "SHORT_ROWS", 0)
     monkeypatch.setattr(motion, "BLOCK_ROWS", 64)
 

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit import schema, tables
+from cyclekit import schema, table_layout, tables
 
 
 def test_a_table_that_is_given_up_makes_no_noise_when_it_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -139,9 +139,9 @@ def test_a_small_table_read_as_a_whole_says_what_it_says_in_pieces(
     said = []
     for small in (1 << 20, 0):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(tables, "_SMALL_BYTES", small)
+            patch.setattr(table_layout, "SMALL_BYTES", small)
             patch.setattr(tables, "_decoded", tables._Decoded())
-            tables._layout.cache_clear()
+            table_layout.layout_of.cache_clear()
             table = tables.StoredTable(file, ("t_s", "scaling", "state", "register"))
             assert (table._layout().whole is not None) == bool(small)
             parts = [table.whole_numbers(number, "register") for number in range(len(table.groups))]
@@ -160,3 +160,16 @@ def test_a_small_table_is_packed_by_what_begins_faster(tmp_path: Path, rows: int
     about = pq.ParquetFile(tmp_path / "a.parquet").metadata.row_group(0)
     assert {about.column(number).compression for number in range(about.num_columns)} == {packing}
     assert pl.read_parquet(tmp_path / "a.parquet").equals(frame)
+
+
+@pytest.mark.parametrize(("rows", "whole"), [(1000, True), (1_100_000, False)])
+def test_a_file_of_few_bytes_that_holds_many_rows_is_not_read_as_a_whole(tmp_path: Path, rows: int, whole: bool):
+    frame = pl.DataFrame({"t_s": pl.zeros(rows, eager=True), "state": pl.repeat("x" * 10, rows, eager=True)})
+    with pq.ParquetWriter(tmp_path / "a.parquet", frame[:1].to_arrow().schema, compression="zstd") as table:
+        for begin in range(0, rows, 1_000_000):
+            table.write_table(frame[begin : begin + 1_000_000].to_arrow())
+    assert (tmp_path / "a.parquet").stat().st_size < table_layout.SMALL_BYTES
+    layout = tables.StoredTable(tmp_path / "a.parquet", ("t_s",))._layout()
+    assert (layout.whole is not None) == whole
+    if layout.whole is not None:
+        assert layout.whole.columns == ["t_s"]  # a text may be as long as all others together

@@ -100,14 +100,14 @@ class Seen:
     goals: list[str | None]
     stays: Stays
 
-    def columns(self, rows: slice) -> dict[str, pl.Series]:
-        """Return the columns of table SAMPLES that tell of the operator, at some of the samples."""
+    def columns(self, rows: slice) -> dict[str, Any]:
+        """Return the columns of table SAMPLES that tell of the operator, at some of the samples; NaN = null."""
         human_m = self.human_m[rows]
-        columns = {name: pl.Series(name, human_m[:, k], nan_to_null=True) for k, name in enumerate(_HUMAN)}
-        reasons = None if self.reasons is None else self.reasons[rows]
-        columns["human_gap"] = pl.Series(_why_unseen(human_m, reasons), dtype=pl.String)
+        columns: dict[str, Any] = {name: human_m[:, k] for k, name in enumerate(_HUMAN)}
+        if self.reasons is not None:
+            columns["human_gap"] = _why_unseen(human_m, self.reasons[rows])
         if self.goals:
-            columns["human_task"] = pl.Series(self.goals[rows], dtype=pl.String)
+            columns["human_task"] = self.goals[rows]
         return columns
 
 
@@ -288,10 +288,8 @@ def _seen_by(log: _Log, times: Vector, cell: Cell) -> NDArray[np.int8]:
     return gap_reasons(log.tracks, times, (first, last), bridge_s=cell.bridge_s)
 
 
-def _why_unseen(human_m: Points, reasons: NDArray[np.int8] | None) -> list[str | None]:
-    """Return why x_h is unknown at each sample; None where it is known, or where nobody was to be tracked."""
+def _why_unseen(human_m: Points, reasons: NDArray[np.int8]) -> list[str | None]:
+    """Return why x_h is unknown at each sample; None where it is known."""
     unseen = np.isnan(human_m[:, 0])
-    if reasons is None:
-        return [None] * len(unseen)
     least = np.maximum(reasons, REASONS.index("occluded"))  # a position that is not believed was hidden
     return [REASONS[reason] if hidden else None for reason, hidden in zip(least, unseen, strict=True)]

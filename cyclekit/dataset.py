@@ -2,7 +2,7 @@
 
     DATASET/dataset.json                                  schema version, provenance, executions, places, levels
     DATASET/recordings/<id>/{robot,people,events}.parquet native rate, SI, each log's own clock
-    DATASET/samples/<session>.parquet                     `rate_hz`, one clock, one base frame
+    DATASET/samples/<part>.parquet                        `rate_hz`, one clock, one base frame; of a session or several
     DATASET/tasks.parquet                                 one row per executed task
     DATASET/quarantine.parquet                            every row that was set aside, with file, row and reason
 
@@ -168,8 +168,8 @@ class Dataset:
         wanted = list(schema.SAMPLES if columns is None else columns)
         if executions is None and self.is_part:
             executions = self.executions["execution"].to_list()
-        sessions = None if executions is None else {self._execution(name)["session"] for name in executions}
-        files = self._files.of_samples(sessions)
+        entries = None if executions is None else [self._execution(name) for name in executions]
+        files = self._files.of_samples(None if entries is None else {e.get("part") or e["session"] for e in entries})
         if not files:
             return schema.empty(schema.SAMPLES).select(wanted)
         self._files.check_memory(files, wanted, None if executions is None else self._rows_of(executions))

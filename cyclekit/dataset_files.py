@@ -58,8 +58,8 @@ class DatasetFiles:
         file = self._file(name)
         return file.is_file() if self._listed is None else name in self._listed
 
-    def of_samples(self, sessions: AbstractSet[str] | None) -> list[Path]:
-        """Return the files of some sessions, None = all, in order of name.
+    def of_samples(self, parts: AbstractSet[str] | None) -> list[Path]:
+        """Return the files of samples by their names without the ending, None = all, in order of name.
 
         Raises:
             DatasetError: One of them is missing or damaged.
@@ -69,7 +69,7 @@ class DatasetFiles:
         else:
             names = sorted(name for name in self._listed if name.startswith("samples/"))
         stems = {name: name.removeprefix("samples/").removesuffix(".parquet") for name in names}
-        return [self.whole(name) for name in names if sessions is None or stems[name] in sessions]
+        return [self.whole(name) for name in names if parts is None or stems[name] in parts]
 
     def whole(self, name: str) -> Path:
         """Return a file of which all will be read.

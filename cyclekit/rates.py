@@ -83,7 +83,7 @@ class _Steps:
         steps = steps[steps >= ONE_INSTANT_S]  # NaN and steps back are none
         if not len(steps):
             return
-        usual = float(np.quantile(steps, 0.5, method="lower")) if self._step_s is None else self._step_s
+        usual = float(np.sort(steps)[(len(steps) - 1) // 2]) if self._step_s is None else self._step_s
         self._step_s = usual
         steps = steps[steps <= max(GAP_PERIODS * usual, GAP_S)]
         whole = np.rint(steps / usual)

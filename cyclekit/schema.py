@@ -8,6 +8,7 @@ computed from the columns is the business of the rooms that use them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import polars as pl
@@ -17,6 +18,7 @@ from cyclekit.errors import ShapeError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+_AS_IT_IS = pl.QueryOptFlags.none()
 SCHEMA_VERSION = 4
 """Version of the dataset layout; a dataset of another version is refused, never half-read."""
 
@@ -192,6 +194,7 @@ QUARANTINE: Mapping[str, Column] = {
 """Rows (or messages, or damaged parts) of the logs that no other table holds."""
 
 
+@lru_cache(maxsize=1024)
 def is_joint(name: str) -> bool:
     """Tell whether a column is a joint angle (`q3_rad`) or joint speed (`qd3_rad_s`)."""
     stem, _, unit = name.partition("_")
@@ -207,23 +210,28 @@ def empty(table: Mapping[str, Column]) -> pl.DataFrame:
 def conform(frame: pl.DataFrame | pl.LazyFrame, table: Mapping[str, Column]) -> pl.DataFrame:
     """Return `frame` with the columns of `table`, in order and type; absent ones are null.
 
-    Joint columns are kept behind the others when `table` is ROBOT. A lazy frame is computed at the same time.
+    Joint columns are kept behind the others when `table` is ROBOT. A lazy frame is computed.
 
     Raises:
         ShapeError: `frame` has a column that the table does not know (a slip in an adapter).
     """
-    have = frame.schema if isinstance(frame, pl.DataFrame) else frame.collect_schema()
+    if isinstance(frame, pl.LazyFrame):  # of a table in memory: to plan it better takes longer than it saves
+        frame = frame.collect(engine="in-memory", optimizations=_AS_IT_IS)
+    have = frame.schema
     joints = sorted((name for name in have if is_joint(name)), key=joint_order) if table is ROBOT else []
     if unknown := set(have) - set(table) - set(joints):
         msg = f"columns {sorted(unknown)} are not in the canonical table ({', '.join(table)})"
         raise ShapeError(msg)
     wanted = {name: column.dtype for name, column in table.items()} | dict.fromkeys(joints, F64)
-    if isinstance(frame, pl.DataFrame) and list(have.items()) == list(wanted.items()):
+    if list(have.items()) == list(wanted.items()):
         return frame
-    columns = [
-        (pl.col(name) if name in have else pl.lit(None)).cast(dtype).alias(name) for name, dtype in wanted.items()
-    ]
-    return frame.lazy().select(columns).collect(engine="in-memory")
+    nothing = {name: pl.Series(name, [None], dtype=dtype) for name, dtype in wanted.items() if name not in have}
+    return pl.DataFrame(
+        [
+            nothing[name].new_from_index(0, frame.height) if name in nothing else frame.get_column(name).cast(dtype)
+            for name, dtype in wanted.items()
+        ]
+    )
 
 
 def joint_order(name: str) -> tuple[bool, int]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from cyclekit.motion import pieces
+from cyclekit.motion import lengths, pieces
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -86,7 +86,7 @@ def stillness_of(run: Run, slow: Sequence[tuple[int, int]]) -> Stillness:
     window = max(_WINDOW, round(_WINDOW_S / run.period_s))
     each = max(window + 2, _ROWS // max(1, len(slow)))
     parts = [run.window(a, min(b, a + each - 1)).xyz_m for a, b in slow if b - a > _WINDOW]
-    steps = np.concatenate([*(np.linalg.norm(np.diff(xyz, axis=0), axis=1) for xyz in parts), np.empty(0)])
+    steps = np.concatenate([*(lengths(np.diff(xyz, axis=0)) for xyz in parts), np.empty(0)])
     noise, quantum = _noise(parts, window) / np.sqrt(_smooth_rows(run)), quantum_of(steps)
     reach = max(0.7 * MOVES_M_S * (MIN_STOP_S - SMOOTH_S), _SPAN * noise + AXES * quantum)
     leaves_s = (1.5 * _SPAN * noise + 2 * AXES * quantum) / MOVES_M_S
@@ -128,7 +128,7 @@ def _within(xyz_m: Points, rows: int, smooth: int, reach_m: float) -> list[tuple
     averaged = sliding_window_view(xyz_m, smooth, axis=0).mean(axis=-1) if smooth > 1 else xyz_m
     within = rows - smooth + 1
     spread = _extreme(averaged, within, np.fmax) - _extreme(averaged, within, np.fmin)
-    still = np.linalg.norm(spread, axis=1) <= reach_m
+    still = lengths(spread) <= reach_m
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8))).reshape(-1, 2)
     found: list[tuple[int, int]] = []
     for a, b in (edges + np.array([0, rows - 2])).tolist():

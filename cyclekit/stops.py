@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.motion import half_window, pieces
+from cyclekit.median import median
+from cyclekit.motion import half_window, lengths, pieces
 from cyclekit.stillness import AXES, MIN_STOP_S, Stillness, quantum_of, stillness_of
 
 if TYPE_CHECKING:
@@ -72,9 +73,9 @@ def standing(run: Run) -> float:
     for _, part in pieces(run):
         slow = part.speed_m_s < CRAWL_M_S
         crawls.append(part.speed_m_s[slow][::thin])
-        steps.append(np.linalg.norm(np.diff(part.xyz_m, axis=0), axis=1)[slow[1:] | slow[:-1]][::thin])
+        steps.append(lengths(np.diff(part.xyz_m, axis=0))[slow[1:] | slow[:-1]][::thin])
     crawl = np.concatenate(crawls)
-    noise = float(np.median(crawl)) if len(crawl) else 0.0
+    noise = float(median(crawl)) if len(crawl) else 0.0
     step = min(quantum_of(np.concatenate(steps)), TWITCH_M)
     over_s = 2 * half_window(run.period_s) * run.period_s
     return max(min(max(4.0 * noise, 1e-4), CRAWL_M_S), AXES * step / over_s)
@@ -178,7 +179,7 @@ def _is_twitch(before: _Stand, after: _Stand, period_s: float) -> bool:
 def _resting_place(run: Run, first: int, last: int) -> tuple[float, float, float]:
     """Return the median position of a stand; of a long one that of every so many rows."""
     places = [part.xyz_m[:: max(1, (last - first) // _PLACES)] for _, part in pieces(run, first, last)]
-    x, y, z = np.median(np.concatenate(places), axis=0)
+    x, y, z = median(np.concatenate(places))
     return float(x), float(y), float(z)
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.median import median
 from cyclekit.motion import PAUSED, STOPPED, Halt, Overlay, Part, RobotRun, half_window, moving_slider, slope
 
 if TYPE_CHECKING:
@@ -22,7 +24,11 @@ if TYPE_CHECKING:
     Rows = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
+SHORT_ROWS = 1 << 14
+"""A run of fewer rows is put together once for all that look at windows of it one after the other."""
+
+
+@dataclass(frozen=True, eq=False)
 class StoredRun:
     """A run that stays on the disk.
 
@@ -59,7 +65,12 @@ class StoredRun:
         return self.end - self.first
 
     def window(self, first: int, last: int) -> RobotRun:
-        """Return rows `first` to `last`, inclusive."""
+        """Return rows `first` to `last`, inclusive; not to be written to."""
+        if self.rows > SHORT_ROWS:
+            return self._window(first, last)
+        return _whole(self).window(first, last)
+
+    def _window(self, first: int, last: int) -> RobotRun:
         half = 0 if self.has_speed else half_window(self.period_s)
         begin, after = max(first - half, 0), min(last + 1 + half, self.rows)
         columns = self.table.read(self.first + begin, self.first + after)
@@ -101,20 +112,31 @@ class StoredRun:
     def row_at(self, t_s: Vector) -> Rows:
         """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
         rows, times = self.steps
+        if len(rows) == 1:
+            return self._last_before(t_s, 0, self.rows)
         found = np.zeros(len(t_s), np.int64)
         step = np.clip(np.searchsorted(times, t_s + 1e-9, side="right") - 1, 0, None)
         for number in np.unique(step).tolist():
             last = int(rows[number + 1]) if number + 1 < len(rows) else self.rows
             here = step == number
-            times_there = self.table.column("t_s", self.first + int(rows[number]), self.first + last)
-            before = np.searchsorted(times_there, t_s[here] - self.offset_s + 1e-9, side="right") - 1
-            found[here] = rows[number] + np.clip(before, 0, None)
+            found[here] = self._last_before(t_s[here], int(rows[number]), last)
         return found
+
+    def _last_before(self, t_s: Vector, first: int, end: int) -> Rows:
+        """Do as `row_at` among rows `first` to before `end`."""
+        times_there = self.table.column("t_s", self.first + first, self.first + end)
+        before = times_there.searchsorted(t_s - self.offset_s + 1e-9, side="right") - 1
+        return np.asarray(first + np.maximum(before, 0))
 
     def with_scaling(self, parts: Sequence[Part]) -> StoredRun:
         """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
         kept = Overlay(parts)
         return replace(self, inferred=kept, knows_scaling=kept.is_known)
+
+
+@lru_cache(maxsize=4)
+def _whole(run: StoredRun) -> RobotRun:
+    return run._window(0, run.rows - 1)
 
 
 def runs_of(
@@ -140,7 +162,7 @@ def runs_of(
         between = np.diff(t, prepend=before)
         cuts += (begin + np.flatnonzero((between > gap_s) | (between <= 0))).tolist()
         firsts.append((begin, float(t[0])))
-        periods.append(np.median(between[1:]) if len(between) > 1 else np.nan)
+        periods.append(median(between[1:]) if len(between) > 1 else np.nan)
         before = t[-1]
     known = [float(period) for period in periods if np.isfinite(period)]
     period_s = float(np.median(known)) if known else 0.1

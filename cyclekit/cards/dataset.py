@@ -15,6 +15,7 @@ class ExecutionCard(Card, frozen=True, kw_only=True):
     Attributes:
         execution: Its name.
         session: The session it is part of.
+        part: The file of its samples, without the ending; None = it has the name of the session.
         start_s, end_s: Session time.
         complete: The log shows all of it.
         reference: Recorded with nobody in the cell, as the cell file says.
@@ -24,6 +25,7 @@ class ExecutionCard(Card, frozen=True, kw_only=True):
 
     execution: Name
     session: Name
+    part: Name | None = None
     start_s: Seconds
     end_s: Seconds
     complete: bool

@@ -21,6 +21,7 @@ from cyclekit.activity import operator_places
 from cyclekit.derive.finish import Left, finish
 from cyclekit.derive.look import look_at
 from cyclekit.derive.sample import Work, samples_of
+from cyclekit.derive.sharing import in_order, shared_files
 from cyclekit.dynamics import MOST, Dynamics, read_dynamics
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.places import find_places
@@ -122,43 +123,50 @@ def derive(
     sample = partial(
         samples_of, places=robot.places, dwells=dwells, sources=sources, read=read, cell=cell, folder=folder
     )
-    made = passes.over(sample, works, 0.6, 0.85, "samples")
+    files = shared_files(sessions, cell.rate_hz)
+    made = passes.over_files(sample, works, files, 0.6, 0.85, "samples")
     for session, one in zip(sessions, made, strict=True):
         _note(session, one.entries)
     if _is_much(sessions) or any(run.is_inferred for run in robot.runs):
         forget()  # samples and scaling of many hours take that memory
     runs = {work.session.name: list(work.runs.values()) for work in works}
-    return _finished(passes, made, runs, robot, cell, folder)
+    return _finished(passes, made, files, runs, robot, cell, folder)
 
 
 def _finished(
-    passes: _Passes, made: Sequence[Made], runs: Mapping[str, list[Run]], robot: _Robot, cell: Cell, folder: Path
+    passes: _Passes,
+    made: Sequence[Made],
+    files: Sequence[Sequence[int]],
+    runs: Mapping[str, list[Run]],
+    robot: _Robot,
+    cell: Cell,
+    folder: Path,
 ) -> Derived:
     """Find the levels and the operator's places, and have the samples completed."""
-    every, made = made, [one for one in made if one.samples]
-    spots = operator_places([stays for one in made for stays in one.stays], cell)
-    staircase = _staircase([folder / f"{one.session}.parquet" for one in made], cell)
+    some = [one for one in made if one.samples]
+    spots = operator_places([stays for one in some for stays in one.stays], cell)
+    staircase = _staircase(made, files, cell, folder)
     labels = np.split(staircase.label, np.cumsum([one.samples for one in made])[:-1]) if made else []
     levels = tuple(round(float(level), 6) for level in staircase.levels)
     gone = absences([one.silences for one in made])
     left = [
-        Left(one.session, runs[one.session], label, one.stays, absence)
+        Left(one.part, runs[one.session], label, one.stays, absence)
         for one, label, absence in zip(made, labels, gone, strict=True)
     ]
-    most = max(20, MOST // max(len(made), 1))
+    most = max(20, MOST // max(len(some), 1))
     rest = partial(finish, spots=spots, levels=levels, most_changes=most, folder=folder)
-    changes = passes.over(rest, left, 0.85, 1.0, "levels")
-    rows = [row for one in every for row in one.tasks]
+    changes = passes.over_files(rest, left, files, 0.85, 1.0, "levels")
+    rows = [row for one in made for row in one.tasks]
     return Derived(
-        samples=sum(one.samples for one in made),
+        samples=sum(one.samples for one in some),
         tasks=pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.TASKS.items()}, orient="row"),
-        executions=[card for one in every for card in one.cards],
+        executions=[card for one in made for card in one.cards],
         places=robot.places,
         human_places=spots,
         levels=levels,
-        origin=" and ".join(sorted({name for one in made for name in one.origins}, reverse=True)) or None,
+        origin=" and ".join(sorted({name for one in some for name in one.origins}, reverse=True)) or None,
         dynamics=read_dynamics(changes),
-        warnings=[*robot.warnings, *(staircase.warnings if made or not every else [])],
+        warnings=[*robot.warnings, *(staircase.warnings if some or not made else [])],
     )
 
 
@@ -231,14 +239,25 @@ def _stands(work: Work, *, places: Mapping[str, Place]) -> Stands:
     return stands_of(work.runs, work.executions, places)
 
 
-def _staircase(files: Sequence[Path], cell: Cell) -> Staircase:
+def _staircase(made: Sequence[Made], files: Sequence[Sequence[int]], cell: Cell, folder: Path) -> Staircase:
     """Find the levels of the scaling of all executions, or label them by those that the cell file fixes."""
-    if not files:
+    if not any(one.samples for one in made):
         return find_staircase(np.empty(0))
-    frame = pl.concat([pl.read_parquet(file, columns=["execution", "t_s", "scaling"], glob=False) for file in files])
+    frame = pl.concat(in_order((numbers, _scaling_of([made[n] for n in numbers], folder)) for numbers in files))
     run = stretches(frame, cell.rate_hz)
     scaling = frame["scaling"].fill_null(np.nan).to_numpy()
     return find_staircase(scaling, run=run, levels=cell.levels or None, rate_hz=cell.rate_hz)
+
+
+def _scaling_of(made: Sequence[Made], folder: Path) -> list[pl.DataFrame]:
+    """Return execution, time and scaling of the samples of each session in a file."""
+    columns = ["execution", "t_s", "scaling"]
+    counts = [one.samples for one in made]
+    if not sum(counts):
+        return [schema.empty(schema.SAMPLES).select(columns)] * len(made)
+    frame = pl.read_parquet(folder / f"{made[0].part}.parquet", columns=columns, glob=False)
+    begins = np.cumsum([0, *counts]).tolist()
+    return [frame[begin : begin + count] for begin, count in zip(begins, counts, strict=False)]
 
 
 def _is_much(sessions: Sequence[Session]) -> bool:
@@ -262,9 +281,27 @@ class _Passes:
     def over(
         self, function: Callable[[Item], Result], items: Sequence[Item], begin: float, end: float, what: str
     ) -> list[Result]:
-        results: dict[int, Result] = {}
-        for done in self.engine.map(function, items):
-            results[done.number] = done.get()
-            told = f"{what}, {len(results)} of {len(items)} sessions"
-            self.progress(begin + (end - begin) * len(results) / len(items), told)
-        return [results[number] for number in range(len(items))]
+        files = [[number] for number in range(len(items))]
+        return self.over_files(partial(_one, function), items, files, begin, end, what)
+
+    def over_files(
+        self,
+        function: Callable[[Sequence[Item]], Sequence[Result]],
+        items: Sequence[Item],
+        files: Sequence[Sequence[int]],
+        begin: float,
+        end: float,
+        what: str,
+    ) -> list[Result]:
+        """Do a function for the items, those of each file together."""
+        found, count = [], 0
+        for done in self.engine.map(function, [[items[number] for number in numbers] for numbers in files]):
+            found.append((files[done.number], done.get()))
+            count += len(files[done.number])
+            told = f"{what}, {count} of {len(items)} sessions"
+            self.progress(begin + (end - begin) * count / len(items), told)
+        return in_order(found)
+
+
+def _one(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    return [function(item) for item in items]

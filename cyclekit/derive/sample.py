@@ -1,22 +1,23 @@
-"""The samples and tasks of one session, as far as the session alone tells them, written to a file of its own.
+"""The samples and tasks of one session, as far as the session alone tells them, written to a file.
 
-What needs all sessions (the levels of the scaling, where the operator's places are) is filled in by `finish`.
+Many short sessions share a file (`sharing`). What needs all sessions (the levels of the scaling, where the operator's
+places are) is filled in by `finish`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import polars as pl
 
 from cyclekit import schema
 from cyclekit.account import account
 from cyclekit.activity import Watch
 from cyclekit.derive.listed import listed_in, operator_rows
 from cyclekit.derive.sample_file import AT_ONCE, write_samples
+from cyclekit.derive.sample_rows import Coded, SampleRows, in_frames
 from cyclekit.errors import EstimateError
 from cyclekit.motion import sampled
 from cyclekit.session import WITHOUT_PLACES
@@ -63,13 +64,14 @@ class Work:
     stands: Stands
 
 
-@dataclass(frozen=True)
+@dataclass
 class Made:
-    """What was made of one session.
+    """What was made of one session; filled while it is made.
 
     Attributes:
-        session: Its name, that of its file of samples too.
+        session: Its name.
         entries: Entries of its recordings; it is noted there what was seen of the operator.
+        part: The name of its file of samples.
         samples: How many there are.
         cards: What the dataset's card says about each execution.
         tasks: Rows of table TASKS.
@@ -80,16 +82,17 @@ class Made:
 
     session: str
     entries: list[dict[str, Any]]
-    samples: int
-    cards: list[dict[str, Any]]
-    tasks: list[tuple[object, ...]]
-    stays: list[Stays]
-    origins: set[str]
+    part: str
+    samples: int = 0
+    cards: list[dict[str, Any]] = field(default_factory=list)
+    tasks: list[tuple[object, ...]] = field(default_factory=list)
+    stays: list[Stays] = field(default_factory=list)
+    origins: set[str] = field(default_factory=set)
     silences: list[Silence] = field(default_factory=list)
 
 
 def samples_of(
-    work: Work,
+    works: Sequence[Work],
     *,
     places: Mapping[str, Place],
     dwells: Mapping[str, Dwell],
@@ -97,11 +100,11 @@ def samples_of(
     read: Read,
     cell: Cell,
     folder: Path,
-) -> Made:
-    """Write the samples of one session to `folder`; without executions there is no file.
+) -> list[Made]:
+    """Write the samples of sessions that share a file to `folder`; without executions there is no file.
 
     Args:
-        work: The session, its runs, their executions and stands.
+        works: The sessions, their runs, executions and stands; the file has the name of the first one.
         places: All places.
         dwells: The usual dwell at each, from all sessions.
         sources: What the cell file says about each recording, by id.
@@ -112,34 +115,43 @@ def samples_of(
     Raises:
         EstimateError: An execution cannot be so long.
     """
-    session = work.session
-    made = Made(session.name, session.entries, 0, [], [], [], set())
-    courses = _courses(work, dwells, places, cell)
-    if not work.runs and (listed := listed_in(session, read, cell)):
-        rows = [row for one in listed for row in one.rows()]
-        return replace(made, cards=[one.card(session) for one in listed], tasks=rows)
-    if all(set(entry["tables"]) <= WITHOUT_PLACES for entry in session.entries):
-        return made
-    if (first := next(courses, None)) is None:
-        return made
-    watch = Watch(session, sources, read, cell)
-    frames = _frames(session, chain([first], courses), watch, made)
-    samples = write_samples(frames, folder / f"{session.name}.parquet")
-    watch.note()
-    made.tasks.extend(operator_rows(session, made.cards, read))
-    return replace(made, samples=samples, silences=watch.silences)
+    part = works[0].session.name
+    made = [Made(work.session.name, work.session.entries, part) for work in works]
+
+    def rows() -> Iterator[SampleRows]:
+        for work, mine in zip(works, made, strict=True):
+            session = work.session
+            if not work.runs and (listed := listed_in(session, read, cell)):
+                mine.cards.extend(one.card(session) for one in listed)
+                mine.tasks.extend(row for one in listed for row in one.rows())
+                continue
+            if all(set(entry["tables"]) <= WITHOUT_PLACES for entry in session.entries):
+                continue
+            courses = _courses(work, dwells, places, cell)
+            if (first := next(courses, None)) is not None:
+                watch = Watch(session, sources, read, cell)
+                yield from _rows(session, chain([first], courses), watch, mine)
+                watch.note()
+                mine.tasks.extend(operator_rows(session, mine.cards, read))
+                mine.silences.extend(watch.silences)
+
+    frames = in_frames(rows(), AT_ONCE)
+    if (begin := next(frames, None)) is not None:
+        write_samples(chain([begin], frames), folder / f"{part}.parquet")
+    return made
 
 
-def _frames(session: Session, courses: Iterable[_Course], watch: Watch, made: Made) -> Iterator[pl.DataFrame]:
+def _rows(session: Session, courses: Iterable[_Course], watch: Watch, made: Made) -> Iterator[SampleRows]:
     """Yield the samples of a session, in parts, since an execution may last as long as its log; fill in the rest."""
     for course in courses:
         seen = watch.during(course.t_s, course.tcp_m)
         for first in range(0, len(course.t_s), AT_ONCE):
-            frame = _frame(course, seen, slice(first, first + AT_ONCE))
-            made.origins.update(frame["scaling_origin"].drop_nulls().unique())
-            yield frame
+            yield _columns(course, seen, slice(first, first + AT_ONCE))
+        if course.robot is not None and np.isfinite(course.robot.scaling).any():
+            made.origins.add("inferred" if course.inferred else "logged")
+        made.samples += len(course.t_s)
         made.tasks.extend(_task_rows(course.name, course.legs))
-        made.cards.append(_card(session, course))
+        made.cards.append(_card(session, course, made.part))
         made.stays.append(seen.stays)
 
 
@@ -196,27 +208,25 @@ def _times(name: str, start: float, end: float, cell: Cell) -> Vector:
     return np.asarray(start + np.arange(int((end - start) * cell.rate_hz + 1e-6) + 1) / cell.rate_hz)
 
 
-def _frame(course: _Course, seen: Seen, rows: slice) -> pl.DataFrame:
+def _columns(course: _Course, seen: Seen, rows: slice) -> SampleRows:
     t = course.t_s[rows]
     columns: dict[str, Any] = {"execution": [course.name] * len(t), "t_s": t}
     if course.robot is not None:
         columns |= {f"robot_{axis}_m": course.robot.xyz_m[rows, k] for k, axis in enumerate("xyz")}
         columns |= _scaling_columns(course.robot, rows, inferred=course.inferred)
-    columns |= _task_columns(t, course) | seen.columns(rows)
-    return schema.conform(pl.DataFrame(columns, nan_to_null=True, strict=False), schema.SAMPLES)
+    return SampleRows(len(t), columns | _task_columns(t, course) | seen.columns(rows))
 
 
 def _scaling_columns(found: Sampled, rows: slice, *, inferred: bool) -> dict[str, Any]:
-    known = np.isfinite(found.scaling[rows])
-    whence = pl.lit("inferred" if inferred else "logged")
-    why = pl.Series(found.gap[rows], dtype=pl.Int8)
-    names = dict(enumerate(schema.SCALING_GAPS))
-    said = pl.DataFrame({"known": known, "why": why}).select(
-        scaling_origin=pl.when("known").then(whence),
-        scaling_gap=pl.when(~pl.col("known")).then(pl.col("why").replace_strict(names, return_dtype=pl.String)),
-    )
-    columns = {"scaling": found.scaling[rows], "scaling_sd": found.deviation[rows], "slider": found.slider[rows]}
-    return columns | {name: said[name] for name in said.columns}
+    scaling = found.scaling[rows]
+    known = np.isfinite(scaling)
+    return {
+        "scaling": scaling,
+        "scaling_sd": found.deviation[rows],
+        "slider": found.slider[rows],
+        "scaling_origin": Coded(np.where(known, 1 if inferred else 0, -1), ("logged", "inferred")),
+        "scaling_gap": Coded(np.where(known, -1, found.gap[rows]), schema.SCALING_GAPS),
+    }
 
 
 def _task_columns(t: Vector, course: _Course) -> dict[str, Any]:
@@ -230,8 +240,8 @@ def _task_columns(t: Vector, course: _Course) -> dict[str, Any]:
     names = [f"{leg.start_place}->{leg.goal_place}" for leg in legs]
     return {
         **{f"robot_goal_{axis}_m": goals[:, k] for k, axis in enumerate("xyz")},
-        "robot_task": [names[i] for i in index.tolist()],
-        "robot_moving": t < arrivals,
+        "robot_task": Coded(index, tuple(names)),
+        "robot_moving": (t < arrivals).tolist(),
     }
 
 
@@ -246,11 +256,12 @@ def _task_rows(name: str, legs: Sequence[Leg]) -> list[tuple[object, ...]]:
     ]  # fmt: skip
 
 
-def _card(session: Session, course: _Course) -> dict[str, Any]:
+def _card(session: Session, course: _Course, part: str) -> dict[str, Any]:
     legs = course.legs
     return {
         "execution": course.name,
         "session": session.name,
+        **({} if part == session.name else {"part": part}),
         "start_s": float(course.t_s[0]),
         "end_s": float(legs[-1].end_s if legs else course.t_s[-1]),
         "complete": course.complete,

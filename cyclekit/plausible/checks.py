@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.median import median
 from cyclekit.plausible.motion import PERSON, TCP, Kind, Places
 from cyclekit.plausible.nobody import Nobody
 from cyclekit.plausible.window import HERE, PLACE, judged_rows
@@ -84,7 +85,7 @@ class Checks:
         if len(far):
             self._ahead, self._furthest_s = self._ahead + len(far), max(self._furthest_s, float(far.max()))
         if self._period_s is None and (steps > 0).sum() >= 10:
-            self._period_s = float(np.median(steps[steps > 0]))
+            self._period_s = float(median(steps[steps > 0]))
         return frame
 
     def _said_of_numbers(self) -> list[str]:
@@ -261,7 +262,7 @@ def scaling_while_playing(frame: pl.DataFrame) -> pl.DataFrame:
 
     A controller writes what it likes for a program that is paused or stopped, mostly 0: that is no safety stop.
     """
-    if not {"scaling", "state"}.issubset(frame.columns) or frame["state"].null_count() == frame.height:
+    if not {"scaling", "state"}.issubset(frame.columns) or not (frame["state"] != "playing").any():
         return frame
     halted = (pl.col("state") != "playing").fill_null(value=False)
     return frame.with_columns(pl.when(~halted).then("scaling").alias("scaling"))

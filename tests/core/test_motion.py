@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit import motion, tables
+from cyclekit import motion, stored_run, table_layout, tables
 from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
 from cyclekit.motion import COLUMNS, NEVER_FULL, STANDING, Part, RobotRun, pieces, sampled, tcp_speed
@@ -48,9 +48,33 @@ def in_memory(frame: pl.DataFrame, offset_s: float) -> RobotRun:
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Row groups of 100 rows, blocks of 64."""
+    """Row groups of 100 rows, blocks of 64; nothing is small enough to be kept as a whole."""
     monkeypatch.setattr(tables, "GROUP_ROWS", 100)
+    monkeypatch.setattr(table_layout, "SMALL_BYTES", 0)
+    monkeypatch.setattr(stored_run, "SHORT_ROWS", 0)
     monkeypatch.setattr(motion, "BLOCK_ROWS", 64)
+
+
+@pytest.mark.parametrize("inferred", [True, False])
+@pytest.mark.parametrize("slider", [True, False])
+@pytest.mark.parametrize("speed", [True, False])
+def test_a_short_run_put_together_once_has_the_windows_of_a_long_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, speed: bool, slider: bool, inferred: bool
+):
+    frame = robot(np.arange(120) / 125, speed=speed).with_columns(slider=pl.col("t_s"))
+    table = stored(tmp_path, frame)
+    more = StoredTable(tmp_path / "robot.parquet", ["slider"]) if slider else None
+    (run,) = runs_of(table, -0.5, gap_s=2.0, more=more)
+    if inferred:
+        run = run.with_scaling([Part(10, np.full(20, 0.5), np.full(20, 0.1), np.zeros(20, np.int8))])
+    spans = [(0, 119), (0, 0), (119, 119), (3, 40), (25, 26)]
+    short = [run.window(*span) for span in spans]
+    rows = run.row_at(np.array([-1.0, 0.0, 0.2, 9.0]))
+    monkeypatch.setattr(stored_run, "SHORT_ROWS", 0)
+    for span, found in zip(spans, short, strict=True):
+        for name, values in vars(run.window(*span)).items():
+            np.testing.assert_array_equal(getattr(found, name), values, err_msg=f"{name} of {span}")
+    assert rows.tolist() == [0, 62, 87, 119]
 
 
 @pytest.mark.parametrize("speed", [True, False])

@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit import schema, tables
+from cyclekit import schema, table_layout, tables
 
 
 def test_a_table_that_is_given_up_makes_no_noise_when_it_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -118,3 +119,57 @@ def test_stretches_of_equal_texts_do_not_depend_on_the_pieces_of_a_table(
         expected += [] if text is None else [(at, at + many - 1, text)]
         at += many
     assert list(tables.StoredTable(file, ()).states("signal")) == expected
+
+
+_TEXTS = st.lists(st.sampled_from([None, "playing", "paused"]), min_size=1, max_size=30)
+
+
+@settings(deadline=None, max_examples=30)
+@given(_TEXTS, st.lists(st.one_of(st.none(), st.floats(allow_nan=False), st.just(0.0)), min_size=30, max_size=30))
+def test_a_small_table_read_as_a_whole_says_what_it_says_in_pieces(
+    tmp_path_factory: pytest.TempPathFactory, texts: list[str | None], numbers: list[float | None]
+):
+    file = tmp_path_factory.mktemp("table") / "a.parquet"
+    count = len(texts)
+    columns = {"t_s": range(count), "scaling": numbers[:count], "state": texts, "register": [None, *range(count - 1)]}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tables, "GROUP_ROWS", 7)
+        with tables.TableWriter(file, schema.ROBOT) as table:
+            table.write(schema.conform(pl.DataFrame(columns, strict=False), schema.ROBOT))
+    said = []
+    for small in (1 << 20, 0):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(table_layout, "SMALL_BYTES", small)
+            patch.setattr(tables, "_decoded", tables._Decoded())
+            table_layout.layout_of.cache_clear()
+            table = tables.StoredTable(file, ("t_s", "scaling", "state", "register"))
+            assert (table._layout().whole is not None) == bool(small)
+            parts = [table.whole_numbers(number, "register") for number in range(len(table.groups))]
+            read = table.column("scaling", 1, count), table.column("t_s", 0, 3)
+            said.append([table.rows, table.groups, [table.unknown(name) for name in table.columns]])
+            said[-1] += [np.concatenate([np.ravel(part) for part in parts]).tolist(), *(str(part) for part in read)]
+            said[-1].append(list(table.states("state")))
+    assert said[0] == said[1]
+
+
+@pytest.mark.parametrize(("rows", "packing"), [(100, "LZ4"), (tables.SMALL_ROWS + 1, "ZSTD")])
+def test_a_small_table_is_packed_by_what_begins_faster(tmp_path: Path, rows: int, packing: str):
+    frame = schema.conform(pl.DataFrame({"t_s": np.arange(float(rows))}), schema.EVENTS)
+    with tables.TableWriter(tmp_path / "a.parquet", schema.EVENTS) as table:
+        table.write(frame)
+    about = pq.ParquetFile(tmp_path / "a.parquet").metadata.row_group(0)
+    assert {about.column(number).compression for number in range(about.num_columns)} == {packing}
+    assert pl.read_parquet(tmp_path / "a.parquet").equals(frame)
+
+
+@pytest.mark.parametrize(("rows", "whole"), [(1000, True), (1_100_000, False)])
+def test_a_file_of_few_bytes_that_holds_many_rows_is_not_read_as_a_whole(tmp_path: Path, rows: int, whole: bool):
+    frame = pl.DataFrame({"t_s": pl.zeros(rows, eager=True), "state": pl.repeat("x" * 10, rows, eager=True)})
+    with pq.ParquetWriter(tmp_path / "a.parquet", frame[:1].to_arrow().schema, compression="zstd") as table:
+        for begin in range(0, rows, 1_000_000):
+            table.write_table(frame[begin : begin + 1_000_000].to_arrow())
+    assert (tmp_path / "a.parquet").stat().st_size < table_layout.SMALL_BYTES
+    layout = tables.StoredTable(tmp_path / "a.parquet", ("t_s",))._layout()
+    assert (layout.whole is not None) == whole
+    if layout.whole is not None:
+        assert layout.whole.columns == ["t_s"]  # a text may be as long as all others together

@@ -86,6 +86,13 @@ def no_remarks_of_libraries() -> Iterator[None]:
         yield
 
 
+def test_a_flipped_bit_in_the_name_of_the_cards_own_checksum_is_noticed(dataset: Path):
+    card = dataset / CARD
+    card.write_bytes(card.read_bytes().replace(b'"card_blake3"', b'"card_blakd3"'))
+    with pytest.raises(DatasetError, match="not as it was written"):
+        Dataset.open(dataset)
+
+
 def test_of_300_flipped_bits_none_is_read_in_silence(dataset: Path):
     true, luck = everything(dataset), random.Random(0)
     files = sorted(file for file in dataset.rglob("*") if file.is_file())

@@ -49,9 +49,9 @@ def test_of_all_who_ask_one_makes_it_and_the_others_get_the_whole(workers: list[
 def test_what_a_failed_process_left_is_made_anew(workers: list[Any]) -> None:
     def fail(folder: Path) -> None:
         (folder / "half.txt").touch()
-        raise OSError
+        raise OSError("half")
 
-    with pytest.raises(OSError):
+    with pytest.raises(OSError, match="half"):
         made_once(workers[0], "cell", fail)
     assert [file.name for file in made_once(workers[1], "cell", write).iterdir()] == ["a.txt"]
 

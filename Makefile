@@ -12,9 +12,10 @@ PIP_FLAGS ?=
 
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-# A file's tests run in one process, so that what they share is made once. Compiled sources are kept: the tests start
-# many processes, each of which would compile all of cyclekit again.
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+# A file's tests run in one process, so that what they share is made once. Every process has one thread, as there is one
+# process a core. Compiled sources are kept: the tests start many processes, each would compile all of cyclekit again.
+PYTEST := PYTHONDONTWRITEBYTECODE= POLARS_MAX_THREADS=1 OMP_NUM_THREADS=1 \
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 BENCHMARKS := $(sort $(wildcard benchmarks/*.py))
 
 .DEFAULT_GOAL := help

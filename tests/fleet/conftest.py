@@ -37,6 +37,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Engine]:
         port = free.getsockname()[1]
     paths = os.pathsep.join([str(TESTS), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, "PYTHONPATH": paths, "RAY_USAGE_STATS_ENABLED": "0"}
+    environment |= {"POLARS_MAX_THREADS": "2", "OMP_NUM_THREADS": "2"}  # workers are to take one whatever stands there
     words = ["start", "--head", f"--port={port}", "--num-cpus=2", "--include-dashboard=false", "--block"]
     log = (tmp_path_factory.mktemp("ray") / "head.log").open("w+")
     head = subprocess.Popen(

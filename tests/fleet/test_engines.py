@@ -59,7 +59,9 @@ def test_an_item_that_kills_its_worker_each_time_is_given_up_and_the_others_are_
 
 
 @pytest.mark.parametrize("engine", ["processes", "ray"], indirect=True)
-def test_a_worker_has_one_thread(engine: Engine) -> None:
+def test_a_worker_has_one_thread(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("POLARS_MAX_THREADS", "OMP_NUM_THREADS"):
+        monkeypatch.setenv(name, "2")
     workers = {each.get() for each in engine.map(environment, range(4))}
     assert {(tables, products) for _, tables, products in workers} == {("1", "1")}
 

@@ -26,7 +26,7 @@ def digest(folder: Path) -> dict[str, str]:
     return {file.relative_to(folder).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
-@pytest.fixture(params=["processes", "ray"])
+@pytest.fixture(params=["processes", pytest.param("ray", marks=pytest.mark.slow)])
 def elsewhere(request: pytest.FixtureRequest) -> list[str]:
     """The options that have two workers do the work."""
     if request.param == "processes":

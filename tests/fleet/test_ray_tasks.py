@@ -114,6 +114,6 @@ def test_a_cluster_that_nobody_runs_is_said_to_be_out_of_reach(
     stand_in: StandIn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stand_in, "is_initialized", lambda: False)
-    with pytest.raises(EngineError, match="no Ray cluster can be reached at '127.0.0.1:9'") as told:
+    with pytest.raises(EngineError, match=r"can be reached at '127\.0\.0\.1:9'") as told:
         list(Engine("ray", address="127.0.0.1:9").map(square, [1]))
     assert "ray start --head" in str(told.value.cure)

@@ -1,7 +1,7 @@
 """A spoiled log gives its true rows, names the others with their line, or is refused: no wrong value without a word.
 
-`benchmarks/pollution.py` reads all the spoiled files and counts; here are those that are small, every fourth of them; in
-`make test`, every sixteenth.
+`benchmarks/pollution.py` reads all the spoiled files and counts; here are those that are small, every fourth of
+them; in `make test`, every sixteenth.
 """
 
 from __future__ import annotations

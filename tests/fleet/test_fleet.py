@@ -86,6 +86,7 @@ def test_one_command_makes_everything_and_a_broken_cell_does_not_hold_up_the_oth
     assert [state for name, state in states(again).items() if name.startswith("press")] == ["unchanged"] * 3
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_in_mid_work_costs_a_retry_and_nothing_else(one_day: Path, tmp_path: Path) -> None:
     file = fleet_of(tmp_path, one_day, "a", "b")
     wanted, rows = fleets.load_fleet(file), list[fleets.Row]()

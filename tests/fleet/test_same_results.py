@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from threadpoolctl import threadpool_limits
 
 from cyclekit.cli import run
 from cyclekit.engine import LOCAL, Engine
@@ -18,6 +20,7 @@ from cyclekit.models.spec import ModelSpec
 from cyclekit.train import Training, train_at
 
 WHOLE_WAY = Path(__file__).parents[1] / "whole_way.py"
+NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS")
 
 
 def digest(folder: Path) -> dict[str, str]:
@@ -35,18 +38,35 @@ def elsewhere(request: pytest.FixtureRequest) -> list[str]:
     return ["--engine", "ray", "--ray-address", str(engine.address)]
 
 
+@pytest.mark.slow  # quick: the two below
 def test_one_thread_or_four_the_same_is_stored_and_said(small_cell: Path, tmp_path: Path) -> None:
     runs = []
     for threads in ("1", "4"):
-        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS")
         (folder := tmp_path / threads).mkdir()
         words = [sys.executable, str(WHOLE_WAY), threads, str(small_cell)]
-        runs.append(subprocess.Popen(words, cwd=folder, env={**os.environ, **dict.fromkeys(names, threads)}))
+        runs.append(subprocess.Popen(words, cwd=folder, env={**os.environ, **dict.fromkeys(NAMES, threads)}))
     assert [run.wait() for run in runs] == [0, 0]
     one, four = (digest(tmp_path / threads) for threads in ("1", "4"))
     assert {"dataset/dataset.json", "now/model.json", "ahead/weights.safetensors", "zones.json"} <= set(one)
     assert [name for name in one if one[name] != four[name]] == []
     assert set(one) == set(four)
+
+
+def test_a_dataset_does_not_depend_on_the_number_of_threads(small_cell: Path, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "cyclekit", "ingest", str(small_cell / "logs"), "--out", "dataset", "--quiet"]
+    subprocess.run(words, cwd=tmp_path, env={**os.environ, **dict.fromkeys(NAMES, "4")}, check=True)
+    assert digest(tmp_path / "dataset") == digest(small_cell / "dataset")
+
+
+def test_a_model_does_not_depend_on_the_number_of_threads(small_cell: Path, tmp_path: Path) -> None:
+    before = torch.get_num_threads()
+    torch.set_num_threads(4)
+    try:
+        with threadpool_limits(4):
+            train_at(Training(str(small_cell / "dataset"), ModelSpec.of(epochs=2), str(tmp_path / "model")))
+    finally:
+        torch.set_num_threads(before)
+    assert digest(tmp_path / "model") == digest(small_cell / "model")
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: object) -> Any:

@@ -30,8 +30,8 @@ demo: $(READY) ## the whole way on a simulated cell; everything it makes lies in
 	@$(BIN)/cyclekit demo --out $(OUT)/
 
 test: $(READY) ## the tests that guard what cyclekit does; for every day
-	@echo "== test: all but the slow tests, $(WORKERS) processes"
-	@$(PYTEST) -m "not slow"
+	@echo "== test: all but the slow tests, fewer examples where any are drawn, $(WORKERS) processes"
+	@$(PYTEST) -m "not slow" --hypothesis-profile everyday
 
 test-all: $(READY) ## every test, also the slow ones: kills, browsers, clusters, clean environments
 	@echo "== test-all: the whole suite, $(WORKERS) processes"

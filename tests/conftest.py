@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from typing import TYPE_CHECKING
 
 import pytest
@@ -22,9 +21,3 @@ def _what_is_shared_stays_as_it_was(tmp_path_factory: pytest.TempPathFactory) ->
     """Whoever changed a cell that other tests read is found out at the end of the run."""
     yield
     assert changed(shared_folder(tmp_path_factory)) == []
-
-
-def pytest_collection_finish() -> None:
-    """What the libraries and the tests hold for good need not be looked through again by every garbage collection."""
-    gc.collect()
-    gc.freeze()

@@ -20,16 +20,16 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 QUICK = (
-    "mcap of 262 kB with a chunk of 8 GiB",
+    pytest.param("mcap of 262 kB with a chunk of 8 GiB", marks=pytest.mark.slow),
     "mcap whose sizes are 2**63",
     "ROS 1 bag whose every length is 4 GiB",
     "db3 whose header says 2**31 pages",
     "metadata.yaml that names itself a billion times",
-    "gzip CSV of 2 GiB without a line end",
+    pytest.param("gzip CSV of 2 GiB without a line end", marks=pytest.mark.slow),
     "17,000 columns",
-    "1,000,000 columns",
-    "header line of 100 MB",
-    "line of 1 GB of NULs below a header",
+    pytest.param("1,000,000 columns", marks=pytest.mark.slow),
+    pytest.param("header line of 100 MB", marks=pytest.mark.slow),
+    pytest.param("line of 1 GB of NULs below a header", marks=pytest.mark.slow),
     "C3D that announces 10**9 frames of 65,535 points",
     "JSON nested 100,000 deep",
     "JSON with numbers of a million digits",

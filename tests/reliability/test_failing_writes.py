@@ -29,6 +29,7 @@ main(words)
 """
 
 
+@pytest.mark.slow  # quick: every call that writes fails once, below
 @pytest.mark.skipif(os.name == "nt", reason="needs a limit on the size of files")
 @pytest.mark.parametrize(
     ("command", "limit"),

@@ -172,7 +172,7 @@ def test_a_folder_where_a_file_is_to_be_written_is_named(tmp_path: Path):
         pass
 
 
-@pytest.mark.parametrize("ending", ["svg", "png", "pdf"])
+@pytest.mark.parametrize("ending", ["svg", *(pytest.param(end, marks=pytest.mark.slow) for end in ("png", "pdf"))])
 def test_a_picture_that_cyclekit_drew_is_drawn_again(ending: str, cell: dict[str, Path], tmp_path: Path, capsys: Any):
     for _ in range(2):
         words = ["levels", str(cell["data"]), "--picture", str(tmp_path / f"x.{ending}"), "--quiet"]

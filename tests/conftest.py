@@ -21,3 +21,9 @@ def _what_is_shared_stays_as_it_was(tmp_path_factory: pytest.TempPathFactory) ->
     """Whoever changed a cell that other tests read is found out at the end of the run."""
     yield
     assert changed(shared_folder(tmp_path_factory)) == []
+
+
+@pytest.fixture
+def words_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages of the test have empty pictures: drawing them takes most of the time, and other files look at them."""
+    monkeypatch.setattr("cyclekit.report.pictures.Picture._drawn", lambda *_: "<svg></svg>")

@@ -28,6 +28,8 @@ from cyclekit.report.fleet_page import CellLine, fleet_page
 if TYPE_CHECKING:
     from cyclekit.fleet import Fleet, Row
 
+pytestmark = pytest.mark.usefixtures("words_only")
+
 TODAY = dt.date(2026, 11, 21)
 
 

@@ -121,6 +121,7 @@ def test_a_page_and_its_print_are_two_files(cell: dict[str, Path], capsys: Any):
     assert "is an input" in said
 
 
+@pytest.mark.usefixtures("words_only")
 @pytest.mark.parametrize("kind", ["report-json", "report-csv", "page", "words", "table-csv", "table-parquet", "replay"])
 def test_what_cyclekit_wrote_as_that_kind_is_replaced_and_as_another_it_is_not(
     kind: Any, cell: dict[str, Path], tmp_path: Path, capsys: Any

@@ -22,9 +22,3 @@ def written(dataset, tmp_path_factory):
 @pytest.fixture(scope="module")
 def page(written):
     return Page(written.path.read_text("utf-8"))
-
-
-@pytest.fixture
-def words_only(monkeypatch):
-    """Pages of the test have empty pictures: drawing them takes most of the time, and other files look at them."""
-    monkeypatch.setattr("cyclekit.report.pictures.Picture._drawn", lambda *_: "<svg></svg>")

@@ -342,6 +342,7 @@ def test_where_muon_was_asked_for_such_a_network_is_refused(cell, thrown):
     assert thrown == ["muon"]
 
 
+@pytest.mark.slow
 def test_a_network_thrown_out_of_its_range_once_comes_back(cell, monkeypatch):
     class ThrowingOnce(fitting.Steps):
         def __init__(self, network: torch.nn.Module, spec: ModelSpec, decay: float, total: int) -> None:

@@ -154,6 +154,7 @@ def test_a_refusal_of_the_estimate_itself_names_the_change_too(logged: Dataset, 
         what_if(staircase, logged, [TaskSequence("A", ("home", "conveyor"))], [halted])
 
 
+@pytest.mark.slow  # quick: the refusals above, and the command in test_answer
 def test_the_command_answers_what_it_can_and_fails_where_it_can_answer_nothing(
     logged: Dataset, staircase: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):

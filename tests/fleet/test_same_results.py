@@ -89,6 +89,7 @@ def test_a_dataset_is_the_same_to_the_last_byte(
     assert found == digest(small_cell / "dataset")
 
 
+@pytest.mark.slow  # quick: estimates and datasets, and a model at four threads
 def test_models_are_equal_and_so_are_their_judgements(
     small_cell: Path, elsewhere: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -128,6 +128,7 @@ def test_new_logs_are_added_and_the_model_is_kept_while_the_cell_is_the_same(
     assert (tmp_path / "out" / "press-1" / "model" / "model.json").read_bytes() == before
 
 
+@pytest.mark.slow  # quick: logs in a bucket, in test_storage
 def test_a_fleet_at_a_url_needs_no_folder_that_machines_share(
     bucket: str, one_day: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

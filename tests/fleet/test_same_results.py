@@ -75,6 +75,7 @@ def answer(capsys: pytest.CaptureFixture[str], *words: object) -> Any:
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow  # quick: two jobs in test_ingest, and four threads above
 def test_a_dataset_is_the_same_to_the_last_byte(
     small_cell: Path, elsewhere: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -89,7 +90,7 @@ def test_a_dataset_is_the_same_to_the_last_byte(
     assert found == digest(small_cell / "dataset")
 
 
-@pytest.mark.slow  # quick: estimates and datasets, and a model at four threads
+@pytest.mark.slow  # quick: estimates by two processes below, a model at four threads above
 def test_models_are_equal_and_so_are_their_judgements(
     small_cell: Path, elsewhere: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

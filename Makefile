@@ -12,22 +12,31 @@ PIP_FLAGS ?=
 
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+# A file's tests run in one process, so that what they share is made once; files go by name, which has the short ones
+# last, so that both processes end together. Every process has one thread, as there is one process a core. Compiled
+# sources are kept: the tests start many processes, and each would compile all of cyclekit again.
+PYTEST := PYTHONDONTWRITEBYTECODE= POLARS_MAX_THREADS=1 OMP_NUM_THREADS=1 \
+	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 BENCHMARKS := $(sort $(wildcard benchmarks/*.py))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test bench lint clean
+.PHONY: help demo test test-all bench lint clean
 
 help: ## say what can be made
 	@echo "cyclekit:"
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
 demo: $(READY) ## the whole way on a simulated cell; everything it makes lies in out/
 	@echo "== demo: simulated logs -> dataset -> model -> cycle times, replay and report in $(OUT)/"
 	@$(BIN)/cyclekit demo --out $(OUT)/
 
-test: $(READY) ## the whole test suite
-	@echo "== test: the whole suite, $(WORKERS) processes"
-	@$(BIN)/python -m pytest -n $(WORKERS)
+test: $(READY) ## the tests that guard what cyclekit does; for every day
+	@echo "== test: all but the slow tests, fewer examples where any are drawn, $(WORKERS) processes"
+	@$(PYTEST) -m "not slow" --hypothesis-profile everyday
+
+test-all: $(READY) ## every test, also the slow ones: kills, browsers, clusters, clean environments
+	@echo "== test-all: the whole suite, $(WORKERS) processes"
+	@$(PYTEST)
 
 bench: $(READY) ## the measurements in benchmarks/, one after the other (minutes)
 	@echo "== bench: $(words $(BENCHMARKS)) measurements"

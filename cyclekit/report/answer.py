@@ -13,7 +13,7 @@ import numpy as np
 from cyclekit.estimate.result import MOST
 from cyclekit.report import verdict
 from cyclekit.report.numbers import UNKNOWN, decimals_for, fixed, given, percent, seconds, with_uncertainty
-from cyclekit.report.pictures import picture
+from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import Table, spell
 from cyclekit.work import by_work
 
@@ -147,7 +147,7 @@ def _picture(
         "takt": texts("answer.takt_key", takt="" if takt_s is None else given(takt_s)),
     }
     alt = texts("answer.picture", count=len(ranked), name=best.name, mean=mean)
-    return picture("cycle", alt, lambda width_in: charts.cycle_times(width_in, ranked, labels, takt_s))
+    return Picture("cycle", alt, lambda width_in: charts.cycle_times(width_in, ranked, labels, takt_s))
 
 
 def _table(texts: Texts, works: Mapping[Work, Sequence[CycleEstimate]], takt_s: float | None) -> Table:

@@ -12,6 +12,7 @@ import re
 import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.plain_text import visible
@@ -57,16 +58,31 @@ STYLE = {
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture for the page.
+    """One picture, drawn when a page shows it: words and data need none.
 
     Attributes:
-        wide, narrow: SVG elements for desk and phone.
+        name: Short and unique on the page; ids inside the SVG start with it.
         alt: What the picture shows, for those who cannot see it.
+        draw: Makes the figure for a width in inches.
     """
 
-    wide: str
-    narrow: str
+    name: str
     alt: str
+    draw: Callable[[float], Figure]
+
+    @cached_property
+    def wide(self) -> str:
+        """SVG element for a desk."""
+        return self._drawn(WIDE_IN, "w")
+
+    @cached_property
+    def narrow(self) -> str:
+        """SVG element for a phone."""
+        return self._drawn(NARROW_IN, "n")
+
+    def _drawn(self, width_in: float, version: str) -> str:
+        with plain_style():
+            return _to_svg(self.draw(width_in), f"{self.name}-{version}", self.alt)
 
 
 def tip(figure: Figure, artist: Artist, text: str, row: str = "") -> None:
@@ -74,20 +90,6 @@ def tip(figure: Figure, artist: Artist, text: str, row: str = "") -> None:
     tips: list[tuple[str, str]] = figure.__dict__.setdefault("cyclekit_tips", [])
     artist.set_gid(f"tip{len(tips)}")
     tips.append((text, row))
-
-
-def picture(name: str, alt: str, draw: Callable[[float], Figure]) -> Picture:
-    """Draw a picture in both widths.
-
-    Args:
-        name: Short and unique on the page; ids inside the SVG start with it.
-        alt: Text alternative.
-        draw: Makes the figure for a width in inches.
-    """
-    with plain_style():
-        wide = _to_svg(draw(WIDE_IN), f"{name}-w", alt)
-        narrow = _to_svg(draw(NARROW_IN), f"{name}-n", alt)
-    return Picture(wide, narrow, alt)
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import numpy as np
 from cyclekit.report import rests
 from cyclekit.report.judged import calibration
 from cyclekit.report.numbers import count, fixed, percent, significant
-from cyclekit.report.pictures import picture
+from cyclekit.report.pictures import Picture
 from cyclekit.report.provenance import provenance
 from cyclekit.report.rests import signed
 from cyclekit.report.tables import Table
@@ -181,7 +181,7 @@ def _confusion(texts: Texts, judged: Mapping[str, Any]) -> list[dict[str, Any]]:
     labels["tip"] = texts.section("trust")["tip_confusion"]
     right = percent(float(counts.trace() / counts.sum())) if counts.sum() else percent(None)
     alt = texts("trust.confusion_picture", right=right)
-    drawn = picture("heatmap", alt, lambda width_in: maps.heatmap(width_in, counts, names, labels))
+    drawn = Picture("heatmap", alt, lambda width_in: maps.heatmap(width_in, counts, names, labels))
     return [{"title": name, "picture": drawn, "caption": caption, "table": table}]
 
 
@@ -205,7 +205,7 @@ def _calibration(
     name = texts("trust.calibration_title")
     table = Table(name, heads, rows, frozenset({0, 1, 2}), silent=True)
     alt = texts("trust.calibration_picture", worst=percent(found.worst))
-    drawn = picture("calibration", alt, lambda width_in: maps.calibration(width_in, found, labels))
+    drawn = Picture("calibration", alt, lambda width_in: maps.calibration(width_in, found, labels))
     return [{"title": name, "picture": drawn, "caption": caption, "table": table}]
 
 

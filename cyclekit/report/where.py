@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.report.findings import Share, task_shares
 from cyclekit.report.numbers import fixed
-from cyclekit.report.pictures import picture
+from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import Table, spell
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def _chart(
     if len(rows) > len(drawn):
         caption = f"{caption} {texts('where.more', count=len(rows) - len(drawn))}"
     return {
-        "picture": picture(name, alt, lambda width_in: charts.shares(width_in, drawn, labels, longest_s)),
+        "picture": Picture(name, alt, lambda width_in: charts.shares(width_in, drawn, labels, longest_s)),
         "caption": caption,
         "table": _table(texts, caption, rows, seen=seen),
     }

@@ -9,7 +9,7 @@ import numpy as np
 from cyclekit.report.findings import safety_function
 from cyclekit.report.floor import floor_plan, has_robot
 from cyclekit.report.numbers import UNKNOWN, count, fixed, percent
-from cyclekit.report.pictures import Picture, picture
+from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import Table
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def _staircase(texts: Texts, found: SafetyFunction, levels: Sequence[float]) -> 
         texts("why.band", speed=_speed(b.scaling), low=fixed(b.low_m, 2), high=fixed(b.high_m, 2)) for b in found.bands
     )
     alt = texts("why.picture", bands=bands)
-    return picture("staircase", alt, lambda width_in: maps.staircase(width_in, found, levels, labels))
+    return Picture("staircase", alt, lambda width_in: maps.staircase(width_in, found, levels, labels))
 
 
 def _bands(texts: Texts, found: SafetyFunction) -> Table:
@@ -124,7 +124,7 @@ def _zones(texts: Texts, plan: FloorPlan) -> dict[str, Any]:
     labels = _labels(texts) | {"speed": texts("why.zone_speed")}
     x, y, slowest = plan.zones[int(plan.zones[:, 2].argmin())].tolist()
     alt = texts("why.zone_picture", x=fixed(x, 1), y=fixed(y, 1), speed=_speed(slowest))
-    drawn = picture("zones", alt, lambda width_in: maps.zone_map(width_in, plan, labels))
+    drawn = Picture("zones", alt, lambda width_in: maps.zone_map(width_in, plan, labels))
     return {"picture": drawn, "caption": texts("why.zone_model" if plan.zones_of_model else "why.zone_log")}
 
 
@@ -136,4 +136,4 @@ def _map(texts: Texts, plan: FloorPlan) -> Picture:
     if len(plan.lost):
         x, y = plan.lost[int(plan.lost[:, 2].argmax()), :2].tolist()
         alt = texts("why.map_picture", x=fixed(x, 1), y=fixed(y, 1))
-    return picture("floor", alt, lambda width_in: maps.lost_map(width_in, plan, labels))
+    return Picture("floor", alt, lambda width_in: maps.lost_map(width_in, plan, labels))

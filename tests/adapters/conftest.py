@@ -7,15 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import settings
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-settings.register_profile("unhurried", deadline=None)  # a busy machine is no fault of an adapter
-settings.load_profile("unhurried")
 
 UR_COLUMNS = [
     "timestamp",

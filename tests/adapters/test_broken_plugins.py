@@ -54,7 +54,13 @@ def logs(tmp_path: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("kind", BROKEN)
+@pytest.mark.parametrize(
+    "kind",
+    [
+        kind if kind in ("not there", "raises when asked") else pytest.param(kind, marks=pytest.mark.slow)
+        for kind in BROKEN
+    ],
+)
 def test_a_broken_plug_in_is_named_once_and_the_other_formats_are_read(tmp_path: Path, logs: Path, kind: str):
     site = plug_in(tmp_path / "site", BROKEN[kind])
     done = cyclekit(site, "inspect", logs, "--json")

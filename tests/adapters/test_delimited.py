@@ -7,7 +7,7 @@ from unittest import mock
 
 import pytest
 from backports import zstd
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.errors import DamagedLog
@@ -43,7 +43,6 @@ def plain(rows):
     return rows.frame.drop(delimited.INDEX)
 
 
-@settings(max_examples=120, deadline=None)
 @given(st.lists(st.tuples(lines, ends), max_size=8), st.booleans(), st.booleans())
 def test_reading_fast_and_looking_at_every_line_give_the_same_rows(body, cut, quotes):
     text = "a,b,c\n" + "".join(line + end for line, end in body)
@@ -58,7 +57,6 @@ def test_reading_fast_and_looking_at_every_line_give_the_same_rows(body, cut, qu
         assert fast.rows_read == careful.rows_read
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(lines, ends), max_size=30), st.booleans(), st.integers(1, 40), st.sampled_from([8, 64]))
 def test_a_log_in_small_blocks_gives_the_rows_of_one_block(body, cut, block, halving):
     text = "a,b,c\n" + "".join(line + end for line, end in body)
@@ -74,7 +72,6 @@ def test_a_log_in_small_blocks_gives_the_rows_of_one_block(body, cut, block, hal
     assert in_blocks.rows_read == at_once.rows_read
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.lists(st.sampled_from(["1,2,3", "4,5,6", "", "7,8", " "]), max_size=12), st.sampled_from(["\n", "\r\n", "\r"])
 )
@@ -165,14 +162,12 @@ def test_a_header_of_seventeen_thousand_columns_is_read_whole():
     assert rows.frame.row(0)[2:] == (16999.0, 3.0)
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3), min_size=1, max_size=20))
 def test_every_number_comes_back_as_it_was_written(rows):
     text = "a,b,c\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)
     assert rows_of(text).frame.select("a", "b", "c").rows() == rows
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.binary(max_size=300))
 def test_any_bytes_at_all_are_rows_or_set_aside(noise):
     rows = rows_of(b"a,b,c\n1,2,3\n" + noise)
@@ -217,7 +212,6 @@ def test_the_first_bytes_tell_the_encoding(first, encoding):
     assert encoding_of(first) == encoding
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.lists(st.sampled_from([b"1.5", b" ", b"-", b"\r\n", b"\n", b"\t", b"\0"]), max_size=12), st.integers(1, 9))
 def test_two_blanks_and_nul_are_found_wherever_a_block_is_looked_at_in_pieces(pieces, looked_at):
     block = b"".join(pieces)

@@ -218,7 +218,7 @@ def test_a_header_of_a_million_columns_is_refused(tmp_path):
 lines = st.lists(st.sampled_from("12,.x\"'\0\r \u00e9-"), max_size=9).map("".join)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(deadline=None)
 @given(st.lists(lines, max_size=12), st.sampled_from([COMMA, BLANK, QUOTED, replace(COMMA, delimiter=";")]))
 def test_of_any_lines_a_row_holds_what_its_own_line_says(body, layout):
     text = "t,x,y\n" + "".join(f"{line}\n" for line in body)

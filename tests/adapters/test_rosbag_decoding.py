@@ -155,7 +155,7 @@ def assert_as_the_library_says(one, raws):
 
 @pytest.mark.filterwarnings("ignore:invalid value")
 @pytest.mark.parametrize("coding", CODINGS)
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(deadline=None, suppress_health_check=list(HealthCheck))
 @given(kind=st.sampled_from([*TYPES, ODD, ODD, ODD]), seed=st.integers(0, 2**32 - 1))
 def test_every_field_of_every_message_is_what_the_library_decodes(coding, kind, seed):
     one = channel(kind, coding)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
+from made_once import made_once, simulated
 
 from cyclekit.cli import run
-from cyclekit_sim import SimulationOptions, simulate
 
 
 @dataclass(frozen=True)
@@ -47,38 +47,39 @@ def cyclekit(capsys: pytest.CaptureFixture[str]) -> Shell:
 @pytest.fixture(scope="session")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six executions of box picking, as vendor files."""
-    folder = tmp_path_factory.mktemp("cell") / "logs"
-    return simulate("box-picking", folder, executions=6, seed=1, options=SimulationOptions())
+    return simulated(tmp_path_factory, "box-picking", 6, seed=1)
 
 
 @pytest.fixture(scope="session")
-def dataset(logs: Path) -> Path:
-    folder = logs.parent / "dataset"
-    assert run(["ingest", str(logs), "--out", str(folder), "--quiet"]) == 0
-    return folder
+def dataset(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    def make(folder: Path) -> None:
+        assert run(["ingest", str(logs), "--out", str(folder / "dataset"), "--quiet"]) == 0
+
+    return made_once(tmp_path_factory, "cli_dataset", make) / "dataset"
 
 
 @pytest.fixture(scope="session")
-def model(dataset: Path) -> Path:
+def model(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A model trained for two seconds: good enough not to be refused, not to be right."""
     from cyclekit.dataset import Dataset
     from cyclekit.models.saved import save_model
     from cyclekit.models.spec import ModelSpec
     from cyclekit.train import train
 
-    folder = dataset.parent / "model"
-    save_model(folder, train(Dataset.open(dataset), ModelSpec.of(epochs=16)))
-    return folder
+    def make(folder: Path) -> None:
+        save_model(folder / "model", train(Dataset.open(dataset), ModelSpec.of(epochs=16)))
+
+    return made_once(tmp_path_factory, "cli_model", make) / "model"
 
 
 @pytest.fixture(scope="session")
-def sequences(dataset: Path) -> Path:
+def sequences(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two sequences of tasks that were logged."""
     from cyclekit.dataset import Dataset
 
     tasks = set(Dataset.open(dataset).tasks()["task"])
     back = next(slot for slot in ("left_2", "left_3", "right_2", "right_3", "right_4") if f"{slot}->conveyor" in tasks)
-    file = dataset.parent / "sequences.toml"
+    file = tmp_path_factory.mktemp("asked") / "sequences.toml"
     file.write_text(
         f'[[sequence]]\nname = "one way"\nplaces = ["home", "conveyor", "left_1"]\n'
         f'[[sequence]]\nname = "two boxes"\nplaces = ["home", "conveyor", "{back}", "conveyor", "left_1"]\n',

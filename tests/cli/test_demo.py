@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from cyclekit.cli.demo import SCENE, SEQUENCES, sequences_toml
+from cyclekit.models.spec import ModelSpec
 from cyclekit.sequences import load_sequences
 from cyclekit_sim import scene_places
 
@@ -16,7 +18,11 @@ if TYPE_CHECKING:
     from .conftest import Shell
 
 
-def test_the_demo_goes_the_whole_way_and_ends_with_a_table(cyclekit: Shell, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("words_only")
+def test_the_demo_goes_the_whole_way_and_ends_with_a_table(
+    cyclekit: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ModelSpec, "of", partial(ModelSpec.of, epochs=16))  # a training of two seconds
     out = tmp_path / "out"
     done = cyclekit("demo", "--out", out, "--executions", "6")
     assert done.code == 0, done.err

@@ -13,6 +13,8 @@ from cyclekit.errors import EstimateError
 if TYPE_CHECKING:
     from .conftest import Shell
 
+pytestmark = pytest.mark.usefixtures("words_only")
+
 
 @pytest.fixture
 def changes(tmp_path: Path) -> Path:

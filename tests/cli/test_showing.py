@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     from conftest import Shell
 
+pytestmark = pytest.mark.usefixtures("words_only")
+
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -74,6 +76,7 @@ def test_sequences_without_a_model_are_a_usage_error(cyclekit: Shell, cell: Path
     assert "--model" in failed.err
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(browser.find_browser() is None, reason="no Chromium, Chrome or Edge is installed")
 def test_the_page_is_printed_beside_it(cyclekit: Shell, cell: Path, tmp_path: Path) -> None:
     done = cyclekit("report", cell, "--out", tmp_path / "r.html", "--pdf", tmp_path / "r.pdf", "--json")

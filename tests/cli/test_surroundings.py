@@ -56,7 +56,9 @@ def in_shell(line: str, folder: Path, **variables: str) -> subprocess.CompletedP
 
 
 @ON_POSIX
-@pytest.mark.parametrize("closed", ["2>&-", ">&-", ">&- 2>&- <&-"])
+@pytest.mark.parametrize(
+    "closed", [*(pytest.param(one, marks=pytest.mark.slow) for one in ("2>&-", ">&-")), ">&- 2>&- <&-"]
+)
 def test_a_command_works_with_standard_streams_closed(small: Path, tmp_path: Path, closed: str) -> None:
     told = in_shell(f'"$0" "$@" replay "{small}" --execution 1 --out r.rrd {closed}', tmp_path)
     assert told.returncode == 0

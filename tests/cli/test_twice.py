@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
     from .conftest import Shell
+
+
+def _slow(words: str) -> Any:
+    """A page or a picture; quick: test_guard, on a smaller cell."""
+    return pytest.param(words, marks=pytest.mark.slow)
+
 
 COMMANDS = [
     "estimate MODEL SEQUENCES --dataset DATASET --no-check --extrapolate --out OUT.json",
@@ -16,12 +22,12 @@ COMMANDS = [
     "plan MODEL JOBS --dataset DATASET --no-check --out OUT.toml",
     "whatif MODEL SEQUENCES CHANGES --dataset DATASET --no-check --extrapolate --out OUT.json",
     "zones MODEL DATASET --out OUT.svg",
-    "levels DATASET --picture OUT.svg",
-    "levels DATASET --picture OUT.png",
-    "levels DATASET --picture OUT.pdf",
-    "report DATASET --out OUT.html",
-    "report DATASET --out OUT.md",
-    "report DATASET --out OUT.json",
+    _slow("levels DATASET --picture OUT.svg"),
+    _slow("levels DATASET --picture OUT.png"),
+    _slow("levels DATASET --picture OUT.pdf"),
+    _slow("report DATASET --out OUT.html"),
+    _slow("report DATASET --out OUT.md"),
+    _slow("report DATASET --out OUT.json"),
     "report DATASET --out OUT.csv",
     "replay DATASET --execution 1 --out OUT.rrd",
     "export MODEL --out OUT.onnx",

@@ -10,11 +10,11 @@ from typing import Any
 import polars as pl
 import pytest
 from ingested import ROUND_TRIP
+from made_once import made_once, simulated
 
 from cyclekit import registry
 from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
-from cyclekit_sim import SimulationOptions, simulate
 
 EXECUTIONS = {"box-picking": 4, "pick-and-package": 4, "laser-zones": 6, "scanner-visits": 6}
 ROBOT_START_S = 152.512
@@ -56,34 +56,28 @@ class SimulatedCell:
 
 
 class Cells:
-    """Simulated cells, made when first asked for and kept for the session."""
+    """Simulated cells, made when first asked for and kept for the session; to be read, not changed."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._made: dict[Any, SimulatedCell] = {}
-        self._logs: dict[Any, Path] = {}
+    def __init__(self, factory: pytest.TempPathFactory) -> None:
+        self._factory = factory
+        self._opened: dict[Path, SimulatedCell] = {}
 
     def __call__(self, scene: str, executions: int | None = None, *, seed: int = 3, **options: Any) -> SimulatedCell:
-        key = (scene, executions or EXECUTIONS[scene], seed, *sorted(options.items()))
-        if key not in self._made:
-            logs = self.logs(scene, executions, seed=seed, **options)
-            ingest([logs], logs.with_name("dataset"))
-            self._made[key] = SimulatedCell(scene, logs, Dataset.open(logs.with_name("dataset")))
-        return self._made[key]
+        logs = self.logs(scene, executions, seed=seed, **options)
+        if logs not in self._opened:
+            name = f"{logs.parent.name}_dataset"
+            made = made_once(self._factory, name, lambda place: ingest([logs], place / "dataset")) / "dataset"
+            self._opened[logs] = SimulatedCell(scene, logs, Dataset.open(made))
+        return self._opened[logs]
 
     def logs(self, scene: str, executions: int | None = None, *, seed: int = 3, **options: Any) -> Path:
         """Return the logs of a cell, without a dataset made of them."""
-        count = executions or EXECUTIONS[scene]
-        key = (scene, count, seed, *sorted(options.items()))
-        if key not in self._logs:
-            place = self._folder / f"cell_{len(self._logs)}" / "logs"
-            self._logs[key] = simulate(scene, place, executions=count, seed=seed, options=SimulationOptions(**options))
-        return self._logs[key]
+        return simulated(self._factory, scene, executions or EXECUTIONS[scene], seed, **options)
 
 
 @pytest.fixture(scope="session")
 def cells(tmp_path_factory: pytest.TempPathFactory) -> Cells:
-    return Cells(tmp_path_factory.mktemp("cells"))
+    return Cells(tmp_path_factory)
 
 
 @pytest.fixture(scope="session")

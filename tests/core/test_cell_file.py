@@ -290,7 +290,7 @@ CELL = st.builds(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(CELL)
 def test_a_cell_written_as_toml_reads_back_as_the_same_cell(tmp_path: Path, cell: Cell):
     path = tmp_path / "cell.toml"

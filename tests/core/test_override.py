@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="module")
 def silent(cells: Cells) -> SimulatedCell:
     """A packing cell whose controller does not log its override; the operator is often far away."""
-    return cells("pick-and-package", 6, log_override=False)
+    return cells("pick-and-package", log_override=False)
 
 
 @pytest.fixture(scope="module")
 def compared(silent: SimulatedCell, cells: Cells) -> pl.DataFrame:
     """Inferred and true scaling side by side: the sample, and that row of the log of the same cell that says it."""
     found = silent.dataset.samples().select("t_s", "scaling", "scaling_origin", "scaling_sd", "robot_moving")
-    told = cells.logs("pick-and-package", 6)
+    told = cells.logs("pick-and-package")
     log = pl.read_csv(told / "session_000" / "robot.csv", separator=" ")
     truth = log.select(t_s=pl.col("timestamp") - log["timestamp"][0], true="speed_scaling")
     return found.sort("t_s").join_asof(truth, on="t_s", strategy="nearest", tolerance=0.001)

@@ -183,7 +183,7 @@ def _in_parts(log: Recording, cuts: list[int]) -> list[Recording]:
 FAULTS = [float("nan"), float("inf"), -3.0, 1e9, 7.5, 40.0, 0.8]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(deadline=None)
 @given(
     st.lists(st.tuples(st.integers(0, 59), st.sampled_from(FAULTS)), max_size=4),
     st.lists(st.tuples(st.integers(0, 59), st.sampled_from(FAULTS)), max_size=4),

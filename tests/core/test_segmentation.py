@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 VARIANTS = [
     *((scene, {}) for scene in SCENES),
-    ("box-picking", {"robot_rate_hz": 500}),
-    ("pick-and-package", {"robot_rate_hz": 500}),
+    pytest.param(("box-picking", {"robot_rate_hz": 500}), marks=pytest.mark.slow),
+    pytest.param(("pick-and-package", {"robot_rate_hz": 500}), marks=pytest.mark.slow),
     ("laser-zones", {"robot_rate_hz": 500}),
     ("box-picking", {"ramp_down_per_s": 2.0, "ramp_up_per_s": 1.0, "latency_s": 0.1, "hysteresis_m": 0.05}),
 ]

@@ -74,6 +74,7 @@ def table(out) -> str:
     return (out / "tables.md").read_text()
 
 
+@pytest.mark.slow
 def test_the_command_writes_tables_and_figures(out, table):
     assert "### box-picking" in table
     results = [json.loads(file.read_text()) for file in (out / "results").iterdir()]
@@ -85,12 +86,14 @@ def test_the_command_writes_tables_and_figures(out, table):
     assert (out / "figures" / "box-picking-ahead-2s-lstm-1-none-heatmap.svg").is_file()
 
 
+@pytest.mark.slow
 def test_it_goes_on_where_it_stopped(out, table):
     before = {file: file.stat().st_mtime_ns for file in (out / "results").iterdir()}
     assert run([*COMMAND, "--out", str(out), "--only", "now_0s_0.02m_Bayes", "--quiet"]) == 0
     assert {file: file.stat().st_mtime_ns for file in (out / "results").iterdir()} == before
 
 
+@pytest.mark.slow
 def test_tables_of_what_is_done_run_nothing(out, table):
     before = sorted(out.rglob("*.json"))
     assert run([*COMMAND, "--seeds", "1,2", "--out", str(out), "--done", "--quiet"]) == 0
@@ -101,6 +104,7 @@ def test_tables_of_what_is_done_run_nothing(out, table):
     assert sorted(out.rglob("*.json")) == before
 
 
+@pytest.mark.slow
 def test_a_result_that_is_missing_is_made_again_and_equal(out, table):
     file = next(f for f in (out / "results").iterdir() if "classifier" in f.name)
     old = json.loads(file.read_text())
@@ -113,6 +117,7 @@ def test_a_result_that_is_missing_is_made_again_and_equal(out, table):
     assert refused == []
 
 
+@pytest.mark.slow
 def test_a_training_that_fails_is_named_and_keeps_nothing_else_from_being_done(out, table, monkeypatch, capsys):
     wanted = [e for e in entries() if e.key in ("now_0s_0.02m_classifier_norm-none", "ahead_2s_0m_persistence")]
     network, rival = (out / "results" / f"box-picking_10_1_10_{entry.key}.json" for entry in wanted)

@@ -270,6 +270,7 @@ def test_a_replay_is_served_to_this_machine_only_and_asks_nobody_else(served, tm
     assert json.loads(settings.read_text("utf-8"))["analytics_enabled"] is False
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(browser.why_not() is not None, reason=str(browser.why_not()))
 def test_the_served_viewer_gets_nothing_from_elsewhere(served):
     server, _ = served

@@ -21,7 +21,7 @@ def holds(*pairs: tuple[float, int]) -> np.ndarray:
     return np.concatenate([np.full(count, value) for value, count in pairs])
 
 
-@settings(max_examples=150, deadline=None)
+@settings(deadline=None)
 @given(
     values=st.lists(st.floats(0, 1, allow_subnormal=False), min_size=1, max_size=60),
     eps=st.floats(0.001, 0.3),
@@ -129,7 +129,7 @@ def test_without_levels_nothing_is_labelled():
     assert label([0.1, 0.2], []).tolist() == [-1, -1]
 
 
-@settings(max_examples=100, deadline=None)
+@settings(deadline=None)
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=8, unique=True), st.lists(st.floats(-0.5, 1.5), max_size=20))
 def test_a_labelled_value_has_no_nearer_level_and_an_unlabelled_one_none_within_tolerance(levels, values):
     levels = sorted(levels)

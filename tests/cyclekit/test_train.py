@@ -113,9 +113,9 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(cell, opti
     [
         ("now", "regressor"),
         ("ahead", "classifier"),
-        ("ahead", "regressor"),
+        pytest.param("ahead", "regressor", marks=pytest.mark.slow),
         ("average", "mixed"),
-        ("average", "regressor"),
+        pytest.param("average", "regressor", marks=pytest.mark.slow),
     ],
 )
 def test_every_other_network_beats_the_constant_mean(cell, problem, network):
@@ -259,7 +259,10 @@ def test_training_stops_early_when_asked_to(cell):
     assert len(history) < 40
 
 
-@pytest.mark.parametrize(("problem", "network"), [("now", "regressor"), ("average", "mixed"), ("ahead", "lstm-2")])
+@pytest.mark.parametrize(
+    ("problem", "network"),
+    [("now", "regressor"), ("average", "mixed"), pytest.param("ahead", "lstm-2", marks=pytest.mark.slow)],
+)
 def test_the_mean_error_over_the_rows_learned_from_is_zero(cell, problem, network):
     horizon_s = None if problem == "now" else 2.0
     bias = []
@@ -359,6 +362,7 @@ def test_where_muon_was_asked_for_such_a_network_is_refused(cell, thrown):
     assert thrown == ["muon"]
 
 
+@pytest.mark.slow
 def test_a_network_thrown_out_of_its_range_once_comes_back(cell, monkeypatch):
     class ThrowingOnce(fitting.Steps):
         def __init__(self, network: torch.nn.Module, spec: ModelSpec, decay: float, total: int) -> None:

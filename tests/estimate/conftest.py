@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from made_once import made_once, simulated
 
 from cyclekit.config import Cell, Source
 from cyclekit.dataset import Dataset
 from cyclekit.ingest import ingest
-from cyclekit_sim import simulate
 
 LEVELS, THRESHOLDS_M = (0.0, 0.25, 0.5, 0.75, 1.0), (1.2, 1.5, 1.9, 2.4)
 
@@ -46,15 +46,15 @@ class Constant:
 @pytest.fixture(scope="session")
 def logged(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """Sixteen executions of the box-picking cell."""
-    root = tmp_path_factory.mktemp("logged")
-    simulate("box-picking", root / "logs", executions=16, seed=4)
-    return Dataset.open(ingest([root / "logs"], root / "dataset").dataset)
+    logs = simulated(tmp_path_factory, "box-picking", 16, seed=4)
+    made = made_once(tmp_path_factory, "sixteen_dataset", lambda place: ingest([logs], place / "dataset"))
+    return Dataset.open(made / "dataset")
 
 
 @pytest.fixture(scope="session")
-def truth(logged: Dataset) -> pl.DataFrame:
+def truth(tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
     """The true tasks of these executions."""
-    return pl.read_parquet(logged.path.parent / "logs" / "truth" / "tasks.parquet")
+    return pl.read_parquet(simulated(tmp_path_factory, "box-picking", 16, seed=4) / "truth" / "tasks.parquet")
 
 
 @pytest.fixture

@@ -152,7 +152,7 @@ def test_the_bias_of_the_learned_function_does_not_correct_one_that_is_written_d
 
 
 def test_a_change_that_cannot_be_answered_is_named_and_the_others_are_answered(logged: Dataset, staircase: Any):
-    places = tuple(logged.card["executions"][0]["places"])
+    places = ("home", "conveyor")
     changes = [Change("too often", frequency=50.0), Change("same", levels=LEVELS, thresholds_m=THRESHOLDS_M)]
     refused: list[tuple[str, str]] = []
     (same,) = what_if(
@@ -176,6 +176,7 @@ def test_a_refusal_of_the_estimate_itself_names_the_change_too(logged: Dataset, 
         what_if(staircase, logged, [TaskSequence("A", ("home", "conveyor"))], [halted])
 
 
+@pytest.mark.slow  # quick: the refusals above, and the command in test_answer
 def test_the_command_answers_what_it_can_and_fails_where_it_can_answer_nothing(
     logged: Dataset, staircase: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from made_once import made_once
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,6 +37,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Engine]:
         port = free.getsockname()[1]
     paths = os.pathsep.join([str(TESTS), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, "PYTHONPATH": paths, "RAY_USAGE_STATS_ENABLED": "0"}
+    environment |= {"POLARS_MAX_THREADS": "2", "OMP_NUM_THREADS": "2"}  # workers are to take one whatever stands there
     words = ["start", "--head", f"--port={port}", "--num-cpus=2", "--include-dashboard=false", "--block"]
     log = (tmp_path_factory.mktemp("ray") / "head.log").open("w+")
     head = subprocess.Popen(
@@ -75,22 +77,24 @@ def small_cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from cyclekit.train import Training, train_at
     from cyclekit_sim import simulate
 
-    folder = tmp_path_factory.mktemp("small")
-    for number in range(2):
-        simulate("box-picking", folder / f"day_{number}", executions=3, seed=number)
-        (folder / "logs").mkdir(exist_ok=True)
-        (folder / f"day_{number}" / "session_000").rename(folder / "logs" / f"day_{number}")
-    (folder / "day_0" / "cell.toml").rename(folder / "logs" / "cell.toml")
-    dataset = ingest([folder / "logs"], folder / "dataset").dataset
-    train_at(Training(str(dataset), ModelSpec.of(epochs=2), str(folder / "model")))
-    tasks = set(Dataset.open(dataset).tasks()["task"])
-    slots = [f"{side}_{number}" for side in ("left", "right") for number in range(1, 6)]
-    ways = [slot for slot in slots if {f"conveyor->{slot}", f"{slot}->conveyor"} <= tasks][:4]
-    entries = [
-        f'[[sequence]]\nname = "{slot}"\nplaces = ["home", "conveyor", "{slot}", "conveyor", "left_1"]' for slot in ways
-    ]
-    (folder / "sequences.toml").write_text("\n".join(entries), encoding="utf-8")
-    return folder
+    def make(folder: Path) -> None:
+        for number in range(2):
+            simulate("box-picking", folder / f"day_{number}", executions=3, seed=number)
+            (folder / "logs").mkdir(exist_ok=True)
+            (folder / f"day_{number}" / "session_000").rename(folder / "logs" / f"day_{number}")
+        (folder / "day_0" / "cell.toml").rename(folder / "logs" / "cell.toml")
+        dataset = ingest([folder / "logs"], folder / "dataset").dataset
+        train_at(Training(str(dataset), ModelSpec.of(epochs=2), str(folder / "model")))
+        tasks = set(Dataset.open(dataset).tasks()["task"])
+        slots = [f"{side}_{number}" for side in ("left", "right") for number in range(1, 6)]
+        ways = [slot for slot in slots if {f"conveyor->{slot}", f"{slot}->conveyor"} <= tasks][:4]
+        entries = [
+            f'[[sequence]]\nname = "{slot}"\nplaces = ["home", "conveyor", "{slot}", "conveyor", "left_1"]'
+            for slot in ways
+        ]
+        (folder / "sequences.toml").write_text("\n".join(entries), encoding="utf-8")
+
+    return made_once(tmp_path_factory, "fleet_cell", make)
 
 
 @pytest.fixture(scope="session")

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-@pytest.fixture(scope="module", params=["here", "processes", "ray"])
+RAY = pytest.param("ray", marks=pytest.mark.slow)  # quick: test_ray_tasks
+
+
+@pytest.fixture(scope="module", params=["here", "processes", RAY])
 def engine(request: pytest.FixtureRequest) -> Engine:
     """Each of the ways in which work is done."""
     if request.param == "ray":
@@ -43,14 +46,14 @@ def test_an_item_that_fails_is_told_and_the_others_go_on(engine: Engine) -> None
         done[-2].get()
 
 
-@pytest.mark.parametrize("engine", ["processes", "ray"], indirect=True)
+@pytest.mark.parametrize("engine", ["processes", RAY], indirect=True)
 def test_a_worker_that_is_killed_in_mid_work_costs_a_retry_and_nothing_else(engine: Engine, tmp_path: Path) -> None:
     markers = [str(tmp_path / f"{number}") for number in range(6)]
     (tmp_path / "4").touch()
     assert sorted(each.get() for each in engine.map(dies_once, markers)) == markers
 
 
-@pytest.mark.parametrize("engine", ["processes", "ray"], indirect=True)
+@pytest.mark.parametrize("engine", ["processes", RAY], indirect=True)
 def test_an_item_that_kills_its_worker_each_time_is_given_up_and_the_others_are_done(engine: Engine) -> None:
     done = {each.item: each for each in engine.map(dies_always, range(40))}
     assert [number for number, each in done.items() if each.error] == [3]
@@ -58,8 +61,10 @@ def test_an_item_that_kills_its_worker_each_time_is_given_up_and_the_others_are_
     assert sorted(each.get() for number, each in done.items() if number != 3) == [n for n in range(40) if n != 3]
 
 
-@pytest.mark.parametrize("engine", ["processes", "ray"], indirect=True)
-def test_a_worker_has_one_thread(engine: Engine) -> None:
+@pytest.mark.parametrize("engine", ["processes", RAY], indirect=True)
+def test_a_worker_has_one_thread(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("POLARS_MAX_THREADS", "OMP_NUM_THREADS"):
+        monkeypatch.setenv(name, "2")
     workers = {each.get() for each in engine.map(environment, range(4))}
     assert {(tables, products) for _, tables, products in workers} == {("1", "1")}
 
@@ -71,6 +76,7 @@ def test_thousands_of_items_are_handed_out_in_parts_that_still_share_evenly(coun
     assert max(map(len, parts)) <= size
 
 
+@pytest.mark.slow  # imports Ray
 @pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray")
 def test_a_cluster_that_nobody_runs_is_said_to_be_out_of_reach() -> None:
     code = "from cyclekit.engine import Engine; list(Engine('ray', address='127.0.0.1:9').map(abs, [1]))"

@@ -28,6 +28,8 @@ from cyclekit.report.fleet_page import CellLine, fleet_page
 if TYPE_CHECKING:
     from cyclekit.fleet import Fleet, Row
 
+pytestmark = pytest.mark.usefixtures("words_only")
+
 TODAY = dt.date(2026, 11, 21)
 
 
@@ -86,6 +88,7 @@ def test_one_command_makes_everything_and_a_broken_cell_does_not_hold_up_the_oth
     assert [state for name, state in states(again).items() if name.startswith("press")] == ["unchanged"] * 3
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_in_mid_work_costs_a_retry_and_nothing_else(one_day: Path, tmp_path: Path) -> None:
     file = fleet_of(tmp_path, one_day, "a", "b")
     wanted, rows = fleets.load_fleet(file), list[fleets.Row]()
@@ -125,6 +128,7 @@ def test_new_logs_are_added_and_the_model_is_kept_while_the_cell_is_the_same(
     assert (tmp_path / "out" / "press-1" / "model" / "model.json").read_bytes() == before
 
 
+@pytest.mark.slow  # quick: logs in a bucket, in test_storage
 def test_a_fleet_at_a_url_needs_no_folder_that_machines_share(
     bucket: str, one_day: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from threadpoolctl import threadpool_limits
 
 from cyclekit.cli import run
 from cyclekit.engine import LOCAL, Engine
@@ -18,6 +20,7 @@ from cyclekit.models.spec import ModelSpec
 from cyclekit.train import Training, train_at
 
 WHOLE_WAY = Path(__file__).parents[1] / "whole_way.py"
+NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS")
 
 
 def digest(folder: Path) -> dict[str, str]:
@@ -26,7 +29,7 @@ def digest(folder: Path) -> dict[str, str]:
     return {file.relative_to(folder).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
-@pytest.fixture(params=["processes", "ray"])
+@pytest.fixture(params=["processes", pytest.param("ray", marks=pytest.mark.slow)])
 def elsewhere(request: pytest.FixtureRequest) -> list[str]:
     """The options that have two workers do the work."""
     if request.param == "processes":
@@ -35,18 +38,35 @@ def elsewhere(request: pytest.FixtureRequest) -> list[str]:
     return ["--engine", "ray", "--ray-address", str(engine.address)]
 
 
+@pytest.mark.slow  # quick: the two below
 def test_one_thread_or_four_the_same_is_stored_and_said(small_cell: Path, tmp_path: Path) -> None:
     runs = []
     for threads in ("1", "4"):
-        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS")
         (folder := tmp_path / threads).mkdir()
         words = [sys.executable, str(WHOLE_WAY), threads, str(small_cell)]
-        runs.append(subprocess.Popen(words, cwd=folder, env={**os.environ, **dict.fromkeys(names, threads)}))
+        runs.append(subprocess.Popen(words, cwd=folder, env={**os.environ, **dict.fromkeys(NAMES, threads)}))
     assert [run.wait() for run in runs] == [0, 0]
     one, four = (digest(tmp_path / threads) for threads in ("1", "4"))
     assert {"dataset/dataset.json", "now/model.json", "ahead/weights.safetensors", "zones.json"} <= set(one)
     assert [name for name in one if one[name] != four[name]] == []
     assert set(one) == set(four)
+
+
+def test_a_dataset_does_not_depend_on_the_number_of_threads(small_cell: Path, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "cyclekit", "ingest", str(small_cell / "logs"), "--out", "dataset", "--quiet"]
+    subprocess.run(words, cwd=tmp_path, env={**os.environ, **dict.fromkeys(NAMES, "4")}, check=True)
+    assert digest(tmp_path / "dataset") == digest(small_cell / "dataset")
+
+
+def test_a_model_does_not_depend_on_the_number_of_threads(small_cell: Path, tmp_path: Path) -> None:
+    before = torch.get_num_threads()
+    torch.set_num_threads(4)
+    try:
+        with threadpool_limits(4):
+            train_at(Training(str(small_cell / "dataset"), ModelSpec.of(epochs=2), str(tmp_path / "model")))
+    finally:
+        torch.set_num_threads(before)
+    assert digest(tmp_path / "model") == digest(small_cell / "model")
 
 
 def answer(capsys: pytest.CaptureFixture[str], *words: object) -> Any:
@@ -55,6 +75,7 @@ def answer(capsys: pytest.CaptureFixture[str], *words: object) -> Any:
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow  # quick: two jobs in test_ingest, and four threads above
 def test_a_dataset_is_the_same_to_the_last_byte(
     small_cell: Path, elsewhere: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -69,6 +90,7 @@ def test_a_dataset_is_the_same_to_the_last_byte(
     assert found == digest(small_cell / "dataset")
 
 
+@pytest.mark.slow  # quick: estimates by two processes below, a model at four threads above
 def test_models_are_equal_and_so_are_their_judgements(
     small_cell: Path, elsewhere: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -93,12 +93,13 @@ def test_a_flipped_bit_in_the_name_of_the_cards_own_checksum_is_noticed(dataset:
         Dataset.open(dataset)
 
 
-def test_of_300_flipped_bits_none_is_read_in_silence(dataset: Path):
+@pytest.mark.parametrize("bits", [60, pytest.param(300, marks=pytest.mark.slow)])
+def test_of_many_flipped_bits_none_is_read_in_silence(dataset: Path, bits: int):
     true, luck = everything(dataset), random.Random(0)
     files = sorted(file for file in dataset.rglob("*") if file.is_file())
     sizes = [file.stat().st_size for file in files]
     noticed = 0
-    for _ in range(300):
+    for _ in range(bits):
         file = luck.choices(files, sizes)[0]
         whole = file.read_bytes()
         place, bit = luck.randrange(len(whole)), 1 << luck.randrange(8)
@@ -110,7 +111,7 @@ def test_of_300_flipped_bits_none_is_read_in_silence(dataset: Path):
             silent = str(dataset) in error.seen
         assert silent, f"byte {place} of {file.name}: another dataset, and not a word"
         file.write_bytes(whole)
-    assert noticed >= 290
+    assert noticed >= 0.95 * bits
 
 
 @pytest.mark.parametrize("name", ["samples/run_0.parquet", "tasks.parquet", "quarantine.parquet", RECORDED])

@@ -29,6 +29,7 @@ main(words)
 """
 
 
+@pytest.mark.slow  # quick: every call that writes fails once, below
 @pytest.mark.skipif(os.name == "nt", reason="needs a limit on the size of files")
 @pytest.mark.parametrize(
     ("command", "limit"),
@@ -41,7 +42,7 @@ def test_a_disk_that_is_full_leaves_the_old_result_and_one_message_that_names_it
     terminal.run(victim.words[0])
     before = kill_nine.state_of(victim.target)
     typed = [sys.executable, "-c", UNDER_A_LIMIT, json.dumps([victim.words[1], limit])]
-    done = subprocess.run(typed, capture_output=True, text=True, check=False, timeout=30)
+    done = subprocess.run(typed, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 1, done.stderr
     assert done.stderr.startswith("error: ")
     assert str(victim.target) in done.stderr

@@ -121,6 +121,7 @@ def test_a_page_and_its_print_are_two_files(cell: dict[str, Path], capsys: Any):
     assert "is an input" in said
 
 
+@pytest.mark.usefixtures("words_only")
 @pytest.mark.parametrize("kind", ["report-json", "report-csv", "page", "words", "table-csv", "table-parquet", "replay"])
 def test_what_cyclekit_wrote_as_that_kind_is_replaced_and_as_another_it_is_not(
     kind: Any, cell: dict[str, Path], tmp_path: Path, capsys: Any
@@ -172,7 +173,7 @@ def test_a_folder_where_a_file_is_to_be_written_is_named(tmp_path: Path):
         pass
 
 
-@pytest.mark.parametrize("ending", ["svg", "png", "pdf"])
+@pytest.mark.parametrize("ending", ["svg", *(pytest.param(end, marks=pytest.mark.slow) for end in ("png", "pdf"))])
 def test_a_picture_that_cyclekit_drew_is_drawn_again(ending: str, cell: dict[str, Path], tmp_path: Path, capsys: Any):
     for _ in range(2):
         words = ["levels", str(cell["data"]), "--picture", str(tmp_path / f"x.{ending}"), "--quiet"]

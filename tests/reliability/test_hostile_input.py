@@ -40,6 +40,7 @@ def _joined(folder: Path, *names: str, **_: Any) -> Path:
     return folder.joinpath(*names)
 
 
+@pytest.mark.slow  # tests of the test above
 @pytest.mark.parametrize(
     ("kind", "careless"),
     [
@@ -57,6 +58,7 @@ def test_a_reader_without_checks_is_caught(
     assert benchmark.run(100, 0, only=[kind])[kind].outside > 0
 
 
+@pytest.mark.slow
 def test_raw_control_characters_are_caught(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch):
     for name in ("cyclekit.cli.terminal.visible", "cyclekit.toml_file.all_in_one_line"):
         monkeypatch.setattr(name, lambda text: text)

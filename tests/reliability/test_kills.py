@@ -8,6 +8,8 @@ import pytest
 
 from cyclekit.atomic import recover
 
+pytestmark = pytest.mark.slow  # quick: every write fails once (test_failing_writes), one killed ingest (test_whole_way)
+
 
 @pytest.mark.parametrize(
     ("command", "times"),

@@ -52,3 +52,13 @@ def test_the_report_as_markdown_has_every_table_whole(dataset, written, tmp_path
     for block in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
         columns = {len(re.findall(r"(?<!\\)\|", line)) for line in block.splitlines()}
         assert len(columns) == 1
+
+
+@pytest.mark.parametrize("kind", ["json", "md"])
+def test_where_no_picture_is_shown_none_is_drawn(kind, dataset, tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("cyclekit.report.pictures._to_svg", lambda *words: drawn.append(words) or "<svg/>")
+    write_report(dataset, DistanceModel(), tmp_path / f"r.{kind}", estimates=[estimate()], kind=kind)
+    assert drawn == []
+    write_report(dataset, DistanceModel(), tmp_path / "r.html", estimates=[estimate()])
+    assert len(drawn) > 2

@@ -13,6 +13,8 @@ from cyclekit.plan import Plan
 from cyclekit.report import Tried, load_tried, write_report
 from cyclekit.whatif import NO_PROOF, WhatIf
 
+pytestmark = pytest.mark.usefixtures("words_only")
+
 PLANNED = Plan(
     order=("right", "left"), places=("conveyor", "right", "conveyor", "left"), expected_s=28.1, against="logged orders",
     against_s=31.3, saves_s=(3.2, 2.6, 3.8), saves_unseen_s=2.9, searched="all orders", tried=2, executions=40,

@@ -63,6 +63,7 @@ def test_sequences_are_ranked_and_the_ones_that_cannot_be_told_apart_are_named(p
     assert "C first: Thin logs." in page.text
 
 
+@pytest.mark.usefixtures("words_only")
 def test_the_mean_is_rounded_to_what_its_interval_supports(dataset, tmp_path):
     wide = estimate("A first", 123.456, 17.0)
     facts = write_report(dataset, None, tmp_path / "r.html", estimates=[wide])

@@ -17,7 +17,10 @@ from cyclekit.errors import CyclekitError
 from cyclekit.estimate.result import CycleEstimate, TaskShare
 from cyclekit.report import Tried, pdf, write_pdf, write_report
 
-pytestmark = pytest.mark.skipif(browser.why_not() is not None, reason=str(browser.why_not()))
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(browser.why_not() is not None, reason=str(browser.why_not())),
+]
 
 
 class Model:

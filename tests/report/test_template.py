@@ -6,6 +6,8 @@ from report_pages import Page
 from cyclekit.errors import CyclekitError
 from cyclekit.report import write_report
 
+pytestmark = pytest.mark.usefixtures("words_only")
+
 
 @pytest.fixture
 def house(tmp_path):

@@ -4,10 +4,13 @@ import dataclasses
 import json
 
 import numpy as np
+import pytest
 from report_pages import DistanceModel, Page, estimate
 
 from cyclekit.estimate.check import compare
 from cyclekit.report import write_report
+
+pytestmark = pytest.mark.usefixtures("words_only")
 
 
 def checked(executions=40):

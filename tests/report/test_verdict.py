@@ -14,6 +14,8 @@ from cyclekit.estimate.result import TaskShare
 from cyclekit.plan import Plan
 from cyclekit.report import Tried, write_report
 
+pytestmark = pytest.mark.usefixtures("words_only")
+
 ROUTE = ("home", "a", "b", "home")
 TURNED = ("home", "b", "a", "home")
 LONG = ("home", "a", "b", "a", "b", "home")

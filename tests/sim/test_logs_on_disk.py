@@ -58,7 +58,8 @@ def errors_against_truth(folder: Path, tracked: pl.DataFrame) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("scene", "logs"), [("box-picking", "csv"), ("pick-and-package", "csv"), ("laser-zones", "mcap")]
+    ("scene", "logs"),
+    [("box-picking", "csv"), pytest.param("pick-and-package", "csv", marks=pytest.mark.slow), ("laser-zones", "mcap")],
 )
 def test_same_seed_same_bytes_other_seed_other_bytes(scene: str, logs: str, tmp_path: Path) -> None:
     options = {"scene": scene, "logs": logs, "delta_m": 0.02, "dropout": 0.1, "robot_rate_hz": 125}

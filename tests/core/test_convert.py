@@ -98,7 +98,7 @@ def test_an_average_does_not_depend_on_where_the_log_was_cut_into_parts(
 
 
 def test_people_are_kept_apart(tmp_path: Path):
-    lines = ["frame,id,x,y"] + [f"{n},{p},{p + 0.01 * n},{n % 2}" for n in range(40) for p in (1, 2)]
+    lines = ["frame,id,x,y"] + [f"{n},{p},{p + 0.01 * n},{0.1 * (n % 2)}" for n in range(40) for p in (1, 2)]
     (tmp_path / "crowd.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     from cyclekit.config import Cell, Source
 
@@ -108,7 +108,7 @@ def test_people_are_kept_apart(tmp_path: Path):
     assert found.filter(pl.col("person") == "1")["x_m"].to_list() == pytest.approx(
         [1.005 + 0.02 * k for k in range(20)]
     )
-    assert found.filter(pl.col("person") == "2")["y_m"].to_list() == pytest.approx([0.5] * 20)
+    assert found.filter(pl.col("person") == "2")["y_m"].to_list() == pytest.approx([0.05] * 20)
 
 
 def test_what_cannot_be_followed_is_refused_and_the_old_file_stays(tmp_path: Path, robot_log: Any):

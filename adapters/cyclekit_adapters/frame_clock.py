@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 FRAME, TIME = "Frame", "Time"
+MOST_HZ = 1e6
+"""A higher rate in a header is none."""
 _LOOKED_AT = 1000  # rows
 
 
@@ -110,3 +112,12 @@ class FrameClock:
             off = f"up to {self._off_s:.3g} s, first in line {self._off_line}"
             return [f"the Time column departs from frame / rate by {off}: frame / rate is used"]
         return []
+
+
+def positive(text: str, *, below: float) -> float | None:
+    """Return the positive number of a header, None for anything else; its decimal sign may be a comma."""
+    try:
+        value = float(text.replace(",", "."))
+    except ValueError:
+        return None
+    return value if 0.0 < value < below else None

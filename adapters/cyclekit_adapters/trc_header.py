@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog, nearest
 from cyclekit_adapters.delimited import Layout, delimiter_of, fields_of
-from cyclekit_adapters.frame_clock import FRAME, TIME, FrameClock
+from cyclekit_adapters.frame_clock import FRAME, MOST_HZ, TIME, FrameClock, positive
 from cyclekit_adapters.header_line import MOST_COLUMNS, has_decimal_comma
 from cyclekit_adapters.length_unit import METRES, unit_of
 from cyclekit_adapters.text_blocks import file_encoding, head_lines
@@ -57,7 +57,7 @@ class Header:
     @property
     def frames_stated(self) -> int:
         """Return how many frames line 3 announces, 0 where it does not say."""
-        return int(number_of(self.about.get("NumFrames", "")) or 0)
+        return int(positive(self.about.get("NumFrames", ""), below=1e9) or 0)
 
 
 def read_header(path: Path, rate_hz: float | None) -> Header:
@@ -84,18 +84,9 @@ def read_header(path: Path, rate_hz: float | None) -> Header:
     comma = has_decimal_comma(rows, delimiter)
     columns = (FRAME, TIME, *(f"#{i}" for i in range(3 * len(names))))
     layout = Layout(columns, delimiter, begin, decimal_comma=comma, encoding=encoding)
-    rate = number_of(about.get("DataRate", "")) or rate_hz
+    rate = positive(about.get("DataRate", ""), below=MOST_HZ) or rate_hz
     points = [tuple(cell.replace(",", ".") if comma else cell for cell in row) for row in cells]
     return Header(about, names, layout, _clock(points, rate), unit, tuple(points))
-
-
-def number_of(text: str) -> float | None:
-    """Return a positive number, None for anything else."""
-    try:
-        value = float(text.replace(",", "."))
-    except ValueError:
-        return None
-    return value if 0.0 < value < 1e9 else None
 
 
 def _about(path: Path, lines: list[str]) -> dict[str, str]:

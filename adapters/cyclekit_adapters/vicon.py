@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Literal, cast
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit_adapters.delimited import Rows, delimiter_of, fields_of, row_blocks
-from cyclekit_adapters.frame_clock import FRAME, FrameClock
+from cyclekit_adapters.frame_clock import FRAME, MOST_HZ, FrameClock, positive
 from cyclekit_adapters.in_parts import in_parts
 from cyclekit_adapters.joints import points_of
 from cyclekit_adapters.markers import (
@@ -31,7 +31,7 @@ from cyclekit_adapters.markers import (
 )
 from cyclekit_adapters.sightings import Sightings
 from cyclekit_adapters.text_blocks import head_lines, head_of
-from cyclekit_adapters.vicon_sections import METRES, TITLES, TRAJECTORIES, WITH_PLACES, open_section, rate_of
+from cyclekit_adapters.vicon_sections import METRES, TITLES, TRAJECTORIES, WITH_PLACES, open_section
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -49,7 +49,11 @@ class _ViconCsv:
             return False
         delimiter = delimiter_of(lines[2] + lines[3], ",;\t")
         title, rate, names, axes = (fields_of(line, delimiter)[0].strip() for line in lines)
-        return title in TITLES and rate_of(rate) is not None and (axes == FRAME or (title, names) == _EVENTS)
+        return (
+            title in TITLES
+            and positive(rate, below=MOST_HZ) is not None
+            and (axes == FRAME or (title, names) == _EVENTS)
+        )
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         return whole(self.stream(path, options))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit_adapters.delimited import Layout, delimiter_of, fields_of
+from cyclekit_adapters.frame_clock import MOST_HZ, positive
 from cyclekit_adapters.header_line import has_decimal_comma
 from cyclekit_adapters.text_blocks import blocks_of, file_encoding
 
@@ -148,7 +149,7 @@ def _section(log: Sections, begin: list[bytes]) -> Section:
         raise DamagedLog(log.path, cause, cure=f"{EXPORT}.")
     delimiter = delimiter_of(header[3], ",;\t")
     rows = [[cell.strip() for cell in fields_of(line, delimiter)] for line in header]
-    rate_hz = rate_of(rows[1][0])
+    rate_hz = positive(rows[1][0], below=MOST_HZ)
     if rate_hz is None:
         cause = f"line {log.first + 1}: no rate in the line below {log.title}: {rows[1][0][:40]!r}"
         raise DamagedLog(log.path, cause, cure=f"{EXPORT}.")
@@ -183,12 +184,3 @@ def _places(titles: list[str], axes: list[str]) -> dict[str, int]:
                 found.setdefault(_ANGLES.sub("", title), x)
                 break
     return found
-
-
-def rate_of(text: str) -> float | None:
-    """Return the rate in the line below a title, None if it is none."""
-    try:
-        value = float(text.replace(",", "."))
-    except ValueError:
-        return None
-    return value if 0.0 < value < 1e6 else None

@@ -54,13 +54,13 @@ DRAWN = 15
 WITHIN = 1.5
 """... if they are no farther than the best one by so many units."""
 TURNS = 60
-"""Rounds in which the weights of the tracks are found."""
+"""Rounds in which the weights of the instants are found."""
 MOST_WEIGHED = 400
 """More tracks than this are no few that follow each other: all instants weigh the same."""
 PARTS = 4
 """Parts of a track that are weighed apart."""
 MOST_WEIGHT = 30.0
-"""No track is drawn so many times as often as its likeness alone would have it, or as rarely."""
+"""No instant is drawn so many times as readily as its likeness alone would have it, or as seldom."""
 BLEND_S = 1.0
 """The step between two tracks is smoothed over this time; no longer than the shortest stretch."""
 AT_ONCE = 2_000_000

@@ -42,8 +42,8 @@ class CycleEstimate:
         places: Ordered places, the start first.
         expected_s: Mean cycle time over the operator tracks.
         expected_low_s, expected_high_s: 95 % interval of that mean: finite logs by resampling the tracks, and where
-            it was validated the network's error and any bias that a doubt names. What is off in positions that were
-            never logged is not known and not in it.
+            it was validated the network's error, and a bias that a doubt names and nothing takes out. What is off in
+            positions that were never logged is not known and not in it.
         quantiles_s: Quantiles of single cycles, by level.
         nominal_s, safety_loss_s, dwell_s, wait_s: Split of `expected_s`.
         support: Fraction of the rolled-out time whose robot and operator positions lie near logged samples.

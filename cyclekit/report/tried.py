@@ -92,7 +92,7 @@ def _interval(estimate: Mapping[str, Any]) -> tuple[str, float, float, float]:
 def _what(estimate: Mapping[str, Any]) -> dict[str, Any]:
     """What the sequence is: its places, and what the operator was asked to do."""
     operator = estimate.get("operator")
-    return {"places": tuple(estimate["places"]), "operator": None if operator is None else tuple(operator)}
+    return {"places": tuple(estimate.get("places", ())), "operator": None if operator is None else tuple(operator)}
 
 
 def load_tried(file: Path, label: str | None = None) -> list[Tried]:

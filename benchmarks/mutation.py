@@ -57,7 +57,7 @@ def tasks(folder: Path, each: int) -> list[tuple[str, str, dict[str, bytes], obj
     from reliability.own_logs import own_logs
 
     from cyclekit.adapter import ReadOptions
-    from cyclekit.registry import find_logs
+    from cyclekit.ingest.registry import find_logs
 
     found = [(log.name, log.adapter, log.files, log.options, each) for log in own_logs(folder)]
     samples = os.environ.get("CYCLEKIT_SAMPLES")

@@ -16,8 +16,8 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.atomic import staged, write_parquet
-from cyclekit.dataset import CARD, Dataset
+from cyclekit.dataset.dataset import CARD, Dataset
+from cyclekit.storage.atomic import staged, write_parquet
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,8 +14,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cyclekit.errors import CyclekitError, LogError, UnknownName
-from cyclekit.plain_json import json_text
-from cyclekit.plain_text import NOT_ONE_LINE, all_in_one_line, csv_text, markdown, one_line, visible
+from cyclekit.text.plain_json import json_text
+from cyclekit.text.plain_text import NOT_ONE_LINE, all_in_one_line, csv_text, markdown, one_line, visible
 
 BIDI = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 ODD = st.text(

@@ -12,18 +12,18 @@ from pathlib import Path
 import torch
 from threadpoolctl import threadpool_limits
 
-from cyclekit.dataset import Dataset
+from cyclekit.config.sequences import load_sequences
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.check import check_rollout
+from cyclekit.estimate.plan import load_jobs, plan
 from cyclekit.estimate.rollout import estimate
-from cyclekit.evaluate import evaluate
-from cyclekit.ingest import ingest
-from cyclekit.labelling import staircase_of
-from cyclekit.models.saved import load_model
-from cyclekit.models.spec import ModelSpec
-from cyclekit.plan import load_jobs, plan
-from cyclekit.sequences import load_sequences
-from cyclekit.train import Training, train_at
-from cyclekit.zones import read_zones
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.evaluation.evaluate import evaluate
+from cyclekit.learning.labelling import staircase_of
+from cyclekit.learning.networks.saved import load_model
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.safety_function import read_zones
+from cyclekit.learning.training import Training, train_at
 
 JOBS = 'start = "home"\nvia = "conveyor"\nvisit = ["{}", "{}"]\n'
 SPECS = {"now": ModelSpec.of(epochs=2), "ahead": ModelSpec.of("ahead", "regressor", 2.0, epochs=2)}

@@ -12,9 +12,9 @@ import pytest
 from ingested import ROUND_TRIP
 from made_once import made_once, simulated
 
-from cyclekit import registry
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest import registry
+from cyclekit.ingest.ingest import ingest
 
 EXECUTIONS = {"box-picking": 4, "pick-and-package": 4, "laser-zones": 6, "scanner-visits": 6}
 ROBOT_START_S = 152.512
@@ -159,7 +159,7 @@ def three_runs(tmp_path: Path, robot_log: Any) -> Path:
 @pytest.fixture
 def large(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every log counts as one that takes long to read."""
-    monkeypatch.setattr("cyclekit.intake.shelf.WORTH_BYTES", 0)
+    monkeypatch.setattr("cyclekit.ingest.read.resume.WORTH_BYTES", 0)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cyclekit.ahead import ahead
+from cyclekit.storage.ahead import ahead
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from cyclekit.behind import Behind
+from cyclekit.storage.behind import Behind
 
 
 def test_calls_are_made_in_order_in_another_thread_and_none_is_left():

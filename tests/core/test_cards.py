@@ -17,16 +17,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cyclekit import Dataset
-from cyclekit.cards import BadCard, DatasetCard, checked, parse_json
 from cyclekit.config import load_cell
-from cyclekit.discover import Log
+from cyclekit.config.sequences import load_sequences
+from cyclekit.dataset.cards import BadCard, DatasetCard, checked, parse_json
 from cyclekit.errors import ConfigError, DatasetError, ModelError
 from cyclekit.fleet.read import FleetCell
 from cyclekit.fleet.stages import read_ledger
-from cyclekit.intake.shelf import Shelf
-from cyclekit.models.saved import TrainedModel, load_model, save_model
-from cyclekit.models.weights import Weights
-from cyclekit.sequences import load_sequences
+from cyclekit.ingest.discover import Log
+from cyclekit.ingest.read.resume import Shelf
+from cyclekit.learning.networks.saved import TrainedModel, load_model, save_model
+from cyclekit.learning.networks.weights import Weights
 
 if TYPE_CHECKING:
     from conftest import SimulatedCell

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Executions, Frame, Furniture, NamedPlace, Source, Sync, cell_to_toml, load_cell
 from cyclekit.errors import ConfigError, UnknownName
-from cyclekit.plain_text import one_line
+from cyclekit.text.plain_text import one_line
 
 EVERYTHING = """
 name = "line 4"

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
 
-from cyclekit.clock import LogClock, fit_clock
+from cyclekit.alignment.clocks import LogClock, fit_clock
+from cyclekit.alignment.frames import to_base
 from cyclekit.config import Frame, Source
 from cyclekit.errors import ShapeError
-from cyclekit.frames import to_base
 
 if TYPE_CHECKING:
     from conftest import Cells, SimulatedCell

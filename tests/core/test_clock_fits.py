@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import cyclekit
-from cyclekit.clock import Method, coarse_fit, fit_events, fit_motion, fit_pairs, follow, lower_envelope
+from cyclekit.alignment.clocks import Method, coarse_fit, fit_events, fit_motion, fit_pairs, follow, lower_envelope
 from cyclekit.errors import ConfigError, ShapeError
 
 OFFSET, RATE = -4321.125, 1 + 50e-6

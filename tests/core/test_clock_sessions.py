@@ -17,9 +17,9 @@ import polars as pl
 import pytest
 
 from cyclekit.config import Cell, Source, Sync, load_cell
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, UnknownName
-from cyclekit.ingest import ingest
+from cyclekit.ingest.ingest import ingest
 from cyclekit_sim import SimulationOptions, simulate
 
 OFFSET_S, DRIFT, LEAD_S, ROBOT_START_S = 0.35, 50e-6, 6.0, 152.512
@@ -211,7 +211,7 @@ def test_coarse_alignment_is_only_made_when_asked_for_and_goes_by_whole_samples(
 
 
 def test_coarse_alignment_that_finds_nothing_says_so(logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("cyclekit.align.coarse_fit", lambda *_, **__: None)
+    monkeypatch.setattr("cyclekit.alignment.recording_clocks.coarse_fit", lambda *_, **__: None)
     operator = ingested(logs, tmp_path / "d", cell_with(logs, {}), align_clocks="coarse")[1]
     assert operator["clock"]["method"] == "assumed-common-start"
     (said,) = [text for text in operator["warnings"] if "not aligned on the operator" in text]
@@ -252,7 +252,7 @@ def test_pseudonymised_clocks_tell_no_time_and_still_find_the_flange(logs: Path,
 
 def test_the_clocks_of_a_dataset_are_told_by_inspect_and_by_the_report(logs: Path, tmp_path: Path):
     from cyclekit.cli.facts import page
-    from cyclekit.describe import describe
+    from cyclekit.inspect.describe import describe
     from cyclekit.report.provenance import provenance
 
     cell = cell_with(logs, {"same_clock_as": "session_*/gripper.csv"}, GRIPPER)

@@ -11,12 +11,12 @@ import polars as pl
 import pytest
 
 from cyclekit.adapter import Recording
-from cyclekit.align import place_in_time
+from cyclekit.alignment.recording_clocks import place_in_time
 from cyclekit.config import Cell, Source, load_cell
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
-from cyclekit.privacy import Nameless
-from cyclekit.session import Session
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.sessions import Session
+from cyclekit.ingest.ingest import ingest
+from cyclekit.ingest.pseudonymise import Nameless
 from cyclekit_sim import simulate
 
 EPOCH_S, UPTIME_S = 1_700_000_000.0, 152.5

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
-from cyclekit.convert import Thinner, convert
 from cyclekit.errors import ConfigError, LogError, UnknownName
+from cyclekit.ingest.convert import Thinner, convert
 from cyclekit.schema import ROBOT, conform
 
 

@@ -18,10 +18,10 @@ import polars as pl
 import pytest
 
 from cyclekit import schema
-from cyclekit.atomic import settle, staged, write_text
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, UnknownName
-from cyclekit.ingest import ingest
+from cyclekit.ingest.ingest import ingest
+from cyclekit.storage.atomic import settle, staged, write_text
 
 if TYPE_CHECKING:
     from conftest import SimulatedCell
@@ -207,7 +207,7 @@ def test_a_process_killed_before_the_first_rename_is_finished_by_the_next_ingest
 REPLACE_FOREVER = """
 import sys
 from pathlib import Path
-from cyclekit.atomic import staged, write_text
+from cyclekit.storage.atomic import staged, write_text
 
 print("begun", flush=True)
 while True:
@@ -249,8 +249,8 @@ INGEST_FOREVER = """
 import sys
 from itertools import cycle
 from pathlib import Path
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
 
 root = Path(sys.argv[1])
 dataset = Dataset.open(root / "dataset")

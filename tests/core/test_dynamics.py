@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cyclekit.dynamics import LATENCIES_S, Change, Changes, changes_of, read_dynamics
+from cyclekit.scaling.response import LATENCIES_S, Change, Changes, changes_of, read_dynamics
 
 if TYPE_CHECKING:
     from conftest import Cells

@@ -12,10 +12,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cyclekit.calibrate import calibrate, frame_line
+from cyclekit.alignment.calibrate import calibrate, frame_line
+from cyclekit.alignment.frames import fit_frame, stood_up, to_base
 from cyclekit.config import Frame, load_cell
 from cyclekit.errors import ConfigError, DamagedLog, LogError, MissingColumns, ShapeError
-from cyclekit.frames import fit_frame, stood_up, to_base
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.1], [0.0, 0.9, 0.3], [1.1, 1.0, 0.8], [0.4, 0.5, 0.6]])
 POINT = st.tuples(*[st.floats(-20, 20)] * 3)

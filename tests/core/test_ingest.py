@@ -14,11 +14,11 @@ from blake3 import blake3
 from ingested import ROUND_TRIP, bytes_and_times, only_bytes
 
 from cyclekit.config import Cell, Executions, Source
-from cyclekit.dataset import Dataset
-from cyclekit.discover import suggest_cell
-from cyclekit.engine import Engine
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, CyclekitError, LogError, OutputError, UnknownFormat, UnknownName
-from cyclekit.ingest import ingest
+from cyclekit.ingest.discover import suggest_cell
+from cyclekit.ingest.ingest import ingest
+from cyclekit.parallel.engine import Engine
 
 if TYPE_CHECKING:
     from conftest import Cells, SimulatedCell

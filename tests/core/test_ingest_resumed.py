@@ -12,11 +12,11 @@ from ingested import ROUND_TRIP, only_bytes
 
 from cyclekit.cli import run
 from cyclekit.config import Cell, Executions
-from cyclekit.discover import Log
 from cyclekit.errors import CyclekitError, UnknownName
-from cyclekit.ingest import ingest
-from cyclekit.intake import Digests
-from cyclekit.registry import Registered
+from cyclekit.ingest.discover import Log
+from cyclekit.ingest.ingest import ingest
+from cyclekit.ingest.read.read_logs import Digests
+from cyclekit.ingest.registry import Registered
 
 if TYPE_CHECKING:
     pass
@@ -93,7 +93,7 @@ def test_nothing_that_names_a_person_stays_beside_an_interrupted_ingest(
 def test_what_a_killed_ingest_left_of_its_readings_is_removed_by_the_next(
     three_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, again: dict[str, bool]
 ):
-    from cyclekit.intake import shelf
+    from cyclekit.ingest.read import resume as shelf
 
     out, whole, rmtree = tmp_path / "out" / "dataset", ["dataset"], shelf.shutil.rmtree
 
@@ -118,7 +118,7 @@ def test_what_a_killed_ingest_left_of_its_readings_is_removed_by_the_next(
 def test_a_recording_that_lost_a_table_while_it_was_removed_is_never_used(
     three_runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from cyclekit.intake import shelf
+    from cyclekit.ingest.read import resume as shelf
 
     out, rmtree = tmp_path / "out" / "dataset", shelf.shutil.rmtree
 
@@ -147,7 +147,7 @@ def test_after_a_full_disk_nothing_that_was_read_stays_beside_the_dataset(
         assert (tmp_path / "out" / ".dataset.read").is_dir()
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("cyclekit.ingest.write_parquet", full)
+    monkeypatch.setattr("cyclekit.ingest.ingest.write_parquet", full)
     with pytest.raises(CyclekitError, match="No space left"):
         ingest([three_runs], tmp_path / "out" / "dataset")
     assert list((tmp_path / "out").iterdir()) == []

@@ -12,16 +12,16 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.trace import trace
 from cyclekit.errors import CyclekitError, LogError, OutsideFolder
 from cyclekit.fleet.months import days_of
 from cyclekit.fleet.read import load_fleet
-from cyclekit.ingest import ingest
-from cyclekit.inside import fitting, inside, unfit
-from cyclekit.registry import adapter_named
+from cyclekit.ingest.ingest import ingest
+from cyclekit.ingest.registry import adapter_named
 from cyclekit.replay import write_replay
 from cyclekit.report.template import Template
-from cyclekit.trace import trace
+from cyclekit.storage.inside import fitting, inside, unfit
 
 if TYPE_CHECKING:
     from conftest import SimulatedCell

@@ -10,11 +10,11 @@ import pytest
 from cyclekit.cli import run
 from cyclekit.cli.groups import grouped, named
 from cyclekit.config import Cell
-from cyclekit.dataset import Dataset
-from cyclekit.describe import describe
-from cyclekit.discover import find_all
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import LogError
-from cyclekit.ingest import ingest
+from cyclekit.ingest.discover import find_all
+from cyclekit.ingest.ingest import ingest
+from cyclekit.inspect.describe import describe
 
 TRIP = [("stand", 0.5), ("move", 0.3), ("stand", 0.5), ("move", 0.0)]
 

@@ -10,9 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 from polars.testing import assert_frame_equal
 
-from cyclekit import tables
-from cyclekit.dataset import CARD, Dataset
-from cyclekit.ingest import ingest
+from cyclekit.dataset.dataset import CARD, Dataset
+from cyclekit.ingest.ingest import ingest
+from cyclekit.storage import parquet as tables
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from conftest import SimulatedCell
 
 AT_ONCE, GROUP = 150, 800
-sample, sample_file, finish = (sys.modules[f"cyclekit.derive.{name}"] for name in ("sample", "sample_file", "finish"))
+sample, sample_file, finish = (
+    sys.modules[f"cyclekit.derive.passes.{name}"] for name in ("sample", "sample_file", "finish")
+)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from cyclekit.median import FEW, median
+from cyclekit.segmentation.median import FEW, median
 
 
 @given(

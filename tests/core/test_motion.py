@@ -11,13 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit import motion, stored_run, table_layout, tables
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
-from cyclekit.motion import COLUMNS, NEVER_FULL, STANDING, Part, RobotRun, pieces, sampled, tcp_speed
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
 from cyclekit.schema import ROBOT, conform
-from cyclekit.stored_run import runs_of
-from cyclekit.tables import StoredTable, TableWriter
+from cyclekit.segmentation import motion, stored_run
+from cyclekit.segmentation.motion import COLUMNS, NEVER_FULL, STANDING, Part, RobotRun, pieces, sampled, tcp_speed
+from cyclekit.segmentation.stored_run import runs_of
+from cyclekit.storage import parquet as tables
+from cyclekit.storage import parquet_layout as table_layout
+from cyclekit.storage.parquet import StoredTable, TableWriter
 
 if TYPE_CHECKING:
     from conftest import Cells
@@ -159,7 +161,7 @@ def test_a_dataset_does_not_depend_on_how_much_is_read_at_once(
     cell = cells("pick-and-package", 2, log_override=override)
     monkeypatch.setattr(tables, "GROUP_ROWS", 3000)
     monkeypatch.setattr(motion, "BLOCK_ROWS", 2000)
-    monkeypatch.setattr("cyclekit_adapters.text_blocks.BLOCK_BYTES", 1 << 18)
+    monkeypatch.setattr("cyclekit_adapters.text.text_blocks.BLOCK_BYTES", 1 << 18)
     in_pieces = Dataset.open(ingest([cell.logs], tmp_path / "dataset").dataset)
     assert in_pieces.tasks().equals(cell.dataset.tasks())
     assert in_pieces.samples().equals(cell.dataset.samples())

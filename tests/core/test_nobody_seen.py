@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import Recording, whole
-from cyclekit.describe import describe
 from cyclekit.errors import ConfigError
-from cyclekit.plausible import examined, examined_parts
+from cyclekit.ingest.validate.validate import examined, examined_parts
+from cyclekit.inspect.describe import describe
 from cyclekit.schema import PEOPLE, conform
 
 if TYPE_CHECKING:

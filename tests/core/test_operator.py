@@ -12,9 +12,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Source
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
-from cyclekit.people import (
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
+from cyclekit.people.tracks import (
     REASONS,
     Track,
     at_times,

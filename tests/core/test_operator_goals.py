@@ -9,14 +9,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from cyclekit.dataset import Dataset, Place
-from cyclekit.ingest import ingest
-from cyclekit.people import (
-    find_spots,
-    find_stays,
-    goals_from_events,
-    goals_from_stays,
-)
+from cyclekit.dataset.dataset import Dataset, Place
+from cyclekit.ingest.ingest import ingest
+from cyclekit.people.tracks import find_spots, find_stays, goals_from_events, goals_from_stays
 
 if TYPE_CHECKING:
     from conftest import SimulatedCell

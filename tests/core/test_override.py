@@ -14,9 +14,9 @@ import polars as pl
 import pytest
 
 from cyclekit.config import Cell
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
-from cyclekit.override import _goes as goes
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
+from cyclekit.scaling.infer.override import _goes as goes
 
 if TYPE_CHECKING:
     from conftest import Cells, SimulatedCell

@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from cyclekit.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, RobotRun, tcp_speed
-from cyclekit.override import infer_overrides
-from cyclekit.override.advance import advance
-from cyclekit.override.path import along, path_of
-from cyclekit.override.reference import _tcp_peak as tcp_peak
-from cyclekit.segment import Execution, Visit
+from cyclekit.scaling.infer.advance import advance
+from cyclekit.scaling.infer.override import infer_overrides
+from cyclekit.scaling.infer.path import along, path_of
+from cyclekit.scaling.infer.reference import _tcp_peak as tcp_peak
+from cyclekit.segmentation.executions import Execution, Visit
+from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, RobotRun, tcp_speed
 
 if TYPE_CHECKING:
     from collections.abc import Callable

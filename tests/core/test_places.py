@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from cyclekit.atomic import locked, replaced, staged, write_text
 from cyclekit.errors import BusyPlace, CyclekitError
-from cyclekit.ingest import ingest
+from cyclekit.ingest.ingest import ingest
+from cyclekit.storage.atomic import locked, replaced, staged, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def test_a_log_that_goes_away_between_finding_and_reading_is_named(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from cyclekit import intake
+    from cyclekit.ingest.read import read_logs as intake
 
     read_all = intake.read_all
 
@@ -28,14 +28,14 @@ def test_a_log_that_goes_away_between_finding_and_reading_is_named(
         (logs / "b.csv").unlink()
         return read_all(*args, **options)
 
-    monkeypatch.setattr("cyclekit.ingest.read_all", after_a_moment)
+    monkeypatch.setattr("cyclekit.ingest.ingest.read_all", after_a_moment)
     report = ingest([logs], tmp_path / "dataset")
     assert [path for path, _ in report.not_read] == ["b.csv"]
     assert report.recordings_new == 1
 
 
 def test_a_log_that_grows_while_it_is_read_is_named(logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from cyclekit.intake.digests import Digests
+    from cyclekit.ingest.read.log_checksums import Digests
 
     sources = Digests.sources
 
@@ -53,7 +53,7 @@ def test_a_log_that_grows_while_it_is_read_is_named(logs: Path, tmp_path: Path, 
 HOLD = """
 import sys, time
 from pathlib import Path
-from cyclekit.atomic import staged
+from cyclekit.storage.atomic import staged
 
 with staged(Path(sys.argv[1])) as folder:
     print("held", flush=True)
@@ -102,7 +102,7 @@ def test_one_place_has_one_writer_and_the_next_has_its_turn(tmp_path: Path):
 TAKE_TURNS = """
 import sys, time
 from pathlib import Path
-from cyclekit.atomic import locked
+from cyclekit.storage.atomic import locked
 
 inside = Path(sys.argv[1])
 for _ in range(150):

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cyclekit.adapter import Recording, whole
-from cyclekit.plausible import examined, examined_parts
+from cyclekit.ingest.validate.validate import examined, examined_parts
 from cyclekit.schema import PEOPLE, ROBOT, conform
 
 if TYPE_CHECKING:

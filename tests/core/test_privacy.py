@@ -10,8 +10,8 @@ import polars as pl
 import pytest
 from tracker_logs import kinect2, ur_rtde
 
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
 
 
 @pytest.fixture

@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
 from cyclekit.cli import run
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, LogError
 from cyclekit.fleet import load_fleet
 from cyclekit.fleet.stages import work_on
-from cyclekit.ingest import ingest
-from cyclekit.models.spec import ModelSpec
-from cyclekit.privacy import without_times
-from cyclekit.train import Training, train_at
+from cyclekit.ingest.ingest import ingest
+from cyclekit.ingest.pseudonymise import without_times
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import Training, train_at
 
 EPOCH_S = 1_760_000_152.512
 NAMES = ("Anna", "Muster", "Kowalski", "track-4711")

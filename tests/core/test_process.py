@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Source
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
-from cyclekit.process import AHEAD_S, Dwell, Sign, usual_dwells
-from cyclekit.segment import Execution, Visit
-from cyclekit.stand import Stand
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
+from cyclekit.segmentation.arrivals import Stand
+from cyclekit.segmentation.dwell import AHEAD_S, Dwell, Sign, usual_dwells
+from cyclekit.segmentation.executions import Execution, Visit
 
 if TYPE_CHECKING:
     from pathlib import Path

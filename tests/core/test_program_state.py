@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import Recording
-from cyclekit.describe import describe
-from cyclekit.plausible import examined
+from cyclekit.ingest.validate.validate import examined
+from cyclekit.inspect.describe import describe
 from cyclekit.schema import ROBOT, conform
 
 if TYPE_CHECKING:

@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 
 from cyclekit.cli.facts import page
 from cyclekit.config import Cell, Source
-from cyclekit.dataset import Dataset
-from cyclekit.describe import describe
-from cyclekit.ingest import ingest
-from cyclekit.rates import Rates
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.rates import Rates
+from cyclekit.ingest.ingest import ingest
+from cyclekit.inspect.describe import describe
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from cyclekit.rates import Rate
+    from cyclekit.dataset.rates import Rate
 
 TABLE = {"time": "t", "x": "x", "y": "y", "z": "z"}
 MAP = '[[sources]]\npath = "log.csv"\nadapter = "csv"\nrole = "{role}"\n[sources.map]\n'

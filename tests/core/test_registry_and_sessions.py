@@ -10,9 +10,10 @@ import pytest
 
 from cyclekit.adapter import ReadOptions, Recording
 from cyclekit.config import Cell, Source
-from cyclekit.discover import find_all, matches
+from cyclekit.dataset.sessions import group_sessions, unpaired
 from cyclekit.errors import ConfigError, LogError, UnknownName
-from cyclekit.registry import (
+from cyclekit.ingest.discover import find_all, matches
+from cyclekit.ingest.registry import (
     SMALL_BYTES,
     Registered,
     adapter_named,
@@ -21,7 +22,6 @@ from cyclekit.registry import (
     find_logs,
     why_unknown,
 )
-from cyclekit.session import group_sessions, unpaired
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from cyclekit.scratch import Scratch
+from cyclekit.storage.scratch import Scratch
 
 WORK = """
 import sys
-from cyclekit.scratch import Scratch
+from cyclekit.storage.scratch import Scratch
 with Scratch() as scratch:
     (scratch.path / "rows").write_bytes(bytes(1000))
     print(scratch.path, flush=True)

@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Executions, NamedPlace, load_cell
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import UnknownName
-from cyclekit.ingest import ingest
-from cyclekit.motion import RobotRun, tcp_speed
-from cyclekit.places import MERGE_M, cluster, count_passes
+from cyclekit.ingest.ingest import ingest
+from cyclekit.segmentation.motion import RobotRun, tcp_speed
+from cyclekit.segmentation.places import MERGE_M, cluster, count_passes
 from cyclekit_sim import SCENES, scene_places
 
 if TYPE_CHECKING:

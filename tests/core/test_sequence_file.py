@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cyclekit.config.sequences import TaskSequence, load_sequences
 from cyclekit.errors import ConfigError, UnknownName
-from cyclekit.sequences import TaskSequence, load_sequences
 
 
 def loaded(tmp_path: Path, text: str) -> list[TaskSequence]:

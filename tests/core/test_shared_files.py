@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from ingested import only_bytes
 from polars.testing import assert_frame_equal
 
-from cyclekit.dataset import CARD, Dataset
+from cyclekit.dataset.dataset import CARD, Dataset
+from cyclekit.dataset.sessions import Session
 from cyclekit.derive import sharing
 from cyclekit.derive.sharing import MOST_SESSIONS, SHORT, shared_files
-from cyclekit.engine import Engine
-from cyclekit.ingest import ingest
-from cyclekit.session import Session
+from cyclekit.ingest.ingest import ingest
+from cyclekit.parallel.engine import Engine
 
 if TYPE_CHECKING:
     from pathlib import Path

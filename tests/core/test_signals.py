@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit import tables
-from cyclekit.align import FINE_S, _thinned
+from cyclekit.alignment.recording_clocks import FINE_S, _thinned
+from cyclekit.dataset.signals import event_times
 from cyclekit.schema import ROBOT, conform
-from cyclekit.signals import event_times
-from cyclekit.tables import StoredTable, TableWriter
+from cyclekit.storage import parquet as tables
+from cyclekit.storage.parquet import StoredTable, TableWriter
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cyclekit.silence import Silence, absences
+from cyclekit.people.silence import Silence, absences
 
 DOOR, BENCH = (3.0, 1.0, 0.2), (0.5, 1.5, 0.2)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cyclekit.motion import RobotRun
-from cyclekit.segment import Visit
-from cyclekit.stand import Stand, stand_of
+from cyclekit.segmentation.arrivals import Stand, stand_of
+from cyclekit.segmentation.executions import Visit
+from cyclekit.segmentation.motion import RobotRun
 
 JERK, TOP_S = 20.0, 0.4  # m/s^3; then it goes on at the speed that it has
 NOISE_M = 8e-6

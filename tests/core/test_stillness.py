@@ -10,10 +10,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
-from cyclekit.motion import RobotRun, tcp_speed
-from cyclekit.stops import find_stops
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
+from cyclekit.segmentation.motion import RobotRun, tcp_speed
+from cyclekit.segmentation.standstills import find_stops
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -16,7 +16,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit import schema, table_layout, tables
+from cyclekit import schema
+from cyclekit.storage import parquet as tables
+from cyclekit.storage import parquet_layout as table_layout
 
 
 def test_a_table_that_is_given_up_makes_no_noise_when_it_goes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -10,16 +10,16 @@ import pytest
 from ingested import ROUND_TRIP, without_checksums
 
 from cyclekit.adapter import Recording
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.trace import trace
 from cyclekit.errors import CyclekitError, DatasetError
-from cyclekit.ingest import IngestReport, ingest
-from cyclekit.models.spec import ModelSpec
-from cyclekit.plausible import examined
+from cyclekit.ingest.ingest import IngestReport, ingest
+from cyclekit.ingest.validate.validate import examined
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import train
 from cyclekit.replay import write_replay
 from cyclekit.report import write_report
 from cyclekit.schema import TASK_LIST, TASKS, conform
-from cyclekit.trace import trace
-from cyclekit.train import train
 
 T0 = 1_690_833_425.0
 HEADER = "run,agent,task,t_start,t_end,t_start_planned,outcome"
@@ -92,7 +92,7 @@ def test_the_dataset_says_that_it_has_no_positions(listed) -> None:
 
 @pytest.mark.parametrize("stage", ["train", "report", "replay", "trace", "model"])
 def test_what_needs_positions_ends_with_one_sentence(listed, tmp_path: Path, stage: str) -> None:
-    from cyclekit.models.cell import refuse_other_cell
+    from cyclekit.learning.networks.cell import refuse_other_cell
 
     _, dataset = listed
     asked = {

@@ -9,14 +9,14 @@ import polars as pl
 import pytest
 
 from cyclekit.adapter import Recording
-from cyclekit.arm import MODELS, joint_order, joint_points
 from cyclekit.config import Cell, Robot, cell_to_toml, load_cell
-from cyclekit.convert import convert
-from cyclekit.dataset import Dataset
-from cyclekit.describe import describe
+from cyclekit.config.arms import MODELS, joint_order, joint_points
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, UnknownName
-from cyclekit.ingest import ingest
-from cyclekit.intake.tool_point import TCP, with_tool_point
+from cyclekit.ingest.convert import convert
+from cyclekit.ingest.ingest import ingest
+from cyclekit.ingest.read.tool_point import TCP, with_tool_point
+from cyclekit.inspect.describe import describe
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.trace import trace
 from cyclekit.errors import DatasetError, UnknownName
-from cyclekit.ingest import ingest
-from cyclekit.trace import trace
+from cyclekit.ingest.ingest import ingest
 
 if TYPE_CHECKING:
     from conftest import Cells, SimulatedCell

@@ -9,11 +9,11 @@ import polars as pl
 import pytest
 from ingested import ROUND_TRIP
 
-from cyclekit.atomic import write_parquet
-from cyclekit.dataset import Dataset
-from cyclekit.describe import describe
-from cyclekit.ingest import ingest
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
+from cyclekit.inspect.describe import describe
 from cyclekit.schema import QUARANTINE
+from cyclekit.storage.atomic import write_parquet
 from cyclekit_sim import SimulationOptions, simulate
 
 if TYPE_CHECKING:

@@ -9,8 +9,8 @@ import polars as pl
 import pytest
 
 from cyclekit.config import Cell
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
 
 
 def found_in(tmp_path: Path, log: Path) -> Dataset:

@@ -13,14 +13,14 @@ from fabricated import LEVELS, THRESHOLDS_M, fabricate_dataset
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit.atomic import write_parquet
 from cyclekit.cli import run
 from cyclekit.errors import DatasetError
-from cyclekit.evaluate import evaluate
-from cyclekit.models.beaten import better_rival, fit_thresholds
-from cyclekit.models.saved import load_model, save_model
-from cyclekit.models.spec import ModelSpec
-from cyclekit.train import train
+from cyclekit.learning.evaluation.evaluate import evaluate
+from cyclekit.learning.networks.beaten import better_rival, fit_thresholds
+from cyclekit.learning.networks.saved import load_model, save_model
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import train
+from cyclekit.storage.atomic import write_parquet
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.cli.train import summary
-from cyclekit.models.metrics import large_error
+from cyclekit.learning.networks.metrics import large_error
 
 FIVE = (0.0, 0.25, 0.5, 0.75, 1.0)
 

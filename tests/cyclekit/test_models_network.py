@@ -9,11 +9,11 @@ from numpy.testing import assert_allclose
 from torch import nn
 
 from cyclekit.errors import ConfigError, CyclekitError, UnknownName
-from cyclekit.models.folding import fold
-from cyclekit.models.network import build
-from cyclekit.models.saved import TrainedModel
-from cyclekit.models.spec import FREEZE_NORM_AFTER, MUON_ROWS, NETWORKS, RECURRENT, ModelSpec
-from cyclekit.samples import GROUPS
+from cyclekit.learning.networks.folding import fold
+from cyclekit.learning.networks.network import build
+from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.learning.networks.spec import FREEZE_NORM_AFTER, MUON_ROWS, NETWORKS, RECURRENT, ModelSpec
+from cyclekit.learning.windows import GROUPS
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 EVERY = [(problem, network) for problem, networks in NETWORKS.items() for network in networks]

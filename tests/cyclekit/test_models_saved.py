@@ -17,11 +17,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from safetensors.numpy import save
 
 from cyclekit.cli.facts import page
-from cyclekit.describe import describe
 from cyclekit.errors import ModelError, ShapeError
-from cyclekit.models.saved import TrainedModel, load_model, save_model
-from cyclekit.models.weights import Weights
-from cyclekit.samples import GROUPS
+from cyclekit.inspect.describe import describe
+from cyclekit.learning.networks.saved import TrainedModel, load_model, save_model
+from cyclekit.learning.networks.weights import Weights
+from cyclekit.learning.windows import GROUPS
 
 LEVELS = (0.0, 0.5, 1.0)
 
@@ -341,7 +341,7 @@ def test_what_is_no_model_folder_is_named_as_that(tmp_path):
 def test_loading_and_predicting_needs_no_torch(tmp_path):
     save_model(tmp_path / "m", model())
     code = (
-        "import sys, numpy; from pathlib import Path; from cyclekit.models.saved import load_model;"
+        "import sys, numpy; from pathlib import Path; from cyclekit.learning.networks.saved import load_model;"
         f"load_model(Path({str(tmp_path / 'm')!r})).predict(numpy.zeros((2, 6)));"
         "sys.exit(any(m in sys.modules for m in ('torch', 'sklearn')))"
     )

@@ -10,10 +10,10 @@ import pytest
 
 from cyclekit.cli import run
 from cyclekit.errors import ModelError
-from cyclekit.models import onnx_file
-from cyclekit.models.onnx_file import write_onnx
-from cyclekit.models.saved import TrainedModel, save_model
-from cyclekit.models.weights import Weights
+from cyclekit.learning.networks import onnx_file
+from cyclekit.learning.networks.onnx_file import write_onnx
+from cyclekit.learning.networks.saved import TrainedModel, save_model
+from cyclekit.learning.networks.weights import Weights
 
 onnxruntime = pytest.importorskip("onnxruntime")
 LEVELS = (0.0, 0.5, 1.0)

@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch import nn
 
-from cyclekit.models.fitting import one_fast_thread
-from cyclekit.models.optimiser import MOST_NORM, Muon, Steps, orthogonal
-from cyclekit.models.spec import ModelSpec
+from cyclekit.learning.networks.fitting import one_fast_thread
+from cyclekit.learning.networks.optimiser import MOST_NORM, Muon, Steps, orthogonal
+from cyclekit.learning.networks.spec import ModelSpec
 
 
 def test_an_orthogonal_step_keeps_the_singular_vectors_and_evens_out_the_values():

@@ -14,23 +14,23 @@ import polars as pl
 import pytest
 from fabricated import LEVELS, fabricate_dataset
 
-from cyclekit.atomic import write_parquet
 from cyclekit.cli.facts import page
-from cyclekit.dataset import CARD, Dataset
-from cyclekit.describe import describe
+from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, ModelError
 from cyclekit.estimate.transit import transit_table
-from cyclekit.evaluate import evaluate
-from cyclekit.figures.levels import draw_levels
-from cyclekit.labelling import staircase_of
-from cyclekit.models.spec import ModelSpec
+from cyclekit.inspect.describe import describe
+from cyclekit.learning.evaluation.evaluate import evaluate
+from cyclekit.learning.labelling import staircase_of
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.safety_function.fit import Rows, hysteresis
+from cyclekit.learning.training import _enough, train
+from cyclekit.plots.levels import draw_levels
 from cyclekit.replay import write_replay
 from cyclekit.replay.words import slowdowns
 from cyclekit.report.findings import losses
 from cyclekit.report.floor import floor_plan
-from cyclekit.steps import find_staircase, label_in_time
-from cyclekit.train import _enough, train
-from cyclekit.zones.fit import Rows, hysteresis
+from cyclekit.scaling.levels import find_staircase, label_in_time
+from cyclekit.storage.atomic import write_parquet
 
 RATES = (2.0, 5.0, 10.0, 20.0, 50.0)
 
@@ -211,7 +211,7 @@ def test_a_picture_of_levels_shows_two_minutes_in_seconds(rate_hz, tmp_path, mon
     def canvas(*_, **__):
         yield over_time, MagicMock()
 
-    monkeypatch.setattr("cyclekit.figures.levels.canvas", canvas)
+    monkeypatch.setattr("cyclekit.plots.levels.canvas", canvas)
     values = np.tile(np.repeat([1.0, 0.5], int(5 * rate_hz)), 30)
     draw_levels(tmp_path / "x.svg", values, find_staircase(values, rate_hz=rate_hz), rate_hz=rate_hz)
     at_s = over_time.plot.call_args_list[0].args[0]

@@ -11,13 +11,13 @@ import pytest
 from fabricated import PLACES, THRESHOLDS_M, fabricate_dataset
 from rerun.chunk import RrdReader
 
-from cyclekit.arm import ARMS, joint_points, recognise_arm
-from cyclekit.atomic import write_parquet
-from cyclekit.dataset import Dataset
+from cyclekit.config.arms import ARMS, joint_points, recognise_arm
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError, UnknownName
 from cyclekit.replay import viewer, write_replay
 from cyclekit.replay.execution import load_execution
 from cyclekit.replay.words import log_lines, slowdowns, summary
+from cyclekit.storage.atomic import write_parquet
 
 
 class DistanceModel:

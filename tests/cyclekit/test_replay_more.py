@@ -17,9 +17,8 @@ from fabricated import THRESHOLDS_M, fabricate_dataset
 from rerun.chunk import RrdReader
 
 from cyclekit import schema
-from cyclekit.atomic import write_parquet
-from cyclekit.clock import LogClock, fit_clock
-from cyclekit.dataset import CARD, Dataset
+from cyclekit.alignment.clocks import LogClock, fit_clock
+from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError
 from cyclekit.replay import serve, write_replay
 from cyclekit.replay.compare import comparison, most_different
@@ -27,6 +26,7 @@ from cyclekit.replay.execution import load_execution
 from cyclekit.replay.ledger import ledger
 from cyclekit.replay.misses import misses
 from cyclekit.replay.phase import TASK, common_order, path_phase
+from cyclekit.storage.atomic import write_parquet
 
 
 class Staircase:

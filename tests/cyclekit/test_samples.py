@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cyclekit import schema
 from cyclekit.errors import DatasetError, ShapeError, UnknownName
-from cyclekit.samples import build_samples, scaling_without_operator, split_executions
+from cyclekit.learning.windows import build_samples, scaling_without_operator, split_executions
 
 LEVELS = (0.0, 0.5, 1.0)
 POSITIONS = [f"{who}{axis}_m" for who in ("robot_", "human_", "robot_goal_", "human_goal_") for axis in "xyz"]

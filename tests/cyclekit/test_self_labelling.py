@@ -15,14 +15,14 @@ from sklearn.cluster import DBSCAN, KMeans
 from sklearn.metrics import silhouette_score
 
 from cyclekit.cli import run
-from cyclekit.dataset import CARD, Dataset
+from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, UnknownName
-from cyclekit.figures.levels import draw_levels
-from cyclekit.labelling import staircase_of
-from cyclekit.samples import stretches
-from cyclekit.steps import METHODS, dbscan_1d, find_staircase, label_in_time, second_opinion
-from cyclekit.steps.kmeans import by_silhouette, condense, kmeans_1d, silhouette_1d
-from cyclekit.steps.plateaus import find_plateaus, noise_of
+from cyclekit.learning.labelling import staircase_of
+from cyclekit.learning.windows import stretches
+from cyclekit.plots.levels import draw_levels
+from cyclekit.scaling.levels import METHODS, dbscan_1d, find_staircase, label_in_time, second_opinion
+from cyclekit.scaling.levels.kmeans import by_silhouette, condense, kmeans_1d, silhouette_1d
+from cyclekit.scaling.levels.plateaus import find_plateaus, noise_of
 
 STEPS = np.array(LEVELS)
 

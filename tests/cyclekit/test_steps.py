@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 from sklearn.cluster import DBSCAN
 
 from cyclekit.errors import ShapeError
-from cyclekit.steps import dbscan_1d, find_staircase, label
+from cyclekit.scaling.levels import dbscan_1d, find_staircase, label
 
 LEVELS = [0.0, 0.25, 0.5, 0.75, 1.0]
 

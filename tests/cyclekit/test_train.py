@@ -11,16 +11,16 @@ import pytest
 import torch
 from fabricated import LEVELS, THRESHOLDS_M, fabricate_dataset
 
-from cyclekit.atomic import write_parquet
-from cyclekit.dataset import CARD, Dataset
+from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, MissingExtra
-from cyclekit.models import fitting
-from cyclekit.models.fitting import CutOff
-from cyclekit.models.network import Bounded
-from cyclekit.models.saved import load_model, save_model
-from cyclekit.models.spec import ModelSpec
-from cyclekit.samples import build_samples
-from cyclekit.train import fingerprint, train
+from cyclekit.learning.networks import fitting
+from cyclekit.learning.networks.fitting import CutOff
+from cyclekit.learning.networks.network import Bounded
+from cyclekit.learning.networks.saved import load_model, save_model
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import fingerprint, train
+from cyclekit.learning.windows import build_samples
+from cyclekit.storage.atomic import write_parquet
 
 
 @pytest.fixture(scope="module")
@@ -349,7 +349,7 @@ def thrown(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def test_a_network_that_answers_one_whatever_it_is_asked_is_learned_again_by_adamw(cell, thrown, monkeypatch):
-    monkeypatch.setattr("cyclekit.models.spec.MUON_ROWS", 1)
+    monkeypatch.setattr("cyclekit.learning.networks.spec.MUON_ROWS", 1)
     model = train(cell, ModelSpec.of(network="regressor", epochs=12, batch=256))
     assert thrown == ["muon", "adamw"]
     assert model.card["spec"]["optimiser"] == "adamw"

@@ -11,8 +11,8 @@ import pytest
 from made_once import made_once, simulated
 
 from cyclekit.config import Cell, Source
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
 
 LEVELS, THRESHOLDS_M = (0.0, 0.25, 0.5, 0.75, 1.0), (1.2, 1.5, 1.9, 2.4)
 

@@ -10,10 +10,10 @@ import polars as pl
 import pytest
 from ingested import without_checksums
 
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ModelError
-from cyclekit.evaluate.drift import drift
-from cyclekit.samples import INPUTS
+from cyclekit.learning.evaluation.drift import drift
+from cyclekit.learning.windows import INPUTS
 
 from .conftest import LEVELS
 

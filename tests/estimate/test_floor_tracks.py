@@ -13,19 +13,19 @@ from fabricated import fabricate_dataset
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit.atomic import write_parquet
 from cyclekit.config import Cell, Source
-from cyclekit.dataset import CARD, Dataset
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.dataset import CARD, Dataset
+from cyclekit.dataset.unknown_height import in_plane, inputs_in_plane
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.safety import scaling_of
 from cyclekit.estimate.support import Support
-from cyclekit.evaluate import evaluate
-from cyclekit.height import in_plane, inputs_in_plane
-from cyclekit.ingest import ingest
-from cyclekit.models.spec import ModelSpec
-from cyclekit.sequences import TaskSequence
-from cyclekit.train import train
-from cyclekit.zones import read_zones
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.evaluation.evaluate import evaluate
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.safety_function import read_zones
+from cyclekit.learning.training import train
+from cyclekit.storage.atomic import write_parquet
 
 SAID = "the height of the operator is unknown in all samples: distances to him are those in the plane there"
 NUMBERS = st.floats(-5, 5)

@@ -10,10 +10,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError
-from cyclekit.zones import read_zones, zones_svg
-from cyclekit.zones.fit import Rows, by_distance, by_place, crossings, hysteresis, thresholds
+from cyclekit.learning.safety_function import read_zones, zones_svg
+from cyclekit.learning.safety_function.fit import Rows, by_distance, by_place, crossings, hysteresis, thresholds
 
 from .conftest import LEVELS, THRESHOLDS_M
 

@@ -20,7 +20,7 @@ from made_once import made_once
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from cyclekit.engine import Engine
+    from cyclekit.parallel.engine import Engine
 
 TESTS = Path(__file__).parents[1]
 
@@ -30,7 +30,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Engine]:
     """The engine of a cluster of two workers, which runs in processes of its own."""
     if find_spec("ray") is None:
         pytest.skip("needs Ray: pip install 'cyclekit[ray]'")
-    from cyclekit.engine import Engine
+    from cyclekit.parallel.engine import Engine
 
     with socket.socket() as free:
         free.bind(("", 0))
@@ -71,10 +71,10 @@ def _wait_for(head: subprocess.Popen[bytes], log: Path) -> None:
 @pytest.fixture(scope="session")
 def small_cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the logs of six executions in two sessions, their dataset, a model, and a sequence file."""
-    from cyclekit.dataset import Dataset
-    from cyclekit.ingest import ingest
-    from cyclekit.models.spec import ModelSpec
-    from cyclekit.train import Training, train_at
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.ingest.ingest import ingest
+    from cyclekit.learning.networks.spec import ModelSpec
+    from cyclekit.learning.training import Training, train_at
     from cyclekit_sim import simulate
 
     def make(folder: Path) -> None:

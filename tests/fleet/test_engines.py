@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import pytest
 from engine_tasks import dies_always, dies_once, environment, square
 
-from cyclekit.engine import LOCAL, Engine, in_chunks
 from cyclekit.errors import ConfigError, EngineError, MissingExtra
-from cyclekit.intake import check_shared
+from cyclekit.ingest.read.read_logs import check_shared
+from cyclekit.parallel.engine import LOCAL, Engine, in_chunks
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -79,7 +79,7 @@ def test_thousands_of_items_are_handed_out_in_parts_that_still_share_evenly(coun
 @pytest.mark.slow  # imports Ray
 @pytest.mark.skipif(find_spec("ray") is None, reason="needs Ray")
 def test_a_cluster_that_nobody_runs_is_said_to_be_out_of_reach() -> None:
-    code = "from cyclekit.engine import Engine; list(Engine('ray', address='127.0.0.1:9').map(abs, [1]))"
+    code = "from cyclekit.parallel.engine import Engine; list(Engine('ray', address='127.0.0.1:9').map(abs, [1]))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
     assert "EngineError: no Ray cluster can be reached at '127.0.0.1:9'" in done.stderr
     assert "ray start --head" in done.stderr

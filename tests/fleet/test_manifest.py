@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit import storage
 from cyclekit.errors import CyclekitError, StorageError
-from cyclekit.storage.manifest import MANIFEST, Entry, check, parsed, part_of
+from cyclekit.storage.remote import folders as storage
+from cyclekit.storage.remote.manifest import MANIFEST, Entry, check, parsed, part_of
 
 SHA = "3f9a" * 16
 URL = "s3://user:key@plant/cell"
@@ -201,7 +201,7 @@ def test_a_folder_that_nobody_could_fetch_is_not_published(place: str) -> None:
 
 @pytest.mark.parametrize("key", ["..\\..\\x.csv", "con.csv", "a\nb.csv"])
 def test_logs_at_a_url_stay_in_the_cache(key: str, place: str, tmp_path: Path) -> None:
-    from cyclekit.storage.remote import opened, put
+    from cyclekit.storage.remote.file_system import opened, put
 
     system, base = opened(f"{place}/logs")
     put(system, f"{base}/{key}", b"x")
@@ -212,7 +212,7 @@ def test_logs_at_a_url_stay_in_the_cache(key: str, place: str, tmp_path: Path) -
 def test_the_checks_stand_in_an_optimised_interpreter_too() -> None:
     document = msgspec.json.encode(manifest("../../../x")).decode()
     program = (
-        "from cyclekit.errors import StorageError\nfrom cyclekit.storage.manifest import parsed\n"
+        "from cyclekit.errors import StorageError\nfrom cyclekit.storage.remote.manifest import parsed\n"
         f"try:\n    parsed({document.encode()!r}, 's3://b/x')\nexcept StorageError:\n    print('refused', __debug__)\n"
     )
     done = subprocess.run([sys.executable, "-O", "-c", program], capture_output=True, text=True, check=True)

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cyclekit.dataset import Dataset
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError
 from cyclekit.estimate.rollout import estimate
-from cyclekit.evaluate import evaluate
-from cyclekit.models import rows as model_rows
-from cyclekit.models.spec import ModelSpec
-from cyclekit.out_of_core import frames, in_files, in_memory, memory_rows, rows_of, some_executions
-from cyclekit.samples import build_samples
-from cyclekit.sequences import TaskSequence
-from cyclekit.train import train
+from cyclekit.learning.evaluation.evaluate import evaluate
+from cyclekit.learning.networks import rows as model_rows
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.out_of_core import frames, in_files, in_memory, memory_rows, rows_of, some_executions
+from cyclekit.learning.training import train
+from cyclekit.learning.windows import build_samples
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_a_model_learned_from_files_is_as_good(logs: Dataset, monkeypatch: pytes
 def test_estimates_and_judgements_look_at_as_many_executions_as_memory_takes(
     logs: Dataset, small_cell: Path, little_memory: None
 ) -> None:
-    from cyclekit.models.saved import load_model
+    from cyclekit.learning.networks.saved import load_model
 
     part, said = in_memory(logs)
     assert said is not None

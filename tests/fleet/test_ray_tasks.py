@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from engine_tasks import square
 
-from cyclekit.engine import Engine
-from cyclekit.engine.ray_tasks import RETRIES
 from cyclekit.errors import EngineError
+from cyclekit.parallel.engine import Engine
+from cyclekit.parallel.ray_tasks import RETRIES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -105,7 +105,7 @@ def test_what_is_no_longer_wanted_is_taken_back(stand_in: StandIn) -> None:
 
 def test_a_worker_with_another_version_says_so(stand_in: StandIn, monkeypatch: pytest.MonkeyPatch) -> None:
     versions = iter(["1.0", "2.0"])
-    monkeypatch.setattr("cyclekit.engine.ray_tasks.version", lambda _: next(versions))
+    monkeypatch.setattr("cyclekit.parallel.ray_tasks.version", lambda _: next(versions))
     (done,) = Engine("ray").map(square, [1])
     assert "the work comes from cyclekit 1.0" in str(done.error)
 

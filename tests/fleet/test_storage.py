@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from pyarrow import fs
 
-from cyclekit import storage
 from cyclekit.cli import run
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError, StorageError
-from cyclekit.models.saved import load_model
-from cyclekit.storage import parts
+from cyclekit.learning.networks.saved import load_model
+from cyclekit.storage.remote import folders as storage
+from cyclekit.storage.remote import parts
 
 
 @pytest.fixture(params=["s3", "memory"])
@@ -198,7 +198,7 @@ def test_logs_in_a_bucket_become_a_dataset_and_a_model_in_it(
     assert kept.executions["session"].unique().to_list() == ["day_0"]
     assert kept.tasks().height > 0
     storage_model = f"{bucket}/model"
-    from cyclekit.models.saved import save_model
+    from cyclekit.learning.networks.saved import save_model
 
     save_model(storage_model, load_model(small_cell / "model"))
     elsewhere("third")

@@ -24,8 +24,17 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-PRELOAD = ["cyclekit.ingest.ingest", "cyclekit.learning.training", "cyclekit.estimate.rollout", "cyclekit.replay", "cyclekit.report",
-           "cyclekit.learning.evaluation.evaluate", "cyclekit.ingest.convert", "cyclekit.cli", "cyclekit_sim"]  # fmt: skip
+PRELOAD = [
+    "cyclekit.ingest.ingest",
+    "cyclekit.learning.training",
+    "cyclekit.estimate.rollout",
+    "cyclekit.replay",
+    "cyclekit.report",
+    "cyclekit.learning.evaluation.evaluate",
+    "cyclekit.ingest.convert",
+    "cyclekit.cli",
+    "cyclekit_sim",
+]
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
+from cyclekit.storage.inside import inside as inside  # for adapters of folders: a name out of data as a path
 from cyclekit.storage.scratch import Scratch as Scratch  # for adapters that need a copy of a log
 
 if TYPE_CHECKING:

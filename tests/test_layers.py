@@ -12,64 +12,33 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 FLOORS = [
-    {"__main__"},
     {"cli"},
-    {"fleet"},
-    {"benchmark", "describe", "replay", "report", "trace"},
-    {"plan", "whatif", "zones"},
-    {"estimate", "evaluate"},
-    {"convert", "figures", "ingest", "train"},
-    {"derive", "intake", "models"},
-    {"discover", "scaling"},
-    {"account", "activity", "align", "calibrate", "dynamics", "labelling", "out_of_core"},
-    {"load_runs", "people", "process", "registry", "samples", "silence", "stand", "turns"},
-    {"override", "plausible", "privacy", "segment", "session", "signals", "steps"},
-    {"places", "stops"},
-    {"stillness"},
-    {"stored_run"},
-    {"motion"},
-    {"adapter", "clock", "dataset", "frames", "guard"},
-    {"dataset_files", "outputs"},
-    {"scratch", "storage"},
-    {"atomic", "checksums", "footers", "tables"},
-    {"engine"},
-    {"config", "schema", "sequences"},
-    {"cards", "mistaken", "toml_file"},
-    {"inside", "text_columns"},
-    {
-        "ahead",
-        "arm",
-        "behind",
-        "colours",
-        "errors",
-        "files",
-        "height",
-        "labels",
-        "median",
-        "memory",
-        "one_thread",
-        "plain_json",
-        "rate",
-        "rates",
-        "table_layout",
-        "work",
-    },
-    {"plain_text"},
+    {"fleet", "inspect"},
+    {"ingest", "report"},
+    {"benchmark", "derive", "estimate", "replay"},
+    {"learning"},
+    {"people", "scaling"},
+    {"alignment", "plots", "segmentation"},
+    {"dataset"},
+    {"adapter", "config"},
+    {"parallel", "schema", "storage"},
+    {"errors"},
+    {"text"},
 ]
-"""Rooms of cyclekit from the roof down; a room is a module or a package right under `cyclekit`."""
+"""Rooms of cyclekit, the last stage of the data's way first; a room is a module or a folder right under `cyclekit`."""
 
 ROOMS_OF = {
-    "torch": {"models", "train"},
+    "torch": {"learning"},
     "rerun": {"replay"},
-    "sklearn": {"benchmark", "evaluate", "samples", "steps"},
+    "sklearn": {"benchmark", "learning", "scaling"},
     "typer": {"cli"},
     "rich": {"cli"},
     "jinja2": {"report"},
-    "matplotlib": {"figures", "report"},
-    "onnx": {"models"},
-    "onnxruntime": {"models"},
-    "pyarrow": {"storage", "table_layout", "tables"},
-    "ray": {"engine"},
+    "matplotlib": {"plots", "report"},
+    "onnx": {"learning"},
+    "onnxruntime": {"learning"},
+    "pyarrow": {"storage"},
+    "ray": {"parallel"},
     "fastexcel": set(),
     "rosbags": set(),
     "mcap": set(),
@@ -78,7 +47,7 @@ ROOMS_OF = {
 }
 """The only rooms of cyclekit that may import each of these."""
 
-OF_ADAPTERS = {"cyclekit.adapter", "cyclekit.errors", "cyclekit.storage.inside", "cyclekit.schema"}
+OF_ADAPTERS = {"cyclekit.adapter", "cyclekit.errors", "cyclekit.schema"}
 
 
 @dataclass(frozen=True)
@@ -121,7 +90,7 @@ def _is_typing_block(node: ast.AST) -> bool:
 
 def room(file: Path) -> str:
     first = file.relative_to(ROOT / "cyclekit").parts[0]
-    return first.removesuffix(".py")
+    return first.removesuffix(".py").replace("__main__", "cli")  # which is the command line, called by its module
 
 
 @cache
@@ -137,7 +106,9 @@ def test_every_room_stands_on_a_floor() -> None:
     rooms = {
         path.stem for path in (ROOT / "cyclekit").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
     }
-    assert rooms - {"__init__"} <= set(FLOOR), "say in FLOORS where the new room stands, and in docs/architecture.md"
+    assert rooms - {"__init__", "__main__"} == set(FLOOR), (
+        "say in FLOORS where the new room stands, and in docs/architecture.md"
+    )
 
 
 def test_a_room_imports_only_from_floors_below() -> None:

@@ -17,11 +17,11 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
+from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.session_end import Left, finish
 from cyclekit.derive.session_look import look_at
 from cyclekit.derive.session_samples import Work, samples_of
 from cyclekit.derive.sharing import in_order, shared_files
-from cyclekit.learning.windows import stretches
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
 from cyclekit.people.silence import absences

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.dataset.in_samples import samples_in
+from cyclekit.dataset.time_grid import samples_in
 from cyclekit.estimate.program import stands_of
 from cyclekit.estimate.safety import SafetyModel, scaling_of
 from cyclekit.estimate.walk import Rolled

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.dataset.in_samples import USUAL_HZ
 from cyclekit.dataset.rates import GAP_PERIODS, GAP_S, ONE_INSTANT_S, Rates
+from cyclekit.dataset.time_grid import USUAL_HZ
 from cyclekit.inspect.facts import Gap, TableFacts
 from cyclekit.scaling.levels import find_staircase
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.learning.windows import stretches
+from cyclekit.dataset.time_grid import stretches
 from cyclekit.scaling.levels import Staircase, find_staircase
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ import cyclekit
 from cyclekit import schema
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
-from cyclekit.dataset.in_samples import samples_in
+from cyclekit.dataset.time_grid import samples_in
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import DatasetError, MissingExtra, command_line
 from cyclekit.learning.labelling import scaling_in_time, staircase_of, without_slider

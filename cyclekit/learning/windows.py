@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 import polars as pl
 
+from cyclekit.dataset.time_grid import stretches
 from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import DatasetError, ShapeError, UnknownName
 from cyclekit.scaling.levels import UNKNOWN, label_in_time, unbroken
@@ -44,8 +45,6 @@ GROUPS: Mapping[str, slice] = {"human": slice(3, 6), "robot_goal": slice(6, 9), 
 """Columns of X that may be unknown together: an operator who is not there, a goal that nobody has said."""
 _MODEL_ERROR = 0.05
 """Error of a prediction against which the uncertainty of an inferred scaling is weighed."""
-_GAP = 1.5
-"""Two samples farther apart than this many periods have a gap between them."""
 
 
 @dataclass(frozen=True)
@@ -184,13 +183,6 @@ def _history(run: NDArray[np.int64], unusable: NDArray[np.bool_], history: tuple
     begin = np.maximum.accumulate(np.where(first, at, 0))
     back = every * np.arange(count - 1, -1, -1)
     return np.asarray(np.maximum(at[:, None] - back[None, :], begin[:, None]))
-
-
-def stretches(frame: pl.DataFrame, rate_hz: float) -> NDArray[np.int64]:
-    """Return the number of the unbroken stretch (one execution, no gap) of every row of SAMPLES, shape (N,)."""
-    step = pl.col("t_s").diff()
-    new = (pl.col("execution") != pl.col("execution").shift()) | (step > _GAP / rate_hz) | (step <= 0)
-    return frame.select(new.fill_null(value=True).cum_sum().cast(pl.Int64)).to_series().to_numpy()
 
 
 def _target(

@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import EngineError
-from cyclekit.parallel.engine import ONE_THREAD, RETRIES, Done, in_chunks
+from cyclekit.parallel.outcome import ONE_THREAD, RETRIES, Done, in_chunks
 from cyclekit.parallel.worker import outcomes, packed
 
 if TYPE_CHECKING:

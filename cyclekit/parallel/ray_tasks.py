@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import EngineError, MissingExtra
-from cyclekit.parallel.engine import ONE_THREAD, RETRIES, Done, cores, in_chunks
+from cyclekit.parallel.outcome import ONE_THREAD, RETRIES, Done, cores, in_chunks
 from cyclekit.parallel.worker import outcomes, packed
 
 if TYPE_CHECKING:

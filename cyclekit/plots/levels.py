@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.dataset.in_samples import USUAL_HZ, samples_in
+from cyclekit.dataset.time_grid import USUAL_HZ, samples_in
 from cyclekit.plots import colours
 from cyclekit.plots.canvas import canvas
 

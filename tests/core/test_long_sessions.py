@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 AT_ONCE, GROUP = 150, 800
 sample, sample_file, finish = (
-    sys.modules[f"cyclekit.derive.passes.{name}"] for name in ("sample", "sample_file", "finish")
+    sys.modules[f"cyclekit.derive.{name}"] for name in ("session_samples", "sample_file", "session_end")
 )
 
 

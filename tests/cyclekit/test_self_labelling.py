@@ -16,9 +16,9 @@ from sklearn.metrics import silhouette_score
 
 from cyclekit.cli import run
 from cyclekit.dataset.dataset import CARD, Dataset
+from cyclekit.dataset.time_grid import stretches
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.learning.labelling import staircase_of
-from cyclekit.learning.windows import stretches
 from cyclekit.plots.levels import draw_levels
 from cyclekit.scaling.levels import METHODS, dbscan_1d, find_staircase, label_in_time, second_opinion
 from cyclekit.scaling.levels.kmeans import by_silhouette, condense, kmeans_1d, silhouette_1d

@@ -12,7 +12,8 @@ from engine_tasks import dies_always, dies_once, environment, square
 
 from cyclekit.errors import ConfigError, EngineError, MissingExtra
 from cyclekit.ingest.read.read_logs import check_shared
-from cyclekit.parallel.engine import LOCAL, Engine, in_chunks
+from cyclekit.parallel.engine import LOCAL, Engine
+from cyclekit.parallel.outcome import in_chunks
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from cyclekit.adapter import inside
 from cyclekit.errors import DamagedLog, OutsideFolder
-from cyclekit.storage.inside import inside
 
 _SUFFIXES = (".mcap", ".db3", ".zstd")
 _MAX_BYTES = 1 << 20  # of metadata.yaml: no recorder writes so much

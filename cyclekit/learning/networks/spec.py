@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
-from cyclekit.dataset.in_samples import samples_in
+from cyclekit.dataset.time_grid import samples_in
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.learning.windows import PROBLEMS
 

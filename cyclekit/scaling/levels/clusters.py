@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.dataset.in_samples import samples_in
+from cyclekit.dataset.time_grid import samples_in
 from cyclekit.scaling.levels.dbscan import dbscan_1d
 from cyclekit.scaling.levels.kmeans import by_elbow, by_silhouette, condense
 from cyclekit.scaling.levels.mixtures import by_hdbscan, by_mixture

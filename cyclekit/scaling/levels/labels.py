@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.dataset.in_samples import USUAL_HZ
+from cyclekit.dataset.time_grid import USUAL_HZ
 from cyclekit.scaling.levels.dbscan import UNKNOWN
 from cyclekit.scaling.levels.plateaus import Plateaus, find_plateaus
 

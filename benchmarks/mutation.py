@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 OUTCOMES = ("read", "read, rows set aside", "refused", "foreign exception")
 Found = tuple[str, str, str, float, str, int]
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from known_cells import LEVELS, THRESHOLDS_M
 
 from cyclekit.cli import run
 from cyclekit.config.sequences import TaskSequence
@@ -18,8 +19,6 @@ from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.whatif import NO_PROOF, Change, load_changes, what_if
 from cyclekit.estimate.whatif.alter import WrittenSafety, altered_safety, altered_tasks, altered_tracks
 from cyclekit.estimate.whatif.change import Zone
-
-from .conftest import LEVELS, THRESHOLDS_M
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset

@@ -19,7 +19,7 @@ from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.training import Training, train_at
 from cyclekit.parallel.engine import LOCAL, Engine
 
-WHOLE_WAY = Path(__file__).parents[1] / "whole_way.py"
+WHOLE_WAY = Path(__file__).parents[1] / "support" / "whole_way.py"
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS")
 
 

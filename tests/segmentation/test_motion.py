@@ -22,7 +22,7 @@ from cyclekit.storage import parquet_layout as table_layout
 from cyclekit.storage.parquet import StoredTable, TableWriter
 
 if TYPE_CHECKING:
-    from conftest import Cells
+    from simulated_cells import Cells
 
 
 def stored(folder: Path, frame: pl.DataFrame) -> StoredTable:

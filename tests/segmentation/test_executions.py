@@ -21,7 +21,7 @@ from cyclekit.segmentation.places import MERGE_M, cluster, count_passes
 from cyclekit_sim import SCENES, scene_places
 
 if TYPE_CHECKING:
-    from conftest import Cells, SimulatedCell
+    from simulated_cells import Cells, SimulatedCell
 
 VARIANTS = [
     *((scene, {}) for scene in SCENES),

@@ -18,7 +18,7 @@ from cyclekit.config import Frame, Source
 from cyclekit.errors import ShapeError
 
 if TYPE_CHECKING:
-    from conftest import Cells, SimulatedCell
+    from simulated_cells import Cells, SimulatedCell
 
 HUMAN = ["human_x_m", "human_y_m", "human_z_m"]
 YAW_90 = Frame((1.0, 2.0, -0.8), ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))

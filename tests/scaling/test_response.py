@@ -10,7 +10,7 @@ import pytest
 from cyclekit.scaling.response import LATENCIES_S, Change, Changes, changes_of, read_dynamics
 
 if TYPE_CHECKING:
-    from conftest import Cells
+    from simulated_cells import Cells
 
 SLOW = {"latency_s": 0.2, "ramp_down_per_s": 2.5, "ramp_up_per_s": 1.0, "hysteresis_m": 0.1}
 

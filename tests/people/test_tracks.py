@@ -26,7 +26,7 @@ from cyclekit.people.tracks import (
 )
 
 if TYPE_CHECKING:
-    from conftest import Cells
+    from simulated_cells import Cells
 
 
 def walk(t_s: np.ndarray, y_m: float = 0.0, person: str = "1") -> Track:

@@ -19,7 +19,7 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.scaling.infer.override import _goes as goes
 
 if TYPE_CHECKING:
-    from conftest import Cells, SimulatedCell
+    from simulated_cells import Cells, SimulatedCell
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.parallel.engine import Engine
 
 if TYPE_CHECKING:
-    from conftest import Cells, SimulatedCell
+    from simulated_cells import Cells, SimulatedCell
 
 WALK = [(1.0 + 0.01 * i, 2.0, 0.2) for i in range(150)]
 

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 import pytest
 from ingested import without_checksums
+from known_cells import LEVELS
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ModelError
 from cyclekit.learning.evaluation.drift import drift
 from cyclekit.learning.windows import INPUTS
-
-from .conftest import LEVELS
 
 if TYPE_CHECKING:
     from collections.abc import Callable

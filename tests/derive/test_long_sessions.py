@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     import polars as pl
-    from conftest import SimulatedCell
+    from simulated_cells import SimulatedCell
 
 AT_ONCE, GROUP = 150, 800
 sample, sample_file, finish = (

@@ -13,7 +13,7 @@ from cyclekit import schema
 from cyclekit_sim import SCENES
 
 if TYPE_CHECKING:
-    from conftest import Cells, SimulatedCell
+    from simulated_cells import Cells, SimulatedCell
 
 CYCLE_S = 0.008
 

@@ -29,7 +29,7 @@ from cyclekit.learning.networks.saved import TrainedModel, load_model, save_mode
 from cyclekit.learning.networks.weights import Weights
 
 if TYPE_CHECKING:
-    from conftest import SimulatedCell
+    from simulated_cells import SimulatedCell
 
 
 def unsaid(told: object, known: object, where: str = "") -> list[str]:

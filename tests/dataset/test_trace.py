@@ -14,7 +14,7 @@ from cyclekit.errors import DatasetError, UnknownName
 from cyclekit.ingest.ingest import ingest
 
 if TYPE_CHECKING:
-    from conftest import Cells, SimulatedCell
+    from simulated_cells import Cells, SimulatedCell
 
 
 def test_the_line_that_is_named_holds_the_position_of_the_sample(boxes: SimulatedCell):

@@ -24,7 +24,7 @@ from cyclekit.report.template import Template
 from cyclekit.storage.inside import fitting, inside, unfit
 
 if TYPE_CHECKING:
-    from conftest import SimulatedCell
+    from simulated_cells import SimulatedCell
 
 EVIL = [
     "..",

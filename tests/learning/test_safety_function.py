@@ -9,13 +9,12 @@ from xml.etree import ElementTree
 import numpy as np
 import polars as pl
 import pytest
+from known_cells import LEVELS, THRESHOLDS_M
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError
 from cyclekit.learning.safety_function import read_zones, zones_svg
 from cyclekit.learning.safety_function.fit import Rows, by_distance, by_place, crossings, hysteresis, thresholds
-
-from .conftest import LEVELS, THRESHOLDS_M
 
 if TYPE_CHECKING:
     from pathlib import Path

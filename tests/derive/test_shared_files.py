@@ -22,7 +22,7 @@ from cyclekit.parallel.engine import Engine
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from conftest import Cells, SimulatedCell
+    from simulated_cells import Cells, SimulatedCell
 
 
 @pytest.fixture

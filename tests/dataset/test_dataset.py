@@ -24,7 +24,7 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.storage.atomic import settle, staged, write_text
 
 if TYPE_CHECKING:
-    from conftest import SimulatedCell
+    from simulated_cells import SimulatedCell
 
 CONTRACT = [
     *("execution", "t_s", "robot_x_m", "robot_y_m", "robot_z_m", "human_x_m", "human_y_m", "human_z_m"),

@@ -14,7 +14,7 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.people.tracks import find_spots, find_stays, goals_from_events, goals_from_stays
 
 if TYPE_CHECKING:
-    from conftest import SimulatedCell
+    from simulated_cells import SimulatedCell
 
 
 def test_a_goal_is_in_force_from_its_button_on():

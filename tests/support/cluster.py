@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from cyclekit.parallel.engine import Engine
 
-TESTS = Path(__file__).parents[1]
+TESTS = Path(__file__).parent
 
 
 @pytest.fixture(scope="module")

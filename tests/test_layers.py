@@ -111,6 +111,51 @@ def test_every_room_stands_on_a_floor() -> None:
     )
 
 
+def test_the_house_stays_small() -> None:
+    assert len(FLOORS) <= 12
+    assert len(FLOOR) <= 23
+
+
+def _folders() -> list[Path]:
+    roots = (ROOT / "cyclekit", ROOT / "adapters" / "cyclekit_adapters")
+    return [file.parent for root in roots for file in sorted(root.rglob("__init__.py"))]
+
+
+@pytest.mark.parametrize("folder", _folders(), ids=lambda folder: str(folder.relative_to(ROOT)))
+def test_a_folder_says_what_it_is_for(folder: Path) -> None:
+    words = ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8")))
+    assert words
+    assert words.splitlines()[0].endswith(".")
+
+
+def _circles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Return the modules that reach each other, by leaving out again and again what imports nothing that is left."""
+    left = {module: set(known) & set(graph) - {module} for module, known in graph.items()}
+    while ends := {module for module, known in left.items() if not known}:
+        left = {module: known - ends for module, known in left.items() if module not in ends}
+    while starts := set(left) - {name for known in left.values() for name in known}:
+        left = {module: known for module, known in left.items() if module not in starts}
+    return [sorted(left)] if left else []
+
+
+def test_no_modules_import_each_other() -> None:
+    """Not even for the type checker, which is where a circle of two modules hides."""
+    files = {
+        ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file
+        for file in sorted((ROOT / "cyclekit").rglob("*.py"))
+        if file.parent != ROOT / "cyclekit"
+    }
+    graph: dict[str, set[str]] = {}
+    for module, file in files.items():
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        froms = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module]
+        names = {f"{node.module}.{alias.name}" for node in froms for alias in node.names}
+        graph[module] = {name if name in files else name.rpartition(".")[0] for name in names} & set(files)
+        graph[module] -= {known for known in graph[module] if module.startswith(f"{known}.")}  # its own folder
+    assert _circles({"a": {"b"}, "b": {"a"}, "c": {"a"}}) == [["a", "b"]]
+    assert _circles(graph) == []
+
+
 def test_a_room_imports_only_from_floors_below() -> None:
     upwards = []
     for entry in of_cyclekit():

@@ -64,6 +64,11 @@ def test_every_command_and_each_of_its_options_is_described(name: str) -> None:
     assert [option for option in sorted(options - shared) if f"`{option}" not in section[1]] == []
 
 
+def test_no_command_that_is_gone_has_a_section() -> None:
+    page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^## cyclekit (\S+)", page, re.MULTILINE)) == set(COMMANDS)
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_a_link_in_a_document_leads_somewhere(document: Path) -> None:
     links = re.findall(r"\]\(([^)#\s]+)", document.read_text(encoding="utf-8"))

@@ -64,11 +64,45 @@ def test_every_command_and_each_of_its_options_is_described(name: str) -> None:
     assert [option for option in sorted(options - shared) if f"`{option}" not in section[1]] == []
 
 
+def test_no_command_that_is_gone_has_a_section() -> None:
+    page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"^## cyclekit (\S+)", page, re.MULTILINE)) == set(COMMANDS)
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_a_link_in_a_document_leads_somewhere(document: Path) -> None:
     links = re.findall(r"\]\(([^)#\s]+)", document.read_text(encoding="utf-8"))
     local = [link for link in links if "://" not in link]
     assert [link for link in local if not (document.parent / link).exists()] == []
+
+
+def anchors(document: Path) -> set[str]:
+    """Return the anchors of a page's headings, made as GitHub makes them."""
+    prose = re.sub(r"^```.*?^```", "", document.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    headings = re.findall(r"^#+ (.+)$", prose, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_a_link_to_a_heading_leads_to_a_heading(document: Path) -> None:
+    links = re.findall(r"\]\(([^)#\s:]*\.md)?#([^)\s]+)\)", document.read_text(encoding="utf-8"))
+    pages = [((document.parent / page) if page else document, anchor) for page, anchor in links]
+    assert [f"{page.name}#{anchor}" for page, anchor in pages if anchor not in anchors(page)] == []
+
+
+def test_the_index_lists_every_page_by_its_question() -> None:
+    linked = set(re.findall(r"\]\(([^)#\s]+)", (ROOT / "docs" / "index.md").read_text(encoding="utf-8")))
+    pages = {page.name for page in (ROOT / "docs").glob("*.md")} - {"index.md"}
+    assert pages - linked == set()
+    notes = {page.name for page in (ROOT / "docs" / "notebook").glob("*.md")} - {"README.md"}
+    listed = (ROOT / "docs" / "notebook" / "README.md").read_text(encoding="utf-8")
+    assert [note for note in sorted(notes) if f"]({note})" not in listed] == []
+
+
+def test_every_picture_of_the_documentation_is_shown_on_a_page() -> None:
+    text = "".join(document.read_text(encoding="utf-8") for document in DOCUMENTS)
+    pictures = [path for path in (ROOT / "docs" / "pictures").iterdir() if path.suffix in {".png", ".svg"}]
+    assert [picture.name for picture in pictures if f"pictures/{picture.name})" not in text] == []
 
 
 def blocks(language: str) -> list[tuple[str, str]]:

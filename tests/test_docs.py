@@ -19,7 +19,7 @@ from cyclekit.estimate.whatif import load_changes
 from cyclekit.fleet import load_fleet
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *ROOT.glob("*/README.md")])
+DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *ROOT.glob("[!.]*/README.md")])
 COMMANDS = typer.main.get_command(app()).commands  # type: ignore[attr-defined]
 _BLOCK = re.compile(r"^```(?:console|sh|bash|shell)?\n(.*?)^```", re.MULTILINE | re.DOTALL)
 _INLINE = re.compile(r"`(cyclekit [^`]+)`")

@@ -18,6 +18,7 @@ import numpy as np
 
 import cyclekit
 from cyclekit import schema
+from cyclekit.cards import note, texts
 from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, MissingExtra, command_line
 from cyclekit.guard import check_output
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
+    from cyclekit.cards import Note
     from cyclekit.models.fitting import Fitted
     from cyclekit.models.metrics import Metrics
     from cyclekit.models.spec import ModelSpec
@@ -113,7 +115,7 @@ class _Rows:
 
     Attributes:
         seen: Samples of executions to learn from (some of them, where there are very many), for levels and the like.
-        notes: What was done to them, one sentence each.
+        notes: What was done to them.
     """
 
     learn: Samples
@@ -124,7 +126,7 @@ class _Rows:
     levels: tuple[float, ...]
     known: tuple[str, ...]
     seen: pl.DataFrame
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
     dropped: Mapping[str, int]
 
 
@@ -181,8 +183,7 @@ def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -
         for frame in (dataset.samples(split.validation), dataset.samples(split.test))
     )
     dropped = sum((Counter(part.dropped) for part in (learn, check, held_out)), Counter[str]())
-    note = f"more samples than memory takes: levels were found in {len(some)} executions, rows learned from in files"
-    notes = (*((slider,) if slider else ()), note)
+    notes = (*((slider,) if slider else ()), note("learned-in-files", executions=len(some)))
     return _Rows(learn, check, held_out, split, staircase, levels, known, seen, notes, dict(dropped))
 
 
@@ -198,10 +199,9 @@ def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: Metrics) -> d
         "metrics": metrics.to_json(),
         "levels": [{"value": v, "share": round(float(s), 6)} for v, s in shares],
         "warnings": [
-            *found.notes,
+            *texts(found.notes),
             *said_of_height(found.seen),
-            *found.staircase.warnings,
-            *_other_opinion(dataset, found.seen, found.staircase),
+            *texts([*found.staircase.warnings, *_other_opinion(dataset, found.seen, found.staircase)]),
         ],
         "rate_hz": dataset.rate_hz,
         "temperature": fitted.temperature,
@@ -295,7 +295,7 @@ def _check_learnable(dataset: Dataset, learn: Samples, check: Samples, held_out:
             raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
 
 
-def _other_opinion(dataset: Dataset, frame: pl.DataFrame, staircase: Staircase) -> list[str]:
+def _other_opinion(dataset: Dataset, frame: pl.DataFrame, staircase: Staircase) -> list[Note]:
     scaling, _ = scaling_in_time(frame, dataset.rate_hz)
     other = second_opinion(scaling, staircase)
     return [] if other is None else [other]
@@ -321,6 +321,6 @@ def _staircase(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Stairc
         msg = f"{dataset.path}: the speed scaling is {np.nanmax(scaling):.2f} throughout, so there is nothing to learn"
         raise DatasetError(msg, cure="Log executions in which the operator comes near enough to slow the robot.")
     if spec.network in ("classifier", "mixed") and (staircase.levels.size < 2 or not staircase.is_staircase):
-        msg = f"{dataset.path}: a {spec.network} needs at least two levels, but {'; '.join(staircase.warnings)}"
+        msg = f"{dataset.path}: a {spec.network} needs at least two levels, but {'; '.join(texts(staircase.warnings))}"
         raise DatasetError(msg, cure="Train a network that needs none: --network regressor")
     return staircase

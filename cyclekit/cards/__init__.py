@@ -6,10 +6,20 @@ checks it here before any of it is used. Keys that are not known are passed over
 What the values are used for is the business of the rooms above; this one knows none of them.
 """
 
-from cyclekit.cards.dataset import DatasetCard, DynamicsCard, ExecutionCard, PlaceCard, RowCounts, UnreadCard
+from cyclekit.cards.dataset import (
+    DatasetCard,
+    DynamicsCard,
+    ExecutionCard,
+    FileCard,
+    PlaceCard,
+    RowCounts,
+    UnreadCard,
+    dataset_card,
+)
 from cyclekit.cards.fleet import CellLedger, FiguresCard, StageCard
 from cyclekit.cards.model import CellCard, MetricsCard, ModelCard, SpecCard, SplitCard, TrainingCard
-from cyclekit.cards.read import BadCard, checked, parse_json, read_content, read_json
+from cyclekit.cards.notes import READ, TEXT, Note, note, texts
+from cyclekit.cards.read import BadCard, checked, parse_json, plain, read_content, read_json
 from cyclekit.cards.recording import (
     ClockCard,
     ClockMethod,
@@ -23,6 +33,8 @@ from cyclekit.cards.recording import (
 from cyclekit.cards.settings import CellSettings
 
 __all__ = [
+    "READ",
+    "TEXT",
     "BadCard",
     "CellCard",
     "CellLedger",
@@ -33,10 +45,12 @@ __all__ = [
     "DynamicsCard",
     "ExecutionCard",
     "FiguresCard",
+    "FileCard",
     "FrameCard",
     "LogCard",
     "MetricsCard",
     "ModelCard",
+    "Note",
     "OperatorCard",
     "PlaceCard",
     "RecordingCard",
@@ -49,7 +63,11 @@ __all__ = [
     "TrainingCard",
     "UnreadCard",
     "checked",
+    "dataset_card",
+    "note",
     "parse_json",
+    "plain",
     "read_content",
     "read_json",
+    "texts",
 ]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
+from cyclekit.cards.notes import Note, from_sentences
 from cyclekit.cards.quantities import Card, Count, Digest, Hertz, Length, Name, Point, Scaling, Seconds, ascending
+from cyclekit.cards.read import checked
 from cyclekit.cards.recording import RecordingCard
 from cyclekit.cards.settings import CellSettings
 
@@ -142,7 +144,7 @@ class DatasetCard(Card, frozen=True, kw_only=True):
     scaling_origin: str | None = None
     dynamics: DynamicsCard = DynamicsCard()
     rows: RowCounts
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Note, ...] = ()
     files: dict[str, FileCard] | None = None
     card_blake3: Digest | None = None
 
@@ -160,3 +162,21 @@ class DatasetCard(Card, frozen=True, kw_only=True):
             if len(set(names)) < len(names):
                 msg = f"two {what}s have the same name"
                 raise ValueError(msg)
+
+
+def dataset_card(values: dict[str, Any]) -> DatasetCard:
+    """Return the JSON values of a dataset's card as that card; warnings may be sentences, as in an earlier version.
+
+    Raises:
+        BadCard: A value is missing or not of its kind.
+    """
+    values = {**values, "warnings": from_sentences(values.get("warnings", []))}
+    if isinstance(recordings := values.get("recordings"), list):
+        values["recordings"] = [_with_notes(one) for one in recordings]
+    return checked(values, DatasetCard)
+
+
+def _with_notes(recording: object) -> object:
+    if not isinstance(recording, dict) or "warnings" not in recording:
+        return recording
+    return {**recording, "warnings": from_sentences(recording["warnings"])}

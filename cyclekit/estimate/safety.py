@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cyclekit.cards import DynamicsCard
+
     Vector = NDArray[np.float64]
 
 BLOCK = 2048
@@ -85,10 +87,9 @@ class Dynamics:
     hysteresis_m: float | None = None
 
     @classmethod
-    def of(cls, card: Mapping[str, Any]) -> Dynamics:
-        """Return what a dataset's card says; nothing where it says nothing."""
-        said = card.get("dynamics") or {}
-        return cls(**{name: said.get(name) for name in cls.__dataclass_fields__})
+    def of(cls, card: DynamicsCard) -> Dynamics:
+        """Return what a dataset's card says."""
+        return cls(**{name: getattr(card, name) for name in cls.__dataclass_fields__})
 
     @property
     def none(self) -> bool:

@@ -35,20 +35,19 @@ def day_in(path: str) -> dt.date | None:
     return None
 
 
-def days_of(dataset: Dataset, roots: Sequence[Path]) -> dict[str, str]:
-    """Return the day of every session (ISO), as far as its logs can be found.
+def days_of(dataset: Dataset, roots: Sequence[Path]) -> dict[str, dt.date]:
+    """Return the day of every session, as far as its logs can be found.
 
     Args:
         dataset: Made of these logs.
         roots: The files and folders that were given to `ingest`.
     """
     bases = [root if root.is_dir() else root.parent for root in roots]
-    found: dict[str, str] = {}
+    found: dict[str, dt.date] = {}
     for entry in dataset.recordings:
-        shown = str(entry["sources"][0]["path"])
-        day = day_in(shown) or _written(shown, bases)
+        day = day_in(entry.shown) or _written(entry.shown, bases)
         if day is not None:
-            found[entry["session"]] = max(found.get(entry["session"], ""), day.isoformat())
+            found[entry.session] = max(found.get(entry.session, day), day)
     return found
 
 
@@ -67,7 +66,7 @@ def _written(shown: str, bases: Sequence[Path]) -> dt.date | None:
     return None
 
 
-def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, str]) -> Drift | str:
+def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, dt.date]) -> Drift | str:
     """Compare the last month of logs with those before it; return why that cannot be done in a sentence.
 
     What the model learned from is left out when its errors are compared, on both sides.
@@ -75,13 +74,13 @@ def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, s
     Args:
         model: A model of problem `now`, trained on these logs or on the earlier ones.
         dataset: All logs.
-        days: The day of every session, ISO.
+        days: The day of every session.
     """
-    newest = max((dt.date.fromisoformat(day) for day in days.values()), default=None)
+    newest = max(days.values(), default=None)
     if newest is None:
         return "the days of the logs are not known"
-    begin = (newest - MONTH).isoformat()
-    sessions = {entry["execution"]: entry["session"] for entry in dataset.card["executions"]}
+    begin = newest - MONTH
+    sessions = {one.execution: one.session for one in dataset.card.executions}
     dated = {name: days[session] for name, session in sessions.items() if session in days}
     before = [name for name, day in dated.items() if day <= begin]
     after = [name for name, day in dated.items() if day > begin]

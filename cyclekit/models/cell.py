@@ -12,11 +12,13 @@ import json
 import math
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.cards import plain
 from cyclekit.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from cyclekit.cards import FrameCard
     from cyclekit.dataset import Dataset
 
 PLACE_M = 0.05
@@ -31,7 +33,7 @@ FRAME_M, FRAME_TURN = 0.05, 0.05
 
 def fingerprint(dataset: Dataset) -> str:
     """Return the SHA-256 of what the dataset says about itself: same fingerprint, same data."""
-    text = json.dumps(dataset.card, sort_keys=True, ensure_ascii=False)
+    text = json.dumps(plain(dataset.card), sort_keys=True, ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -42,14 +44,14 @@ def cell_of(dataset: Dataset) -> dict[str, Any]:
     where the origin of its frame stands in the base frame, x, y, z in m and the rotation by rows; None: unknown.
     """
     return {
-        "name": str(dataset.card.get("name") or dataset.path.name),
+        "name": dataset.card.name or dataset.path.name,
         "places": {name: [*place.xyz_m, place.radius_m, place.inferred] for name, place in dataset.places.items()},
         "levels": list(dataset.levels),
         "logs": {
-            str(checksum): _frame(record.get("frame") or {})
+            checksum: _frame(record.frame)
             for record in dataset.recordings
-            for source in record["sources"]
-            if (checksum := source.get("blake3") or source.get("sha256"))
+            for source in record.sources
+            if (checksum := source.checksum) is not None
         },
     }
 
@@ -123,10 +125,10 @@ def _other_levels(learned: Sequence[float], here: Sequence[float]) -> str | None
     return f"the speed scaling has the levels {seen}, and had {told}"
 
 
-def _frame(frame: Mapping[str, Any]) -> list[float] | None:
-    if "xyz_m" not in frame or "rotation" not in frame:
+def _frame(frame: FrameCard) -> list[float] | None:
+    if frame.xyz_m is None or frame.rotation is None:
         return None
-    return [round(float(value), 4) for row in (frame["xyz_m"], *frame["rotation"]) for value in row]
+    return [round(value, 4) for row in (frame.xyz_m, *frame.rotation) for value in row]
 
 
 def _moved(before: Sequence[float] | None, after: Sequence[float] | None) -> bool:

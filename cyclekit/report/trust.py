@@ -53,8 +53,8 @@ def section(
     check: Check | None = None,
 ) -> dict[str, Any]:
     """Return what the template needs for section 5; `check` is how the rollout did on what was logged."""
-    versions = {texts("trust.made_dataset"): f"cyclekit {dataset.card.get('cyclekit_version', 'unknown')}"}
-    versions[texts("trust.layout")] = str(dataset.card.get("schema_version", "unknown"))
+    versions = {texts("trust.made_dataset"): f"cyclekit {dataset.card.cyclekit_version}"}
+    versions[texts("trust.layout")] = str(dataset.card.schema_version)
     if model is not None:
         versions[texts("trust.made_model")] = f"cyclekit {model.card.get('cyclekit', 'unknown')}"
     origin = provenance(dataset, versions)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.atomic import locked
 from cyclekit.atomic import write_text as write_file
-from cyclekit.errors import OutsideFolder, StorageError
+from cyclekit.errors import NothingPublished, OutsideFolder, StorageError
 from cyclekit.inside import inside
 from cyclekit.storage.cache import WAIT_S, cached, known_parts, of_file_url
 from cyclekit.storage.parts import fetched, publish
@@ -60,7 +60,7 @@ def local(place: Path | str) -> Path:
     if (path := of_file_url(url)) is not None:
         return path
     if (folder := fetched(url)) is None:
-        raise StorageError(url, "nothing is published there", cure="Check the address; `--out` of a command publishes.")
+        raise NothingPublished(url)
     return folder
 
 

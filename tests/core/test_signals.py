@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from log_cards import log_card
 
 from cyclekit import tables
 from cyclekit.align import FINE_S, _thinned
@@ -20,7 +21,7 @@ from cyclekit.tables import StoredTable, TableWriter
 if TYPE_CHECKING:
     from pathlib import Path
 
-ENTRY = {"id": "r", "tables": ["robot"]}
+ENTRY = log_card("r", "robot")
 
 
 @pytest.fixture(scope="module")

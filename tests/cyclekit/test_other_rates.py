@@ -15,6 +15,7 @@ import pytest
 from fabricated import LEVELS, fabricate_dataset
 
 from cyclekit.atomic import write_parquet
+from cyclekit.cards import plain
 from cyclekit.cli.facts import page
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.describe import describe
@@ -48,7 +49,7 @@ def five(ten, tmp_path_factory):
     for file in (path / "samples").glob("*.parquet"):
         rows = pl.read_parquet(file)
         write_parquet(rows.filter(pl.int_range(pl.len()).over("execution") % 2 == 0), file)
-    (path / CARD).write_text(json.dumps(ten.card | {"rate_hz": 5.0}), encoding="utf-8")
+    (path / CARD).write_text(json.dumps(plain(ten.card) | {"rate_hz": 5.0}), encoding="utf-8")
     return Dataset.open(path)
 
 

@@ -12,6 +12,7 @@ import torch
 from fabricated import LEVELS, THRESHOLDS_M, fabricate_dataset
 
 from cyclekit.atomic import write_parquet
+from cyclekit.cards import plain
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, MissingExtra
 from cyclekit.models import fitting
@@ -35,7 +36,7 @@ def model(cell):
 
 def changed(dataset: Dataset, folder, *columns: pl.Expr, keep: int | None = None) -> Dataset:
     """Write the dataset again with other samples and, if asked, only the first executions."""
-    card = dict(dataset.card)
+    card = plain(dataset.card)
     card["executions"] = card["executions"][:keep]
     kept = pl.col("execution").is_in([entry["execution"] for entry in card["executions"]])
     for file in (dataset.path / "samples").glob("*.parquet"):

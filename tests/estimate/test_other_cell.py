@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from cyclekit.cards import BadCard, CellCard, checked
+from cyclekit.cards import BadCard, CellCard, checked, dataset_card, plain
 from cyclekit.dataset import Dataset
 from cyclekit.errors import ModelError
 from cyclekit.estimate.check import Check
@@ -29,9 +29,9 @@ def card_of(dataset: Dataset) -> dict[str, Any]:
 
 def changed(logged: Dataset, change: Callable[[dict[str, Any]], object]) -> Dataset:
     """Return a dataset with another card; what `change` returns is not looked at."""
-    card = copy.deepcopy(logged.card)
+    card = plain(logged.card)
     change(card)
-    return Dataset(logged.path, card)
+    return Dataset(logged.path, dataset_card(card))
 
 
 def newer(card: dict[str, Any]) -> None:
@@ -114,7 +114,7 @@ def test_another_cell_is_refused_with_the_reason(
 def test_estimate_plan_and_what_if_refuse_and_answer_where_it_is_meant(logged: Dataset, staircase: Any):
     elsewhere = changed(logged, lambda card: (newer(card), move(card, 0.3)))
     staircase.card = card_of(elsewhere)
-    asked = [TaskSequence("A", tuple(logged.card["executions"][0]["places"][:5]))]
+    asked = [TaskSequence("A", logged.card.executions[0].places[:5])]
     slots = tuple(place for place in asked[0].places if place not in ("home", "conveyor"))
     with pytest.raises(ModelError, match="not the cell"):
         estimate(staircase, logged, asked)
@@ -145,7 +145,7 @@ def test_a_bias_beyond_ten_percent_is_refused_and_one_beyond_three_stands_above_
 
 
 def test_a_model_far_off_on_the_logs_is_refused_unless_that_is_meant(logged: Dataset, constant: Any):
-    sequence = TaskSequence("A", tuple(logged.card["executions"][0]["places"][:5]))
+    sequence = TaskSequence("A", logged.card.executions[0].places[:5])
     with pytest.raises(ModelError, match="does not fit these logs"):
         estimate(constant(1.0), logged, [sequence], extrapolate=True)
     (found,) = estimate(constant(1.0), logged, [sequence], extrapolate=True, other_cell=True)

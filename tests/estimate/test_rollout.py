@@ -40,7 +40,7 @@ SHORT = TaskSequence("short", ("home", "conveyor", "left_1", "home"))
 
 @pytest.fixture(scope="module")
 def routes(logged: Dataset) -> list[tuple[str, ...]]:
-    return [tuple(entry["places"]) for entry in logged.card["executions"]]
+    return [entry.places for entry in logged.card.executions]
 
 
 def some_route(routes: Sequence[tuple[str, ...]], length: int) -> TaskSequence:
@@ -56,13 +56,13 @@ def test_rolled_along_its_own_track_an_execution_takes_as_long_as_it_did(
 ):
     """The true safety function, every logged route against its own operator: nothing is left to chance."""
     monkeypatch.setattr(walking, "TIME_STEP_S", step_s)
-    nominal, entries = nominal_tasks(logged), logged.card["executions"]
+    nominal, entries = nominal_tasks(logged), logged.card.executions
     tracks = operator_tracks(logged, horizon_s=200.0)
-    assert list(tracks.executions) == [entry["execution"] for entry in entries]
-    programs = [lay_out(TaskSequence("own", tuple(entry["places"])), nominal, logged) for entry in entries]
+    assert list(tracks.executions) == [entry.execution for entry in entries]
+    programs = [lay_out(TaskSequence("own", entry.places), nominal, logged) for entry in entries]
     stands, every = [draw_stands(program, 1, 0) for program in programs], np.arange(len(programs))
     rolled = walking.walk(staircase, programs, every, every, stands, tracks)
-    late = rolled.duration_s - [entry["end_s"] - entry["start_s"] for entry in entries]
+    late = rolled.duration_s - [entry.end_s - entry.start_s for entry in entries]
     assert abs(np.mean(late)) < within_s  # of about 95 s
     assert np.quantile(np.abs(late), 0.8) < within_s
     assert np.max(np.abs(late)) < 10 * within_s  # on the edge of a threshold a cycle can take another turn
@@ -70,7 +70,7 @@ def test_rolled_along_its_own_track_an_execution_takes_as_long_as_it_did(
 
 def test_a_sequence_that_never_occurred_takes_as_long_as_fresh_simulations_of_it(logged: Dataset, staircase: Any):
     route = random_sequence("box-picking", 77)
-    assert route not in [entry["places"] for entry in logged.card["executions"]]
+    assert route not in [list(entry.places) for entry in logged.card.executions]
     (found,) = estimate(staircase, logged, [TaskSequence("new", tuple(route))])
     fresh = simulate_sequence("box-picking", route, executions=32, seed=5)
     error = np.hypot(np.std(found.durations_s) / np.sqrt(16), fresh["duration_s"].std() / np.sqrt(32))  # type: ignore[operator]
@@ -276,7 +276,7 @@ def test_while_nobody_is_there_the_robot_runs_at_what_the_logs_showed_without_an
     hand_made: Any, constant: Any
 ):
     found = hand_made({"a": ([0.0, 0.0, 0.0], {0.0: (3.0, 0.0), 1.0: (3.0, 0.0)})})  # the tracker stops after 1 s
-    places = tuple(found.card["executions"][0]["places"])
+    places = found.card.executions[0].places
     model = constant(0.1)
     (free,) = estimate(model, found, [TaskSequence("A", places)], extrapolate=True)
     model.card = {"scaling_without_operator": 0.5}

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
+from cyclekit.cards import DynamicsCard
 from cyclekit.cli import run
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.nominal import nominal_tasks
@@ -107,10 +109,11 @@ def test_what_is_learned_keeps_where_it_slows_when_the_hysteresis_is_changed(sta
 def test_what_is_logged_of_the_scaling_in_time_holds_after_a_change_unless_it_is_changed(
     logged: Dataset, staircase: Any, monkeypatch: pytest.MonkeyPatch
 ):
-    places = tuple(logged.card["executions"][0]["places"])
+    places = logged.card.executions[0].places
     same = {"levels": LEVELS, "thresholds_m": THRESHOLDS_M}
     changes = [Change("same", **same), Change("at once", **same, dynamics={"ramp_up_per_s": float("inf")})]
-    monkeypatch.setitem(logged.card, "dynamics", {"ramp_up_per_s": 0.3, "latency_s": 0.2})
+    told = DynamicsCard(ramp_up_per_s=0.3, latency_s=0.2)
+    monkeypatch.setattr(logged, "card", structs.replace(logged.card, dynamics=told))
     kept, quicker = what_if(staircase, logged, [TaskSequence("A", places)], changes, validate=False)
     assert kept.saves_s[0] == pytest.approx(0.0)
     assert quicker.saves_s[0] > 1.0
@@ -120,7 +123,7 @@ def test_what_is_logged_of_the_scaling_in_time_holds_after_a_change_unless_it_is
 
 
 def test_the_same_staircase_changes_nothing_and_a_smaller_one_saves_time(logged: Dataset, staircase: Any):
-    places = tuple(logged.card["executions"][0]["places"])
+    places = logged.card.executions[0].places
     changes = [
         Change("same", levels=LEVELS, thresholds_m=THRESHOLDS_M),
         Change("small", levels=LEVELS, thresholds_m=(0.6, 0.8, 1.2, 1.6)),
@@ -142,7 +145,7 @@ def test_the_bias_of_the_learned_function_does_not_correct_one_that_is_written_d
         def predict(self, X: Any) -> Any:
             return 0.97 * staircase.predict(X)
 
-    places = tuple(logged.card["executions"][0]["places"])
+    places = logged.card.executions[0].places
     same = Change("same", levels=LEVELS, thresholds_m=THRESHOLDS_M)
     (exact,) = what_if(staircase, logged, [TaskSequence("A", places)], [same], validate=False)
     (judged,) = what_if(Slow(), logged, [TaskSequence("A", places)], [same])

@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cyclekit import checksums, schema
+from cyclekit.cards import plain
 from cyclekit.cli import run
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError, DatasetError
@@ -61,9 +62,9 @@ def everything(path: Path) -> list[Any]:
         data.scan_samples().collect(),
     ]
     for record in data.recordings:
-        found += [data.recorded(record["id"], name) for name in record["tables"]]
-        found += [data.recorded_between(record["id"], "robot", 11.0, 12.0), *data.times(record["id"], "robot")]
-    card = {key: value for key, value in data.card.items() if key != "card_blake3"}
+        found += [data.recorded(record.id, name) for name in record.tables]
+        found += [data.recorded_between(record.id, "robot", 11.0, 12.0), *data.times(record.id, "robot")]
+    card = {key: value for key, value in plain(data.card).items() if key != "card_blake3"}
     return [*found, json.dumps(card, sort_keys=True)]
 
 
@@ -183,11 +184,11 @@ def test_a_dataset_without_checksums_is_read_as_before_and_damage_is_one_message
 
 def test_what_is_taken_over_keeps_its_checksum(logs: Path, tmp_path: Path):
     mine = Path(shutil.copytree(logs, tmp_path / "logs"))
-    before = Dataset.open(ingest([mine], tmp_path / "dataset").dataset).card["files"]
+    before = Dataset.open(ingest([mine], tmp_path / "dataset").dataset).card.files
     shutil.copy2(mine / "run_0.csv", mine / "run_9.csv")
     report = ingest([mine], tmp_path / "dataset")
     assert report.recordings_kept == 2
-    after = Dataset.open(tmp_path / "dataset").card["files"]
+    after = Dataset.open(tmp_path / "dataset").card.files
     assert after[RECORDED] == before[RECORDED]
     assert Dataset.open(tmp_path / "dataset").verify() == len(after) + 1
 

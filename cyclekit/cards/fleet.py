@@ -49,25 +49,25 @@ class FiguresCard(Card, frozen=True, kw_only=True):
 
 
 class CellLedger(Card, frozen=True, kw_only=True):
-    """A cell of a fleet.
+    """A cell of a fleet; its file begins with the stages, by which it is known before it is replaced (`guard`).
 
     Attributes:
-        cell: Its name.
         stages: What came of each stage.
         days: Day of the logs of each session.
         not_read: The first logs that could not be read, and why.
         not_read_more: How many others could not.
         figures: For the page of the fleet.
         reported: Changes when the report must be written again; None without one.
+        cell: Its name.
     """
 
-    cell: str = ""
     stages: dict[str, StageCard] = field(default_factory=dict)
     days: dict[str, date] = field(default_factory=dict)
     not_read: tuple[str, ...] = ()
     not_read_more: Count = 0
     figures: FiguresCard = FiguresCard()
     reported: str | None = None
+    cell: str = ""
 
     @property
     def unread(self) -> str:

@@ -55,6 +55,6 @@ def test_a_bag_with_checksums_says_so_and_a_csv_says_that_it_has_none(tmp_path: 
     bag = simulate("box-picking", tmp_path / "bag", executions=1, seed=1, options=SimulationOptions(logs="mcap"))
     ingest([bag], tmp_path / "from_bag")
     (protected,) = Dataset.open(tmp_path / "from_bag").recordings
-    assert protected["facts"]["checksum"].startswith("CRC-32")
+    assert protected.facts["checksum"].startswith("CRC-32")
     ingest([simulate("box-picking", tmp_path / "csv", executions=1, seed=1)], tmp_path / "from_csv")
     assert all(r.facts["checksum"].startswith("none") for r in Dataset.open(tmp_path / "from_csv").recordings)

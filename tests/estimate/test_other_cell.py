@@ -47,7 +47,7 @@ def move(card: dict[str, Any], metres: float, count: int = 99) -> None:
 
 
 def grow(card: dict[str, Any]) -> None:
-    more = copy.deepcopy(card["recordings"][0])
+    more = {**copy.deepcopy(card["recordings"][0]), "id": "session_001.robot"}
     more["sources"][0]["blake3"] = "f" * 64
     card["recordings"].append(more)
     card["executions"].append({**card["executions"][0], "execution": "session_001.001"})

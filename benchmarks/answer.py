@@ -40,7 +40,7 @@ from order_rivals import greedy_by_average, markov_s, monte_carlo_by_average, sy
 from rich.console import Console
 from rich.table import Table
 
-from cyclekit.cards import DynamicsCard
+from cyclekit.cards import DynamicsCard, TrainingCard
 from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.logged import beside_own, logged_durations, logged_sequences
 from cyclekit.estimate.nominal import nominal_tasks
@@ -258,7 +258,7 @@ def hard(asked: argparse.Namespace) -> None:
 class TrueStaircase:
     """The true safety function of box-picking, its thresholds at the middle of the hysteresis."""
 
-    problem, card = "now", {}
+    problem, card = "now", TrainingCard()
 
     def __init__(self, hysteresis_m: float) -> None:
         self._thresholds = np.array(TRUE_THRESHOLDS["box-picking"]) + hysteresis_m / 2

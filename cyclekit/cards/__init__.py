@@ -17,7 +17,19 @@ from cyclekit.cards.dataset import (
     dataset_card,
 )
 from cyclekit.cards.fleet import CellLedger, FiguresCard, StageCard
-from cyclekit.cards.model import CellCard, MetricsCard, ModelCard, SpecCard, SplitCard, TrainingCard
+from cyclekit.cards.model import (
+    CellCard,
+    EpochCard,
+    LevelShare,
+    MetricsCard,
+    ModelCard,
+    RowsCard,
+    SpecCard,
+    SplitCard,
+    StandardisationCard,
+    TrainingCard,
+    model_card,
+)
 from cyclekit.cards.notes import READ, TEXT, Note, note, texts
 from cyclekit.cards.read import BadCard, checked, parse_json, plain, read_content, read_json
 from cyclekit.cards.recording import (
@@ -43,10 +55,12 @@ __all__ = [
     "ClockMethod",
     "DatasetCard",
     "DynamicsCard",
+    "EpochCard",
     "ExecutionCard",
     "FiguresCard",
     "FileCard",
     "FrameCard",
+    "LevelShare",
     "LogCard",
     "MetricsCard",
     "ModelCard",
@@ -55,15 +69,18 @@ __all__ = [
     "PlaceCard",
     "RecordingCard",
     "RowCounts",
+    "RowsCard",
     "SetAside",
     "SourceFile",
     "SpecCard",
     "SplitCard",
     "StageCard",
+    "StandardisationCard",
     "TrainingCard",
     "UnreadCard",
     "checked",
     "dataset_card",
+    "model_card",
     "note",
     "parse_json",
     "plain",

@@ -196,6 +196,8 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "learned-in-files": (
         "more samples than memory takes: levels were found in {executions} executions, rows learned from in files"
     ),
+    "model-data": "{text}",
+    "model-beaten": "{text}",
     "levels-disputed": (
         "{levels} levels by plateaus in time, {other} by K-means with silhouette: look at the levels, "
         "and fix them in cell.toml where you know them"

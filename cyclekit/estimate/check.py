@@ -219,7 +219,7 @@ def check_rollout(
         crossed *= _late(own, crossed[np.arange(len(sequences)), column])
     crossed[np.arange(len(sequences)), column] = np.nan  # its own operator is left out
     _enough(dataset, int((np.isfinite(own) & np.isfinite(crossed).any(axis=1)).sum()))
-    unseen = set((model.card.get("split") or {}).get("test", ()))
+    unseen = set(model.card.held_out)
     held_out = np.array([sequence.name in unseen for sequence in sequences])
     return compare(logged, own, np.where(np.isfinite(crossed), crossed, np.nan), held_out, levels)
 

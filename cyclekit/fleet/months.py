@@ -10,6 +10,7 @@ import datetime as dt
 import re
 from typing import TYPE_CHECKING
 
+from cyclekit.cards import SplitCard
 from cyclekit.errors import OutsideFolder
 from cyclekit.evaluate.drift import Drift, drift_between
 from cyclekit.inside import inside
@@ -86,8 +87,8 @@ def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, d
     after = [name for name, day in dated.items() if day > begin]
     if not before:
         return "the logs reach back less than a month"
-    split = model.card.get("split") or {}
-    learned = {*split.get("train", ()), *split.get("validation", ())}
+    split = model.card.split or SplitCard()
+    learned = {*split.train, *split.validation}
     judged = [[name for name in part if name not in learned] for part in (before, after)]
     if min(map(len, judged)) < 2:
         return "too few executions of either time that the model has not learned from"
@@ -96,12 +97,12 @@ def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, d
 
 def since_training(model: TrainedModel, dataset: Dataset) -> Drift | None:
     """Compare executions that came after the training with those held out from it; None with fewer than two."""
-    split = model.card.get("split") or {}
-    known = {name for part in ("train", "validation", "test") for name in split.get(part, ())}
+    split = model.card.split or SplitCard()
+    known = {*split.train, *split.validation, *split.test}
     names = dataset.executions["execution"].to_list()
     newer = [name for name in names if name not in known]
     older = [name for name in names if name in known]
-    held_out = [name for name in split.get("test", ()) if name in names]
+    held_out = [name for name in split.test if name in names]
     if len(newer) < 2 or len(held_out) < 2:
         return None
     return drift_between(model, dataset.only(older), dataset.only(newer), held_out, newer)

@@ -137,14 +137,15 @@ def _train(work: Work) -> tuple[State, str]:
     spec = ModelSpec.of(seed=cell.seed, epochs=cell.epochs)
     card = train_at(Training(cell.dataset, spec, cell.model))
     why = "first model" if model is None else "the safety function has changed, or its logs have gone"
-    return "done", f"{why}: mean absolute error {card['metrics']['mae']:.4f} held out"
+    error = f": mean absolute error {card.metrics.mae:.4f} held out" if card.metrics is not None else ""
+    return "done", why + error
 
 
 def _still_good(model: TrainedModel, dataset: Dataset) -> str | None:
     """Say why no new model is needed; None if one is."""
-    if model.card.get("dataset_sha256") == fingerprint(dataset):
+    if model.card.dataset_sha256 == fingerprint(dataset):
         return "trained on these logs"
-    held_out = (model.card.get("split") or {}).get("test", ())
+    held_out = model.card.held_out
     if other_cell_of(model.card, dataset) is not None:
         return None
     if model.problem != "now" or not set(held_out) <= set(dataset.executions["execution"]):
@@ -165,7 +166,7 @@ def _report(work: Work) -> tuple[State, str]:
     wanted = [] if cell.sequences is None else load_sequences(mirrored(cell.sequences))
     asked = [[each.name, each.places, each.operator] for each in wanted]
     dated = {session: day.isoformat() for session, day in days.items()}
-    known = [cyclekit.__version__, fingerprint(dataset), None if model is None else model.card, asked, dated]
+    known = [cyclekit.__version__, fingerprint(dataset), None if model is None else plain(model.card), asked, dated]
     mark = hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
     if work.ledger.reported == mark:
         return "unchanged", "nothing is new"
@@ -198,8 +199,8 @@ def _doubt(model: TrainedModel | None, judged: Evaluation | None) -> str:
     """Say why the error of a cell's model is large, by all that can judge it now, else by what was held out."""
     if model is None:
         return ""
-    metrics = judged.metrics.to_json() if judged else model.card.get("metrics")
-    return large_error(metrics, model.levels) if metrics else ""
+    metrics = judged.metrics if judged else model.card.metrics
+    return large_error(metrics, model.levels) if metrics is not None else ""
 
 
 def _dataset(cell: FleetCell) -> Dataset | None:

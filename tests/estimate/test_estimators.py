@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from msgspec import structs
 from report_pages import estimate as made
 
-from cyclekit.cards import DynamicsCard
+from cyclekit.cards import DynamicsCard, SplitCard, TrainingCard
 from cyclekit.errors import UnknownName
 from cyclekit.estimate import rollout
 from cyclekit.estimate import walk as walking
@@ -152,7 +152,8 @@ def test_a_cycle_that_does_not_end_within_its_track_is_not_made_up(logged: Datas
 
 
 def test_logged_executions_come_out_right_beside_their_own_operators(logged: Dataset, staircase: Any):
-    staircase.card = {"split": {"test": logged.executions["execution"].to_list()[:4]}}
+    held_out = tuple(logged.executions["execution"].to_list()[:4])
+    staircase.card = TrainingCard(split=SplitCard(test=held_out))
     found = check_rollout(staircase, logged)
     assert (found.executions, found.held_out) == (16, 4)
     assert abs(found.own_bias) < 0.003
@@ -283,7 +284,7 @@ def test_resampling_draws_tracks_of_an_execution_together():
 class Sides:
     """0.2 where the operator is nearer than 2 m on the x axis, else 1."""
 
-    problem, card = "now", {}
+    problem, card = "now", TrainingCard()
 
     def predict(self, X: np.ndarray) -> np.ndarray:
         return np.where(np.abs(X[:, 3] - X[:, 0]) < 2.0, 0.2, 1.0)

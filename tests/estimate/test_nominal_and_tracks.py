@@ -11,6 +11,7 @@ import pytest
 from ingested import without_checksums
 from msgspec.structs import replace
 
+from cyclekit.cards import TrainingCard
 from cyclekit.dataset import Dataset
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.limits import limits_of_logs
@@ -218,6 +219,6 @@ def test_a_run_recorded_without_operator_on_purpose_is_no_track(hand_made: Any):
 def test_the_estimate_says_how_many_cycles_had_no_operator(hand_made: Any, meant: bool):
     found = one_who_stays_away(hand_made)
     found = meant_to_be_alone(found) if meant else found
-    model: Any = SimpleNamespace(card={"scaling_without_operator": 1.0})
+    model: Any = SimpleNamespace(card=TrainingCard(scaling_without_operator=1.0))
     said = [each for each in limits_of_logs(found, model) if "nobody came" in each]
     assert [each.partition(":")[0] for each in said] == ([] if meant else ["in 1 of 2 executions nobody came"])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from cyclekit.cards import BadCard, CellCard, checked, dataset_card, plain
+from cyclekit.cards import BadCard, CellCard, TrainingCard, checked, dataset_card, plain
 from cyclekit.dataset import Dataset
 from cyclekit.errors import ModelError
 from cyclekit.estimate.check import Check
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def card_of(dataset: Dataset) -> dict[str, Any]:
-    return {"dataset_sha256": fingerprint(dataset), "cell": cell_of(dataset)}
+def card_of(dataset: Dataset) -> TrainingCard:
+    return TrainingCard(dataset_sha256=fingerprint(dataset), cell=cell_of(dataset))
 
 
 def changed(logged: Dataset, change: Callable[[dict[str, Any]], object]) -> Dataset:
@@ -108,7 +108,7 @@ def test_another_cell_is_refused_with_the_reason(
     assert said in str(caught.value)
     assert "--other-cell" in str(caught.value.cure)
     refuse_other_cell(card_of(logged), other, other_cell=True)
-    refuse_other_cell({}, other)  # a function that was written by hand is of no cell
+    refuse_other_cell(TrainingCard(), other)  # a function that was written by hand is of no cell
 
 
 def test_estimate_plan_and_what_if_refuse_and_answer_where_it_is_meant(logged: Dataset, staircase: Any):
@@ -154,7 +154,7 @@ def test_a_model_far_off_on_the_logs_is_refused_unless_that_is_meant(logged: Dat
 
 
 def test_the_cell_of_a_dataset_is_one(logged: Dataset):
-    stated = cell_of(logged)
-    assert dict(checked(stated, CellCard).places) == {name: tuple(place) for name, place in stated["places"].items()}
+    stated = plain(cell_of(logged))
+    assert checked(stated, CellCard) == cell_of(logged)
     with pytest.raises(BadCard, match="logs"):
         checked({**stated, "logs": {"a": [1.0]}}, CellCard)

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ingested import without_checksums
 
+from cyclekit.cards import TrainingCard
 from cyclekit.dataset import Dataset
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate import walk as walking
@@ -202,7 +203,7 @@ def test_an_operator_who_never_lets_the_robot_go_on_is_told_and_not_waited_for(
 class HaltedAt:
     """The staircase, but the robot halts for ever within 5 cm of one place."""
 
-    problem, card = "now", {}
+    problem, card = "now", TrainingCard()
 
     def __init__(self, staircase: Any, place: tuple[float, ...]) -> None:
         self._staircase, self._place = staircase, np.array(place)
@@ -279,6 +280,6 @@ def test_while_nobody_is_there_the_robot_runs_at_what_the_logs_showed_without_an
     places = found.card.executions[0].places
     model = constant(0.1)
     (free,) = estimate(model, found, [TaskSequence("A", places)], extrapolate=True)
-    model.card = {"scaling_without_operator": 0.5}
+    model.card = TrainingCard(scaling_without_operator=0.5)
     (half,) = estimate(model, found, [TaskSequence("A", places)], extrapolate=True)
     assert free.expected_s + 2.0 < half.expected_s

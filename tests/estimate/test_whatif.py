@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from cyclekit.cards import DynamicsCard
+from cyclekit.cards import DynamicsCard, TrainingCard
 from cyclekit.cli import run
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.nominal import nominal_tasks
@@ -77,7 +77,7 @@ def test_a_written_function_slows_at_its_thresholds_and_lets_go_by_the_hysteresi
 class Hesitant:
     """0.5 within 0.9 m of the x axis, else 1; at 0.9 to 1.1 m now one, now the other, as logged with hysteresis."""
 
-    problem, network, levels, card = "now", "classifier", (0.5, 1.0), {}
+    problem, network, levels, card = "now", "classifier", (0.5, 1.0), TrainingCard()
 
     def probabilities(self, X: np.ndarray) -> np.ndarray:
         quick = np.clip((np.abs(X[:, 4]) - 0.9) / 0.2, 0.0, 1.0)

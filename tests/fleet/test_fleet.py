@@ -17,7 +17,7 @@ import pytest
 from msgspec.structs import replace
 
 from cyclekit import fleet as fleets
-from cyclekit.cards import FiguresCard
+from cyclekit.cards import FiguresCard, SplitCard, TrainingCard
 from cyclekit.cli import run
 from cyclekit.dataset import Dataset
 from cyclekit.engine import Engine
@@ -252,7 +252,7 @@ class Blind:
     inputs = ("robot_x_m", "robot_y_m", "robot_z_m", "human_x_m", "human_y_m", "human_z_m")
 
     def __init__(self, **split: list[str]) -> None:
-        self.card = {"split": split}
+        self.card = TrainingCard(split=SplitCard(**{part: tuple(names) for part, names in split.items()}))
 
     def predict(self, positions):
         return 0 * positions[:, 0]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from cyclekit.cards import FrameCard, LogCard, SourceFile
-from cyclekit.cards.recording import LogClock
+from cyclekit.dataset.cards import FrameCard, LogCard, SourceFile
+from cyclekit.dataset.cards.recording import LogClock
 
 
 def log_card(path: str, *tables: Any, kind: Any = "relative", **known: Any) -> LogCard:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from cyclekit.height import in_plane, inputs_in_plane
+from cyclekit.dataset.unknown_height import in_plane, inputs_in_plane
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cyclekit.cards import DynamicsCard, TrainingCard
+    from cyclekit.dataset.cards import DynamicsCard, TrainingCard
 
     Vector = NDArray[np.float64]
 

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.cards import FiguresCard
-from cyclekit.evaluate.drift import Drift
+from cyclekit.dataset.cards import FiguresCard
+from cyclekit.learning.evaluation.drift import Drift
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from datetime import date
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
 
 def figures_of(dataset: Dataset, drift: Drift | str, days: Mapping[str, date], model_doubt: str = "") -> FiguresCard:

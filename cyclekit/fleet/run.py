@@ -8,18 +8,18 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING
 
-from cyclekit.cards import plain
-from cyclekit.engine import LOCAL, Engine
+from cyclekit.dataset.cards import plain
+from cyclekit.dataset.guard import check_output
 from cyclekit.errors import CyclekitError
 from cyclekit.fleet.stages import LEDGER, REPORT, STAGES, Row, noted, read_ledger, work_on
-from cyclekit.guard import check_output
+from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.report.fleet_page import CellLine, fleet_page
-from cyclekit.storage import join, write_text
+from cyclekit.storage.remote.folders import join, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cyclekit.cards import CellLedger
+    from cyclekit.dataset.cards import CellLedger
     from cyclekit.fleet.read import Fleet, FleetCell
 
 PAGE, SUMMARY = "index.html", "fleet.json"

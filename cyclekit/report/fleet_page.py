@@ -16,7 +16,7 @@ from cyclekit.report.template import Template
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.cards import FiguresCard
+    from cyclekit.dataset.cards import FiguresCard
     from cyclekit.report.texts import Texts
 
 FLEET_PAGE = "fleet.html.jinja"

@@ -10,13 +10,13 @@ from collections import Counter, defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cyclekit.cards import texts
+from cyclekit.dataset.cards import texts
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cyclekit.cards import ClockCard, FrameCard, RecordingCard, SourceFile
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.cards import ClockCard, FrameCard, RecordingCard, SourceFile
+    from cyclekit.dataset.dataset import Dataset
 
 MOST_WARNINGS = 12
 MOST_FILES = 12

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from cyclekit.cards import plain
+from cyclekit.dataset.cards import plain
 from cyclekit.report import rests
 from cyclekit.report.judged import calibration
 from cyclekit.report.numbers import count, fixed, percent, significant
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.findings import Overview, Predicts

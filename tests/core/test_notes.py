@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit.cards import TEXT, Note, checked, note, plain
-from cyclekit.cards.notes import SENTENCES, changed
-from cyclekit.dataset import Dataset
-from cyclekit.describe import describe
-from cyclekit.ingest import ingest
+from cyclekit.dataset.cards import TEXT, Note, checked, note, plain
+from cyclekit.dataset.cards.notes import SENTENCES, changed
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
+from cyclekit.inspect.describe import describe
 
 if TYPE_CHECKING:
     from collections.abc import Callable

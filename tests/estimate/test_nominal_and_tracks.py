@@ -11,8 +11,8 @@ import pytest
 from ingested import without_checksums
 from msgspec.structs import replace
 
-from cyclekit.cards import TrainingCard
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.cards import TrainingCard
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.limits import limits_of_logs
 from cyclekit.estimate.nominal import STEP_S, nominal_tasks, slider_losses

@@ -10,9 +10,9 @@ from fabricated import LEVELS, THRESHOLDS_M
 from msgspec import structs
 from report_pages import DistanceModel
 
-from cyclekit.cards import CellSettings
-from cyclekit.cards.settings import FurnitureSettings
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.cards import CellSettings
+from cyclekit.dataset.cards.settings import FurnitureSettings
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.report import findings
 from cyclekit.report.floor import floor_plan
 from cyclekit.report.judged import calibration

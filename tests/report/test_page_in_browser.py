@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from fabricated import THRESHOLDS_M, fabricate_dataset
 
-from cyclekit.cards import TrainingCard
+from cyclekit.dataset.cards import TrainingCard
 from cyclekit.errors import CyclekitError
 from cyclekit.estimate.result import CycleEstimate, TaskShare
 from cyclekit.report import Tried, pdf, write_pdf, write_report

@@ -1,0 +1,93 @@
+"""Recordings taken over without reading their logs: links to files that were written before."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.dataset.cards import TEXT, LogCard
+from cyclekit.dataset.cards.recording import LogClock
+from cyclekit.errors import OutsideFolder
+from cyclekit.ingest.read.read_log import QUARANTINE
+from cyclekit.storage.inside import inside
+from cyclekit.storage.parquet import TableWriter, parts_of
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterable, Sequence
+    from pathlib import Path
+
+    from cyclekit.ingest.discover import Log
+
+_ALL = f"{QUARANTINE}.parquet"
+
+
+def is_whole(entry: LogCard, old: Path, damaged: Container[str] = ()) -> bool:
+    """Tell whether everything that an entry of the dataset `old` speaks of is still there, and as it was written.
+
+    One whose warnings are those of an earlier version is not: they do not say which of them were found out later.
+
+    Args:
+        entry: Of a recording.
+        old: The dataset.
+        damaged: Its files that are not what they were.
+    """
+    if any(one.code == TEXT for one in entry.warnings):
+        return False
+    names = [f"recordings/{entry.id}/{name}.parquet" for name in entry.tables]
+    names += [_ALL] if entry.rows_set_aside else []
+    try:
+        return all(inside(old, *name.split("/")).is_file() and name not in damaged for name in names)
+    except OutsideFolder:  # what the card names was never ours
+        return False
+
+
+def _tables(entry: LogCard, old: Path) -> list[Path]:
+    return [inside(old, "recordings", entry.id, f"{name}.parquet") for name in entry.tables]
+
+
+def take_over(entry: LogCard, log: Log, old: Path, staging: Path) -> LogCard:
+    """Link the tables of a recording of the dataset `old` into `staging`; return its card as it was after reading."""
+    target = staging / "recordings" / log.id
+    link_files(_tables(entry, old), target)
+    if entry.rows_set_aside:
+        with TableWriter(target / _ALL, schema.QUARANTINE) as table:
+            for part in parts_of(old / _ALL):
+                table.write(named_anew(part.filter(pl.col("recording") == entry.id), log))
+    return as_read(entry, log)
+
+
+def named_anew(quarantine: pl.DataFrame, log: Log) -> pl.DataFrame:
+    """Return rows set aside under the name that their log has now."""
+    rows = quarantine.with_columns(recording=pl.lit(log.id), file=pl.lit(log.shown))
+    return schema.conform(rows, schema.QUARANTINE)
+
+
+def as_read(entry: LogCard, log: Log) -> LogCard:
+    """Return the card without what was found out later: session, clock and operator."""
+    read = {name: getattr(entry, name) for name in LogCard.__struct_fields__}
+    return LogCard(**{**read, "id": log.id, "clock": LogClock(kind=entry.clock.kind)})
+
+
+def link_files(files: Iterable[Path], target: Path) -> None:
+    """Give files a second name in a new folder, or copies where there are no links."""
+    target.mkdir(parents=True)
+    for file in files:
+        try:
+            os.link(file, target / file.name)
+        except OSError:  # another file system, or one without hard links
+            shutil.copy2(file, target / file.name)
+
+
+def gather_quarantine(entries: Sequence[LogCard], staging: Path) -> None:
+    """Put what each recording set aside into one table of the dataset."""
+    files = [staging / "recordings" / entry.id / _ALL for entry in entries if entry.rows_set_aside]
+    with TableWriter(staging / _ALL, schema.QUARANTINE) as table:
+        for file in files:
+            for part in parts_of(file):  # a logger that repeats its rows may have set millions aside
+                table.write(part)
+    for file in files:
+        file.unlink()

@@ -35,10 +35,12 @@ from cells import (
     newer_logs,
     unseen_sequences,
 )
+from msgspec import structs
 from order_rivals import greedy_by_average, markov_s, monte_carlo_by_average, synergy_order
 from rich.console import Console
 from rich.table import Table
 
+from cyclekit.dataset.cards import DynamicsCard, TrainingCard
 from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.logged import beside_own, logged_durations, logged_sequences
 from cyclekit.estimate.nominal import nominal_tasks
@@ -256,7 +258,7 @@ def hard(asked: argparse.Namespace) -> None:
 class TrueStaircase:
     """The true safety function of box-picking, its thresholds at the middle of the hysteresis."""
 
-    problem, card = "now", {}
+    problem, card = "now", TrainingCard()
 
     def __init__(self, hysteresis_m: float) -> None:
         self._thresholds = np.array(TRUE_THRESHOLDS["box-picking"]) + hysteresis_m / 2
@@ -277,7 +279,9 @@ def dynamics(asked: argparse.Namespace) -> None:
     took = logged_durations(cell.dataset, executions)
     for name, model in (("network", cell.model), ("true function", TrueStaircase(true["hysteresis_m"]))):
         for told in (False, True):
-            cell.dataset.card["dynamics"] = true if told else {}
+            cell.dataset.card = structs.replace(
+                cell.dataset.card, dynamics=DynamicsCard(**true) if told else DynamicsCard()
+            )
             off = 100 * (beside_own(model, cell.dataset, executions, nominal, tracks) / took - 1)
             OUT.print(f"{name}, {'told' if told else 'not told'}: mean |error| {np.abs(off).mean():.2f} %, "
                       f"mean {off.mean():+.2f} % +- {1.96 * off.std() / len(off) ** 0.5:.2f}")  # fmt: skip

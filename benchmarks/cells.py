@@ -79,7 +79,7 @@ def average_model(work: Path, cell: Logged) -> TrainedModel:
 
 def unseen_sequences(dataset: Dataset, scene: str, count: int, *, first: int = FRESH_SEED) -> list[TaskSequence]:
     """Return `count` random sequences of the scene whose tasks were all logged and which no execution followed."""
-    followed = {tuple(entry["places"]) for entry in dataset.card["executions"]}
+    followed = {entry.places for entry in dataset.card.executions}
     tasks = set(dataset.tasks()["task"])
     found: list[TaskSequence] = []
     seed = first

@@ -58,7 +58,7 @@ def main() -> None:
         out.print(f"simulated and ingested in {time.perf_counter() - begin:.0f} s")
         begin = time.perf_counter()
         model = train(dataset, ModelSpec.of(problem="now", seed=0))
-        mse = model.card["metrics"]["mse_mean"]
+        mse = model.card.metrics.mse_mean
         out.print(f"trained in {time.perf_counter() - begin:.0f} s; one-step MSE held out {1e4 * mse:.2f}e-4")
         begin = time.perf_counter()
         results = estimate(model, dataset, unseen_sequences(dataset, asked.scene, asked.sequences))

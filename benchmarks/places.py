@@ -57,7 +57,7 @@ def counted(work: Path, executions: int, seed: int, *, logged: bool, named: bool
         name: min(where, key=lambda known: float(np.linalg.norm(where[known] - np.array(place.xyz_m))))
         for name, place in dataset.places.items()
     }
-    found = {entry["session"]: [names[p] for p in entry["places"]] for entry in dataset.card["executions"]}
+    found = {entry.session: [names[p] for p in entry.places] for entry in dataset.card.executions}
     total = lost = invented = 0
     for session, sequence in truth.select("session", "sequence").iter_rows():
         true, seen = sequence.split(","), found.get(session, [])

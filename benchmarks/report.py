@@ -49,7 +49,7 @@ def made(work: Path, scene: str, executions: int) -> tuple[Path, Path]:
 
 def sequences(dataset: Dataset, file: Path) -> Path:
     """Write two logged orders as sequences."""
-    orders = list(dict.fromkeys(tuple(each["places"]) for each in dataset.card["executions"] if each["complete"]))[:2]
+    orders = list(dict.fromkeys(each.places for each in dataset.card.executions if each.complete))[:2]
     blocks = []
     for number, places in enumerate(orders, start=1):
         names = ", ".join(f'"{place}"' for place in places)

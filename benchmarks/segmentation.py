@@ -95,7 +95,7 @@ def measured(logs: Path, out: Path) -> tuple[Dataset, int, float]:
     """Ingest; return the dataset, the robot's rows and the cpu seconds."""
     began = time.process_time()
     dataset = Dataset.open(ingest([logs], out).dataset)
-    return dataset, sum(entry["rows"].get("robot") or 0 for entry in dataset.recordings), time.process_time() - began
+    return dataset, sum(entry.rows.get("robot") or 0 for entry in dataset.recordings), time.process_time() - began
 
 
 def row_of(name: str, scene: str, count: int, rate: int, simulated: Callable[[Path, str, int, int], Path]) -> str:

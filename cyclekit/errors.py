@@ -158,6 +158,14 @@ class StorageError(CyclekitError):
         super().__init__(f"{scheme}{mark}{rest.rpartition('@')[2]}: {cause}", cure=cure)
 
 
+class NothingPublished(StorageError):
+    """Nothing is published at a URL."""
+
+    def __init__(self, url: str) -> None:
+        """Name the URL."""
+        super().__init__(url, "nothing is published there", cure="Check the address; `--out` of a command publishes.")
+
+
 class OutsideFolder(CyclekitError):
     """A name that was found in data cannot be used as a path."""
 

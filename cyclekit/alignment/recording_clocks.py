@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import datetime
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -30,24 +30,24 @@ from cyclekit.alignment.clocks import (
     follow,
 )
 from cyclekit.alignment.frames import to_base
+from cyclekit.dataset.cards import LogCard, RecordingCard, note
 from cyclekit.dataset.signals import event_times
 from cyclekit.errors import ConfigError, UnknownName
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping
 
     from numpy.typing import NDArray
 
     from cyclekit.config import Source, Sync
-    from cyclekit.dataset.sessions import Session
+    from cyclekit.dataset.cards import Note
+    from cyclekit.dataset.sessions import LogGroup
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.storage.parquet import StoredTable
 
     Vector = NDArray[np.float64]
     Points = NDArray[np.float64]
 
-CLOCK = "clock: "
-"""How a warning of a recording begins that was found here, and not when its log was read."""
 FINE_S = 0.01
 """Clocks are told from robot rows this far apart: twice as dense as the grid that speeds are compared on."""
 _TCP = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
@@ -58,12 +58,6 @@ RESTART_S = 1.0
 """A device's clock that steps back by more than this began anew."""
 
 
-NOT_COARSE = (
-    f"not aligned on the operator being near while the robot slows: no offset within {REACH_S:.0f} s shows that, and "
-    "larger ones are not looked for"
-)
-
-
 class _Tables(NamedTuple):
     """The ways to the tables of the recordings."""
 
@@ -72,17 +66,17 @@ class _Tables(NamedTuple):
 
 
 def place_in_time(
-    session: Session,
+    session: LogGroup,
     sources: Mapping[str, Source | None],
     read: Read,
     stored: Stored,
     *,
     coarse_step_s: float | None = None,
-) -> None:
-    """Give each recording of a session its clock: `entry["clock"]` with method, offset, rate and how good it is.
+) -> tuple[RecordingCard, ...]:
+    """Return the recordings of a session with their clocks: method, offset, rate and how good it is.
 
     Args:
-        session: Its first entry is the clock's master.
+        session: Its first log is the clock's master.
         sources: What the cell file says about each recording, by id.
         read: Returns a native table of a recording (id, table), None if it has none.
         stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
@@ -92,40 +86,41 @@ def place_in_time(
     Raises:
         ConfigError: What the cell file asks for cannot be followed with these logs.
     """
-    master, tables = session.entries[0], _Tables(read, stored)
-    borrowers = []
-    for entry in session.entries:
-        source = sources[entry["id"]]
-        if entry is not master and source is not None and source.same_clock_as is not None:
-            borrowers.append(entry)
+    master, tables = session.logs[0], _Tables(read, stored)
+    borrowers: dict[str, LogCard] = {}
+    fits: dict[str, ClockFit] = {}
+    for log in session.logs:
+        source = sources[log.id]
+        if log is not master and source is not None and source.same_clock_as is not None:
+            borrowers[log.id] = log
             continue
         try:
-            fit = _fit(entry, master, source, sources[master["id"]], tables, coarse_step_s)
+            fits[log.id] = _fit(log, master, source, sources[master.id], tables, coarse_step_s)
         except ConfigError as error:
-            seen = f"{entry['sources'][0]['path']}: {error.seen}"
-            raise ConfigError(seen, nearest=error.nearest, cure=error.cure) from error
-        _note(entry, fit)
-    for entry in borrowers:
-        _note(entry, _borrowed(entry, session, sources, borrowers))
+            raise ConfigError(f"{log.shown}: {error.seen}", nearest=error.nearest, cure=error.cure) from error
+    for log in borrowers.values():
+        lender = _lender(log, session, sources, borrowers)
+        borrowed = replace(fits[lender.id], same_as=lender.id)
+        fits[log.id] = replace(borrowed, method="same-log") if lender is master else borrowed
+    return tuple(_placed(log, session.name, fits[log.id]) for log in session.logs)
 
 
-def _note(entry: dict[str, Any], fit: ClockFit) -> None:
-    entry["clock"] = {"kind": entry["clock"]["kind"], **fit.to_json()}
-    entry["warnings"] = [text for text in entry["warnings"] if not text.startswith(CLOCK)]
-    if fit.warning:
-        entry["warnings"].append(CLOCK + fit.warning)
+def _placed(log: LogCard, session: str, fit: ClockFit) -> RecordingCard:
+    """Return a log with its place in time."""
+    read = {name: getattr(log, name) for name in LogCard.__struct_fields__ if name != "clock"}
+    return RecordingCard(**read, session=session, clock=fit.card(log.clock.kind))
 
 
 def _fit(
-    entry: dict[str, Any],
-    master: dict[str, Any],
+    entry: LogCard,
+    master: LogCard,
     source: Source | None,
     master_source: Source | None,
     tables: _Tables,
     coarse_step_s: float | None,
 ) -> ClockFit:
-    log = LogClock(entry["clock"]["kind"], entry["first_s"])
-    main = LogClock(master["clock"]["kind"], master["first_s"])
+    log = LogClock(entry.clock.kind, entry.first_s)
+    main = LogClock(master.clock.kind, master.first_s)
     if entry is master:
         return replace(fit_clock(log, main, source, same_log=True), method="own")
     found = None
@@ -145,60 +140,54 @@ def _fit(
     if (stamped := _by_stamps(entry, master, tables.read)) is not None:
         return stamped.since(main.first_s)
     if any(_restarts(_stamps_of(one, tables.read)) for one in (entry, master)):
-        said = "a device's clock was restarted while recording, so its stamps place no clock: split the log there; "
-        plain = replace(plain, warning=said + str(plain.warning))
+        plain = _warned("clock-restarted", plain)
     elif any(_is_lost(one, tables.read) for one in (entry, master)):
-        said = "a device's and its host's stamps move apart by more than clocks do, and no line follows them: "
-        plain = replace(plain, warning=said + str(plain.warning))
-    if coarse_step_s is None or "people" not in entry["tables"]:
+        plain = _warned("clock-stamps-apart", plain)
+    if coarse_step_s is None or "people" not in entry.tables:
         return plain
     found = _coarse(entry, master, source, tables, coarse_step_s)
-    return found or replace(plain, warning=f"{NOT_COARSE}; {plain.warning}")
+    return found or replace(plain, warnings=(note("clock-not-coarse", reach_s=REACH_S), *plain.warnings))
 
 
-def _borrowed(
-    entry: dict[str, Any],
-    session: Session,
-    sources: Mapping[str, Source | None],
-    borrowers: Sequence[dict[str, Any]],
-) -> ClockFit:
-    """The clock of another recording of the session, which the cell file names by its path; that one may borrow too."""
-    lender, passed = entry, [entry["id"]]
-    while lender in borrowers:
-        source = sources[lender["id"]]
+def _warned(code: str, fit: ClockFit) -> ClockFit:
+    return replace(fit, warnings=(note(code), *fit.warnings))
+
+
+def _lender(
+    log: LogCard, session: LogGroup, sources: Mapping[str, Source | None], borrowers: Collection[str]
+) -> LogCard:
+    """Return the log of the session whose clock a log shares: the cell file names it, and it may borrow too."""
+    lender, passed = log, [log.id]
+    while lender.id in borrowers:
+        source = sources[lender.id]
         path = str(source.same_clock_as if source else "")
-        where = f"{lender['sources'][0]['path']}: same_clock_as"
-        others = [other for other in session.entries if other is not lender]
-        named = [other for other in others if _means(path, other, sources[other["id"]])]
+        where = f"{lender.shown}: same_clock_as"
+        others = [other for other in session.logs if other is not lender]
+        named = [other for other in others if _means(path, other, sources[other.id])]
         if not named:
-            known = [other["sources"][0]["path"] for other in others]
-            raise UnknownName(where, "log of this session", path, known)
-        if named[0]["id"] in passed:
+            raise UnknownName(where, "log of this session", path, [other.shown for other in others])
+        if named[0].id in passed:
             raise ConfigError(f"{where}: {path!r} borrows its clock from this one", cure="Say how one of them runs.")
         lender = named[0]
-        passed.append(lender["id"])
-    kept = {key: value for key, value in lender["clock"].items() if key != "kind"}
-    warned = next((text for text in lender["warnings"] if text.startswith(CLOCK)), None)
-    fit = ClockFit(**{**kept, "same_as": lender["id"]}, warning=warned and warned.removeprefix(CLOCK))
-    return replace(fit, method="same-log") if lender is session.entries[0] else fit
+        passed.append(lender.id)
+    return lender
 
 
-def _means(path: str, entry: Mapping[str, Any], source: Source | None) -> bool:
-    shown = entry["sources"][0]["path"]
-    return shown == path or fnmatchcase(shown, path) or (source is not None and source.path == path)
+def _means(path: str, log: LogCard, source: Source | None) -> bool:
+    return log.shown == path or fnmatchcase(log.shown, path) or (source is not None and source.path == path)
 
 
-def _by_events(log: Mapping[str, Any], robot: Mapping[str, Any], sync: Sync, tables: _Tables) -> ClockFit:
+def _by_events(log: LogCard, robot: LogCard, sync: Sync, tables: _Tables) -> ClockFit:
     return fit_events(event_times(log, sync.other, *tables), event_times(robot, sync.robot, *tables))
 
 
-def _by_motion(log: Mapping[str, Any], robot: Mapping[str, Any], source: Source, tables: _Tables) -> ClockFit:
-    people = tables.read(log["id"], "people")
-    if people is None or "robot" not in robot["tables"]:
+def _by_motion(log: LogCard, robot: LogCard, source: Source, tables: _Tables) -> ClockFit:
+    people = tables.read(log.id, "people")
+    if people is None or "robot" not in robot.tables:
         raise ConfigError('sees = "tcp" needs a log of positions, and a robot log', cure="Remove it.")
     people = flange(people, source).sort("t_s")
     seen = people.select("x_m", "y_m", "z_m").to_numpy()
-    return fit_motion(people["t_s"].to_numpy(), seen, *_thinned(tables.stored(robot["id"], ["t_s", *_TCP])))
+    return fit_motion(people["t_s"].to_numpy(), seen, *_thinned(tables.stored(robot.id, ["t_s", *_TCP])))
 
 
 def _thinned(table: StoredTable) -> tuple[Vector, Points]:
@@ -236,32 +225,29 @@ def flange(people: pl.DataFrame, source: Source) -> pl.DataFrame:
     return people
 
 
-def _by_stamps(entry: dict[str, Any], master: dict[str, Any], read: Read) -> ClockFit | None:
+def _by_stamps(entry: LogCard, master: LogCard, read: Read) -> ClockFit | None:
     """Return the line from one log's clock to the other's over the epoch time of their hosts; None without one."""
     mine, theirs = _to_epoch(entry, read), _to_epoch(master, read)
     if mine is None or theirs is None:
         return None
     known = [fit for fit in (mine, theirs) if fit.method == "lower-envelope"]
     late_s = max(fit.residual_s or 0.0 for fit in known)
-    said = [fit.warning for fit in known if fit.warning]
+    said: list[Note] = [one for fit in known for one in fit.warnings]
     if late_s > LATE_S:
-        said.append(
-            f"its stamps typically lie {late_s:.2g} s above the line that places its clock: delays, or a poor fit"
-        )
-    warning = "; ".join(said) or None
+        said.append(note("clock-stamps-late", late_s=late_s))
     return ClockFit(
         "lower-envelope",
         (mine.offset_s - theirs.offset_s) / theirs.rate,
         mine.rate / theirs.rate,
-        warning,
+        tuple(said),
         residual_s=late_s,
         events=min(fit.events or 0 for fit in known),
     )
 
 
-def _to_epoch(entry: dict[str, Any], read: Read) -> ClockFit | None:
+def _to_epoch(entry: LogCard, read: Read) -> ClockFit | None:
     """Return the line from a log's clock to epoch time; None if nothing tells it."""
-    if entry["clock"]["kind"] == "epoch":
+    if entry.clock.kind == "epoch":
         return ClockFit("epoch", 0.0)
     stamps = _stamps_of(entry, read)
     if stamps is None or stamps.height < 2 or _restarts(stamps):
@@ -269,13 +255,13 @@ def _to_epoch(entry: dict[str, Any], read: Read) -> ClockFit | None:
     return follow(stamps["t_s"].to_numpy(), stamps["host_s"].to_numpy())
 
 
-def _stamps_of(entry: dict[str, Any], read: Read) -> pl.DataFrame | None:
-    return read(entry["id"], "stamps") if "stamps" in entry["tables"] else None
+def _stamps_of(entry: LogCard, read: Read) -> pl.DataFrame | None:
+    return read(entry.id, "stamps") if "stamps" in entry.tables else None
 
 
-def _is_lost(entry: dict[str, Any], read: Read) -> bool:
+def _is_lost(entry: LogCard, read: Read) -> bool:
     """Tell whether a log has stamps and nothing follows them."""
-    return entry["clock"]["kind"] != "epoch" and "stamps" in entry["tables"] and _to_epoch(entry, read) is None
+    return entry.clock.kind != "epoch" and "stamps" in entry.tables and _to_epoch(entry, read) is None
 
 
 def _restarts(stamps: pl.DataFrame | None) -> bool:
@@ -292,29 +278,26 @@ def _by_start(log: LogClock, main: LogClock, start: str, robot: Source | None) -
         cure = "Add start = … to the robot's source as well, or use sync."
         raise ConfigError("start is given, and the robot log tells no time of day", cure=cure)
     apart = datetime.fromisoformat(start).timestamp() - began_s
-    warning = "placed by the time of day at which it began: good to a second or so, so no delay can be read from it"
-    return ClockFit("start-text", apart - log.first_s, warning=warning, residual_s=START_GOOD_TO_S)
+    return ClockFit("start-text", apart - log.first_s, warnings=(note("clock-by-start"),), residual_s=START_GOOD_TO_S)
 
 
-def _coarse(
-    entry: dict[str, Any], master: dict[str, Any], source: Source | None, tables: _Tables, step_s: float
-) -> ClockFit | None:
-    people = tables.read(entry["id"], "people")
-    if people is None or people.height == 0 or "robot" not in master["tables"]:
+def _coarse(entry: LogCard, master: LogCard, source: Source | None, tables: _Tables, step_s: float) -> ClockFit | None:
+    people = tables.read(entry.id, "people")
+    if people is None or people.height == 0 or "robot" not in master.tables:
         return None
-    robot = _thinned(tables.stored(master["id"], ["t_s", *_TCP, "scaling"]))
+    robot = _thinned(tables.stored(master.id, ["t_s", *_TCP, "scaling"]))
     if len(robot[0]) == 0:
         return None
-    count = int((entry["last_s"] - entry["first_s"]) / step_s) + 1
-    at = entry["first_s"] + np.arange(count) * step_s
+    count = int((entry.last_s - entry.first_s) / step_s) + 1
+    at = np.asarray(entry.first_s + np.arange(count) * step_s, np.float64)
     tracks = []
     for (_,), rows in people.sort("t_s").group_by(["person"], maintain_order=True):
-        xyz = to_base(rows.select("x_m", "y_m", "z_m").to_numpy(), source.frame if source else None, up=entry["up"])
+        xyz = to_base(rows.select("x_m", "y_m", "z_m").to_numpy(), source.frame if source else None, up=entry.up)
         tracks.append(_nearest_rows(rows["t_s"].to_numpy(), xyz, at, step_s))
-    grid = master["first_s"] + np.arange(int((master["last_s"] - master["first_s"]) / step_s) + 1) * step_s
-    sampled = _nearest_rows(*robot, grid, step_s)
+    grid = np.arange(int((master.last_s - master.first_s) / step_s) + 1) * step_s
+    sampled = _nearest_rows(*robot, np.asarray(master.first_s + grid, np.float64), step_s)
     found = coarse_fit(tracks, sampled[:, :3], sampled[:, 3], step_s=step_s)
-    return replace(found, offset_s=found.offset_s - entry["first_s"]) if found else None
+    return replace(found, offset_s=found.offset_s - entry.first_s) if found else None
 
 
 def _nearest_rows(t_s: Vector, values: Points, at: Vector, step_s: float) -> Points:

@@ -181,7 +181,7 @@ class _Cell:
         begin = time.perf_counter(), time.process_time()
         if entry.is_network:
             model = train(self.dataset, self._spec(entry))
-            rows = self._rows(entry, model.card["split"]["test"], model)
+            rows = self._rows(entry, list(model.card.held_out), model)
             predicted = model.predict(rows.model_inputs)
             result = _errors(predicted, rows) | _of_model(model, rows)
         else:
@@ -246,8 +246,11 @@ def _errors(predicted: NDArray[np.float64], rows: Samples) -> dict[str, Any]:
 
 
 def _of_model(model: TrainedModel, rows: Samples) -> dict[str, Any]:
-    metrics = {"mse_argmax": model.card["metrics"]["mse_argmax"], "accuracy": model.card["metrics"]["accuracy"]}
-    metrics |= {"temperature": model.card["temperature"], "levels": list(model.levels)}
+    card = model.card
+    metrics: dict[str, Any] = {} if card.metrics is None else {
+        "mse_argmax": card.metrics.mse_argmax, "accuracy": card.metrics.accuracy
+    }  # fmt: skip
+    metrics |= {"temperature": card.temperature, "levels": list(model.levels)}
     if model.network == "classifier":
         on = rows.step >= 0
         found = reliability(model.probabilities(rows.X[on]), rows.step[on])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.cli.groups import grouped
 from cyclekit.cli.lists import safety_lines, task_list_tables
 from cyclekit.cli.terminal import bullet, duration, percent, table
+from cyclekit.dataset.cards import plain, texts
 from cyclekit.text.plain_text import one_line
 
 if TYPE_CHECKING:
@@ -256,24 +257,23 @@ def _tasks(tasks: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _model(found: ModelDescription) -> str:
-    card, metrics = found.card, found.card.get("metrics", {})
-    divided = card.get("split", {})
-    split = {part: len(divided[part]) for part in ("train", "validation", "test") if part in divided}
+    card, metrics = found.card, found.card.metrics
+    split = {} if card.split is None else {name: len(names) for name, names in plain(card.split).items() if names}
     lines = [
         f"{found.path}: model",
         f"  problem    {found.problem}" + (f", horizon {duration(found.horizon_s)}" if found.horizon_s else ""),
         f"  network    {found.network}, {found.parameters} parameters",
         f"  levels     {', '.join(f'{level:.2f}' for level in found.levels) or 'none'}",
-        f"  trained    on dataset {card.get('dataset', 'unknown')}, seed {card.get('seed', 'unknown')}, "
-        f"by cyclekit {card.get('cyclekit', 'unknown')}",
+        f"  trained    on dataset {card.dataset or 'unknown'}, seed {'unknown' if card.seed is None else card.seed}, "
+        f"by cyclekit {card.cyclekit or 'unknown'}",
         f"  executions {', '.join(f'{count} {part}' for part, count in split.items()) or 'unknown'}",
     ]
-    lines += [f"  dropped    {count} samples: {reason}" for reason, count in card.get("dropped", {}).items()]
-    if metrics:
-        named = "" if metrics.get("accuracy") is None else f", {percent(metrics['accuracy'])} of levels named rightly"
-        error = f"MSE {metrics['mse_mean']:.2e}, mean absolute error {metrics['mae']:.4f}"
-        lines.append(bullet([f"{error}{named} ({metrics['rows']} samples)"], mark="  held out   "))
-    return "\n".join([*lines, bullet(card.get("warnings", []), mark="  ! ")]).rstrip()
+    lines += [f"  dropped    {count} samples: {reason}" for reason, count in card.dropped.items()]
+    if metrics is not None:
+        named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy)} of levels named rightly"
+        error = f"MSE {metrics.mse_mean:.2e}, mean absolute error {metrics.mae:.4f}"
+        lines.append(bullet([f"{error}{named} ({metrics.rows} samples)"], mark="  held out   "))
+    return "\n".join([*lines, bullet(texts(card.warnings), mark="  ! ")]).rstrip()
 
 
 def shorten(text: str) -> str:

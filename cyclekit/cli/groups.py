@@ -31,9 +31,3 @@ def grouped(said: Iterable[tuple[str, str]], *, things: str = "files") -> list[s
             lines.append(f"{len(those)} {things} ({', '.join(list(those)[:ALONE])}, …): {text}")
     left = len(lines) - SHOWN
     return lines if left <= 0 else [*lines[:SHOWN], f"and {left} more lines of this kind; --json has all"]
-
-
-def named(text: str) -> tuple[str, str]:
-    """Return a warning of a recording, `name: text`, as name and text; without a name it is all text."""
-    name, mark, rest = text.partition(": ")
-    return (name, rest) if mark else ("", text)

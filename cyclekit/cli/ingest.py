@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cyclekit.cli.groups import grouped, named
+from cyclekit.cli.groups import grouped
 from cyclekit.cli.options import EngineName, FollowLinks, Jobs, Json, Quiet, RayAddress, engine_of
 from cyclekit.cli.terminal import Terminal
 from cyclekit.errors import command_line
@@ -76,7 +76,7 @@ def ingest(
         raise
     for line in grouped(report.not_read):
         terminal.remark(f"not read: {line}")
-    terminal.warnings(grouped(map(named, report.warnings)))
+    terminal.warnings(grouped(report.said))
     terminal.done(report.to_json(), summary(report))
 
 

@@ -30,6 +30,7 @@ def levels(
 
     Each execution is looked at for itself, never across a gap. Levels fixed in the cell file are only counted.
     """
+    from cyclekit.dataset.cards import texts
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.dataset.guard import check_output
     from cyclekit.learning.labelling import scaling_in_time, staircase_of
@@ -48,7 +49,7 @@ def levels(
             from cyclekit.plots.levels import draw_levels
 
             draw_levels(picture, values, found, rate_hz=opened.rate_hz)
-    terminal.warnings([*found.warnings, *([other] if other else [])])
+    terminal.warnings(texts([*found.warnings, *([other] if other else [])]))
     document = {
         "method": method,
         "count": int(found.levels.size),

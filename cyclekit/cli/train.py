@@ -20,7 +20,9 @@ from cyclekit.cli.options import (
 from cyclekit.cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from cyclekit.dataset.cards import TrainingCard
+
+    pass
 
 EXAMPLE = "cyclekit train dataset --out model"
 Problem = Literal["now", "ahead", "average"]
@@ -75,6 +77,7 @@ def train(
     chosen = None if seeds is None else whole_numbers(seeds)
     from functools import partial
 
+    from cyclekit.dataset.cards import texts
     from cyclekit.dataset.guard import check_output
     from cyclekit.errors import command_line
     from cyclekit.learning.networks.saved import check_model_output
@@ -94,12 +97,13 @@ def train(
         check_model_output(each.out)
     with terminal.progress("training") as progress:
         here = work.stays_here(len(todo)) and len(todo) == 1
-        cards: dict[str, dict[str, Any]] = {}
+        cards: dict[str, TrainingCard] = {}
         for done in work.map(partial(train_at, progress=progress) if here else train_at, todo):
             cards[done.item.out] = done.get()
             progress(len(cards) / len(todo), done.item.out)
-    terminal.warnings(list(dict.fromkeys(text for card in cards.values() for text in card["warnings"])))
-    documents = [{"model": each.out, "metrics": cards[each.out]["metrics"], "card": cards[each.out]} for each in todo]
+    terminal.warnings(list(dict.fromkeys(text for card in cards.values() for text in texts(card.warnings))))
+    shown = {out: card.to_json() for out, card in cards.items()}
+    documents = [{"model": each.out, "metrics": shown[each.out]["metrics"], "card": shown[each.out]} for each in todo]
     told = "\n".join(f"{each.out}: {summary(cards[each.out])}" for each in todo)
     following = command_line("evaluate", out, dataset)
     if chosen is None and problem != "ahead":  # no estimator works with a forecast
@@ -107,19 +111,23 @@ def train(
     terminal.done(documents[0] if chosen is None else {"models": documents}, f"{told}\nnext: {following}")
 
 
-def summary(card: Mapping[str, Any]) -> str:
+def summary(card: TrainingCard) -> str:
     """Return what was learned and how well it holds on executions that were held out, in three lines.
 
     Args:
         card: Of the model.
     """
-    metrics, split = card["metrics"], card["split"]
-    named = "" if metrics["accuracy"] is None else f", {100 * metrics['accuracy']:.1f}% of levels named rightly"
-    levels = ", ".join(f"{level['value']:.2f}" for level in card["levels"]) or "none found"
-    count = {part: len(names) for part, names in split.items()}
+    from cyclekit.dataset.cards import SplitCard
+
+    metrics, split = card.metrics, card.split or SplitCard()
+    levels = ", ".join(f"{level.value:.2f}" for level in card.levels or ()) or "none found"
+    held_out = "nothing"
+    if metrics is not None:
+        named = "" if metrics.accuracy is None else f", {100 * metrics.accuracy:.1f}% of levels named rightly"
+        held_out = f"MSE {metrics.mse_mean:.2e}, mean absolute error {metrics.mae:.4f}{named}"
     return (
-        f"{card['network']} for problem {card['problem']}, speed-scaling levels {levels}\n"
-        f"  {sum(count.values())} executions: {count['train']} to learn from, {count['validation']} to choose the "
-        f"epoch by, {count['test']} held out\n"
-        f"  held out: MSE {metrics['mse_mean']:.2e}, mean absolute error {metrics['mae']:.4f}{named}"
+        f"{card.network} for problem {card.problem}, speed-scaling levels {levels}\n"
+        f"  {len(split.train) + len(split.validation) + len(split.test)} executions: {len(split.train)} to learn from, "
+        f"{len(split.validation)} to choose the epoch by, {len(split.test)} held out\n"
+        f"  held out: {held_out}"
     )

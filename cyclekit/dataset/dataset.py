@@ -15,13 +15,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+import msgspec
 import polars as pl
 
 from cyclekit import schema
 from cyclekit.config import Furniture
-from cyclekit.dataset.cards import BadCard, DatasetCard, checked, parse_json, read_content
+from cyclekit.dataset.cards import BadCard, dataset_card, parse_json, read_content
 from cyclekit.dataset.files import DatasetFiles
 from cyclekit.dataset.footers import check_tables
 from cyclekit.errors import DatasetError, UnknownName, command_line
@@ -33,6 +34,8 @@ from cyclekit.text.plain_text import all_in_one_line, needs_it
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+
+    from cyclekit.dataset.cards import DatasetCard, ExecutionCard, PlaceCard, RecordingCard
 
 CARD, TASKS, QUARANTINE = DATASET_CARD, "tasks.parquet", "quarantine.parquet"
 _NEAR_S = 1e-3
@@ -58,7 +61,7 @@ class Place:
 class Dataset:
     """A dataset opened for reading; tables are read when asked for."""
 
-    def __init__(self, path: Path, card: dict[str, Any], place: str | None = None) -> None:
+    def __init__(self, path: Path, card: DatasetCard, place: str | None = None) -> None:
         """Use `Dataset.open`; this only keeps what it is given.
 
         Args:
@@ -72,7 +75,7 @@ class Dataset:
         self.card = card
         self.place = place or str(path)
         self.is_part = False
-        self._files = DatasetFiles(path, card.get("files"))
+        self._files = DatasetFiles(path, card.files)
 
     @classmethod
     def open(cls, path: Path | str) -> Dataset:
@@ -85,14 +88,14 @@ class Dataset:
         place, path = str(path), local(path)
         try:
             content = _card_of(path)
-            card = parse_json(content)
-            version = _version(card)
+            values = parse_json(content)
+            version = _version(values)
             if version == schema.SCHEMA_VERSION:
                 text = content.decode(errors="replace")
                 if checksums.is_broken(text):
                     raise checksums.unreadable(path / CARD, path, "damaged: it is not as it was written")
-                card = all_in_one_line(card) if needs_it(text) else card
-                check_tables(path, checked(card, DatasetCard))
+                card = dataset_card(all_in_one_line(values) if needs_it(text) else values)
+                check_tables(path, card)
                 return cls(path, card, place)
         except BadCard as error:
             msg = f"{path / CARD}: not a dataset card ({error})"
@@ -111,8 +114,8 @@ class Dataset:
         Raises:
             UnknownName: An execution is not in the dataset.
         """
-        entries = [self._execution(name) for name in executions]
-        part = Dataset(self.path, {**self.card, "executions": entries}, self.place)
+        card = msgspec.structs.replace(self.card, executions=tuple(self._execution(name) for name in executions))
+        part = Dataset(self.path, card, self.place)
         part.is_part = True
         return part
 
@@ -120,41 +123,41 @@ class Dataset:
     def executions(self) -> pl.DataFrame:
         """One row per execution: execution, session, start_s, end_s, duration_s, complete (Bool)."""
         columns = ("execution", "session", "start_s", "end_s", "complete")
-        rows = [{name: entry[name] for name in columns} for entry in self.card["executions"]]
+        rows = [[getattr(one, name) for name in columns] for one in self.card.executions]
         types = {"execution": schema.TEXT, "session": schema.TEXT, "start_s": schema.F64, "end_s": schema.F64}
-        frame = pl.DataFrame(rows, schema={**types, "complete": schema.FLAG})
+        frame = pl.DataFrame(rows, schema={**types, "complete": schema.FLAG}, orient="row")
         return frame.with_columns(duration_s=pl.col("end_s") - pl.col("start_s"))
 
     @property
     def rate_hz(self) -> float:
         """Samples a second."""
-        return float(self.card.get("rate_hz", 10.0))
+        return self.card.rate_hz
 
     @property
     def places(self) -> dict[str, Place]:
         """Robot places by name."""
-        return {name: _place(name, entry) for name, entry in self.card["places"].items()}
+        return {name: _place(name, one) for name, one in self.card.places.items()}
 
     @property
     def human_places(self) -> dict[str, Place]:
         """Operator places by name (empty where neither the cell file nor events name any)."""
-        return {name: _place(name, entry) for name, entry in self.card["human_places"].items()}
+        return {name: _place(name, one) for name, one in self.card.human_places.items()}
 
     @property
     def furniture(self) -> dict[str, Furniture]:
         """What stands in the cell, by name, as the cell file says."""
-        told = self.card.get("settings", {}).get("furniture", {})
-        return {name: Furniture(_triple(e["xyz_m"]), _triple(e["size_m"]), e["yaw_deg"]) for name, e in told.items()}
+        told = self.card.settings.furniture
+        return {name: Furniture(one.xyz_m, one.size_m, one.yaw_deg) for name, one in told.items()}
 
     @property
     def levels(self) -> tuple[float, ...]:
         """Staircase levels found in the logged scaling, ascending; empty when none could be found."""
-        return tuple(self.card["levels"])
+        return self.card.levels
 
     @property
-    def recordings(self) -> list[dict[str, Any]]:
+    def recordings(self) -> tuple[RecordingCard, ...]:
         """Provenance of each recording, as in the card: id, session, sources, adapter, clock, frame, rows, warnings."""
-        return list(self.card["recordings"])
+        return self.card.recordings
 
     def samples(self, executions: Sequence[str] | None = None, columns: Sequence[str] | None = None) -> pl.DataFrame:
         """Return the 10 Hz samples, all or those of some executions, in order of execution and time.
@@ -170,7 +173,7 @@ class Dataset:
         if executions is None and self.is_part:
             executions = self.executions["execution"].to_list()
         entries = None if executions is None else [self._execution(name) for name in executions]
-        files = self._files.of_samples(None if entries is None else {e.get("part") or e["session"] for e in entries})
+        files = self._files.of_samples(None if entries is None else {one.part or one.session for one in entries})
         if not files:
             return schema.empty(schema.SAMPLES).select(wanted)
         self._files.check_memory(files, wanted, None if executions is None else self._rows_of(executions))
@@ -191,8 +194,8 @@ class Dataset:
     @property
     def positions(self) -> tuple[str, ...]:
         """Of whom places are known: `robot`, `people`."""
-        tables = {table for record in self.recordings for table in record["tables"]}
-        told = self.card.get("positions")
+        tables = {table for record in self.recordings for table in record.tables}
+        told = self.card.positions
         return tuple(told if told is not None else (whose for whose in ("robot", "people") if whose in tables))
 
     def require_positions(self) -> None:
@@ -202,8 +205,8 @@ class Dataset:
             DatasetError: It was made of task lists, overrides or distances alone.
         """
         names = {"task_list": "task lists", "safety": "overrides or distances"}
-        held = [text for table, text in names.items() if any(table in record["tables"] for record in self.recordings)]
-        if held and not self.positions and not self.card["rows"]["samples"]:
+        held = [text for table, text in names.items() if any(table in record.tables for record in self.recordings)]
+        if held and not self.positions and not self.card.rows.samples:
             look = command_line("inspect", self.place)
             raise DatasetError(
                 f"{self.place}: made of {' and '.join(held)} alone: the positions of robot and people, which this "
@@ -266,11 +269,11 @@ class Dataset:
         """
         entry = self._execution(execution)
         for record in self.recordings:
-            if record["session"] == entry["session"] and "robot" in record["tables"]:
-                name = self._native(record["id"], "robot") or _recorded(record["id"], "robot")  # a lost one is named
-                rate, offset_s = record["clock"]["rate"], record["clock"]["offset_s"]
-                first, last = ((entry[key] - offset_s) / rate for key in ("start_s", "end_s"))
-                inside = pl.col("t_s").is_between(entry["start_s"], entry["end_s"])
+            if record.session == entry.session and "robot" in record.tables:
+                name = self._native(record.id, "robot") or _recorded(record.id, "robot")  # a lost one is named
+                rate, offset_s = record.clock.rate, record.clock.offset_s
+                first, last = ((at_s - offset_s) / rate for at_s in (entry.start_s, entry.end_s))
+                inside = pl.col("t_s").is_between(entry.start_s, entry.end_s)
                 rows = self._files.between(name, first - _NEAR_S, last + _NEAR_S)  # others are not unpacked
                 rows = rows.with_columns(t_s=pl.col("t_s") * rate + offset_s).filter(inside)
                 return self._files.collected(rows if columns is None else rows.select(columns), name)
@@ -285,7 +288,7 @@ class Dataset:
         names = self.executions["execution"].to_list()
         if name.isdigit() and name not in names and 1 <= int(name) <= len(names):
             return str(names[int(name) - 1])
-        return str(self._execution(name)["execution"])
+        return self._execution(name).execution
 
     def verify(self) -> int:
         """Check every file of the dataset, and return how many there are.
@@ -315,14 +318,15 @@ class Dataset:
         if not self._files.has(name):
             return None
         for entry in self.recordings:
-            if entry["id"] == recording and table in entry["rows"]:
-                self._files.check_rows(name, entry["rows"][table], f"in table {table}")
+            for kept, rows in entry.rows.items() if entry.id == recording else ():
+                if kept == table:
+                    self._files.check_rows(name, rows, f"in table {table}")
         return name
 
     def _rows_of(self, executions: Sequence[str]) -> int:
         """Return how many samples executions have at most."""
         entries = [self._execution(name) for name in executions]
-        return int(sum(one["end_s"] - one["start_s"] for one in entries) * self.rate_hz) + 2 * len(entries)
+        return int(sum(one.end_s - one.start_s for one in entries) * self.rate_hz) + 2 * len(entries)
 
     def _tasks(self, columns: Sequence[str]) -> pl.LazyFrame:
         file = self._files.whole(TASKS)
@@ -333,17 +337,17 @@ class Dataset:
         return rows.filter(pl.col("execution").is_in(self.executions["execution"].to_list())) if self.is_part else rows
 
     @cached_property
-    def _by_name(self) -> dict[str, dict[str, Any]]:
-        return {entry["execution"]: entry for entry in self.card["executions"]}
+    def _by_name(self) -> dict[str, ExecutionCard]:
+        return {one.execution: one for one in self.card.executions}
 
-    def _execution(self, name: str) -> dict[str, Any]:
+    def _execution(self, name: str) -> ExecutionCard:
         by_name = self._by_name
         if name not in by_name:
             names = list(by_name)
             shown = ", ".join(names[:3]) + (f" … {names[-1]} ({len(names)} in all)" if len(names) > 3 else "")
             cure = f"Give one of {shown}, or a number from 1 to {len(names)}." if names else "It holds no execution."
             raise UnknownName(str(self.path), "execution", name, names, cure=cure)
-        return dict(by_name[name])
+        return by_name[name]
 
 
 def _no_dataset(path: Path) -> DatasetError:
@@ -362,10 +366,10 @@ def _no_dataset(path: Path) -> DatasetError:
     return DatasetError(seen, cure=f"Make one: {command_line('ingest', 'LOGS', '--out', 'DATASET')}")
 
 
-def _version(card: Mapping[str, Any]) -> object:
-    if "schema_version" not in card:
+def _version(values: Mapping[str, object]) -> object:
+    if "schema_version" not in values:
         raise BadCard("no schema_version")
-    return card["schema_version"]
+    return values["schema_version"]
 
 
 def _card_of(path: Path) -> bytes:
@@ -383,13 +387,8 @@ def _card_of(path: Path) -> bytes:
     raise _no_dataset(path)
 
 
-def _place(name: str, entry: dict[str, Any]) -> Place:
-    return Place(name, _triple(entry["xyz_m"]), entry["radius_m"], entry["inferred"])
-
-
-def _triple(values: Sequence[float]) -> tuple[float, float, float]:
-    x, y, z = values
-    return x, y, z
+def _place(name: str, card: PlaceCard) -> Place:
+    return Place(name, card.xyz_m, card.radius_m, card.inferred)
 
 
 def _recorded(recording: str, table: str) -> str:

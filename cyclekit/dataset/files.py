@@ -6,7 +6,7 @@ What the tables mean is the business of `dataset`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
     from pathlib import Path
 
+    from cyclekit.dataset.cards import FileCard
     from cyclekit.schema import Column
 
 
@@ -40,12 +41,12 @@ _CURE = (
 class DatasetFiles:
     """The Parquet files of one dataset."""
 
-    def __init__(self, path: Path, listed: Mapping[str, Mapping[str, Any]] | None) -> None:
+    def __init__(self, path: Path, listed: Mapping[str, FileCard] | None) -> None:
         """Keep where they are and what the card says of them; None = nothing."""
         self._path, self._listed = path, listed
 
     @property
-    def listed(self) -> Mapping[str, Mapping[str, Any]] | None:
+    def listed(self) -> Mapping[str, FileCard] | None:
         """Size and digests of each file by name, None where the dataset keeps none."""
         return self._listed
 
@@ -157,11 +158,11 @@ class DatasetFiles:
         """
         near = pl.col("t_s").is_between(first_s, last_s)
         entry = (self._listed or {}).get(name)
-        if entry is None or len(entry["blake3"]) < 2:
+        if entry is None or len(entry.blake3) < 2:
             return pl.scan_parquet(self.whole(name), glob=False).filter(near)
         from cyclekit.storage.parquet import spans  # whoever reads a log needs no Arrow to begin
 
-        end = entry["size"]
+        end = entry.size
         file = self._checked(name, [(end - PIECE_BYTES, end)])  # there stands where the rows are
         with reading(file, self._path):
             within = spans(file, "t_s", first_s, last_s)

@@ -6,7 +6,7 @@ is the business of `align`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -14,10 +14,11 @@ import polars as pl
 from cyclekit.errors import ConfigError, UnknownName
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
+    from cyclekit.dataset.cards import LogCard
     from cyclekit.storage.parquet import StoredTable
 
     Vector = NDArray[np.float64]
@@ -34,11 +35,11 @@ MOST_CHANGES = 100_000
 """A signal that changes more often in one recording counts or measures, and says nothing of a program's steps."""
 
 
-def event_times(entry: Mapping[str, Any], signal: str, read: Read, stored: Stored, where: str = "sync") -> Vector:
+def event_times(entry: LogCard, signal: str, read: Read, stored: Stored, where: str = "sync") -> Vector:
     """Return when a signal of a recording changes, its own clock, shape (N,), s; on/off signals when they rise.
 
     Args:
-        entry: The recording's entry in the dataset's card.
+        entry: The recording.
         signal: `digital-output 3`, `register`, the name of an event; or `register=100` or `name=value` for changes to
             that value alone.
         read: Returns a native table of a recording (id, table), None if it has none.
@@ -49,34 +50,34 @@ def event_times(entry: Mapping[str, Any], signal: str, read: Read, stored: Store
         ConfigError: There is no such signal in it.
     """
     name, _, value = signal.partition("=")
-    if "robot" in entry["tables"] and name.startswith(OUTPUT):
-        return _of_robot(stored(entry["id"], ["t_s"]), "digital_out_bits", bit=_bit(where, name))
-    if "robot" in entry["tables"] and name == REGISTER:
-        return _of_robot(stored(entry["id"], ["t_s"]), REGISTER, wanted=_whole(where, value) if value else None)
-    events = read(entry["id"], "events")
+    if "robot" in entry.tables and name.startswith(OUTPUT):
+        return _of_robot(stored(entry.id, ["t_s"]), "digital_out_bits", bit=_bit(where, name))
+    if "robot" in entry.tables and name == REGISTER:
+        return _of_robot(stored(entry.id, ["t_s"]), REGISTER, wanted=_whole(where, value) if value else None)
+    events = read(entry.id, "events")
     if events is None:
         cure = "Put sync at the log that holds the events, and same_clock_as at this one."
-        raise ConfigError(f"{where}: {signal!r} is an event, and {entry['id']} holds none", cure=cure)
+        raise ConfigError(f"{where}: {signal!r} is an event, and {entry.id} holds none", cure=cure)
     if name not in (known := events["signal"].unique().to_list()):
         raise UnknownName(where, "signal", name, [*known, f"{OUTPUT}0", REGISTER])
     mine = events.filter((pl.col("signal") == name) & pl.col("value").is_not_null()).sort("t_s")
     return _of_events(mine["t_s"].to_numpy(), mine["value"], value or None)
 
 
-def every_change(entry: Mapping[str, Any], read: Read, stored: Stored) -> dict[str, Vector]:
+def every_change(entry: LogCard, read: Read, stored: Stored) -> dict[str, Vector]:
     """Return when each signal of a recording changes, either way, its own clock, shape (N,), ascending, s.
 
     Those are its digital outputs, each bit by itself, its register and its events; not those that never change or
     more than MOST_CHANGES times.
 
     Args:
-        entry: The recording's entry in the dataset's card.
+        entry: The recording.
         read: Returns a native table of a recording (id, table), None if it has none.
         stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
     """
     found: dict[str, Vector] = {}
-    for column in ("digital_out_bits", REGISTER) if entry["rows"].get("robot") else ():
-        table = stored(entry["id"], ["t_s", column])
+    for column in ("digital_out_bits", REGISTER) if entry.rows.get("robot") else ():
+        table = stored(entry.id, ["t_s", column])
         if table.unknown(column) == table.rows or (changes := _few(table, column)) is None:
             continue
         at, differ = _between(*changes[:2]), changes[2] ^ changes[3]
@@ -85,7 +86,7 @@ def every_change(entry: Mapping[str, Any], read: Read, stored: Stored) -> dict[s
         else:
             bits = ((bit, (differ >> bit) & 1 == 1) for bit in range(63))
             found |= {f"{OUTPUT}{bit}": at[flips] for bit, flips in bits if flips.any()}
-    events = read(entry["id"], "events") if "events" in entry["tables"] else None
+    events = read(entry.id, "events") if "events" in entry.tables else None
     for (name,), mine in () if events is None else events.sort("t_s").group_by("signal", maintain_order=True):
         changed = (mine["value"] != mine["value"].shift(1)).fill_null(value=True)
         found[str(name)] = mine["t_s"].filter(changed).to_numpy()

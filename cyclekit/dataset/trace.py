@@ -20,6 +20,7 @@ from cyclekit.errors import DatasetError
 from cyclekit.storage.inside import inside
 
 if TYPE_CHECKING:
+    from cyclekit.dataset.cards import RecordingCard
     from cyclekit.dataset.dataset import Dataset
 
 AROUND_S = 0.2
@@ -83,30 +84,30 @@ def trace(dataset: Dataset, execution: str, at_s: float, *, logs: Path | str | N
     """
     dataset.require_positions()
     name = dataset.find_execution(execution)
-    entry = next(entry for entry in dataset.card["executions"] if entry["execution"] == name)
-    if at_s > (length_s := float(entry["end_s"]) - float(entry["start_s"])):
+    entry = next(one for one in dataset.card.executions if one.execution == name)
+    if at_s > (length_s := entry.end_s - entry.start_s):
         seen = f"{dataset.path}: execution {name} lasts {length_s:.1f} s, so it holds no sample at {at_s:g} s"
         raise DatasetError(seen, cure="Give --at a time since the execution began, such as 12.5s.")
     samples = dataset.samples([name])
     if samples.is_empty():
         raise DatasetError(f"{dataset.path}: execution {name} has no samples", cure="Choose another one.")
-    wanted = float(entry["start_s"]) + at_s
+    wanted = entry.start_s + at_s
     sample = samples.row(int((samples["t_s"] - wanted).abs().arg_min() or 0), named=True)
     found: list[Origin] = []
     for record in dataset.recordings:
-        if record["session"] == entry["session"]:
+        if record.session == entry.session:
             found += _of_recording(dataset, record, float(sample["t_s"]), logs)
     return Trace(name, {key: value for key, value in sample.items() if value is not None}, tuple(found))
 
 
-def _of_recording(dataset: Dataset, record: dict[str, Any], at_s: float, logs: Path | str | None) -> list[Origin]:
-    rate, offset_s = record["clock"]["rate"], record["clock"]["offset_s"]
+def _of_recording(dataset: Dataset, record: RecordingCard, at_s: float, logs: Path | str | None) -> list[Origin]:
+    rate, offset_s = record.clock.rate, record.clock.offset_s
     own_s = (at_s - offset_s) / rate
     found = []
     for table in ("robot", "people", "events"):
-        if table not in record["tables"]:
+        if table not in record.tables:
             continue
-        rows = dataset.recorded_between(record["id"], table, own_s - AROUND_S / rate, own_s + AROUND_S / rate)
+        rows = dataset.recorded_between(record.id, table, own_s - AROUND_S / rate, own_s + AROUND_S / rate)
         if rows is None:
             continue
         if table == "robot":  # the row that the sample stands on
@@ -114,12 +115,10 @@ def _of_recording(dataset: Dataset, record: dict[str, Any], at_s: float, logs: P
         for row in _nearest(rows, own_s).iter_rows(named=True):
             t_s, line = row.pop("t_s"), row.pop("source_row")
             values = {key: value for key, value in row.items() if value is not None}
-            shown = record["sources"][0]["path"]
-            if len(record["sources"]) > 1:
-                shown = shown.rpartition("/")[0]
-            text = _line(_file(Path(logs), shown), line) if logs is not None and record["rows_are"] == "line" else None
-            where = (table, record["id"], shown, record["rows_are"], line)
-            among = record["facts"].get(f"rows of {table}", "").removeprefix("messages of ") or None
+            shown = record.shown if len(record.sources) == 1 else record.shown.rpartition("/")[0]
+            text = _line(_file(Path(logs), shown), line) if logs is not None and record.rows_are == "line" else None
+            where = (table, record.id, shown, record.rows_are, line)
+            among = record.facts.get(f"rows of {table}", "").removeprefix("messages of ") or None
             found.append(Origin(*where, t_s * rate + offset_s, values, text, among))
     return found
 

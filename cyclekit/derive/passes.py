@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 import polars as pl
@@ -40,8 +40,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.config import Cell, Source
+    from cyclekit.dataset.cards import ExecutionCard, Note, RecordingCard
     from cyclekit.dataset.dataset import Place
-    from cyclekit.dataset.sessions import Session
+    from cyclekit.dataset.sessions import LogGroup, Session
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.derive.session_look import Look
     from cyclekit.derive.session_samples import Made
@@ -67,21 +68,22 @@ SESSION_ROWS = 1000
 
 @dataclass(frozen=True)
 class Derived:
-    """All that a dataset says beyond its recordings and the samples, which lie in files; `samples`: how many."""
+    """All that a dataset says beyond the samples, which lie in files; `samples`: how many."""
 
+    recordings: list[RecordingCard]
     samples: int
     tasks: pl.DataFrame
-    executions: list[dict[str, Any]]
+    executions: list[ExecutionCard]
     places: Mapping[str, Place]
     human_places: Mapping[str, Place]
     levels: tuple[float, ...]
     origin: str | None
     dynamics: Dynamics
-    warnings: list[str]
+    warnings: list[Note]
 
 
 def derive(
-    sessions: Sequence[Session],
+    groups: Sequence[LogGroup],
     sources: Mapping[str, Source | None],
     read: Read,
     stored: Stored,
@@ -95,7 +97,7 @@ def derive(
     """Compute samples and tasks.
 
     Args:
-        sessions: From `ingest`; their entries get `clock`, `frame` and `operator` filled in.
+        groups: The logs of each session.
         sources: What the cell file says about each recording, by id.
         read: Returns a native table of a recording (id, table), None if it has none.
         stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
@@ -113,11 +115,10 @@ def derive(
         EstimateError: An execution cannot be so long.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    passes = _Passes(engine if _is_much(sessions) else LOCAL, progress)
+    passes = _Passes(engine if _is_much(groups) else LOCAL, progress)
     look = partial(look_at, sources=sources, read=read, stored=stored, cell=cell, coarse=coarse)
-    looks = passes.over(look, sessions, 0.0, 0.2, "motion")
-    for session, seen in zip(sessions, looks, strict=True):
-        _note(session, seen.entries)
+    looks = passes.over(look, groups, 0.0, 0.2, "motion")
+    sessions = _numbered(looks)
     robot = _robot(looks, sessions, cell, passes.engine, lambda done, told: progress(0.2 + 0.3 * done, told))
     works, dwells = _with_stands(passes, sessions, robot)
     sample = partial(
@@ -125,9 +126,7 @@ def derive(
     )
     files = shared_files(sessions, cell.rate_hz)
     made = passes.over_files(sample, works, files, 0.6, 0.85, "samples")
-    for session, one in zip(sessions, made, strict=True):
-        _note(session, one.entries)
-    if _is_much(sessions) or any(run.is_inferred for run in robot.runs):
+    if _is_much(groups) or any(run.is_inferred for run in robot.runs):
         forget()  # samples and scaling of many hours take that memory
     runs = {work.session.name: list(work.runs.values()) for work in works}
     return _finished(passes, made, files, runs, robot, cell, folder)
@@ -158,6 +157,7 @@ def _finished(
     changes = passes.over_files(rest, left, files, 0.85, 1.0, "levels")
     rows = [row for one in made for row in one.tasks]
     return Derived(
+        recordings=[recording for one in made for recording in one.recordings],
         samples=sum(one.samples for one in some),
         tasks=pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.TASKS.items()}, orient="row"),
         executions=[card for one in made for card in one.cards],
@@ -168,6 +168,16 @@ def _finished(
         dynamics=read_dynamics(changes),
         warnings=[*robot.warnings, *(staircase.warnings if some or not made else [])],
     )
+
+
+def _numbered(looks: Sequence[Look]) -> list[Session]:
+    """Return the sessions with the numbers of their runs in the list of all runs."""
+    sessions: list[Session] = []
+    count = 0
+    for look in looks:
+        sessions.append(replace(look.session, runs=tuple(range(count, count + len(look.runs)))))
+        count += len(look.runs)
+    return sessions
 
 
 class _Robot(NamedTuple):
@@ -183,7 +193,7 @@ class _Robot(NamedTuple):
     runs: Sequence[Run]
     places: Mapping[str, Place]
     executions: Sequence[Sequence[Execution]]
-    warnings: list[str]
+    warnings: list[Note]
 
 
 def _robot(
@@ -192,8 +202,7 @@ def _robot(
     """Find places and executions in all sessions, and the scaling where it was not logged."""
     runs: list[Run] = []
     stops: list[Stop] = []
-    for session, look in zip(sessions, looks, strict=True):
-        session.span_s, session.runs = look.span_s, list(range(len(runs), len(runs) + len(look.runs)))
+    for look in looks:
         stops += [replace(stop, run=stop.run + len(runs)) for stop in look.stops]
         runs += look.runs
     places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
@@ -260,16 +269,10 @@ def _scaling_of(made: Sequence[Made], folder: Path) -> list[pl.DataFrame]:
     return [frame[begin : begin + count] for begin, count in zip(begins, counts, strict=False)]
 
 
-def _is_much(sessions: Sequence[Session]) -> bool:
+def _is_much(groups: Sequence[LogGroup]) -> bool:
     """Tell whether a pass over the sessions takes longer than workers need to start."""
-    rows: int = sum(entry["rows"].get("robot", 0) for session in sessions for entry in session.entries)
-    return rows + SESSION_ROWS * len(sessions) >= SHARED_ROWS
-
-
-def _note(session: Session, entries: Sequence[Mapping[str, Any]]) -> None:
-    """Take over what a pass noted in the entries of a session; it may have worked on copies."""
-    for entry, noted in zip(session.entries, entries, strict=True):
-        entry.update(noted)
+    rows = sum(log.rows.get("robot", 0) for group in groups for log in group.logs)
+    return rows + SESSION_ROWS * len(groups) >= SHARED_ROWS
 
 
 class _Passes:

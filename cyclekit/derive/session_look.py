@@ -6,9 +6,10 @@ The first of the passes of `derive` over the sessions; each is looked at alone, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclekit.alignment.recording_clocks import place_in_time
+from cyclekit.dataset.sessions import Session
 from cyclekit.segmentation.load_runs import load_runs
 from cyclekit.segmentation.standstills import find_stops
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Cell, Source
-    from cyclekit.dataset.sessions import Session
+    from cyclekit.dataset.sessions import LogGroup
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.segmentation.standstills import Stop
     from cyclekit.segmentation.stored_run import StoredRun
@@ -30,27 +31,25 @@ class Look:
     """What one session shows by itself.
 
     Attributes:
-        entries: Entries of its recordings, with `clock` filled in.
-        span_s: First and last time of all of them, session seconds.
+        session: Its recordings, in one clock; the numbers of its runs are still to come.
         runs: Runs of its robot.
         marks: Of each run the rows at which something logged says that a cycle begins.
         stops: Its standstills; their runs are counted from 0 here.
     """
 
-    entries: list[dict[str, Any]]
-    span_s: tuple[float, float]
+    session: Session
     runs: list[StoredRun]
     marks: list[NDArray[np.int64]]
     stops: list[Stop]
 
 
 def look_at(
-    session: Session, *, sources: Mapping[str, Source | None], read: Read, stored: Stored, cell: Cell, coarse: bool
+    group: LogGroup, *, sources: Mapping[str, Source | None], read: Read, stored: Stored, cell: Cell, coarse: bool
 ) -> Look:
     """Look at one session.
 
     Args:
-        session: From `ingest`; its entries get `clock` filled in.
+        group: The logs of the session.
         sources: What the cell file says about each recording, by id.
         read: Returns a native table of a recording (id, table), None if it has none.
         stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
@@ -61,16 +60,10 @@ def look_at(
         ConfigError: Executions are to begin by a register or output that was not logged, or a clock or frame is to be
             found in a way that these logs do not allow.
     """
-    place_in_time(session, sources, read, stored, coarse_step_s=1.0 / cell.rate_hz if coarse else None)
-    spans = [_span(entry) for entry in session.entries]
+    step_s = 1.0 / cell.rate_hz if coarse else None
+    recordings = place_in_time(group, sources, read, stored, coarse_step_s=step_s)
+    starts, ends = zip(*(recording.span_s for recording in recordings), strict=True)
+    session = Session(group.name, recordings, group.reference, span_s=(min(starts), max(ends)))
     runs, marks = load_runs(session, read, stored, cell)
     stops = [stop for number, run in enumerate(runs) for stop in find_stops(run, number)]
-    return Look(session.entries, (min(a for a, _ in spans), max(b for _, b in spans)), runs, marks, stops)
-
-
-def _span(entry: Mapping[str, Any]) -> tuple[float, float]:
-    clock = entry["clock"]
-    return (
-        entry["first_s"] * clock["rate"] + clock["offset_s"],
-        entry["last_s"] * clock["rate"] + clock["offset_s"],
-    )
+    return Look(session, runs, marks, stops)

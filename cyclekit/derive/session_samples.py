@@ -11,8 +11,10 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from cyclekit import schema
+from cyclekit.dataset.cards import ExecutionCard
 from cyclekit.dataset.sessions import WITHOUT_PLACES
 from cyclekit.derive.sample_file import AT_ONCE, write_samples
 from cyclekit.derive.sample_rows import Coded, SampleRows, in_frames
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Cell, Source
+    from cyclekit.dataset.cards import RecordingCard
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import Session
     from cyclekit.dataset.signals import Read
@@ -70,7 +73,7 @@ class Made:
 
     Attributes:
         session: Its name.
-        entries: Entries of its recordings; it is noted there what was seen of the operator.
+        recordings: With what was seen of the operator, and used of task lists.
         part: The name of its file of samples.
         samples: How many there are.
         cards: What the dataset's card says about each execution.
@@ -81,10 +84,10 @@ class Made:
     """
 
     session: str
-    entries: list[dict[str, Any]]
+    recordings: tuple[RecordingCard, ...]
     part: str
     samples: int = 0
-    cards: list[dict[str, Any]] = field(default_factory=list)
+    cards: list[ExecutionCard] = field(default_factory=list)
     tasks: list[tuple[object, ...]] = field(default_factory=list)
     stays: list[Stays] = field(default_factory=list)
     origins: set[str] = field(default_factory=set)
@@ -116,7 +119,7 @@ def samples_of(
         EstimateError: An execution cannot be so long.
     """
     part = works[0].session.name
-    made = [Made(work.session.name, work.session.entries, part) for work in works]
+    made = [Made(work.session.name, work.session.recordings, part) for work in works]
 
     def rows() -> Iterator[SampleRows]:
         for work, mine in zip(works, made, strict=True):
@@ -125,14 +128,19 @@ def samples_of(
                 mine.cards.extend(one.card(session) for one in listed)
                 mine.tasks.extend(row for one in listed for row in one.rows())
                 continue
-            if all(set(entry["tables"]) <= WITHOUT_PLACES for entry in session.entries):
+            if all(set(one.tables) <= WITHOUT_PLACES for one in session.recordings):
                 continue
             courses = _courses(work, dwells, places, cell)
             if (first := next(courses, None)) is not None:
                 watch = Watch(session, sources, read, cell)
                 yield from _rows(session, chain([first], courses), watch, mine)
-                watch.note()
-                mine.tasks.extend(operator_rows(session, mine.cards, read))
+                listed_rows, said = operator_rows(session, mine.cards, read)
+                mine.tasks.extend(listed_rows)
+                seen = watch.cards()
+                mine.recordings = tuple(
+                    replace(one, operator=seen.get(one.id), listed=said if "task_list" in one.tables else ())
+                    for one in session.recordings
+                )
                 mine.silences.extend(watch.silences)
 
     frames = in_frames(rows(), AT_ONCE)
@@ -256,15 +264,15 @@ def _task_rows(name: str, legs: Sequence[Leg]) -> list[tuple[object, ...]]:
     ]  # fmt: skip
 
 
-def _card(session: Session, course: _Course, part: str) -> dict[str, Any]:
+def _card(session: Session, course: _Course, part: str) -> ExecutionCard:
     legs = course.legs
-    return {
-        "execution": course.name,
-        "session": session.name,
-        **({} if part == session.name else {"part": part}),
-        "start_s": float(course.t_s[0]),
-        "end_s": float(legs[-1].end_s if legs else course.t_s[-1]),
-        "complete": course.complete,
-        "reference": session.reference,
-        "places": [legs[0].start_place, *(leg.goal_place for leg in legs)] if legs else [],
-    }
+    return ExecutionCard(
+        execution=course.name,
+        session=session.name,
+        part=None if part == session.name else part,
+        start_s=float(course.t_s[0]),
+        end_s=float(legs[-1].end_s if legs else course.t_s[-1]),
+        complete=course.complete,
+        reference=session.reference,
+        places=(legs[0].start_place, *(leg.goal_place for leg in legs)) if legs else (),
+    )

@@ -8,17 +8,18 @@ or reach into from the time between two of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.dataset.sessions import LISTED
+from cyclekit.dataset.cards import ExecutionCard, note
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.config import Cell
+    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.sessions import Session
     from cyclekit.dataset.signals import Read
 
@@ -58,18 +59,17 @@ class Listed:
         """Return its rows of table TASKS."""
         return task_rows(self.name, self.tasks)
 
-    def card(self, session: Session) -> dict[str, Any]:
+    def card(self, session: Session) -> ExecutionCard:
         """Return what the card of the dataset says about it."""
-        return {
-            "execution": self.name,
-            "session": session.name,
-            "start_s": self.start_s,
-            "end_s": self.end_s,
-            "complete": self.complete,
-            "reference": session.reference,
-            "places": [],
-            "logged_as": self.logged_as,
-        }
+        return ExecutionCard(
+            execution=self.name,
+            session=session.name,
+            start_s=self.start_s,
+            end_s=self.end_s,
+            complete=self.complete,
+            reference=session.reference,
+            logged_as=self.logged_as,
+        )
 
 
 def task_rows(name: str, tasks: pl.DataFrame) -> list[tuple[object, ...]]:
@@ -109,10 +109,10 @@ def listed_in(session: Session, read: Read, cell: Cell) -> list[Listed]:
     return [Listed(f"{session.name}.{number:03d}", name, rows) for number, (name, rows) in enumerate(every, 1)]
 
 
-def operator_rows(session: Session, cards: Sequence[dict[str, Any]], read: Read) -> list[tuple[object, ...]]:
-    """Return the operator's listed tasks as rows of table TASKS, each in the execution that it belongs to.
-
-    What is left out is noted in the entries of the session.
+def operator_rows(
+    session: Session, cards: Sequence[ExecutionCard], read: Read
+) -> tuple[list[tuple[object, ...]], tuple[Note, ...]]:
+    """Return the operator's listed tasks as rows of table TASKS, each in its execution, and what was left out.
 
     Args:
         session: With a robot's log.
@@ -121,33 +121,29 @@ def operator_rows(session: Session, cards: Sequence[dict[str, Any]], read: Read)
     """
     tasks = _tasks_of(session, read)
     if tasks is None:
-        return []
+        return [], ()
     operator = tasks.filter(pl.col("agent") == "operator")
     found: list[tuple[object, ...]] = []
     before_s = float("-inf")
     for card in cards:
-        begins = pl.col("t_s").is_between(card["start_s"], card["end_s"], closed="left")
-        reaches = (pl.col("t_s") < card["start_s"]) & (pl.col("t_s") >= before_s) & (pl.col("end_s") > card["start_s"])
-        found += task_rows(card["execution"], operator.filter(begins | reaches.fill_null(value=False)))
-        before_s = card["end_s"]
+        begins = pl.col("t_s").is_between(card.start_s, card.end_s, closed="left")
+        reaches = (pl.col("t_s") < card.start_s) & (pl.col("t_s") >= before_s) & (pl.col("end_s") > card.start_s)
+        found += task_rows(card.execution, operator.filter(begins | reaches.fill_null(value=False)))
+        before_s = card.end_s
     said = []
     if robots := tasks.height - operator.height:
-        said.append(f"{robots} tasks of the robot are not used: its log tells its tasks")
+        said.append(note("listed-of-robot", tasks=robots))
     if outside := operator.height - len(found):
-        said.append(f"{outside} of {operator.height} tasks of the operator lie outside of every execution")
-    for entry in session.entries:
-        if "task_list" in entry["tables"]:
-            kept = [text for text in entry["warnings"] if not text.startswith(LISTED)]
-            entry["warnings"] = [*kept, *(LISTED + text for text in said)]
-    return found
+        said.append(note("listed-outside", outside=outside, tasks=operator.height))
+    return found, tuple(said)
 
 
 def _tasks_of(session: Session, read: Read) -> pl.DataFrame | None:
     """Return the listed tasks of a session in its time, in order of start; None without a task list."""
     found = []
-    for entry in session.entries:
-        table = read(entry["id"], "task_list") if "task_list" in entry["tables"] else None
+    for entry in session.recordings:
+        table = read(entry.id, "task_list") if "task_list" in entry.tables else None
         if table is not None and table.height:
-            rate, offset_s = entry["clock"]["rate"], entry["clock"]["offset_s"]
-            found.append(table.with_columns(pl.col(name) * rate + offset_s for name in _TIMES))
+            clock = entry.clock
+            found.append(table.with_columns(pl.col(name) * clock.rate + clock.offset_s for name in _TIMES))
     return pl.concat(found).sort("t_s", maintain_order=True) if found else None

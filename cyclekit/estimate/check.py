@@ -215,11 +215,11 @@ def check_rollout(
             break
     logged = logged_durations(dataset, sequences)
     column = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
-    if not Dynamics.of(dataset.card).none:
+    if not Dynamics.of(dataset.card.dynamics).none:
         crossed *= _late(own, crossed[np.arange(len(sequences)), column])
     crossed[np.arange(len(sequences)), column] = np.nan  # its own operator is left out
     _enough(dataset, int((np.isfinite(own) & np.isfinite(crossed).any(axis=1)).sum()))
-    unseen = set((model.card.get("split") or {}).get("test", ()))
+    unseen = set(model.card.held_out)
     held_out = np.array([sequence.name in unseen for sequence in sequences])
     return compare(logged, own, np.where(np.isfinite(crossed), crossed, np.nan), held_out, levels)
 

@@ -60,11 +60,9 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     samples = dataset.samples(columns=["execution", "human_x_m", "human_z_m", "human_gap", "scaling_origin"])
     found += said_of_height(samples)
     absent = samples.filter(nobody_there()).height / max(samples.height, 1)
-    if absent > 0.01 and model.card.get("scaling_without_operator") is None:
+    if absent > 0.01 and model.card.scaling_without_operator is None:
         found.append(f"in {absent:.0%} of the samples nobody is there; then the robot is taken to run free")
-    ran = {
-        entry["execution"] for entry in dataset.card["executions"] if entry["complete"] and not entry.get("reference")
-    }
+    ran = {one.execution for one in dataset.card.executions if one.complete and not one.reference}
     away = samples.group_by("execution").agg(away=(pl.col("human_gap") == "absent").fill_null(value=False).all())
     alone = ran & set(away.filter("away")["execution"].to_list())
     if alone:
@@ -76,8 +74,8 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     if slider:
         most = f"in {len(slider)} executions the speed slider was turned down and cost up to {max(slider):.1%} of them"
         found.append(f"{most}; the estimate is for full slider")
-    if any(record["clock"]["method"] == ASSUMED for record in dataset.recordings):
+    if any(record.clock.method == ASSUMED for record in dataset.recordings):
         found.append("the clocks of robot and tracker are only assumed to start together")
-    if any(record["clock"]["method"] in ("coarse", "start-text") for record in dataset.recordings):
+    if any(record.clock.method in ("coarse", "start-text") for record in dataset.recordings):
         found.append("the clocks of robot and tracker are aligned roughly: the reaction delay is hidden or unknown")
     return found

@@ -46,9 +46,9 @@ def logged_sequences(dataset: Dataset, nominal: Mapping[str, NominalTask]) -> li
     """Return the complete executions of known tasks at full speed slider as sequences, each by its own name."""
     found = []
     turned_down = {name for name, part in slider_losses(dataset).items() if part > SLIDER_LOSS}
-    for entry in dataset.card["executions"]:
-        if entry["complete"] and len(entry.get("places", ())) > 1 and entry["execution"] not in turned_down:
-            sequence = TaskSequence(entry["execution"], tuple(entry["places"]))
+    for one in dataset.card.executions:
+        if one.complete and len(one.places) > 1 and one.execution not in turned_down:
+            sequence = TaskSequence(one.execution, one.places)
             if all(task in nominal for task in sequence.tasks):
                 found.append(sequence)
     return found
@@ -73,6 +73,6 @@ def beside_own(
     stands = {str(name): (rows["dwell_s"] + rows["wait_s"]).to_numpy() for (name,), rows in by_execution}
     own = [np.maximum(stands[sequence.name][: len(sequence.tasks)], 1e-3)[None, :] for sequence in sequences]
     track = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
-    dynamics = Dynamics.of(dataset.card)
+    dynamics = Dynamics.of(dataset.card.dynamics)
     walked = walk(model, programs, np.arange(len(programs)), track, own, tracks, dynamics=dynamics, fine=True)
     return walked.duration_s

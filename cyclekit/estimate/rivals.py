@@ -91,8 +91,8 @@ def _mean_scaling(
     human = in_plane(robot_m, tracks.xyz_m[rows, at])
     bound_for = np.full_like(human, np.nan) if tracks.goal_m is None else tracks.goal_m[rows, at]
     inputs = np.concatenate([robot_m, human, np.broadcast_to(goal_m, robot_m.shape), bound_for], axis=1)
-    without = model.card.get("scaling_without_operator")
-    mean = np.full(len(rows), 1.0 if without is None else float(without))
+    without = model.card.scaling_without_operator
+    mean = np.full(len(rows), 1.0 if without is None else without)
     known = np.flatnonzero(np.isfinite(inputs).all(axis=1))
     for start in range(0, len(known), BLOCK):
         some = known[start : start + BLOCK]

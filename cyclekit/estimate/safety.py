@@ -15,10 +15,9 @@ import numpy as np
 from cyclekit.dataset.unknown_height import in_plane, inputs_in_plane
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from typing import Any
-
     from numpy.typing import NDArray
+
+    from cyclekit.dataset.cards import DynamicsCard, TrainingCard
 
     Vector = NDArray[np.float64]
 
@@ -38,7 +37,7 @@ class SafetyModel(Protocol):
         """What it predicts; `now` for the scaling of the present instant."""
 
     @property
-    def card(self) -> Mapping[str, Any]:
+    def card(self) -> TrainingCard:
         """How it came about."""
 
     def predict(self, X: NDArray[np.float32], /) -> Vector:
@@ -85,10 +84,9 @@ class Dynamics:
     hysteresis_m: float | None = None
 
     @classmethod
-    def of(cls, card: Mapping[str, Any]) -> Dynamics:
-        """Return what a dataset's card says; nothing where it says nothing."""
-        said = card.get("dynamics") or {}
-        return cls(**{name: said.get(name) for name in cls.__dataclass_fields__})
+    def of(cls, card: DynamicsCard) -> Dynamics:
+        """Return what a dataset's card says."""
+        return cls(**{name: getattr(card, name) for name in cls.__dataclass_fields__})
 
     @property
     def none(self) -> bool:
@@ -136,8 +134,8 @@ def _asked(
     model: SafetyModel, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]
 ) -> tuple[Vector, NDArray[np.float32], NDArray[np.int64] | slice]:
     """Return s where nobody is seen (N,), the inputs of the other pairs (M, 6), and which those are."""
-    without = model.card.get("scaling_without_operator")
-    scaling = np.full(len(robot_m), 1.0 if without is None else float(without))
+    without = model.card.scaling_without_operator
+    scaling = np.full(len(robot_m), 1.0 if without is None else without)
     inputs = np.empty((len(robot_m), 6), dtype=np.float32)
     inputs[:, :3], inputs[:, 3:] = robot_m, human_m
     inputs = inputs_in_plane(inputs)

@@ -65,7 +65,7 @@ def _walk(asked: Asked, sequences: Sequence[TaskSequence]) -> list[Rolled]:
     logs, nominal, tracks, support = _of_logs(asked.dataset, asked.executions, asked.operator, asked.horizon_s)
     programs = [lay_out(sequence, nominal, logs) for sequence in sequences]
     known = getattr(asked.model, "known_everywhere", False)
-    dynamics = Dynamics.of(logs.card)
+    dynamics = Dynamics.of(logs.card.dynamics)
     near = None if known else support
     return list(roll_all(asked.model, programs, tracks, near, seed=asked.seed, dynamics=dynamics))
 

@@ -118,7 +118,7 @@ def operator_tracks(
     seen_in = [name for name in tracks if name in complete and tracks[name].seen]
     begins = [name for name in seen_in if tracks[name].followed]
     if begins:
-        meant = {entry["execution"] for entry in dataset.card["executions"] if entry.get("reference")}
+        meant = {one.execution for one in dataset.card.executions if one.reference}
         away = {name for name in complete - meant if name in tracks and tracks[name].away}
         begins = [name for name in tracks if name in away or name in begins]
     else:

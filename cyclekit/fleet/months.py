@@ -10,6 +10,7 @@ import datetime as dt
 import re
 from typing import TYPE_CHECKING
 
+from cyclekit.dataset.cards import SplitCard
 from cyclekit.errors import OutsideFolder
 from cyclekit.learning.evaluation.drift import Drift, drift_between
 from cyclekit.storage.inside import inside
@@ -35,20 +36,19 @@ def day_in(path: str) -> dt.date | None:
     return None
 
 
-def days_of(dataset: Dataset, roots: Sequence[Path]) -> dict[str, str]:
-    """Return the day of every session (ISO), as far as its logs can be found.
+def days_of(dataset: Dataset, roots: Sequence[Path]) -> dict[str, dt.date]:
+    """Return the day of every session, as far as its logs can be found.
 
     Args:
         dataset: Made of these logs.
         roots: The files and folders that were given to `ingest`.
     """
     bases = [root if root.is_dir() else root.parent for root in roots]
-    found: dict[str, str] = {}
+    found: dict[str, dt.date] = {}
     for entry in dataset.recordings:
-        shown = str(entry["sources"][0]["path"])
-        day = day_in(shown) or _written(shown, bases)
+        day = day_in(entry.shown) or _written(entry.shown, bases)
         if day is not None:
-            found[entry["session"]] = max(found.get(entry["session"], ""), day.isoformat())
+            found[entry.session] = max(found.get(entry.session, day), day)
     return found
 
 
@@ -67,7 +67,7 @@ def _written(shown: str, bases: Sequence[Path]) -> dt.date | None:
     return None
 
 
-def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, str]) -> Drift | str:
+def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, dt.date]) -> Drift | str:
     """Compare the last month of logs with those before it; return why that cannot be done in a sentence.
 
     What the model learned from is left out when its errors are compared, on both sides.
@@ -75,20 +75,20 @@ def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, s
     Args:
         model: A model of problem `now`, trained on these logs or on the earlier ones.
         dataset: All logs.
-        days: The day of every session, ISO.
+        days: The day of every session.
     """
-    newest = max((dt.date.fromisoformat(day) for day in days.values()), default=None)
+    newest = max(days.values(), default=None)
     if newest is None:
         return "the days of the logs are not known"
-    begin = (newest - MONTH).isoformat()
-    sessions = {entry["execution"]: entry["session"] for entry in dataset.card["executions"]}
+    begin = newest - MONTH
+    sessions = {one.execution: one.session for one in dataset.card.executions}
     dated = {name: days[session] for name, session in sessions.items() if session in days}
     before = [name for name, day in dated.items() if day <= begin]
     after = [name for name, day in dated.items() if day > begin]
     if not before:
         return "the logs reach back less than a month"
-    split = model.card.get("split") or {}
-    learned = {*split.get("train", ()), *split.get("validation", ())}
+    split = model.card.split or SplitCard()
+    learned = {*split.train, *split.validation}
     judged = [[name for name in part if name not in learned] for part in (before, after)]
     if min(map(len, judged)) < 2:
         return "too few executions of either time that the model has not learned from"
@@ -97,12 +97,12 @@ def since_last_month(model: TrainedModel, dataset: Dataset, days: Mapping[str, s
 
 def since_training(model: TrainedModel, dataset: Dataset) -> Drift | None:
     """Compare executions that came after the training with those held out from it; None with fewer than two."""
-    split = model.card.get("split") or {}
-    known = {name for part in ("train", "validation", "test") for name in split.get(part, ())}
+    split = model.card.split or SplitCard()
+    known = {*split.train, *split.validation, *split.test}
     names = dataset.executions["execution"].to_list()
     newer = [name for name in names if name not in known]
     older = [name for name in names if name in known]
-    held_out = [name for name in split.get("test", ()) if name in names]
+    held_out = [name for name in split.test if name in names]
     if len(newer) < 2 or len(held_out) < 2:
         return None
     return drift_between(model, dataset.only(older), dataset.only(newer), held_out, newer)

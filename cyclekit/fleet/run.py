@@ -6,11 +6,12 @@ import datetime as dt
 import json
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from cyclekit.dataset.cards import plain
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import CyclekitError
-from cyclekit.fleet.stages import LEDGER, REPORT, STAGES, Row, note, read_ledger, work_on
+from cyclekit.fleet.stages import LEDGER, REPORT, STAGES, Row, noted, read_ledger, work_on
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.report.fleet_page import CellLine, fleet_page
 from cyclekit.storage.remote.folders import join, write_text
@@ -18,6 +19,7 @@ from cyclekit.storage.remote.folders import join, write_text
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from cyclekit.dataset.cards import CellLedger
     from cyclekit.fleet.read import Fleet, FleetCell
 
 PAGE, SUMMARY = "index.html", "fleet.json"
@@ -56,7 +58,7 @@ def run_fleet(
         else:  # its worker died again and again, so it could not note that itself
             rows[cell.name] = [Row(cell.name, stages[0], "failed", str(done.error))]
             with suppress(CyclekitError):  # where it was the place that failed
-                note(cell, read_ledger(cell), rows[cell.name][0])
+                noted(cell, read_ledger(cell), rows[cell.name][0])
         if progress:
             progress(len(rows) / len(fleet.cells), _said(rows[cell.name][-1]))
     if "report" in stages:
@@ -79,20 +81,16 @@ def write_page(fleet: Fleet, today: dt.date) -> None:
     """Write `index.html` and `fleet.json`: every cell as its `cell.json` says, whatever was done today."""
     ledgers = [read_ledger(cell) for cell in fleet.cells]
     lines = [_line(cell, ledger) for cell, ledger in zip(fleet.cells, ledgers, strict=True)]
+    cells = [plain(ledger, nulls=True) for ledger in ledgers]
     write_text(join(fleet.out, PAGE), fleet_page(fleet.name, lines, today))
-    write_text(join(fleet.out, SUMMARY), json.dumps({"fleet": fleet.name, "cells": ledgers}, indent=1) + "\n")
+    write_text(join(fleet.out, SUMMARY), json.dumps({"fleet": fleet.name, "cells": cells}, indent=1) + "\n")
 
 
-def _line(cell: FleetCell, ledger: dict[str, Any]) -> CellLine:
-    stages = [stage for stage in STAGES if stage in ledger["stages"]]
-    failed = [f"{stage}: {ledger['stages'][stage]['text']}" for stage in stages if _state(ledger, stage) == "failed"]
-    unread = str(ledger["stages"].get("ingest", {}).get("text", "")).partition("not read: ")[2]
-    link = f"{cell.name}/{REPORT}" if ledger.get("reported") else None
-    return CellLine(cell.name, ledger["figures"], tuple(failed), unread, link)
-
-
-def _state(ledger: dict[str, Any], stage: str) -> str:
-    return str(ledger["stages"][stage]["state"])
+def _line(cell: FleetCell, ledger: CellLedger) -> CellLine:
+    done = {stage: ledger.stages[stage] for stage in STAGES if stage in ledger.stages}
+    failed = tuple(f"{stage}: {one.text}" for stage, one in done.items() if one.state == "failed")
+    link = f"{cell.name}/{REPORT}" if ledger.reported else None
+    return CellLine(cell.name, ledger.figures, failed, ledger.unread, link)
 
 
 def _said(row: Row) -> str:

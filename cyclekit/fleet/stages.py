@@ -9,14 +9,16 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, TypeVar
+
+from msgspec.structs import replace
 
 import cyclekit
 from cyclekit.config.sequences import load_sequences
-from cyclekit.dataset.cards import BadCard, CellLedger, checked, parse_json
+from cyclekit.dataset.cards import BadCard, CellLedger, StageCard, checked, parse_json, plain
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.errors import CyclekitError, DatasetError, ModelError, StorageError
+from cyclekit.errors import CyclekitError, DatasetError, ModelError, NothingPublished, StorageError
 from cyclekit.estimate.rollout import estimate
 from cyclekit.fleet.figures import figures_of
 from cyclekit.fleet.months import days_of, since_last_month, since_training
@@ -39,6 +41,8 @@ if TYPE_CHECKING:
 
 Found = TypeVar("Found")
 LEDGER, REPORT = "cell.json", "report.html"
+_SHOWN = 3
+"""So many logs that could not be read are named."""
 State = Literal["done", "unchanged", "failed", "skipped"]
 
 
@@ -59,41 +63,52 @@ class Row:
     text: str
 
 
+@dataclass
+class Work:
+    """A cell at work, and what is known of it; the ledger is replaced as stages find something out."""
+
+    cell: FleetCell
+    ledger: CellLedger
+
+
 def work_on(cell: FleetCell, *, stages: Sequence[str]) -> list[Row]:
     """Do stages of a cell, in order. What fails is told and ends no other stage that can do without it."""
-    ledger, rows = read_ledger(cell), list[Row]()
+    work, rows = Work(cell, read_ledger(cell)), list[Row]()
     for stage in stages:
         try:
-            state, text = STAGES[stage](cell, ledger)
+            state, text = STAGES[stage](work)
         except CyclekitError as error:
             state, text = "failed", str(error)
         except Exception as error:  # a fault of ours in one cell must not end the night's work on the others
             state, text = "failed", f"a fault of cyclekit: {type(error).__name__}: {error}"
         row = Row(cell.name, stage, state, text)
-        note(cell, ledger, row)
+        work.ledger = noted(cell, work.ledger, row)
         rows.append(row)
     return rows
 
 
-def read_ledger(cell: FleetCell) -> dict[str, Any]:
+def read_ledger(cell: FleetCell) -> CellLedger:
     """Return what is known of a cell; nothing where nothing was done, or it cannot be read."""
     try:
-        found = parse_json((read_text(join(cell.folder, LEDGER)) or "{}").encode())
-        checked(found, CellLedger)
+        found = checked(parse_json((read_text(join(cell.folder, LEDGER)) or "{}").encode()), CellLedger)
     except (BadCard, StorageError, OSError, UnicodeError):
-        found = {}
-    return {"stages": {}, "days": {}, "figures": {}, **found, "cell": cell.name}
+        found = CellLedger()
+    return replace(found, cell=cell.name)
 
 
-def note(cell: FleetCell, ledger: dict[str, Any], row: Row) -> None:
-    """Write down what came of a stage."""
+def noted(cell: FleetCell, ledger: CellLedger, row: Row) -> CellLedger:
+    """Write down what came of a stage, and return the ledger with it."""
     now = dt.datetime.now(tz=dt.UTC).isoformat(timespec="seconds")
-    ledger["stages"][row.stage] = {"state": row.state, "text": row.text, "at": now}
-    write_text(join(cell.folder, LEDGER), json.dumps(ledger, indent=1, ensure_ascii=False) + "\n")
+    done = StageCard(state=row.state, text=row.text, at=now)
+    ledger = replace(ledger, stages={**ledger.stages, row.stage: done})
+    text = json.dumps(plain(ledger, nulls=True), indent=1, ensure_ascii=False)
+    write_text(join(cell.folder, LEDGER), text + "\n")
+    return ledger
 
 
-def _ingest(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
-    logs = cell.logs()
+def _ingest(work: Work) -> tuple[State, str]:
+    cell, logs = work.cell, work.cell.logs()
+    work.ledger = replace(work.ledger, not_read=(), not_read_more=0)
     report = ingest(
         logs,
         cell.dataset,
@@ -102,19 +117,18 @@ def _ingest(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
         checksums=cell.checksums,
         follow_links=cell.follow_links,
     )
-    if cell.pseudonymise:
-        ledger["days"] = {}  # nor those of before
-    else:
-        ledger["days"] = days_of(Dataset.open(report.dataset), [mirrored(place) for place in logs])
+    days: dict[str, dt.date] = {}  # nor those of before
+    if not cell.pseudonymise:
+        days = days_of(Dataset.open(report.dataset), [mirrored(place) for place in logs])
+    unread = tuple(f"{path}: {reason}" for path, reason in report.not_read)
+    work.ledger = replace(work.ledger, days=days, not_read=unread[:_SHOWN], not_read_more=max(0, len(unread) - _SHOWN))
     told = f"{report.executions} executions, {report.recordings_new} recordings read"
-    unread = [f"{path}: {reason}" for path, reason in report.not_read]
-    told += f"; not read: {'; '.join(unread[:3])}" if unread else ""
-    return ("unchanged" if report.unchanged else "done"), told + (f" and {len(unread) - 3} more" if unread[3:] else "")
+    told += f"; not read: {work.ledger.unread}" if unread else ""
+    return ("unchanged" if report.unchanged else "done"), told
 
 
-def _train(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
-    del ledger
-    dataset = _dataset(cell)
+def _train(work: Work) -> tuple[State, str]:
+    cell, dataset = work.cell, _dataset(work.cell)
     if dataset is None:
         return "skipped", "there is no dataset"
     model = _model(cell)
@@ -123,14 +137,15 @@ def _train(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
     spec = ModelSpec.of(seed=cell.seed, epochs=cell.epochs)
     card = train_at(Training(cell.dataset, spec, cell.model))
     why = "first model" if model is None else "the safety function has changed, or its logs have gone"
-    return "done", f"{why}: mean absolute error {card['metrics']['mae']:.4f} held out"
+    error = f": mean absolute error {card.metrics.mae:.4f} held out" if card.metrics is not None else ""
+    return "done", why + error
 
 
 def _still_good(model: TrainedModel, dataset: Dataset) -> str | None:
     """Say why no new model is needed; None if one is."""
-    if model.card.get("dataset_sha256") == fingerprint(dataset):
+    if model.card.dataset_sha256 == fingerprint(dataset):
         return "trained on these logs"
-    held_out = (model.card.get("split") or {}).get("test", ())
+    held_out = model.card.held_out
     if other_cell_of(model.card, dataset) is not None:
         return None
     if model.problem != "now" or not set(held_out) <= set(dataset.executions["execution"]):
@@ -143,21 +158,23 @@ def _still_good(model: TrainedModel, dataset: Dataset) -> str | None:
     return f"{changed.executions[1]} newer executions show the safety function that was learned"
 
 
-def _report(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
+def _report(work: Work) -> tuple[State, str]:
+    cell, days = work.cell, work.ledger.days
     dataset, model = _dataset(cell), _model(cell)
     if dataset is None:
         return "skipped", "there is no dataset"
     wanted = [] if cell.sequences is None else load_sequences(mirrored(cell.sequences))
     asked = [[each.name, each.places, each.operator] for each in wanted]
-    known = [cyclekit.__version__, fingerprint(dataset), None if model is None else model.card, asked, ledger["days"]]
+    dated = {session: day.isoformat() for session, day in days.items()}
+    known = [cyclekit.__version__, fingerprint(dataset), None if model is None else plain(model.card), asked, dated]
     mark = hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
-    if ledger.get("reported") == mark:
+    if work.ledger.reported == mark:
         return "unchanged", "nothing is new"
     missing: list[str] = []
     judged = None if model is None else _or_missing(lambda: evaluate(model, dataset, boosting=False), missing)
-    drift = "there is no model" if model is None else since_last_month(model, dataset, ledger["days"])
+    drift = "there is no model" if model is None else since_last_month(model, dataset, days)
     # kept although the estimates may fail: what was asked for and cannot be answered is an error of this stage
-    ledger["figures"] = asdict(figures_of(dataset, drift, ledger["days"], _doubt(model, judged)))
+    work.ledger = replace(work.ledger, figures=figures_of(dataset, drift, days, _doubt(model, judged)))
     found = estimate(model, dataset, wanted) if model is not None and wanted else []
     check = found[0].check if found else None
     with Scratch() as scratch:
@@ -166,7 +183,7 @@ def _report(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
             dataset, model, page, estimates=found, evaluation=judged, check=check, missing=missing, cell_name=cell.name
         )
         write_text(join(cell.folder, REPORT), page.read_text(encoding="utf-8"))
-    ledger["reported"] = mark
+    work.ledger = replace(work.ledger, reported=mark)
     return "done", facts.headline
 
 
@@ -182,33 +199,25 @@ def _doubt(model: TrainedModel | None, judged: Evaluation | None) -> str:
     """Say why the error of a cell's model is large, by all that can judge it now, else by what was held out."""
     if model is None:
         return ""
-    metrics = judged.metrics.to_json() if judged else model.card.get("metrics")
-    return large_error(metrics, model.levels) if metrics else ""
+    metrics = judged.metrics if judged else model.card.metrics
+    return large_error(metrics, model.levels) if metrics is not None else ""
 
 
 def _dataset(cell: FleetCell) -> Dataset | None:
     try:
         return Dataset.open(cell.dataset)
-    except DatasetError:
+    except (DatasetError, NothingPublished):
         return None
-    except StorageError as error:
-        if "nothing is published" in str(error):
-            return None
-        raise
 
 
 def _model(cell: FleetCell) -> TrainedModel | None:
     try:
         return load_model(cell.model)
-    except ModelError:  # none, or one of an earlier version
+    except (ModelError, NothingPublished):  # none, or one of an earlier version
         return None
-    except StorageError as error:
-        if "nothing is published" in str(error):
-            return None
-        raise
 
 
-STAGES: dict[str, Callable[[FleetCell, dict[str, Any]], tuple[State, str]]] = {
+STAGES: dict[str, Callable[[Work], tuple[State, str]]] = {
     "ingest": _ingest,
     "train": _train,
     "report": _report,

@@ -91,7 +91,7 @@ def suggest_cell(paths: Sequence[Path], *, follow_links: bool = False) -> Sugges
     if len(paths) == 1 and (paths[0] / CARD).is_file():
         dataset = Dataset.open(paths[0])
         known = Cell(
-            name=str(dataset.card["name"]),
+            name=dataset.card.name,
             places={name: NamedPlace(p.xyz_m, max(p.radius_m, 0.01)) for name, p in dataset.places.items()},
             human_places={name: NamedPlace(p.xyz_m, p.radius_m) for name, p in dataset.human_places.items()},
         )

@@ -17,9 +17,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import polars as pl
+from msgspec import structs
 
 from cyclekit import schema
 from cyclekit.config import Cell
+from cyclekit.dataset.cards import (
+    CellSettings,
+    DatasetCard,
+    DynamicsCard,
+    PlaceCard,
+    RowCounts,
+    UnreadCard,
+    checked,
+    note,
+    plain,
+    texts,
+)
 from cyclekit.dataset.dataset import CARD, TASKS, Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.dataset.sessions import WITHOUT_PLACES, group_sessions, unpaired
@@ -40,7 +53,10 @@ from cyclekit.storage.remote.folders import is_url, mirrored, published
 from cyclekit.text.plain_json import finite
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+
+    from cyclekit.dataset.cards import LogCard, Note, RecordingCard
+    from cyclekit.dataset.dataset import Place
 
     Progress = Callable[[float, str], None]
 
@@ -55,6 +71,8 @@ class IngestReport:
         recordings_new: Recordings read now.
         recordings_kept: Recordings taken over from the old dataset without reading their logs.
         not_read: Files that were found and not used, with the reason.
+        said: What a person must know before trusting the dataset: name of a recording, empty where it is about all of
+            them, and a sentence.
         unchanged: The dataset was up to date; nothing was read or written.
     """
 
@@ -66,13 +84,19 @@ class IngestReport:
     tasks: int
     samples: int
     not_read: tuple[tuple[str, str], ...]
-    warnings: tuple[str, ...]
+    said: tuple[tuple[str, str], ...]
     unchanged: bool
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a person must know before trusting the dataset, one sentence each."""
+        return tuple(f"{name}: {text}" if name else text for name, text in self.said)
 
     def to_json(self) -> dict[str, Any]:
         """Return the report as plain JSON values."""
         not_read = [{"path": path, "reason": reason} for path, reason in self.not_read]
-        return {**vars(self), "dataset": self.place, "not_read": not_read, "warnings": list(self.warnings)}
+        found = {name: value for name, value in vars(self).items() if name != "said"}
+        return {**found, "dataset": self.place, "not_read": not_read, "warnings": list(self.warnings)}
 
 
 @one_thread()
@@ -147,8 +171,8 @@ def _ingest(roots: Sequence[Path], out: Path, wanted: _Wanted, tell: Progress) -
             old = _old(out)
             card, kept = _build(wanted, staging, digests, old, explicit, shelved, names, tell)
             repaired = _repaired(old, (out / CARD).exists())
-    report = _report(out, card, new=len(card["recordings"]) - kept, kept=kept, unchanged=False)
-    return replace(report, warnings=(*repaired, *report.warnings))
+    report = _report(out, card, new=len(card.recordings) - kept, kept=kept, unchanged=False)
+    return replace(report, said=(*(("", text) for text in texts(repaired)), *report.said))
 
 
 def left_by(out: Path | str) -> Path | None:
@@ -180,19 +204,19 @@ class _Wanted:
         return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
 
-def _up_to_date(out: Path, wanted: _Wanted) -> dict[str, Any] | None:
+def _up_to_date(out: Path, wanted: _Wanted) -> DatasetCard | None:
     old = _old(out)
-    same = old is not None and old.card.get("fingerprint") == wanted.fingerprint
+    same = old is not None and old.card.fingerprint == wanted.fingerprint
     return old.card if old is not None and same and not old.damaged() else None
 
 
-def _repaired(old: Dataset | None, there: bool) -> list[str]:
+def _repaired(old: Dataset | None, there: bool) -> list[Note]:
     """Say what of the dataset that is replaced was damaged: it was made anew, and the disk may be failing."""
     if old is None:
-        return ["the dataset that was there was damaged, or of another version, and was made anew"] if there else []
+        return [note("made-anew")] if there else []
     damaged = list(old.damaged().items())
     some = ", ".join(f"{name} ({what})" for name, what in damaged[:3]) + (" and more" if len(damaged) > 3 else "")
-    return [f"made anew, since the dataset was not as it was written: {some}"] if damaged else []
+    return [note("repaired", files=some)] if damaged else []
 
 
 def _build(
@@ -204,9 +228,9 @@ def _build(
     shelf: Shelf | None,
     names: Names | None,
     tell: Progress,
-) -> tuple[dict[str, Any], int]:
+) -> tuple[DatasetCard, int]:
     """Build the dataset in `staging`, without these names; return its card and how many recordings were taken over."""
-    alike = old is not None and old.card.get("skeletons") == wanted.how.skeletons
+    alike = old is not None and old.card.skeletons == wanted.how.skeletons
     intake = read_all(
         wanted.logs,
         staging,
@@ -217,32 +241,34 @@ def _build(
         how=wanted.how,
         tell=lambda f, text: tell(0.6 * f, text),
     )
-    entries, kept = intake.entries, intake.kept
+    read = intake.cards
     shown = {log.path: log.shown for log in wanted.logs}
     not_read = list(wanted.not_read)
     for error in intake.failed:
-        if error.path in explicit or not entries:
+        if error.path in explicit or not read:
             raise error
         not_read.append((shown.get(error.path, str(error.path)), error.cause))
-    gather_quarantine(entries, staging)
+    gather_quarantine(read, staging)
     cell = wanted.cell
     sources = {log.id: log.source for log in wanted.logs}
-    sessions = group_sessions(entries, partial(_is_reference, cell), numbered=names is not None)
+    groups = group_sessions(read, partial(_is_reference, cell), numbered=names is not None)
     later, coarse = (lambda fraction, text: tell(0.6 + 0.4 * fraction, text)), wanted.align_clocks == "coarse"
     native, stored = partial(_native, staging), partial(_stored, staging)
     derived = derive(
-        sessions, sources, native, stored, cell, staging / "samples", later, engine=wanted.engine, coarse=coarse
+        groups, sources, native, stored, cell, staging / "samples", later, engine=wanted.engine, coarse=coarse
     )
-    derived.warnings.extend([*unpaired(sessions), *_unmatched(cell, wanted.logs), *_without_places(entries)])
-    digests.settle(entries)
+    warnings = [*derived.warnings, *unpaired(groups), *_unmatched(cell, wanted.logs), *_without_places(read)]
+    by_id = {one.id: one for one in digests.settle(derived.recordings)}
+    recordings = [by_id[one.id] for one in read]
     if names is not None:
-        take_out(entries, names, staging)
-        derived.warnings[:] = map(names.said, derived.warnings)
+        recordings, warnings = take_out(recordings, names, staging), names.notes(warnings)
         cell, not_read = names.settings(), names.not_read(not_read)
     write_parquet(derived.tasks, staging / TASKS)
-    card = _card(cell, entries, derived, not_read, wanted) | {"files": listed(staging)}
-    write_text(staging / CARD, sealed(json.dumps(finite(card), indent=1, ensure_ascii=False, allow_nan=False) + "\n"))
-    return card, kept
+    derived = replace(derived, recordings=recordings, warnings=warnings)
+    card = structs.replace(_card(cell, derived, not_read, wanted), files=listed(staging))
+    values = finite(plain(card))
+    write_text(staging / CARD, sealed(json.dumps(values, indent=1, ensure_ascii=False, allow_nan=False) + "\n"))
+    return card, intake.kept
 
 
 def _rate(rate_hz: float) -> float:
@@ -280,73 +306,73 @@ def _is_reference(cell: Cell, shown: str) -> bool:
     return any(matches(shown, Path(shown), pattern) for pattern in cell.reference)
 
 
-def _unmatched(cell: Cell, logs: Sequence[Log]) -> list[str]:
+def _unmatched(cell: Cell, logs: Sequence[Log]) -> list[Note]:
     """Say which sources of the cell file mean no log: a slip there would silently change what the logs mean."""
     used = {id(log.source) for log in logs}
     unused = [source.path for source in cell.sources if id(source) not in used]
     unused += [glob for glob in cell.reference if not any(matches(log.shown, log.path, glob) for log in logs)]
-    return [f"the cell file speaks of {path!r}, and no log is meant by it" for path in unused]
+    return [note("source-without-log", path=path) for path in unused]
 
 
-def _card(
-    cell: Cell, entries: list[dict[str, Any]], derived: Derived, not_read: list[tuple[str, str]], wanted: _Wanted
-) -> dict[str, Any]:
+def _card(cell: Cell, derived: Derived, not_read: list[tuple[str, str]], wanted: _Wanted) -> DatasetCard:
+    return DatasetCard(
+        schema_version=schema.SCHEMA_VERSION,
+        cyclekit_version=version("cyclekit"),
+        name=cell.name,
+        fingerprint=wanted.fingerprint,
+        pseudonymised=wanted.how.pseudonymise,
+        skeletons=wanted.how.skeletons,
+        settings=checked(json.loads(json.dumps(cell, default=vars)), CellSettings),
+        rate_hz=cell.rate_hz,
+        recordings=tuple(derived.recordings),
+        not_read=tuple(UnreadCard(path=path, reason=reason) for path, reason in not_read),
+        executions=tuple(derived.executions),
+        places=_places(derived.places),
+        human_places=_places(derived.human_places),
+        positions=_placed(derived.recordings),
+        levels=derived.levels,
+        scaling_origin=derived.origin,
+        dynamics=DynamicsCard(**asdict(derived.dynamics)),
+        rows=RowCounts(samples=derived.samples, tasks=derived.tasks.height),
+        warnings=tuple(derived.warnings),
+    )
+
+
+def _without_places(logs: Sequence[LogCard]) -> list[Note]:
+    """Say so where nothing tells where the robot and the people were."""
+    return [note("no-positions")] if all(set(log.tables) <= WITHOUT_PLACES for log in logs) else []
+
+
+def _placed(recordings: Sequence[RecordingCard]) -> tuple[Literal["robot", "people"], ...]:
+    """Return of whom the recordings hold places."""
+    placed = {table for one in recordings if one.positions is not False for table in one.tables}
+    whose: tuple[Literal["robot", "people"], ...] = ("robot", "people")
+    return tuple(each for each in whose if each in placed)
+
+
+def _places(places: Mapping[str, Place]) -> dict[str, PlaceCard]:
     return {
-        "schema_version": schema.SCHEMA_VERSION,
-        "cyclekit_version": version("cyclekit"),
-        "name": cell.name,
-        "fingerprint": wanted.fingerprint,
-        "pseudonymised": wanted.how.pseudonymise,
-        "skeletons": wanted.how.skeletons,
-        "settings": json.loads(json.dumps(cell, default=lambda value: vars(value))),
-        "rate_hz": cell.rate_hz,
-        "recordings": entries,
-        "not_read": [{"path": path, "reason": reason} for path, reason in not_read],
-        "executions": derived.executions,
-        "places": {name: _without_name(place) for name, place in derived.places.items()},
-        "human_places": {name: _without_name(place) for name, place in derived.human_places.items()},
-        "positions": _placed(entries),
-        "levels": list(derived.levels),
-        "scaling_origin": derived.origin,
-        "dynamics": asdict(derived.dynamics),
-        "rows": {"samples": derived.samples, "tasks": derived.tasks.height},
-        "warnings": derived.warnings,
+        name: PlaceCard(xyz_m=one.xyz_m, radius_m=one.radius_m, inferred=one.inferred) for name, one in places.items()
     }
 
 
-def _without_places(entries: list[dict[str, Any]]) -> list[str]:
-    """Say so where nothing tells where the robot and the people were."""
-    if all(set(entry["tables"]) <= WITHOUT_PLACES for entry in entries):
-        return ["no positions: nothing tells where robot and people were, so no motion or safety can be learned"]
-    return []
-
-
-def _placed(entries: list[dict[str, Any]]) -> list[str]:
-    """Return of whom the recordings hold places."""
-    placed = [entry["tables"] for entry in entries if entry.get("positions") is not False]
-    return [whose for whose in ("robot", "people") if any(whose in tables for tables in placed)]
-
-
-def _without_name(place: object) -> dict[str, Any]:
-    return {key: value for key, value in vars(place).items() if key != "name"}
-
-
-def _shown(entry: dict[str, Any]) -> str:
+def _shown(card: RecordingCard) -> str:
     """How a message names a recording: by its file, or by its id where a folder is one log."""
-    return str(entry["sources"][0]["path"] if len(entry["sources"]) == 1 else entry["id"])
+    return card.shown if len(card.sources) == 1 else card.id
 
 
-def _report(out: Path, card: dict[str, Any], *, new: int, kept: int, unchanged: bool) -> IngestReport:
-    warnings = [*card["warnings"], *(f"{_shown(e)}: {text}" for e in card["recordings"] for text in e["warnings"])]
+def _report(out: Path, card: DatasetCard, *, new: int, kept: int, unchanged: bool) -> IngestReport:
+    said = [("", text) for text in texts(card.warnings)]
+    said += [(_shown(one), text) for one in card.recordings for text in one.said]
     return IngestReport(
         dataset=out,
         place=str(out),
         recordings_new=new,
         recordings_kept=kept,
-        executions=len(card["executions"]),
-        tasks=card["rows"]["tasks"],
-        samples=card["rows"]["samples"],
-        not_read=tuple((entry["path"], entry["reason"]) for entry in card["not_read"]),
-        warnings=tuple(warnings),
+        executions=len(card.executions),
+        tasks=card.rows.tasks,
+        samples=card.rows.samples,
+        not_read=tuple((one.path, one.reason) for one in card.not_read),
+        said=tuple(said),
         unchanged=unchanged,
     )

@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
+from msgspec import structs
 
+from cyclekit.dataset.cards.notes import changed
 from cyclekit.errors import ConfigError, LogError
 from cyclekit.storage.parquet import shift_times
 
@@ -23,12 +26,15 @@ if TYPE_CHECKING:
 
     from cyclekit.adapter import Recording
     from cyclekit.config import Cell
+    from cyclekit.dataset.cards import Note, RecordingCard
     from cyclekit.ingest.discover import Log
 
 _SHIFTED = {"task_list": ("t_s", "end_s", "planned_start_s", "planned_end_s")}
 """Columns of times of the log's clock, of tables that have others than `t_s`."""
 GONE = "…"
 """Stands where a name or a time was."""
+_NEAR_0_S = 3600.0
+"""What begins sooner tells no time of the day."""
 YEAR_S = 366 * 86400.0
 """Times further apart than this are of two clocks, and their difference tells the date."""
 _QUOTED = re.compile(r"(?<!\w)(?:'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\")(?!\w)")
@@ -182,6 +188,10 @@ class Names:
         """Return a sentence without names of files and bodies, and without times."""
         return without_times(_without(text, self._known()))
 
+    def notes(self, notes: Iterable[Note]) -> list[Note]:
+        """Return notes without names of files and bodies, and without times."""
+        return [changed(one, self.said, lambda value: value) for one in notes]
+
     def not_read(self, files: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
         """Return files that were not read, with the reason, under other names."""
         found = []
@@ -217,8 +227,8 @@ class Names:
         return known
 
 
-def take_out(entries: Sequence[dict[str, Any]], names: Names, staging: Path) -> None:
-    """Let every recording begin at 0, its tables under `staging` and its entry alike, and its files have other names.
+def take_out(recordings: Sequence[RecordingCard], names: Names, staging: Path) -> list[RecordingCard]:
+    """Let every recording begin at 0, its tables under `staging` and its card alike; its files get other names.
 
     How it lies in the time of its session stays the same: what the times lose, the clock's offset gains. Stamps of the
     host are needed for the clocks only, which are known by now.
@@ -227,34 +237,55 @@ def take_out(entries: Sequence[dict[str, Any]], names: Names, staging: Path) -> 
         ConfigError: Two recordings of a session lie years apart: the clock of one was not set.
     """
     logs = {log.id: log for log in names.logs}
-    for entry in entries:
-        folder, log = staging / "recordings" / entry["id"], logs[entry["id"]]
-        if "stamps" in entry["tables"]:
-            (folder / "stamps.parquet").unlink()
-            entry["tables"] = [name for name in entry["tables"] if name != "stamps"]
-            entry["rows"] = {name: count for name, count in entry["rows"].items() if name != "stamps"}
-        clock, shift_s = entry["clock"], entry["first_s"]
-        for name in entry["tables"] if shift_s else ():
-            for column in _SHIFTED.get(name, ("t_s",)):
-                shift_times(folder / f"{name}.parquet", shift_s, column=column)
-        offset_s = clock["offset_s"] + clock["rate"] * shift_s
-        if abs(offset_s) > YEAR_S:
-            seen = f"{log.shown}: begins more than a year apart from the robot's log; one of their clocks was not set"
-            raise ConfigError(seen, cure="Give its clock_offset_s in the cell file, or leave the log out.")
-        kind = "relative" if clock["kind"] == "epoch" else clock["kind"]
-        entry["clock"] = {**clock, "kind": kind, "offset_s": offset_s}
-        entry["warnings"] = [names.said(_without_span(text, entry)) for text in entry["warnings"]]
-        entry["first_s"], entry["last_s"] = 0.0, entry["last_s"] - shift_s
-        entry["key"] = ""  # made of the paths and times of files; what is pseudonymised is read again anyway
-        for number, source in enumerate(entry["sources"], 1):
-            file = f"{log.id}/file_{number}{_ending(source['path'])}"
-            source["path"] = shown_as(log) if len(entry["sources"]) == 1 else file
+    return [_without_time(one, logs[one.id], names, staging / "recordings" / one.id) for one in recordings]
 
 
-def _without_span(text: str, entry: dict[str, Any]) -> str:
-    """Return a text without times of a recording that does not begin near 0: seconds of the day, or of a controller."""
-    first_s, last_s = entry["first_s"], entry["last_s"]
-    if first_s < 3600.0:
+def _without_time(card: RecordingCard, log: Log, names: Names, folder: Path) -> RecordingCard:
+    if "stamps" in card.tables:
+        (folder / "stamps.parquet").unlink()
+    tables = tuple(name for name in card.tables if name != "stamps")
+    for name in tables if card.first_s else ():
+        for column in _SHIFTED.get(name, ("t_s",)):
+            shift_times(folder / f"{name}.parquet", card.first_s, column=column)
+    offset_s = card.clock.offset_s + card.clock.rate * card.first_s
+    if abs(offset_s) > YEAR_S:
+        seen = f"{log.shown}: begins more than a year apart from the robot's log; one of their clocks was not set"
+        raise ConfigError(seen, cure="Give its clock_offset_s in the cell file, or leave the log out.")
+    kind = "relative" if card.clock.kind == "epoch" else card.clock.kind
+    said = partial(_said, names=names, span_s=(card.first_s, card.last_s))
+    numbered = (f"{log.id}/file_{number}{_ending(one.path)}" for number, one in enumerate(card.sources, 1))
+    paths = [shown_as(log)] if len(card.sources) == 1 else numbered
+    operator = card.operator
+    return structs.replace(
+        card,
+        tables=tables,
+        rows={name: count for name, count in card.rows.items() if name != "stamps"},
+        clock=structs.replace(card.clock, kind=kind, offset_s=offset_s, warnings=said(card.clock.warnings)),
+        operator=None if operator is None else structs.replace(operator, warnings=said(operator.warnings)),
+        warnings=said(card.warnings),
+        listed=said(card.listed),
+        first_s=0.0,
+        last_s=card.last_s - card.first_s,
+        key="",  # made of the paths and times of files; what is pseudonymised is read again anyway
+        sources=tuple(structs.replace(one, path=path) for one, path in zip(card.sources, paths, strict=True)),
+    )
+
+
+def _said(notes: Iterable[Note], *, names: Names, span_s: tuple[float, float]) -> tuple[Note, ...]:
+    """Return notes without names and times, among them those of a recording that does not begin near 0.
+
+    Those are seconds of the day, or of a controller.
+    """
+
+    def number(value: float) -> float | str:
+        return GONE if span_s[0] >= _NEAR_0_S and span_s[0] <= value <= span_s[1] else value
+
+    return tuple(changed(one, lambda text: names.said(_without_span(text, span_s)), number) for one in notes)
+
+
+def _without_span(text: str, span_s: tuple[float, float]) -> str:
+    first_s, last_s = span_s
+    if first_s < _NEAR_0_S:
         return text
 
     def said(found: re.Match[str]) -> str:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from cyclekit.adapter import Recording
+from cyclekit.dataset.cards import plain, texts
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import LogError
 from cyclekit.ingest.discover import cell_for, find_all, options_of
@@ -34,8 +35,9 @@ from cyclekit.learning.networks.saved import load_model
 from cyclekit.storage.atomic import recover
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from cyclekit.dataset.cards import ClockCard, OperatorCard, RecordingCard
     from cyclekit.ingest.discover import Log
     from cyclekit.inspect.facts import SafetyFacts, TaskListFacts
 
@@ -151,9 +153,9 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
     records, every = dataset.recordings, dataset.every_task()
     return DatasetDescription(
         path=dataset.path,
-        schema_version=int(dataset.card["schema_version"]),
+        schema_version=dataset.card.schema_version,
         recordings=len(records),
-        sources=sum(len(record.get("sources", [])) for record in records),
+        sources=sum(len(record.sources) for record in records),
         set_aside=_set_aside(records),
         executions=executions.height,
         executions_complete=int(executions["complete"].sum()),
@@ -180,8 +182,8 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
         operator_seen=samples["human_x_m"].count() / rows,
         gaps=_recording_gaps(dataset, progress),
         warnings=tuple(_warnings(dataset)),
-        clocks={str(record["id"]): dict(record["clock"]) for record in records},
-        operator={str(record["id"]): dict(record["operator"]) for record in records if "operator" in record},
+        clocks={record.id: _without_warnings(record.clock) for record in records},
+        operator={one.id: _without_warnings(one.operator) for one in records if one.operator is not None},
         **_coverage(samples),
     )
 
@@ -198,11 +200,11 @@ def _safety(dataset: Dataset) -> dict[str, SafetyFacts]:
     """Return what each recording of a safety system's log says."""
     found = {}
     for record in dataset.recordings:
-        rows = dataset.recorded(record["id"], "safety") if "safety" in record["tables"] else None
+        rows = dataset.recorded(record.id, "safety") if "safety" in record.tables else None
         if rows is not None:
             survey = SafetySurvey()
             survey.add(rows)
-            found[str(record["id"])] = survey.facts()
+            found[record.id] = survey.facts()
     return found
 
 
@@ -218,17 +220,22 @@ def _coverage(samples: pl.DataFrame) -> dict[str, Any]:
     }
 
 
-def _set_aside(records: list[dict[str, Any]]) -> dict[str, int]:
+def _set_aside(records: Sequence[RecordingCard]) -> dict[str, int]:
     total: dict[str, int] = {}
     for record in records:
-        for entry in record.get("rows_set_aside", []):
-            total[entry["reason"]] = total.get(entry["reason"], 0) + int(entry["count"])
+        for part in record.rows_set_aside:
+            total[part.reason] = total.get(part.reason, 0) + part.count
     return total
 
 
 def _warnings(dataset: Dataset) -> list[str]:
-    own = list(dataset.card.get("warnings", []))
-    return own + [f"{record['id']}: {text}" for record in dataset.recordings for text in record["warnings"]]
+    of_recordings = [f"{record.id}: {text}" for record in dataset.recordings for text in record.said]
+    return texts(dataset.card.warnings) + of_recordings
+
+
+def _without_warnings(card: ClockCard | OperatorCard) -> dict[str, Any]:
+    """Return what a card says as JSON values; its warnings are told with all others."""
+    return {name: value for name, value in plain(card).items() if name != "warnings"}
 
 
 def _task_rows(tasks: pl.DataFrame) -> list[dict[str, Any]]:
@@ -241,13 +248,13 @@ def _recording_gaps(dataset: Dataset, progress: Progress | None) -> dict[str, tu
     found, records = {}, dataset.recordings
     for done, record in enumerate(records):
         if progress:
-            progress(done / len(records), str(record["id"]))
-        for name in record["tables"]:
+            progress(done / len(records), record.id)
+        for name in record.tables:
             if name not in ("robot", "people"):
                 continue
             survey = TableSurvey()
-            for part in dataset.times(record["id"], name):
+            for part in dataset.times(record.id, name):
                 survey.add(part)
             if gaps := survey.facts().gaps:
-                found[f"{record['id']}/{name}"] = gaps
+                found[f"{record.id}/{name}"] = gaps
     return found

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from cyclekit.dataset.cards import TrainingCard
+
 
 @dataclass(frozen=True)
 class Gap:
@@ -250,12 +252,12 @@ class ModelDescription:
     horizon_s: float
     levels: tuple[float, ...]
     parameters: int
-    card: Mapping[str, Any]
+    card: TrainingCard
     kind: str = "model"
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return _plain(asdict(self))
+        return _plain(vars(self) | {"card": self.card.to_json()})
 
 
 Description = LogsDescription | DatasetDescription | ModelDescription

@@ -17,6 +17,7 @@ from cyclekit.scaling.levels import Staircase, find_staircase
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.dataset import Dataset
 
 
@@ -27,12 +28,10 @@ def scaling_in_time(frame: pl.DataFrame, rate_hz: float) -> tuple[NDArray[np.flo
 
 def fixed_levels(dataset: Dataset) -> tuple[float, ...] | None:
     """Return the levels that the cell file of the dataset fixes, None where it leaves them to be found."""
-    settings = dataset.card.get("settings")
-    levels = settings.get("levels") if isinstance(settings, dict) else None
-    return tuple(float(level) for level in levels) if levels else None
+    return dataset.card.settings.levels or None
 
 
-def without_slider(dataset: Dataset, frame: pl.DataFrame) -> tuple[pl.DataFrame, str | None]:
+def without_slider(dataset: Dataset, frame: pl.DataFrame) -> tuple[pl.DataFrame, Note | None]:
     """Return the rows with the operator's slider taken out of their scaling, where it differs between executions.
 
     Args:
@@ -40,12 +39,12 @@ def without_slider(dataset: Dataset, frame: pl.DataFrame) -> tuple[pl.DataFrame,
         frame: All rows of some executions; an execution's slider is seen in its own rows.
 
     Returns:
-        The rows, and what was done in one sentence; the same rows and None where no slider is seen.
+        The rows, and what was done; the same rows and None where no slider is seen.
     """
     found = staircase_of(dataset, frame)
     if found.slider is None:
         return frame, None
-    said = next(text for text in found.warnings if "slider" in text)
+    said = next(one for one in found.warnings if one.code == "levels-with-slider")
     return frame.with_columns(scaling=pl.col("scaling") / pl.Series(found.slider).fill_nan(None)), said
 
 

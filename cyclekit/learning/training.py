@@ -7,17 +7,27 @@ to learn from alone. How a network is built is in `models.network`; what comes o
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import cyclekit
 from cyclekit import schema
+from cyclekit.dataset.cards import (
+    EpochCard,
+    LevelShare,
+    MetricsCard,
+    RowsCard,
+    SplitCard,
+    StandardisationCard,
+    TrainingCard,
+    note,
+    texts,
+)
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.dataset.time_grid import samples_in
@@ -46,6 +56,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
+    from cyclekit.dataset.cards import Note
     from cyclekit.learning.networks.fitting import Fitted
     from cyclekit.learning.networks.metrics import Metrics
     from cyclekit.learning.networks.spec import ModelSpec
@@ -56,15 +67,6 @@ LEAST_S = 10.0
 """Less log than this teaches nothing."""
 MIN_EXECUTIONS = 3
 """One to learn from, one to choose the epoch, one to judge by."""
-
-
-@dataclass(frozen=True)
-class Split:
-    """Which executions served for what, by name."""
-
-    train: tuple[str, ...]
-    validation: tuple[str, ...]
-    test: tuple[str, ...]
 
 
 @one_thread()
@@ -101,10 +103,10 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
         fitted = fit(spec, found.learn, found.check, found.levels, progress, known=found.known)
         made = (spec.problem, spec.network, spec.horizon_s, found.levels, fitted.weights)
         model = TrainedModel(*made, history=spec.history or (1, 1))
-        card = _card(dataset, found, fitted, measure(model, found.held_out))
         better = staircase_if_better(model, fitted.spec, found.learn, found.held_out)
-        card["warnings"] += [better.said(dataset.place, "MODEL")] if better else []
-    return replace(model, card=json.loads(json.dumps(card)))  # as it will be read back: lists, no tuples
+        beaten = [note("model-beaten", text=better.said(dataset.place, "MODEL"))] if better else []
+        card = _card(dataset, found, fitted, measure(model, found.held_out), beaten)
+    return replace(model, card=card)
 
 
 @dataclass(frozen=True)
@@ -113,18 +115,18 @@ class _Rows:
 
     Attributes:
         seen: Samples of executions to learn from (some of them, where there are very many), for levels and the like.
-        notes: What was done to them, one sentence each.
+        notes: What was done to them.
     """
 
     learn: Samples
     check: Samples
     held_out: Samples
-    split: Split
+    split: SplitCard
     staircase: Staircase
     levels: tuple[float, ...]
     known: tuple[str, ...]
     seen: pl.DataFrame
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
     dropped: Mapping[str, int]
 
 
@@ -181,8 +183,7 @@ def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -
         for frame in (dataset.samples(split.validation), dataset.samples(split.test))
     )
     dropped = sum((Counter(part.dropped) for part in (learn, check, held_out)), Counter[str]())
-    note = f"more samples than memory takes: levels were found in {len(some)} executions, rows learned from in files"
-    notes = (*((slider,) if slider else ()), note)
+    notes = (*((slider,) if slider else ()), note("learned-in-files", executions=len(some)))
     return _Rows(learn, check, held_out, split, staircase, levels, known, seen, notes, dict(dropped))
 
 
@@ -190,31 +191,43 @@ def _rounded(staircase: Staircase) -> tuple[float, ...]:
     return tuple(round(float(level), 6) for level in staircase.levels)
 
 
-def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: Metrics) -> dict[str, Any]:
+def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: Metrics, beaten: list[Note]) -> TrainingCard:
     shares = zip(found.levels, found.staircase.share, strict=True)
-    sizes = {"train": len(found.learn), "validation": len(found.check), "test": len(found.held_out)}
-    return {
-        **_origin(dataset, fitted.spec),
-        "metrics": metrics.to_json(),
-        "levels": [{"value": v, "share": round(float(s), 6)} for v, s in shares],
-        "warnings": [
-            *found.notes,
-            *said_of_height(found.seen),
-            *found.staircase.warnings,
-            *_other_opinion(dataset, found.seen, found.staircase),
-        ],
-        "rate_hz": dataset.rate_hz,
-        "temperature": fitted.temperature,
-        "may_be_unknown": list(found.known),
-        "scaling_without_operator": scaling_without_operator(found.seen),
-        "mean_scaling": float(found.learn.scaling.mean()),
-        "rows": sizes,
-        "dropped": dict(found.dropped),
-        "inputs": list(found.learn.inputs),
-        "standardisation": {"mean_m": fitted.mean.tolist(), "scale_1_m": fitted.scale.tolist()},
-        "split": asdict(found.split),
-        "history": [asdict(epoch) for epoch in fitted.history],
-    }
+    spec = fitted.spec
+    warnings = [
+        *found.notes,
+        *(note("model-data", text=text) for text in said_of_height(found.seen)),
+        *found.staircase.warnings,
+        *_other_opinion(dataset, found.seen, found.staircase),
+        *beaten,
+    ]
+    return TrainingCard(
+        cyclekit=cyclekit.__version__,
+        schema_version=schema.SCHEMA_VERSION,
+        model_version=MODEL_VERSION,
+        spec=spec.card(),
+        problem=spec.problem,
+        network=spec.network,
+        horizon_s=spec.horizon_s,
+        seed=spec.seed,
+        dataset=dataset.path.name,
+        dataset_sha256=fingerprint(dataset),
+        cell=cell_of(dataset),
+        metrics=MetricsCard(**asdict(metrics)),
+        levels=tuple(LevelShare(value=value, share=round(float(share), 6)) for value, share in shares),
+        warnings=tuple(warnings),
+        rate_hz=dataset.rate_hz,
+        temperature=fitted.temperature,
+        may_be_unknown=tuple(found.known),
+        scaling_without_operator=scaling_without_operator(found.seen),
+        mean_scaling=float(found.learn.scaling.mean()),
+        rows=RowsCard(train=len(found.learn), validation=len(found.check), test=len(found.held_out)),
+        dropped=dict(found.dropped),
+        inputs=tuple(found.learn.inputs),
+        standardisation=StandardisationCard(mean_m=tuple(fitted.mean.tolist()), scale_1_m=tuple(fitted.scale.tolist())),
+        split=found.split,
+        history=tuple(EpochCard(**asdict(epoch)) for epoch in fitted.history),
+    )
 
 
 @dataclass(frozen=True)
@@ -226,7 +239,7 @@ class Training:
     out: str
 
 
-def train_at(what: Training, *, progress: Progress | None = None) -> dict[str, Any]:
+def train_at(what: Training, *, progress: Progress | None = None) -> TrainingCard:
     """Train a model and put it in its place; return its card.
 
     Raises:
@@ -250,22 +263,6 @@ def need_torch() -> None:
         import torch  # noqa: F401
     except ImportError as error:
         raise MissingExtra("torch", "train", "training") from error
-
-
-def _origin(dataset: Dataset, spec: ModelSpec) -> dict[str, Any]:
-    return {
-        "cyclekit": cyclekit.__version__,
-        "schema_version": schema.SCHEMA_VERSION,
-        "model_version": MODEL_VERSION,
-        "spec": asdict(spec),
-        "problem": spec.problem,
-        "network": spec.network,
-        "horizon_s": spec.horizon_s,
-        "seed": spec.seed,
-        "dataset": dataset.path.name,
-        "dataset_sha256": fingerprint(dataset),
-        "cell": cell_of(dataset),
-    }
 
 
 def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
@@ -295,13 +292,13 @@ def _check_learnable(dataset: Dataset, learn: Samples, check: Samples, held_out:
             raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
 
 
-def _other_opinion(dataset: Dataset, frame: pl.DataFrame, staircase: Staircase) -> list[str]:
+def _other_opinion(dataset: Dataset, frame: pl.DataFrame, staircase: Staircase) -> list[Note]:
     scaling, _ = scaling_in_time(frame, dataset.rate_hz)
     other = second_opinion(scaling, staircase)
     return [] if other is None else [other]
 
 
-def _split(dataset: Dataset, names: Sequence[str], spec: ModelSpec) -> Split:
+def _split(dataset: Dataset, names: Sequence[str], spec: ModelSpec) -> SplitCard:
     if len(names) < MIN_EXECUTIONS:
         msg = f"{dataset.path}: {len(names)} usable execution(s); at least {MIN_EXECUTIONS} are needed"
         cure = "One to learn from, one to stop at, one to judge by: log more, or mark in cell.toml how they begin."
@@ -310,7 +307,7 @@ def _split(dataset: Dataset, names: Sequence[str], spec: ModelSpec) -> Split:
     if len(learn) < 2:
         learn, test = (*learn, *test[1:]), test[:1]
     fit, validation = split_executions(learn, test_fraction=spec.validation_fraction, seed=spec.seed)
-    return Split(fit, validation, test)
+    return SplitCard(train=tuple(fit), validation=tuple(validation), test=tuple(test))
 
 
 def _staircase(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Staircase:
@@ -321,6 +318,6 @@ def _staircase(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Stairc
         msg = f"{dataset.path}: the speed scaling is {np.nanmax(scaling):.2f} throughout, so there is nothing to learn"
         raise DatasetError(msg, cure="Log executions in which the operator comes near enough to slow the robot.")
     if spec.network in ("classifier", "mixed") and (staircase.levels.size < 2 or not staircase.is_staircase):
-        msg = f"{dataset.path}: a {spec.network} needs at least two levels, but {'; '.join(staircase.warnings)}"
+        msg = f"{dataset.path}: a {spec.network} needs at least two levels, but {'; '.join(texts(staircase.warnings))}"
         raise DatasetError(msg, cure="Train a network that needs none: --network regressor")
     return staircase

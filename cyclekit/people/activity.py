@@ -15,6 +15,7 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.alignment.frames import to_base
+from cyclekit.dataset.cards import OperatorCard, RecordingCard, note
 from cyclekit.dataset.dataset import Place
 from cyclekit.people.silence import Silence
 from cyclekit.people.tracks import (
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Cell, Source
+    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.sessions import Session
 
     Vector = NDArray[np.float64]
@@ -51,17 +53,17 @@ _HUMAN = tuple(f"human_{axis}_m" for axis in "xyz")
 HEIGHT_M = 1.5
 """By more than this nobody's height changes while he works; floor axes change by metres. Over ENOUGH positions."""
 ENOUGH = 100
-OPERATOR = "operator: "
-"""How a warning of a recording begins that was found here, and not when its log was read."""
 
 
 @dataclass(frozen=True)
 class _Log:
     """The tracks that one recording saw, in session time and base frame."""
 
-    entry: dict[str, Any]
+    recording: RecordingCard
     tracks: list[Track]
     silence: Silence
+    not_believed: int
+    warnings: tuple[Note, ...]
 
 
 @dataclass(frozen=True)
@@ -153,10 +155,16 @@ class Watch:
         """How each log of people begins, ends and pauses."""
         return [log.silence for log in self._logs]
 
-    def note(self) -> None:
-        """Note in the entries of the session how many samples saw the operator, and why the others did not."""
-        for log, counts in zip(self._logs, self._counts, strict=True):
-            log.entry["operator"] |= dict(zip(REASONS, counts.tolist(), strict=True))
+    def cards(self) -> dict[str, OperatorCard]:
+        """Return by recording how many samples saw the operator, and why the others did not."""
+        return {
+            log.recording.id: OperatorCard(
+                not_believed=log.not_believed,
+                warnings=log.warnings,
+                **dict(zip(REASONS, counts.tolist(), strict=True)),
+            )
+            for log, counts in zip(self._logs, self._counts, strict=True)
+        }
 
 
 def operator_places(stays: Sequence[Stays], cell: Cell) -> dict[str, Place]:
@@ -198,32 +206,31 @@ def _operator_logs(
 ) -> tuple[list[_Log], tuple[Vector, list[str]]]:
     logs: list[_Log] = []
     times, values = [np.empty(0)], []
-    for entry in session.entries:
-        clock = entry["clock"]
-        if "people" in entry["tables"]:
-            logs.append(_log(entry, read, sources[entry["id"]]))
-        said = read(entry["id"], "events") if "events" in entry["tables"] else None
+    for entry in session.recordings:
+        if "people" in entry.tables:
+            logs.append(_log(entry, read, sources[entry.id]))
+        said = read(entry.id, "events") if "events" in entry.tables else None
         if said is not None:
             said = said.filter(pl.col("signal").str.contains(GOAL_SIGNAL, literal=True)).sort("t_s")
-            times.append(said["t_s"].to_numpy() * clock["rate"] + clock["offset_s"])
+            times.append(said["t_s"].to_numpy() * entry.clock.rate + entry.clock.offset_s)
             values += said["value"].to_list()
     t_event = np.concatenate(times)
     order = np.argsort(t_event, kind="stable")
     return logs, (t_event[order], [values[i] for i in order.tolist()])
 
 
-def _log(entry: dict[str, Any], read: Read, source: Source | None) -> _Log:
+def _log(entry: RecordingCard, read: Read, source: Source | None) -> _Log:
     """Return the tracks of the people in a recording, without what cannot have been.
 
     A body on the robot's flange is nobody. Ids that do not last are replaced by tracks linked by motion.
     """
-    entry["warnings"] = [text for text in entry["warnings"] if not text.startswith(OPERATOR)]
+    warnings: list[Note] = []
     t, xyz, numbers, names = _positions(entry, read, source)
     if not ids_are_real(numbers):
-        told = f"{len(names)} track ids in {len(np.unique(t))} frames last for no longer than a frame or two"
+        ids, frames = len(names), len(np.unique(t))
         numbers = link_by_motion(t, xyz)
         names = [f"linked_{number + 1}" for number in range(int(numbers.max(initial=-1)) + 1)]
-        entry["warnings"].append(f"{OPERATOR}{told}: linked by motion into {len(names)} tracks")
+        warnings.append(note("tracks-linked", ids=ids, frames=frames, tracks=len(names)))
     tracks: list[Track] = []
     disbelieved = 0
     for rows in _rows_of_each(numbers):
@@ -233,15 +240,13 @@ def _log(entry: dict[str, Any], read: Read, source: Source | None) -> _Log:
         tracks += parts
         disbelieved += dropped
     if disbelieved:
-        told = f"{disbelieved} positions are not believed, since nobody moves at over 20 m/s"
-        entry["warnings"].append(f"{OPERATOR}{told}: unknown there")
+        warnings.append(note("positions-too-fast", count=disbelieved))
     if (height_m := _height_range(tracks)) > HEIGHT_M:
-        told = f"the height of a person changes by {height_m:.1f} m: check which axis points up, and frame in cell.toml"
-        entry["warnings"].append(f"{OPERATOR}{told}")
+        warnings.append(note("height-changes", height_m=height_m))
     if tracks and all(np.isnan(track.xyz_m[:, 2]).all() for track in tracks):
-        entry["warnings"].append(f"{OPERATOR}heights are unknown: distances are those in the plane")
-    entry["operator"] = {"not_believed": disbelieved}
-    return _Log(entry, tracks, Silence.of(t, xyz, None if source is None else source.silence))
+        warnings.append(note("heights-unknown"))
+    silence = Silence.of(t, xyz, None if source is None else source.silence)
+    return _Log(entry, tracks, silence, disbelieved, tuple(warnings))
 
 
 def _height_range(tracks: Sequence[Track]) -> float:
@@ -252,10 +257,10 @@ def _height_range(tracks: Sequence[Track]) -> float:
 
 
 def _positions(
-    entry: dict[str, Any], read: Read, source: Source | None
+    entry: RecordingCard, read: Read, source: Source | None
 ) -> tuple[Vector, Points, NDArray[np.int64], list[str]]:
     """Return what a recording saw, in the order of time: times (N,), positions (N, 3), whose (N,), and the names."""
-    people = read(entry["id"], "people")
+    people = read(entry.id, "people")
     people = schema.empty(schema.PEOPLE) if people is None else people
     people = people.select("t_s", "x_m", "y_m", "z_m", pl.col("person").fill_null(""))
     if source is not None and source.sees is not None:
@@ -269,9 +274,8 @@ def _positions(
     names = whose.unique().sort().to_list()
     one = len(names) == 1
     numbers = np.zeros(len(whose), np.int64) if one else whose.rank("dense").cast(pl.Int64).to_numpy() - 1
-    clock = entry["clock"]
-    xyz = to_base(xyz, source.frame if source else None, up=entry["up"])
-    return t_s * clock["rate"] + clock["offset_s"], xyz, numbers, names
+    xyz = to_base(xyz, source.frame if source else None, up=entry.up)
+    return t_s * entry.clock.rate + entry.clock.offset_s, xyz, numbers, names
 
 
 def _rows_of_each(numbers: NDArray[np.int64]) -> list[NDArray[np.int64]]:
@@ -283,9 +287,7 @@ def _rows_of_each(numbers: NDArray[np.int64]) -> list[NDArray[np.int64]]:
 
 def _seen_by(log: _Log, times: Vector, cell: Cell) -> NDArray[np.int8]:
     """Return whether the recording saw somebody at each sample, and why not."""
-    clock = log.entry["clock"]
-    first, last = (log.entry[key] * clock["rate"] + clock["offset_s"] for key in ("first_s", "last_s"))
-    return gap_reasons(log.tracks, times, (first, last), bridge_s=cell.bridge_s)
+    return gap_reasons(log.tracks, times, log.recording.span_s, bridge_s=cell.bridge_s)
 
 
 def _why_unseen(human_m: Points, reasons: NDArray[np.int8]) -> list[str | None]:

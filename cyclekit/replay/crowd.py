@@ -8,7 +8,7 @@ drawn is the business of `bodies`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cyclekit.dataset.cards import RecordingCard
     from cyclekit.dataset.dataset import Dataset
 
 NEAR_S = 0.15
@@ -110,11 +111,10 @@ def _recorded(dataset: Dataset, session: str, table: str, times_s: NDArray[np.fl
     if not len(times_s):
         return
     for record in dataset.recordings:
-        if record["session"] != session or table not in record["tables"]:
+        if record.session != session or table not in record.tables:
             continue
-        clock = record["clock"]
-        own_s = (times_s - clock["offset_s"]) / clock["rate"]
-        rows = dataset.recorded_between(record["id"], table, float(own_s.min()) - NEAR_S, float(own_s.max()) + NEAR_S)
+        own_s = (times_s - record.clock.offset_s) / record.clock.rate
+        rows = dataset.recorded_between(record.id, table, float(own_s.min()) - NEAR_S, float(own_s.max()) + NEAR_S)
         if rows is None or rows.is_empty():
             continue
         frames = np.unique(rows["t_s"].to_numpy())
@@ -130,14 +130,11 @@ def _recorded(dataset: Dataset, session: str, table: str, times_s: NDArray[np.fl
         yield rows.select(names).with_columns(*(pl.Series(axis, base[:, k]) for k, axis in enumerate("xyz")))
 
 
-def _in_base(points_m: NDArray[np.float64], record: dict[str, Any]) -> NDArray[np.float64]:
-    placed = record["frame"]
-    frame = None
-    if placed.get("rotation"):
-        x, y, z = placed["xyz_m"]
-        one, two, three = (tuple(row) for row in placed["rotation"])
-        frame = Frame(xyz_m=(x, y, z), rotation=(one, two, three))
-    return to_base(points_m.astype(np.float64), frame, up=record.get("up", "z"))
+def _in_base(points_m: NDArray[np.float64], record: RecordingCard) -> NDArray[np.float64]:
+    placed, frame = record.frame, None
+    if placed.xyz_m is not None and placed.rotation is not None:
+        frame = Frame(xyz_m=placed.xyz_m, rotation=placed.rotation)
+    return to_base(points_m.astype(np.float64), frame, up=record.up)
 
 
 def _rides(from_tool_m: NDArray[np.float64]) -> bool:

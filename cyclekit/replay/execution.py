@@ -146,7 +146,7 @@ def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None
     tasks = dataset.tasks().filter(pl.col("execution") == name).sort("index")
     return Execution(
         name=name,
-        cell=str(dataset.card.get("name") or dataset.path.name),
+        cell=dataset.card.name or dataset.path.name,
         start_s=start_s,
         duration_s=float(entry["duration_s"]),
         period_s=1.0 / dataset.rate_hz,
@@ -180,11 +180,10 @@ def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None
 
 def _epoch(dataset: Dataset, session: str) -> float | None:
     """Seconds since 1970 at session time 0, from a log of the session whose clock counts them; the robot's first."""
-    records = [record for record in dataset.recordings if record["session"] == session]
-    for record in sorted(records, key=lambda each: "robot" not in each["tables"]):
-        clock = record["clock"]
-        if clock.get("kind") == "epoch" and clock.get("method") != ASSUMED:
-            return -float(clock["offset_s"]) / float(clock["rate"])
+    records = [record for record in dataset.recordings if record.session == session]
+    for record in sorted(records, key=lambda each: "robot" not in each.tables):
+        if record.clock.kind == "epoch" and record.clock.method != ASSUMED:
+            return -record.clock.offset_s / record.clock.rate
     return None
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import rerun as rr
 
+from cyclekit.dataset.cards import TrainingCard
 from cyclekit.errors import CyclekitError
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.parallel.one_thread import one_thread
@@ -96,7 +97,7 @@ def write_replay(
     say = progress or (lambda _part, _text: None)
     dataset.require_positions()
     if model is not None:
-        refuse_other_cell(getattr(model, "card", {}), dataset, other_cell=other_cell)
+        refuse_other_cell(getattr(model, "card", TrainingCard()), dataset, other_cell=other_cell)
     wanted = [execution] if isinstance(execution, str) else list(execution)
     names = [dataset.find_execution(name) for name in wanted]
     if not 1 <= len(set(names)) <= MOST:

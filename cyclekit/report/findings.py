@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cyclekit.dataset.cards import TrainingCard
     from cyclekit.dataset.dataset import Dataset
 
 FULL = 0.98
@@ -43,7 +44,7 @@ class Predicts(Protocol):
         ...
 
     @property
-    def card(self) -> dict[str, Any]:
+    def card(self) -> TrainingCard:
         """How it came about, with its metrics."""
         ...
 

@@ -8,14 +8,15 @@ from __future__ import annotations
 import datetime as dt
 from dataclasses import dataclass
 from importlib.metadata import version as installed
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclekit.report.numbers import fixed, percent
 from cyclekit.report.template import Template
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
+    from cyclekit.dataset.cards import FiguresCard
     from cyclekit.report.texts import Texts
 
 FLEET_PAGE = "fleet.html.jinja"
@@ -31,16 +32,14 @@ class CellLine:
 
     Attributes:
         name: Its name.
-        figures: `executions`, `cycle_s`, `lost_s`, `lost_share`, `newest`, `set_aside_share`, `safety_changed`,
-            `habits_changed`, `shifts`, `drift`, `model_doubt`; empty where there is no report
-            yet. None in it = unknown.
+        figures: Nothing in it is known where there is no report yet.
         failed: Which stages failed and why.
         unread: Logs that could not be read, and why; empty where all could.
         link: Its report, relative to the page; None without one.
     """
 
     name: str
-    figures: Mapping[str, Any]
+    figures: FiguresCard
     failed: Sequence[str] = ()
     unread: str = ""
     link: str | None = None
@@ -56,7 +55,7 @@ def fleet_page(name: str, cells: Sequence[CellLine], today: dt.date) -> str:
     """
     look = Template()
     texts = look.texts
-    ranked = sorted(cells, key=lambda cell: (-(cell.figures.get("lost_share") or -1.0), cell.name))
+    ranked = sorted(cells, key=lambda cell: (-(cell.figures.lost_share or -1.0), cell.name))
     worries = {cell.name: _worries(texts, cell, today) for cell in ranked}
     concerned = [cell for cell in ranked if worries[cell.name]]
     return look.render(
@@ -75,36 +74,37 @@ _HEADS = ("cell", "rank", "lost_head", "per_cycle", "cycle", "executions", "newe
 
 
 def _headline(texts: Texts, ranked: Sequence[CellLine], concerned: int) -> str:
-    first = next((cell for cell in ranked if cell.figures.get("lost_share") is not None), None)
-    said = texts("fleet.nothing_known") if first is None else texts(
-        "fleet.most", name=first.name, share=percent(first.figures["lost_share"])
-    )  # fmt: skip
+    known = [(cell.name, cell.figures.lost_share) for cell in ranked if cell.figures.lost_share is not None]
+    said = texts("fleet.nothing_known")
+    if known:
+        said = texts("fleet.most", name=known[0][0], share=percent(known[0][1]))
     return f"{said} {texts('fleet.look_count' if concerned else 'fleet.look_none', count=concerned)}"
 
 
-def _row(texts: Texts, rank: int, cell: CellLine) -> dict[str, Any]:
+def _row(texts: Texts, rank: int, cell: CellLine) -> dict[str, object]:
     known = cell.figures
-    lost = known.get("lost_share")
+    lost = known.lost_share
     cells = [
         str(rank),
         texts("fleet.unknown") if lost is None else texts("fleet.minutes", minutes=fixed(60 * lost, 1)),
-        fixed(known.get("lost_s"), 1),
-        fixed(known.get("cycle_s"), 1),
-        str(known.get("executions", 0)),
-        str(known.get("newest") or texts("fleet.unknown")),
+        fixed(known.lost_s, 1),
+        fixed(known.cycle_s, 1),
+        str(known.executions or 0),
+        str(known.newest or texts("fleet.unknown")),
         _drift(texts, known),
     ]
     return {"name": cell.name, "link": cell.link, "cells": cells}
 
 
-def _drift(texts: Texts, known: Mapping[str, Any]) -> str:
-    if known.get("safety_changed") is None:
-        return str(known.get("drift") or texts("fleet.unknown"))
-    kinds = [kind for kind in ("safety", "habits") if known[f"{kind}_changed"]]
+def _drift(texts: Texts, known: FiguresCard) -> str:
+    if known.safety_changed is None:
+        return known.drift or texts("fleet.unknown")
+    changed = {"safety": known.safety_changed, "habits": known.habits_changed}
+    kinds = [kind for kind, is_so in changed.items() if is_so]
     if not kinds:
         return texts("fleet.no_drift")
     changes = ", ".join(texts(f"fleet.{kind}") for kind in kinds)
-    return texts("fleet.drift", what=changes, shifts="; ".join(known["shifts"]))
+    return texts("fleet.drift", what=changes, shifts="; ".join(known.shifts))
 
 
 def _worries(texts: Texts, cell: CellLine, today: dt.date) -> list[str]:
@@ -112,17 +112,16 @@ def _worries(texts: Texts, cell: CellLine, today: dt.date) -> list[str]:
     known, found = cell.figures, [texts("fleet.failed", why=why) for why in cell.failed]
     if cell.unread:
         found.append(texts("fleet.unread", why=cell.unread))
-    if not known:
+    if known.executions is None:
         return found or [texts("fleet.no_report")]
-    newest = known.get("newest")
-    if newest and (days := (today - dt.date.fromisoformat(newest)).days) > OLD_DAYS:
-        found.append(texts("fleet.old", days=days, date=newest))
-    if known["set_aside_share"] > MUCH_SET_ASIDE:
-        found.append(texts("fleet.set_aside", share=percent(known["set_aside_share"])))
-    if known["safety_changed"]:
-        found.append(texts("fleet.changed", shifts="; ".join(known["shifts"])))
-    if known.get("model_doubt"):
-        found.append(texts("fleet.model", why=known["model_doubt"]))
-    if known["lost_share"] is None:
+    if known.newest is not None and (days := (today - known.newest).days) > OLD_DAYS:
+        found.append(texts("fleet.old", days=days, date=known.newest.isoformat()))
+    if known.set_aside_share is not None and known.set_aside_share > MUCH_SET_ASIDE:
+        found.append(texts("fleet.set_aside", share=percent(known.set_aside_share)))
+    if known.safety_changed:
+        found.append(texts("fleet.changed", shifts="; ".join(known.shifts)))
+    if known.model_doubt:
+        found.append(texts("fleet.model", why=known.model_doubt))
+    if known.lost_share is None:
         found.append(texts("fleet.no_scaling"))
     return found

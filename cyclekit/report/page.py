@@ -101,7 +101,7 @@ def write_report(
     seen = overview(dataset, samples, tasks)
     quickest = sorted(estimates, key=lambda each: each.expected_s)
     ranked = [each for work in by_work(quickest).values() for each in work]
-    name = cell_name or str(dataset.card.get("name") or dataset.path.name)
+    name = cell_name or dataset.card.name or dataset.path.name
     if kind == "csv":
         write_text(out, as_csv(ranked, tasks, what_if, planned))
         return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing))

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from cyclekit.dataset.cards import texts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping, Sequence
 
+    from cyclekit.dataset.cards import ClockCard, FrameCard, RecordingCard, SourceFile
     from cyclekit.dataset.dataset import Dataset
 
 MOST_WARNINGS = 12
@@ -69,19 +72,17 @@ class Provenance:
 
 def provenance(dataset: Dataset, versions: Mapping[str, str]) -> Provenance:
     """Gather the provenance of `dataset`."""
-    card = dataset.card
-    groups: dict[tuple[str, ...], list[dict[str, Any]]] = defaultdict(list)
+    groups: dict[tuple[str, ...], list[RecordingCard]] = defaultdict(list)
     for record in dataset.recordings:
         groups[_kind(record)].append(record)
     aside: Counter[str] = Counter()
-    warned: Counter[str] = Counter(str(text) for text in card.get("warnings", ()))
+    warned: Counter[str] = Counter(texts(dataset.card.warnings))
     files: list[tuple[str, str]] = []
     for record in dataset.recordings:
-        for entry in _set_aside(record):
-            aside[str(entry.get("reason", "no reason given"))] += int(entry.get("count", 1))
-        warned.update(str(text) for text in record.get("warnings", ()))
-        files.extend((str(f.get("path", "")), _checksum(f)) for f in record.get("sources", ()))
-    unread = card.get("not_read", ())
+        for part in record.rows_set_aside:
+            aside[part.reason] += part.count
+        warned.update(record.said)
+        files.extend((one.path, _checksum(one)) for one in record.sources)
     common = warned.most_common()
     return Provenance(
         sources=tuple(_source(kind, records) for kind, records in sorted(groups.items())),
@@ -90,80 +91,69 @@ def provenance(dataset: Dataset, versions: Mapping[str, str]) -> Provenance:
         set_aside=tuple(aside.most_common()),
         warnings=tuple(common[:MOST_WARNINGS]),
         more_warnings=max(0, len(common) - MOST_WARNINGS),
-        not_read=tuple((str(e.get("path", "")), str(e.get("reason", ""))) for e in unread),
+        not_read=tuple((one.path, one.reason) for one in dataset.card.not_read),
         versions=tuple(versions.items()),
     )
 
 
-def _checksum(source: Mapping[str, Any]) -> str:
-    """Return the checksum of a log, and by which function it was made if that is said."""
-    return next((f"{kind}:{source[kind]}" for kind in ("blake3", "sha256") if source.get(kind)), "")
+def _checksum(source: SourceFile) -> str:
+    """Return the checksum of a log and by which function it was made; empty without one."""
+    kind = "blake3" if source.blake3 else "sha256"
+    return f"{kind}:{source.checksum}" if source.checksum else ""
 
 
-def _kind(record: Mapping[str, Any]) -> tuple[str, ...]:
-    name, version = record.get("adapter", "unknown"), record.get("adapter_version")
-    package = record.get("adapter_package")
-    made = f"{name} ({package} {version})" if package and version else str(name)
-    tables = ", ".join(record.get("tables", ()))
-    return made, tables, _clock(record.get("clock", {})), _frame(record.get("frame", {}))
+def _kind(record: RecordingCard) -> tuple[str, ...]:
+    package, version = record.adapter_package, record.adapter_version
+    made = f"{record.adapter} ({package} {version})" if package and version else record.adapter
+    return made, ", ".join(record.tables), _clock(record.clock), _frame(record.frame)
 
 
-def _clock(clock: Mapping[str, Any]) -> str:
+def _clock(clock: ClockCard) -> str:
     """The kind of clock and how it was related; what differs per recording follows from all of them together."""
-    return ", ".join(str(clock[key]) for key in ("kind", "method") if clock.get(key)) or "not stated"
+    return f"{clock.kind}, {clock.method}"
 
 
-def _clock_fits(records: Iterable[Mapping[str, Any]]) -> str:
+def _clock_fits(clocks: Sequence[ClockCard]) -> str:
     """How good the fits of like clocks are: offset where they share it, range of rates, worst residual, doubts."""
-    clocks = [record.get("clock", {}) for record in records]
     parts = []
-    offsets = [float(clock["offset_s"]) for clock in clocks if clock.get("offset_s") is not None]
-    if len(offsets) == 1 and clocks[0].get("method") not in ("own", "same-log"):
-        parts.append(f"offset {offsets[0]:.3f} s")
-    rates = [float(clock.get("rate", 1.0)) for clock in clocks]
+    if len(clocks) == 1 and clocks[0].method not in ("own", "same-log"):
+        parts.append(f"offset {clocks[0].offset_s:.3f} s")
+    rates = [clock.rate for clock in clocks]
     low, high = min(rates, default=1.0), max(rates, default=1.0)
     if max(abs(low - 1.0), abs(high - 1.0)) > 1e-9:
         parts.append(f"rate {low:.6f}" if high - low < 5e-7 else f"rate {low:.6f} to {high:.6f}")
-    residuals = [float(clock["residual_s"]) for clock in clocks if clock.get("residual_s") is not None]
+    residuals = [clock.residual_s for clock in clocks if clock.residual_s is not None]
     if residuals:
         parts.append(f"residual {'up to ' if len(residuals) > 1 else ''}{1000 * max(residuals):.1f} ms")
-    events = [int(clock["events"]) for clock in clocks if clock.get("events") is not None]
+    events = [clock.events for clock in clocks if clock.events is not None]
     if events:
-        counted = "stamps" if all(clock.get("method") == "lower-envelope" for clock in clocks) else "events"
+        counted = "stamps" if all(clock.method == "lower-envelope" for clock in clocks) else "events"
         parts.append(f"{min(events)} {counted}" + (" or more" if len(events) > 1 else ""))
-    doubts = [clock for clock in clocks if clock.get("second_best") is not None]
+    doubts = [(clock.second_best, clock.second_best_s or 0.0) for clock in clocks if clock.second_best is not None]
     if doubts:
-        worst = max(doubts, key=lambda clock: float(clock["second_best"]))
-        parts.append(f"second-best fit {100 * worst['second_best']:.0f} % at {float(worst['second_best_s']):+.2f} s")
+        height, away_s = max(doubts, key=lambda doubt: doubt[0])
+        parts.append(f"second-best fit {100 * height:.0f} % at {away_s:+.2f} s")
     return ", ".join(parts)
 
 
-def _frame(frame: Mapping[str, Any]) -> str:
-    parts = [str(frame["method"])] if frame.get("method") else []
-    xyz = frame.get("xyz_m")
-    if xyz and any(abs(float(v)) > 0 for v in xyz):
-        parts.append("origin at (" + ", ".join(f"{float(v):g}" for v in xyz) + ") m")
-    if frame.get("yaw_deg"):
-        parts.append(f"turned by {float(frame['yaw_deg']):g}°")
-    return ", ".join(parts) or "not stated"
+def _frame(frame: FrameCard) -> str:
+    xyz = frame.xyz_m
+    if xyz is None or not any(xyz):
+        return frame.method
+    return f"{frame.method}, origin at ({', '.join(f'{value:g}' for value in xyz)}) m"
 
 
-def _source(kind: tuple[str, ...], records: Iterable[Mapping[str, Any]]) -> Source:
-    records = list(records)
-    rates = [float(r["rate_hz"]) for r in records if r.get("rate_hz")]
+def _source(kind: tuple[str, ...], records: Sequence[RecordingCard]) -> Source:
+    rates = [record.rate_hz for record in records if record.rate_hz is not None]
     return Source(
         adapter=kind[0],
         tables=kind[1],
         recordings=len(records),
-        files=sum(len(r.get("sources", ())) for r in records),
-        rows=sum(int(r.get("rows_read") or sum((r.get("rows") or {}).values())) for r in records),
-        set_aside=sum(int(e.get("count", 1)) for r in records for e in _set_aside(r)),
+        files=sum(len(record.sources) for record in records),
+        rows=sum(record.rows_read or sum(record.rows.values()) for record in records),
+        set_aside=sum(part.count for record in records for part in record.rows_set_aside),
         rate_hz=sum(rates) / len(rates) if rates else None,
-        hours=sum(float(r.get("duration_s") or 0.0) for r in records) / 3600,
-        clock=", ".join(part for part in (kind[2], _clock_fits(records)) if part),
+        hours=sum(record.duration_s for record in records) / 3600,
+        clock=", ".join(part for part in (kind[2], _clock_fits([record.clock for record in records])) if part),
         frame=kind[3],
     )
-
-
-def _set_aside(record: Mapping[str, Any]) -> list[dict[str, Any]]:
-    return list(record.get("rows_set_aside") or ())

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from cyclekit.dataset.cards import plain
 from cyclekit.report import rests
 from cyclekit.report.judged import calibration
 from cyclekit.report.numbers import count, fixed, percent, significant
@@ -53,10 +54,10 @@ def section(
     check: Check | None = None,
 ) -> dict[str, Any]:
     """Return what the template needs for section 5; `check` is how the rollout did on what was logged."""
-    versions = {texts("trust.made_dataset"): f"cyclekit {dataset.card.get('cyclekit_version', 'unknown')}"}
-    versions[texts("trust.layout")] = str(dataset.card.get("schema_version", "unknown"))
+    versions = {texts("trust.made_dataset"): f"cyclekit {dataset.card.cyclekit_version}"}
+    versions[texts("trust.layout")] = str(dataset.card.schema_version)
     if model is not None:
-        versions[texts("trust.made_model")] = f"cyclekit {model.card.get('cyclekit', 'unknown')}"
+        versions[texts("trust.made_model")] = f"cyclekit {model.card.cyclekit or 'unknown'}"
     origin = provenance(dataset, versions)
     judged = evaluation.to_json() if evaluation is not None else {}
     unmeasured = bool(ranked) and (check is None or check.coverage is None)
@@ -95,7 +96,7 @@ def _model(texts: Texts, model: Predicts | None, judged: Mapping[str, Any]) -> T
         *_judged_rows(texts, judged),
     ]
     if not judged:
-        metrics = model.card.get("metrics") or {}
+        metrics = {} if model.card.metrics is None else plain(model.card.metrics)
         names = {"rows": "rows_held_out"}
         rows.extend(
             [texts(f"trust.{names.get(key, key)}"), _metric(key, float(metrics[key])), ""]

@@ -129,9 +129,9 @@ def today_of(dataset: Dataset, work: Work, takt_s: float | None) -> Today | None
     """Return the logged executions that did this work, runs meant to be without an operator left out."""
     durations = dict(dataset.executions.filter("complete").select("execution", "duration_s").iter_rows())
     names = [
-        entry["execution"]
-        for entry in dataset.card["executions"]
-        if entry["execution"] in durations and not entry.get("reference") and work_of(entry.get("places", ())) == work
+        one.execution
+        for one in dataset.card.executions
+        if one.execution in durations and not one.reference and work_of(one.places) == work
     ]
     if not names:
         return None

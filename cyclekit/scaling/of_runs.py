@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cyclekit.dataset.cards import note
 from cyclekit.scaling.infer.override import infer_overrides
 from cyclekit.scaling.levels import find_staircase
 from cyclekit.segmentation.arrivals import stands_of
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import Session
     from cyclekit.parallel.engine import Engine
@@ -38,7 +40,7 @@ def with_scaling(
     sessions: Sequence[Session],
     progress: Callable[[float, str], None],
     engine: Engine,
-) -> tuple[list[Run], list[str]]:
+) -> tuple[list[Run], list[Note]]:
     """Return the runs, with the scaling inferred where none was logged, and what is to be said about that.
 
     Args:
@@ -54,10 +56,8 @@ def with_scaling(
         return list(runs), []
     alone = [number for session in sessions if session.reference for number in session.runs]
     parts, references = infer_overrides(runs, executions, alone, lambda done: progress(done, "speed override"), engine)
-    said = "no log holds a" if len(silent) == len(runs) else f"{len(silent)} of {len(runs)} runs hold no"
-    said += " valid speed scaling"
     if not references:
-        return list(runs), [f"{said}, and no motion repeats, so it could not be inferred either"]
+        return list(runs), [note("scaling-unknown", silent=len(silent), runs=len(runs))]
     done = [run if run.knows_scaling else run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
     slowest = slowest_speed([part.scaling for n in silent for part in sorted(parts[n], key=lambda part: part.first)])
     mine = [execution for execution in executions if execution.run in set(silent)]
@@ -66,25 +66,23 @@ def with_scaling(
     halts = halts_at_places(done, mine, stands_of(done, mine, places), slowest)
     for number in silent:
         done[number] = runs[number].with_scaling([*parts[number], *halts[number]])
-    return done, [f"{said}: inferred from velocity ratios against {_how(references)}"]
+    return done, [_inferred(len(silent), len(runs), references)]
 
 
 def _sees_people(session: Session) -> bool:
     """Tell whether people were logged: without them a standstill is no sign that anybody halted the robot."""
-    return any("people" in entry["tables"] for entry in session.entries)
+    return any("people" in one.tables for one in session.recordings)
 
 
-def _how(references: Mapping[str, Sequence[Reference]]) -> str:
+def _inferred(silent: int, runs: int, references: Mapping[str, Sequence[Reference]]) -> Note:
     """Say what the references are."""
     flat = [reference for found in references.values() for reference in found]
-    alone = sum(reference.alone for reference in flat)
     slowed = sorted(task for task, found in references.items() if any(reference.slowed < 1.0 for reference in found))
-    many = f"{len(flat)} motions"
-    how = f"runs without the operator ({many})" if alone == len(flat) else f"the fastest repetitions ({many})"
-    if 0 < alone < len(flat):
-        how = f"runs without the operator ({alone} motions) and the fastest repetitions ({len(flat) - alone} motions)"
-    seen = f"; never seen at full speed, so unknown: {', '.join(slowed)}" if slowed else ""
-    return how + seen
+    alone = sum(reference.alone for reference in flat)
+    return note(
+        "scaling-inferred",
+        silent=silent, runs=runs, references=len(flat), alone=alone, never_at_full_speed=", ".join(slowed),
+    )  # fmt: skip
 
 
 def halts_at_places(

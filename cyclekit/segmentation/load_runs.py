@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Cell
+    from cyclekit.dataset.cards import RecordingCard
     from cyclekit.dataset.sessions import Session
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.segmentation.stored_run import StoredRun
@@ -44,14 +45,14 @@ def load_runs(session: Session, read: Read, stored: Stored, cell: Cell) -> tuple
     Raises:
         ConfigError: Executions are to begin by a register or output that was not logged.
     """
-    entry = session.entries[0]
-    if not entry["rows"].get("robot"):
+    entry = session.recordings[0]
+    if not entry.rows.get("robot"):
         return [], []
-    table = stored(entry["id"], COLUMNS)
+    table = stored(entry.id, COLUMNS)
     marked = _marked(session, read, stored, cell)
-    more, states = _more(stored, entry["id"], table.names), _not_playing(stored, entry["id"])
+    more, states = _more(stored, entry.id, table.names), _not_playing(stored, entry.id)
     gap_s = cell.executions.gap_s if cell.executions.begin != "file" else np.inf
-    runs = runs_of(table, entry["clock"]["offset_s"], gap_s=gap_s, more=more, states=states)
+    runs = runs_of(table, entry.clock.offset_s, gap_s=gap_s, more=more, states=states)
     ends = [(run.time_at(0), run.time_at(run.rows - 1)) for run in runs]
     marks = [marked[(marked > first) & (marked <= last)] - LATE_S for first, last in ends]
     changes = _changes(session, read, stored)
@@ -65,10 +66,10 @@ def load_runs(session: Session, read: Read, stored: Stored, cell: Cell) -> tuple
 def _changes(session: Session, read: Read, stored: Stored) -> dict[str, Vector]:
     """Return when each signal of the session's recordings changes, session time."""
     found: dict[str, Vector] = {}
-    for entry in session.entries:
-        clock = entry["clock"]
+    for entry in session.recordings:
+        clock = entry.clock
         for name, times in every_change(entry, read, stored).items():
-            both = np.concatenate([found.get(name, times[:0]), times * clock["rate"] + clock["offset_s"]])
+            both = np.concatenate([found.get(name, times[:0]), times * clock.rate + clock.offset_s])
             found[name] = np.sort(both)
     return found
 
@@ -93,30 +94,30 @@ def _not_playing(stored: Stored, recording: str) -> list[tuple[int, int, str]]:
 
 def _marked(session: Session, read: Read, stored: Stored, cell: Cell) -> Vector:
     """Return when something logged says that an execution begins, session time."""
-    how, entry = cell.executions, session.entries[0]
+    how, entry = cell.executions, session.recordings[0]
     signal = {"register": REGISTER, "digital-output": f"{OUTPUT}{how.bit}"}.get(how.begin, how.signal)
     if signal is None:
         return np.empty(0)
     name = signal.partition("=")[0]
     if name == REGISTER or name.startswith(OUTPUT):
         column = REGISTER if name == REGISTER else "digital_out_bits"
-        table = stored(entry["id"], (column,))
+        table = stored(entry.id, (column,))
         if table.unknown(column) == table.rows:
             said = signal if how.begin == "signal" else how.begin
-            seen = f"{entry['sources'][0]['path']}: executions are to begin by {said}, and that was not logged"
+            seen = f"{entry.shown}: executions are to begin by {said}, and that was not logged"
             raise ConfigError(seen, cure='Log it, or set begin = "auto" in [executions] of the cell file.')
     else:
         entry = _holding(name, session, read)
-    clock = entry["clock"]
+    clock = entry.clock
     times = event_times(entry, signal, read, stored, WHERE)
-    return np.asarray(times * clock["rate"] + clock["offset_s"])
+    return np.asarray(times * clock.rate + clock.offset_s)
 
 
-def _holding(name: str, session: Session, read: Read) -> dict[str, Any]:
+def _holding(name: str, session: Session, read: Read) -> RecordingCard:
     """Return the recording of a session whose events hold a signal."""
     known: list[str] = []
-    for entry in session.entries:
-        events = read(entry["id"], "events") if "events" in entry["tables"] else None
+    for entry in session.recordings:
+        events = read(entry.id, "events") if "events" in entry.tables else None
         names = [] if events is None else events["signal"].unique(maintain_order=True).to_list()
         if name in names:
             return entry

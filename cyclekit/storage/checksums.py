@@ -12,11 +12,12 @@ import re
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import polars as pl
 from blake3 import blake3
 
+from cyclekit.dataset.cards import FileCard
 from cyclekit.errors import DatasetError
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def digest_of(file: Path, given_up: threading.Event | None = None) -> str:
     return _hashed(file, 0, None, given_up)
 
 
-def listed(folder: Path) -> dict[str, dict[str, Any]]:
+def listed(folder: Path) -> dict[str, FileCard]:
     """Return size and digests of every file of a folder, by its name in there.
 
     Raises:
@@ -57,13 +58,13 @@ def listed(folder: Path) -> dict[str, dict[str, Any]]:
     files = {file.relative_to(folder).as_posix(): file for file in sorted(folder.rglob("*")) if file.is_file()}
     sizes = {name: file.stat().st_size for name, file in files.items()}
     todo = [(name, number) for name, size in sizes.items() for number in range(_count(size))]
-    found: dict[str, dict[str, Any]] = {name: {"size": size, "blake3": []} for name, size in sizes.items()}
+    found: dict[str, list[str]] = {name: [] for name in sizes}
     for (name, _), digest in zip(todo, _digests([(files[name], n) for name, n in todo]), strict=True):
-        found[name]["blake3"].append(digest)
-    return found
+        found[name].append(digest)
+    return {name: FileCard(size=size, blake3=tuple(found[name])) for name, size in sizes.items()}
 
 
-def changes(folder: Path, files: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+def changes(folder: Path, files: Mapping[str, FileCard]) -> dict[str, str]:
     """Return what is not as it was listed: by name, what is wrong with it."""
     wrong: dict[str, str] = {}
     todo: list[tuple[str, int]] = []
@@ -71,14 +72,14 @@ def changes(folder: Path, files: Mapping[str, Mapping[str, Any]]) -> dict[str, s
         if (problem := _wrong_size(folder / name, entry)) is not None:
             wrong[name] = problem
         else:
-            todo += [(name, number) for number in range(len(entry["blake3"]))]
+            todo += [(name, number) for number in range(len(entry.blake3))]
     for (name, number), digest in zip(todo, _digests([(folder / name, n) for name, n in todo]), strict=True):
-        if digest != files[name]["blake3"][number]:
+        if digest != files[name].blake3[number]:
             wrong.setdefault(name, "damaged")
     return wrong
 
 
-def change(file: Path, entry: Mapping[str, Any], spans: Iterable[tuple[int, int]] | None = None) -> str | None:
+def change(file: Path, entry: FileCard, spans: Iterable[tuple[int, int]] | None = None) -> str | None:
     """Return what is wrong with one file, None if it is as it was listed.
 
     Args:
@@ -88,10 +89,10 @@ def change(file: Path, entry: Mapping[str, Any], spans: Iterable[tuple[int, int]
     """
     if (problem := _wrong_size(file, entry)) is not None:
         return problem
-    numbers: Sequence[int] = range(len(entry["blake3"]))
+    numbers: Sequence[int] = range(len(entry.blake3))
     if spans is not None:
         numbers = sorted({n for a, b in spans for n in range(a // PIECE_BYTES, _count(b))} & set(numbers))
-    same = all(d == entry["blake3"][n] for n, d in zip(numbers, _digests([(file, n) for n in numbers]), strict=True))
+    same = all(d == entry.blake3[n] for n, d in zip(numbers, _digests([(file, n) for n in numbers]), strict=True))
     return None if same else "damaged"
 
 
@@ -132,12 +133,12 @@ def unreadable(file: Path, dataset: Path, why: str) -> DatasetError:
     return DatasetError(f"{file}: {why}", cure=f"Ingest the logs again: cyclekit ingest LOGS --out {dataset}")
 
 
-def _wrong_size(file: Path, entry: Mapping[str, Any]) -> str | None:
+def _wrong_size(file: Path, entry: FileCard) -> str | None:
     try:
         size = file.stat().st_size
     except OSError:
         return "missing"
-    return None if size == entry["size"] else f"damaged: {size} bytes of {entry['size']}"
+    return None if size == entry.size else f"damaged: {size} bytes of {entry.size}"
 
 
 def _count(size: int) -> int:

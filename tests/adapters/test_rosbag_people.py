@@ -181,7 +181,7 @@ def test_a_log_of_people_in_which_nobody_ever_is_says_so_of_the_whole_time(tmp_p
     assert people["x_m"].null_count() == 51
     assert people["source_row"].to_list() == list(range(51))
     found = Dataset.open(ingest([logs], tmp_path / "dataset").dataset)
-    assert found.card["not_read"] == []
+    assert found.card.not_read == ()
     gaps = dict(found.samples()["human_gap"].value_counts().rows())
     assert set(gaps) == {"outside", "absent"}  # the log of people began later
     assert gaps["absent"] == pytest.approx(51, abs=2)

@@ -17,6 +17,7 @@ import polars as pl
 import pytest
 
 from cyclekit.config import Cell, Source, Sync, load_cell
+from cyclekit.dataset.cards import ClockCard, RecordingCard, plain
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.ingest.ingest import ingest
@@ -97,40 +98,40 @@ GRIPPER = Source(
 FLANGE = Source("session_*/flange.csv", role="people", sees="tcp")
 
 
-def ingested(logs: Path, out: Path, cell: Cell, **options: Any) -> tuple[Dataset, dict[str, Any]]:
+def ingested(logs: Path, out: Path, cell: Cell, **options: Any) -> tuple[Dataset, RecordingCard]:
     """The dataset, and the operator's recording in it."""
     ingest([logs], out, cell=cell, **options)
     dataset = Dataset.open(out)
     hidden = options.get("pseudonymise", False)  # then only its table tells it
-    operator = (r for r in dataset.recordings if "people" in r["tables"]) if hidden else (
-        r for r in dataset.recordings if r["sources"][0]["path"].endswith("operator.csv")
+    operator = (r for r in dataset.recordings if "people" in r.tables) if hidden else (
+        r for r in dataset.recordings if r.shown.endswith("operator.csv")
     )  # fmt: skip
     return dataset, next(operator)
 
 
-def worst_s(clock: dict[str, Any], length_s: float) -> float:
+def worst_s(clock: ClockCard, length_s: float) -> float:
     """How far the clock is off, anywhere in the run."""
     session_s = np.linspace(0.0, length_s, 50)
-    return float(np.abs(clock["rate"] * tracker_time(session_s) + clock["offset_s"] - session_s).max())
+    return float(np.abs(clock.rate * tracker_time(session_s) + clock.offset_s - session_s).max())
 
 
 def length_s(dataset: Dataset) -> float:
-    return float(max(entry["end_s"] for entry in dataset.card["executions"]))
+    return float(max(entry.end_s for entry in dataset.card.executions))
 
 
 def test_events_of_the_gripper_place_the_tracker_within_two_milliseconds(logs: Path, tmp_path: Path):
     cell = cell_with(logs, {"same_clock_as": "session_*/gripper.csv"}, GRIPPER)
     dataset, operator = ingested(logs, tmp_path / "d", cell)
-    clock = operator["clock"]
-    assert clock["method"] == "event-pairs"
-    assert clock["same_as"].endswith("gripper")
+    clock = operator.clock
+    assert clock.method == "event-pairs"
+    assert clock.same_as.endswith("gripper")
     assert worst_s(clock, length_s(dataset)) < 0.002
-    assert clock["rate"] == pytest.approx(1 / (1 + DRIFT), abs=4e-6)
-    assert clock["residual_s"] == pytest.approx(0.0037, rel=0.25)  # 3 ms of jitter, and where in the cycle it rose
-    assert clock["events"] > 60
-    assert clock["events_rejected"] >= 5
-    assert clock["second_best"] < 0.5
-    assert not any("clock" in text for text in operator["warnings"])
+    assert clock.rate == pytest.approx(1 / (1 + DRIFT), abs=4e-6)
+    assert clock.residual_s == pytest.approx(0.0037, rel=0.25)  # 3 ms of jitter, and where in the cycle it rose
+    assert clock.events > 60
+    assert clock.events_rejected >= 5
+    assert clock.second_best < 0.5
+    assert not any("clock" in text for text in operator.said)
 
 
 def test_the_flange_seen_by_the_tracker_places_it_within_half_a_millisecond_and_is_no_person(
@@ -138,13 +139,13 @@ def test_the_flange_seen_by_the_tracker_places_it_within_half_a_millisecond_and_
 ):
     cell = cell_with(logs, {"same_clock_as": "session_*/flange.csv"}, FLANGE)
     dataset, operator = ingested(logs, tmp_path / "d", cell)
-    clock = operator["clock"]
-    assert clock["method"] == "motion"
+    clock = operator.clock
+    assert clock.method == "motion"
     assert worst_s(clock, length_s(dataset)) < 0.0005
-    assert clock["rate"] == pytest.approx(1 / (1 + DRIFT), abs=5e-6)
-    assert clock["correlation"] > 0.9
-    assert 0.3 < clock["second_best"] < 0.9  # the cell does one thing after the other, in ever other orders
-    assert clock["residual_s"] < 0.003
+    assert clock.rate == pytest.approx(1 / (1 + DRIFT), abs=5e-6)
+    assert clock.correlation > 0.9
+    assert 0.3 < clock.second_best < 0.9  # the cell does one thing after the other, in ever other orders
+    assert clock.residual_s < 0.003
     samples = dataset.samples()
     apart = (
         samples.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()
@@ -156,7 +157,7 @@ def test_the_flange_seen_by_the_tracker_places_it_within_half_a_millisecond_and_
 def test_the_body_on_the_flange_is_named_where_the_log_holds_others_or_refused(logs: Path, tmp_path: Path):
     known = replace(FLANGE, sees_as="Flange")
     _, operator = ingested(logs, tmp_path / "d", cell_with(logs, {"same_clock_as": known.path}, known))
-    assert operator["clock"]["method"] == "motion"
+    assert operator.clock.method == "motion"
     unknown = replace(FLANGE, sees_as="Flang")
     with pytest.raises(ConfigError, match="the nearest is 'Flange'"):
         ingested(logs, tmp_path / "e", cell_with(logs, {"same_clock_as": known.path}, unknown))
@@ -171,9 +172,9 @@ def test_pairs_of_the_cell_file_place_the_tracker(logs: Path, tmp_path: Path):
     session_s = np.array([30.0, 400.0, 900.0])
     pairs = tuple(zip(tracker_time(session_s).tolist(), (session_s + ROBOT_START_S).tolist(), strict=True))
     dataset, operator = ingested(logs, tmp_path / "d", cell_with(logs, {"sync_events": pairs}))
-    assert operator["clock"]["method"] == "event-pairs"
-    assert operator["clock"]["events"] == 3
-    assert worst_s(operator["clock"], length_s(dataset)) < 1e-6
+    assert operator.clock.method == "event-pairs"
+    assert operator.clock.events == 3
+    assert worst_s(operator.clock, length_s(dataset)) < 1e-6
 
 
 def test_a_wrong_signal_is_refused_with_those_that_are_there(logs: Path, tmp_path: Path):
@@ -198,30 +199,30 @@ def test_two_logs_that_borrow_each_other_s_clock_are_refused(logs: Path, tmp_pat
 
 def test_coarse_alignment_is_only_made_when_asked_for_and_goes_by_whole_samples(logs: Path, tmp_path: Path):
     plain = ingested(logs, tmp_path / "d", cell_with(logs, {}))[1]
-    assert plain["clock"]["method"] == "assumed-common-start"
+    assert plain.clock.method == "assumed-common-start"
     dataset, operator = ingested(logs, tmp_path / "d", cell_with(logs, {}), align_clocks="coarse")
-    clock = operator["clock"]
-    assert clock["method"] == "coarse"
-    assert clock["offset_s"] * 10 == pytest.approx(round(clock["offset_s"] * 10), abs=1e-6)
+    clock = operator.clock
+    assert clock.method == "coarse"
+    assert clock.offset_s * 10 == pytest.approx(round(clock.offset_s * 10), abs=1e-6)
     assert worst_s(clock, length_s(dataset)) < 0.16  # a sample and a half; this safety function has no delay to hide
-    assert any("reaction delay" in text for text in operator["warnings"])
+    assert any("reaction delay" in text for text in operator.said)
     again = ingested(logs, tmp_path / "d", cell_with(logs, {}))[1]
-    assert again["clock"]["method"] == "assumed-common-start"
-    assert not any("reaction delay" in text for text in again["warnings"])
+    assert again.clock.method == "assumed-common-start"
+    assert not any("reaction delay" in text for text in again.said)
 
 
 def test_coarse_alignment_that_finds_nothing_says_so(logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("cyclekit.alignment.recording_clocks.coarse_fit", lambda *_, **__: None)
     operator = ingested(logs, tmp_path / "d", cell_with(logs, {}), align_clocks="coarse")[1]
-    assert operator["clock"]["method"] == "assumed-common-start"
-    (said,) = [text for text in operator["warnings"] if "not aligned on the operator" in text]
+    assert operator.clock.method == "assumed-common-start"
+    (said,) = [text for text in operator.said if "not aligned on the operator" in text]
     assert "no offset within 120 s shows that" in said
     assert "clock_offset_s" in said
 
 
 def test_coarse_alignment_touches_no_clock_that_is_known(logs: Path, tmp_path: Path):
     cell = cell_with(logs, {"clock_offset_s": 146.862})
-    assert ingested(logs, tmp_path / "d", cell, align_clocks="coarse")[1]["clock"]["method"] == "cell-file"
+    assert ingested(logs, tmp_path / "d", cell, align_clocks="coarse")[1].clock.method == "cell-file"
 
 
 def test_start_texts_place_a_log_to_a_second_or_so(logs: Path, tmp_path: Path):
@@ -230,24 +231,24 @@ def test_start_texts_place_a_log_to_a_second_or_so(logs: Path, tmp_path: Path):
         ingested(logs, tmp_path / "d", cell)
     robot = replace(cell.sources[0], start="2026-03-02T13:03:11+00:00")
     _, operator = ingested(logs, tmp_path / "d", replace(cell, sources=(robot, *cell.sources[1:])))
-    assert operator["clock"]["method"] == "start-text"
-    assert operator["clock"]["offset_s"] == pytest.approx(-6.0)
-    assert any("good to a second" in text for text in operator["warnings"])
+    assert operator.clock.method == "start-text"
+    assert operator.clock.offset_s == pytest.approx(-6.0)
+    assert any("good to a second" in text for text in operator.said)
 
 
 def test_a_clock_found_once_is_kept_with_what_was_read_and_its_warnings_are_not_doubled(logs: Path, tmp_path: Path):
     cell = cell_with(logs, {})
     ingested(logs, tmp_path / "d", cell)
     _, operator = ingested(logs, tmp_path / "d", replace(cell, bridge_s=0.4))
-    assert len([text for text in operator["warnings"] if "clock relates" in text]) == 1
+    assert len([text for text in operator.said if "clock relates" in text]) == 1
 
 
 def test_pseudonymised_clocks_tell_no_time_and_still_find_the_flange(logs: Path, tmp_path: Path):
     known = replace(FLANGE, sees_as="Flange")
     cell = cell_with(logs, {"same_clock_as": known.path, "start": "2026-03-02T14:03:05+01:00"}, known)
     dataset, operator = ingested(logs, tmp_path / "d", cell, pseudonymise=True)
-    assert operator["clock"]["method"] == "motion"
-    assert "2026-03-02" not in json.dumps(dataset.card)
+    assert operator.clock.method == "motion"
+    assert "2026-03-02" not in json.dumps(plain(dataset.card))
 
 
 def test_the_clocks_of_a_dataset_are_told_by_inspect_and_by_the_report(logs: Path, tmp_path: Path):
@@ -259,8 +260,8 @@ def test_the_clocks_of_a_dataset_are_told_by_inspect_and_by_the_report(logs: Pat
     dataset, operator = ingested(logs, tmp_path / "d", cell)
     shown = page(describe(dataset.path))
     assert "event-pairs" in shown
-    assert f"{1000 * operator['clock']['residual_s']:.1f}" in shown
-    assert f"{operator['clock']['events']}" in shown
+    assert f"{1000 * operator.clock.residual_s:.1f}" in shown
+    assert f"{operator.clock.events}" in shown
     assert "occluded" in shown
     assert max(map(len, shown.splitlines()[1:])) <= 80  # the first holds the path
     told = [source.clock for source in provenance(dataset, {}).sources if "event-pairs" in source.clock]
@@ -282,9 +283,9 @@ def test_a_gap_of_the_track_is_counted_by_its_reason(logs: Path, tmp_path: Path)
     ]
     (session / "operator.csv").write_text("\r\n".join([*lines[:7], *kept]) + "\r\n", encoding="utf-8", newline="")
     dataset, operator = ingested(tmp_path / "logs", tmp_path / "d", cell_with(logs, {"clock_offset_s": 146.862}))
-    counts, samples = operator["operator"], dataset.samples()
+    counts, samples = operator.operator, dataset.samples()
     t = samples["t_s"].to_numpy() + 6.0 - OFFSET_S
-    assert counts["absent"] == pytest.approx(((t > 200) & (t < 230)).sum(), abs=8)
-    assert counts["outside"] == pytest.approx((t > 500).sum(), abs=3)
-    assert ((t > 300) & (t < 303)).sum() - 3 <= counts["occluded"]  # and the frames that the tracker lost anyway
-    assert sum(counts[name] for name in ("occluded", "absent", "outside")) == samples["human_x_m"].null_count()
+    assert counts.absent == pytest.approx(((t > 200) & (t < 230)).sum(), abs=8)
+    assert counts.outside == pytest.approx((t > 500).sum(), abs=3)
+    assert ((t > 300) & (t < 303)).sum() - 3 <= counts.occluded  # and the frames that the tracker lost anyway
+    assert counts.occluded + counts.absent + counts.outside == samples["human_x_m"].null_count()

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from log_cards import log_card
 
 from cyclekit.adapter import Recording
 from cyclekit.alignment.recording_clocks import place_in_time
 from cyclekit.config import Cell, Source, load_cell
+from cyclekit.dataset.cards import ClockCard, LogCard
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.dataset.sessions import Session
+from cyclekit.dataset.sessions import LogGroup
 from cyclekit.ingest.ingest import ingest
 from cyclekit.ingest.pseudonymise import Nameless
 from cyclekit_sim import simulate
@@ -23,17 +25,8 @@ EPOCH_S, UPTIME_S = 1_700_000_000.0, 152.5
 DRIFT = 40e-6
 
 
-def entry(name: str, kind: str, first_s: float, *tables: str) -> dict[str, Any]:
-    return {
-        "id": name,
-        "clock": {"kind": kind},
-        "first_s": first_s,
-        "last_s": first_s + 600.0,
-        "tables": list(tables),
-        "warnings": [],
-        "sources": [{"path": f"{name}.csv"}],
-        "up": "z",
-    }
+def entry(name: str, kind: Any, first_s: float, *tables: Any) -> LogCard:
+    return log_card(f"{name}.csv", *tables, id=name, kind=kind, first_s=first_s, last_s=first_s + 600.0)
 
 
 def stamps(zero_s: float, drift: float, *, seed: int = 1, least_s: float = 0.001) -> pl.DataFrame:
@@ -44,77 +37,78 @@ def stamps(zero_s: float, drift: float, *, seed: int = 1, least_s: float = 0.001
     return pl.DataFrame({"t_s": zero_s + elapsed * (1 + drift), "host_s": EPOCH_S + elapsed + late})
 
 
-def placed(master: dict[str, Any], other: dict[str, Any], tables: dict[str, pl.DataFrame], **sources: Source) -> Any:
-    session = Session("s", [master, other])
-    known = {one["id"]: sources.get(one["id"]) for one in session.entries}
+def placed(master: LogCard, other: LogCard, tables: dict[str, pl.DataFrame], **sources: Source) -> ClockCard:
+    session = LogGroup("s", (master, other))
+    known = {one.id: sources.get(one.id) for one in session.logs}
 
     def no_robot(name: str, columns: Any) -> Any:
         raise AssertionError(name)
 
-    place_in_time(session, known, lambda name, table: tables.get(name) if table == "stamps" else None, no_robot)
-    return other["clock"]
+    def stamps_alone(name: str, table: str) -> pl.DataFrame | None:
+        return tables.get(name) if table == "stamps" else None
+
+    return place_in_time(session, known, stamps_alone, no_robot)[1].clock
 
 
-def worst_s(clock: dict[str, Any], log_s: Any, session_s: Any) -> float:
+def worst_s(clock: ClockCard, log_s: Any, session_s: Any) -> float:
     elapsed = np.linspace(0.0, 600.0, 50)
-    told = clock["rate"] * log_s(elapsed) + clock["offset_s"]
+    told = clock.rate * log_s(elapsed) + clock.offset_s
     return float(np.abs(told - session_s(elapsed)).max())
 
 
 def test_a_device_with_stamps_is_placed_among_logs_in_epoch_time() -> None:
     robot, people = entry("r", "epoch", EPOCH_S + 10.0, "robot"), entry("p", "uptime", 77.0, "people", "stamps")
     clock = placed(robot, people, {"p": stamps(77.0, DRIFT)})
-    assert clock["method"] == "lower-envelope"
+    assert clock.method == "lower-envelope"
     assert worst_s(clock, lambda e: 77.0 + e * (1 + DRIFT), lambda e: e - 10.0) < 0.002
-    assert clock["residual_s"] == pytest.approx(0.005 * np.log(2), rel=0.2)
-    assert clock["events"] == 30_000
-    assert people["warnings"] == []
+    assert clock.residual_s == pytest.approx(0.005 * np.log(2), rel=0.2)
+    assert clock.events == 30_000
+    assert clock.warnings == ()
 
 
 def test_a_log_in_epoch_time_is_placed_by_the_stamps_of_the_robot() -> None:
     first_s = UPTIME_S + 20.0
     robot, people = entry("r", "uptime", first_s, "robot", "stamps"), entry("p", "epoch", EPOCH_S, "people")
     clock = placed(robot, people, {"r": stamps(UPTIME_S, DRIFT)})
-    assert clock["method"] == "lower-envelope"
+    assert clock.method == "lower-envelope"
     assert worst_s(clock, lambda e: EPOCH_S + e, lambda e: UPTIME_S + e * (1 + DRIFT) - first_s) < 0.002
-    assert clock["rate"] == pytest.approx(1 + DRIFT, abs=2e-6)
+    assert clock.rate == pytest.approx(1 + DRIFT, abs=2e-6)
 
 
 def test_two_devices_with_stamps_meet_in_the_time_of_their_hosts() -> None:
     robot, people = (entry("r", "uptime", UPTIME_S, "robot", "stamps"), entry("p", "uptime", 5.0, "people", "stamps"))
     clock = placed(robot, people, {"r": stamps(UPTIME_S, DRIFT), "p": stamps(5.0, -DRIFT, seed=2)})
-    assert clock["method"] == "lower-envelope"
+    assert clock.method == "lower-envelope"
     assert worst_s(clock, lambda e: 5.0 + e * (1 - DRIFT), lambda e: e * (1 + DRIFT)) < 0.002
 
 
 @pytest.mark.parametrize("kinds", [("uptime", "epoch"), ("epoch", "uptime"), ("uptime", "relative")])
 def test_without_stamps_on_the_side_that_needs_them_nothing_is_gained(kinds: tuple[str, str]) -> None:
     robot, people = entry("r", kinds[0], 5.0, "robot"), entry("p", kinds[1], EPOCH_S, "people")
-    assert placed(robot, people, {})["method"] == "assumed-common-start"
+    assert placed(robot, people, {}).method == "assumed-common-start"
 
 
 def test_the_cell_file_comes_first_then_epoch_time_then_the_stamps() -> None:
     both = {"p": stamps(77.0, DRIFT)}
     robot, people = entry("r", "epoch", EPOCH_S, "robot"), entry("p", "uptime", 77.0, "people", "stamps")
-    assert placed(robot, people, both, p=Source("p", clock_offset_s=1.0))["method"] == "cell-file"
-    assert placed(robot, people, both, p=Source("p", sync_events=((0.0, 1.0), (9.0, 10.0))))["method"] == "event-pairs"
+    assert placed(robot, people, both, p=Source("p", clock_offset_s=1.0)).method == "cell-file"
+    assert placed(robot, people, both, p=Source("p", sync_events=((0.0, 1.0), (9.0, 10.0)))).method == "event-pairs"
     in_epoch = entry("p", "epoch", EPOCH_S + 3.0, "people", "stamps")
-    assert placed(entry("r", "epoch", EPOCH_S, "robot"), in_epoch, {"p": stamps(EPOCH_S, 0.0)})["method"] == "epoch"
+    assert placed(entry("r", "epoch", EPOCH_S, "robot"), in_epoch, {"p": stamps(EPOCH_S, 0.0)}).method == "epoch"
 
 
 def test_a_device_that_was_switched_off_and_on_is_not_placed_by_one_line() -> None:
     robot, people = entry("r", "epoch", EPOCH_S, "robot"), entry("p", "uptime", 77.0, "people", "stamps")
     first, second = stamps(77.0, 0.0), stamps(3.0, 0.0)
     clock = placed(robot, people, {"p": pl.concat([first, second])})
-    assert clock["method"] == "assumed-common-start"
-    assert "restarted" in people["warnings"][0]
+    assert clock.method == "assumed-common-start"
+    assert [one.code for one in clock.warnings] == ["clock-restarted", "clock-assumed"]
 
 
 def test_stamps_that_lie_far_above_their_line_are_worth_a_warning() -> None:
     robot, people = entry("r", "epoch", EPOCH_S, "robot"), entry("p", "uptime", 77.0, "people", "stamps")
     late = stamps(77.0, 0.0).with_columns(pl.col("host_s") + pl.Series(np.random.default_rng(3).uniform(0, 1, 30_000)))
-    placed(robot, people, {"p": late})
-    assert "above the line" in people["warnings"][0]
+    assert [one.code for one in placed(robot, people, {"p": late}).warnings] == ["clock-stamps-late"]
 
 
 def test_a_kuka_with_the_seconds_of_its_pc_is_placed_beside_a_tracker_in_epoch_time(tmp_path: Path) -> None:
@@ -134,13 +128,13 @@ def test_a_kuka_with_the_seconds_of_its_pc_is_placed_beside_a_tracker_in_epoch_t
     )
     kept = Cell(sources=sources, places=cell.places, ignore=("*.toml", "*.json", "*.tsv", "*.parquet"))
     ingest([logs], tmp_path / "d", cell=kept)
-    clock = next(r["clock"] for r in Dataset.open(tmp_path / "d").recordings if r["id"].endswith("people"))
-    assert clock["method"] == "lower-envelope"
-    told = clock["rate"] * people + clock["offset_s"]
+    clock = next(r.clock for r in Dataset.open(tmp_path / "d").recordings if r.id.endswith("people"))
+    assert clock.method == "lower-envelope"
+    told = clock.rate * people + clock.offset_s
     assert np.abs(told - (people - people[0])).max() < 0.013  # early by a cycle at most: that is how far RSI can tell
     hidden = Dataset.open(ingest([logs], tmp_path / "hidden", cell=kept, pseudonymise=True).dataset)
     assert not list(hidden.path.rglob("stamps.parquet"))
-    assert [r["clock"]["method"] for r in hidden.recordings] == ["own", "lower-envelope"]
+    assert [r.clock.method for r in hidden.recordings] == ["own", "lower-envelope"]
 
 
 def test_the_joints_of_a_person_get_the_number_of_the_person() -> None:

@@ -70,7 +70,7 @@ def test_what_a_command_shows_of_a_hostile_dataset_steers_no_terminal(
 
 def test_every_text_out_of_a_hostile_table_is_one_line(dataset: Path) -> None:
     opened = Dataset.open(dataset)
-    record = opened.recordings[0]["id"]
+    record = opened.recordings[0].id
     file = dataset / "recordings" / record / "people.parquet"
     pl.read_parquet(file).with_columns(person=pl.lit(NASTY["home"])).write_parquet(file)
     execution = opened.executions["execution"][0]

@@ -91,7 +91,7 @@ def test_names_with_umlauts_are_read_where_there_is_no_locale(tmp_path: Path) ->
     for words in ("ingest logs --out Süd --quiet", "inspect Süd", "report Süd --out Süd.html"):
         told = in_shell(f'"$0" "$@" {words}', tmp_path, **bare)
         assert told.returncode == 0, told.stderr
-    assert Dataset.open(tmp_path / "Süd").recordings[0]["sources"][0]["path"] == "Kühl.csv"
+    assert Dataset.open(tmp_path / "Süd").recordings[0].shown == "Kühl.csv"
     assert "Zelle Süd" in (tmp_path / "Süd.html").read_text(encoding="utf-8")
 
 

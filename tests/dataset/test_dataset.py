@@ -56,7 +56,7 @@ def test_polars_pandas_and_duckdb_read_the_samples_with_the_columns_of_the_contr
     by_pandas = pd.concat(pd.read_parquet(file) for file in sorted((boxes.dataset.path / "samples").iterdir()))
     by_duckdb = duckdb.sql(f"select * from '{files}'")
     assert lazily.columns == list(by_pandas.columns) == list(by_duckdb.columns) == CONTRACT
-    assert lazily.height == len(by_pandas) == len(by_duckdb) == boxes.dataset.card["rows"]["samples"]
+    assert lazily.height == len(by_pandas) == len(by_duckdb) == boxes.dataset.card.rows.samples
     assert lazily.schema == pl.Schema({name: column.dtype for name, column in schema.SAMPLES.items()})
 
 
@@ -65,8 +65,8 @@ def test_tasks_and_recordings_are_plain_tables_too(boxes: SimulatedCell):
     tasks = pd.read_parquet(folder / "tasks.parquet")
     assert list(tasks.columns) == list(schema.TASKS)
     robot = duckdb.sql(f"select count(*) from '{folder / 'recordings' / 'session_000.robot' / 'robot.parquet'}'")
-    assert robot.fetchall() == [(boxes.dataset.recordings[2]["rows"]["robot"],)]
-    assert [entry["id"] for entry in boxes.dataset.recordings][2] == "session_000.robot"
+    assert robot.fetchall() == [(boxes.dataset.recordings[2].rows["robot"],)]
+    assert [entry.id for entry in boxes.dataset.recordings][2] == "session_000.robot"
 
 
 def test_samples_come_ten_a_second_from_the_start_of_each_execution_on_rows_of_the_robot_log(boxes: SimulatedCell):
@@ -187,7 +187,7 @@ def test_a_process_killed_between_the_two_renames_has_finished_all_the_same(copi
     changed_card(finished, name="the new one")
     (finished / ".complete").touch()
     copied.rename(copied.with_name(".dataset.old-1-abc"))
-    assert Dataset.open(copied).card["name"] == "the new one"
+    assert Dataset.open(copied).card.name == "the new one"
     assert not copied.with_name(".dataset.new-1-abc").exists()
     settle(copied)  # as the next ingest does
     assert [file.name for file in copied.parent.iterdir()] == ["dataset"]
@@ -197,9 +197,9 @@ def test_a_process_killed_before_the_first_rename_is_finished_by_the_next_ingest
     finished = Path(shutil.copytree(copied, copied.with_name(".dataset.new-1-abc")))
     changed_card(finished, name="the new one")
     (finished / ".complete").touch()
-    assert Dataset.open(copied).card["name"] == "box-picking"
+    assert Dataset.open(copied).card.name == "box-picking"
     settle(copied)
-    assert Dataset.open(copied).card["name"] == "the new one"
+    assert Dataset.open(copied).card.name == "the new one"
     assert [file.name for file in copied.parent.iterdir()] == ["dataset"]
     assert not (copied / ".complete").exists()
 
@@ -223,7 +223,7 @@ def test_a_reader_beside_a_running_ingest_always_finds_a_dataset(copied: Path):
             assert writer.stdout is not None
             writer.stdout.readline()
             for _ in range(300):
-                assert Dataset.open(copied).card["schema_version"] == schema.SCHEMA_VERSION
+                assert Dataset.open(copied).card.schema_version == schema.SCHEMA_VERSION
             assert writer.poll() is None
         finally:
             writer.kill()
@@ -254,13 +254,13 @@ from cyclekit.ingest.ingest import ingest
 
 root = Path(sys.argv[1])
 dataset = Dataset.open(root / "dataset")
-assert dataset.samples().height == dataset.card["rows"]["samples"] > 0
-assert dataset.tasks().height == dataset.card["rows"]["tasks"] > 0
+assert dataset.samples().height == dataset.card.rows.samples > 0
+assert dataset.tasks().height == dataset.card.rows.tasks > 0
 for entry in dataset.recordings:
-    for table in entry["tables"]:
-        assert dataset.recorded(entry["id"], table).height == entry["rows"][table]
-print(dataset.card["name"], flush=True)
-for name in cycle(["b", "a"] if dataset.card["name"] == "a" else ["a", "b"]):
+    for table in entry.tables:
+        assert dataset.recorded(entry.id, table).height == entry.rows[table]
+print(dataset.card.name, flush=True)
+for name in cycle(["b", "a"] if dataset.card.name == "a" else ["a", "b"]):
     ingest([root / name], root / "dataset")
 """
 
@@ -283,6 +283,6 @@ def test_an_ingest_killed_at_any_moment_leaves_the_old_dataset_or_the_new_one(tm
             time.sleep(when.uniform(0.0, longest_s))
             child.kill()
         caught_at_work += any(tmp_path.glob(".dataset.*-*"))
-    seen.append(Dataset.open(tmp_path / "dataset").card["name"])
+    seen.append(Dataset.open(tmp_path / "dataset").card.name)
     assert set(seen) == {"a", "b"}  # every child found a whole dataset, of the one kind or the other
     assert caught_at_work >= 3  # and the kills did hit ingests that were under way

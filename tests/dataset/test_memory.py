@@ -95,7 +95,7 @@ def test_long_texts_are_measured_as_they_unpack(tmp_path: Path, monkeypatch):
 )
 def test_a_recording_with_more_rows_than_the_card_says_is_refused(tmp_path: Path, read):
     dataset = fabricate_dataset(tmp_path / "dataset", 2, rounds=1)
-    record = dataset.recordings[0]["id"]
+    record = dataset.recordings[0].id
     file = dataset.path / "recordings" / record / "robot.parquet"
     rows = pl.read_parquet(file)
     pl.concat([rows, rows]).write_parquet(file)

@@ -52,7 +52,7 @@ def test_several_people_in_one_table_are_sampled_at_the_rate_of_each(tmp_path: P
     assert facts.step_s == pytest.approx(0.04)
     source = Source("log.csv", "csv", "people", map={**TABLE, "person": "who"})
     made = ingest([folder / "log.csv"], tmp_path / "out", cell=Cell(sources=(source,)))
-    assert Dataset.open(made.dataset).recordings[0]["rate_hz"] == 25.0
+    assert Dataset.open(made.dataset).recordings[0].rate_hz == 25.0
 
 
 def test_alternating_steps_are_a_mean_rate_and_lost_samples_not_the_rate_of_the_shorter_step(tmp_path: Path):

@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from log_cards import log_card
 
 from cyclekit.alignment.recording_clocks import FINE_S, _thinned
 from cyclekit.dataset.signals import event_times
@@ -20,7 +21,7 @@ from cyclekit.storage.parquet import StoredTable, TableWriter
 if TYPE_CHECKING:
     from pathlib import Path
 
-ENTRY = {"id": "r", "tables": ["robot"]}
+ENTRY = log_card("r", "robot")
 
 
 @pytest.fixture(scope="module")

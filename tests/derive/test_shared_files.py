@@ -80,7 +80,7 @@ _SPANS = st.lists(st.one_of(st.floats(0.0, 300.0), st.floats(0.0, 1e6)), min_siz
 def test_every_session_is_in_one_file_and_files_are_short(spans: list[float], chance: object):
     names = [f"s{number}-{'x' * (number % 3)}" for number in range(len(spans))]
     chance.shuffle(names)
-    sessions = [Session(name, [], span_s=(0.0, span)) for name, span in zip(names, spans, strict=True)]
+    sessions = [Session(name, (), span_s=(0.0, span)) for name, span in zip(names, spans, strict=True)]
     files = shared_files(sessions, 10.0)
     inside = [number for numbers in files for number in numbers]
     assert [names[number] for number in inside] == sorted(names, key=lambda name: f"{name}.parquet")
@@ -91,5 +91,5 @@ def test_every_session_is_in_one_file_and_files_are_short(spans: list[float], ch
 
 
 def test_few_sessions_have_files_of_their_own():
-    sessions = [Session(f"s{number}", [], span_s=(0.0, 1.0)) for number in range(sharing.FEW_SESSIONS)]
+    sessions = [Session(f"s{number}", (), span_s=(0.0, 1.0)) for number in range(sharing.FEW_SESSIONS)]
     assert {len(numbers) for numbers in shared_files(sessions, 10.0)} == {1}

@@ -70,7 +70,7 @@ def test_a_folder_of_task_lists_becomes_a_dataset_with_both_agents_tasks(listed)
 
 def test_executions_are_those_that_the_list_names(listed) -> None:
     _, dataset = listed
-    told = [(entry["execution"], entry["logged_as"], entry["places"]) for entry in dataset.card["executions"]]
+    told = [(entry.execution, entry.logged_as, list(entry.places)) for entry in dataset.card.executions]
     assert told == [("plan.001", "a", []), ("plan.002", "b", [])]
     spans = dataset.executions.select("start_s", "end_s", "complete").rows()
     assert spans == [(0.0, 4.5, True), (100.0, 109.0, True)]
@@ -135,7 +135,7 @@ def test_lists_without_executions_are_one_or_begin_anew_after_gaps(tmp_path: Pat
     (logs / "plan.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     one = Dataset.open(ingest([logs], tmp_path / "one").dataset)
     assert one.executions.select("start_s", "end_s").rows() == [(0.0, 21.0)]
-    assert any("the list is one execution" in text for text in one.recordings[0]["warnings"])
+    assert any("the list is one execution" in text for text in one.recordings[0].said)
     (logs / "cell.toml").write_text('[executions]\nbegin = "gap"\ngap_s = 5.0\n', encoding="utf-8")
     split = Dataset.open(ingest([logs], tmp_path / "split").dataset)
     assert split.executions.select("start_s", "end_s").rows() == [(0.0, 12.0), (20.0, 21.0)]
@@ -178,15 +178,15 @@ def test_beside_a_robot_log_the_operators_tasks_are_put_into_its_executions(tmp_
     assert row == ("pick", pytest.approx(0.2))
     assert dataset.tasks().height == dataset.every_task().height - 1 > 0
     assert dataset.positions == ("robot",)
-    entry = next(entry for entry in dataset.recordings if entry["id"] == "plan")
-    assert [text for text in entry["warnings"] if text.startswith("task list: ")] == [
+    entry = next(entry for entry in dataset.recordings if entry.id == "plan")
+    assert [text for text in entry.said if text.startswith("task list: ")] == [
         "task list: 1 tasks of the robot are not used: its log tells its tasks",
         "task list: 1 of 2 tasks of the operator lie outside of every execution",
     ]
     again = ingest([logs], tmp_path / "dataset", rate_hz=5.0)
     assert again.recordings_kept == 2
-    entry = next(entry for entry in Dataset.open(again.dataset).recordings if entry["id"] == "plan")
-    assert sum(text.startswith("task list: ") for text in entry["warnings"]) == 2
+    entry = next(entry for entry in Dataset.open(again.dataset).recordings if entry.id == "plan")
+    assert sum(text.startswith("task list: ") for text in entry.said) == 2
 
 
 def test_logs_of_a_safety_system_in_one_clock_are_one_session_without_samples(tmp_path: Path) -> None:
@@ -200,9 +200,9 @@ def test_logs_of_a_safety_system_in_one_clock_are_one_session_without_samples(tm
     report = ingest([logs], tmp_path / "dataset")
     dataset = Dataset.open(report.dataset)
     assert (report.executions, report.samples) == (0, 0)
-    assert {entry["id"]: entry["session"] for entry in dataset.recordings} == {"a": "a", "b": "a", "c": "c"}
-    clocks = {entry["id"]: entry["clock"] for entry in dataset.recordings}
-    assert clocks["a"]["offset_s"] == clocks["b"]["offset_s"] == -T0
+    assert {entry.id: entry.session for entry in dataset.recordings} == {"a": "a", "b": "a", "c": "c"}
+    clocks = {entry.id: entry.clock for entry in dataset.recordings}
+    assert clocks["a"].offset_s == clocks["b"].offset_s == -T0
     kept = dataset.recorded("a", "safety")
     assert kept is not None
     assert kept["override"].to_list() == [(100 - i) / 100 for i in range(50)]
@@ -217,13 +217,13 @@ def test_a_pseudonymised_task_list_holds_no_names_and_no_date(tmp_path: Path) ->
     ]
     write_list(tmp_path / "logs" / "plan.csv", rows)
     dataset = Dataset.open(ingest([tmp_path / "logs"], tmp_path / "dataset", pseudonymise=True).dataset)
-    table = dataset.recorded(dataset.recordings[0]["id"], "task_list")
+    table = dataset.recorded(dataset.recordings[0].id, "task_list")
     assert table is not None
     assert table.select("t_s", "end_s", "planned_start_s").rows()[1] == (90_000.0, 90_004.0, 90_000.0)
     assert table["t_s"].min() == 0.0
     assert table["agent_name"].to_list() == ["person_1", "ur5"]
     assert table["task"].to_list() == ["help person_1", "feed"]
-    assert [entry["logged_as"] for entry in dataset.card["executions"]] == ["execution_1", "execution_2"]
+    assert [entry.logged_as for entry in dataset.card.executions] == ["execution_1", "execution_2"]
     every = (dataset.path / "dataset.json").read_text(encoding="utf-8") + str(dataset.every_task().rows())
     assert "Anna" not in every
     assert "2023" not in every

@@ -11,9 +11,11 @@ import polars as pl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 from report_pages import estimate as made
 
 from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.cards import DynamicsCard, SplitCard, TrainingCard
 from cyclekit.errors import UnknownName
 from cyclekit.estimate import rollout
 from cyclekit.estimate import walk as walking
@@ -37,7 +39,7 @@ estimate = partial(estimate_validated, validate=False)
 
 @pytest.fixture(scope="module")
 def routes(logged: Dataset) -> list[tuple[str, ...]]:
-    return [tuple(entry["places"]) for entry in logged.card["executions"]]
+    return [entry.places for entry in logged.card.executions]
 
 
 def test_history_is_the_sum_of_the_logged_means_of_the_tasks(logged: Dataset, staircase: Any, routes: Any):
@@ -150,7 +152,8 @@ def test_a_cycle_that_does_not_end_within_its_track_is_not_made_up(logged: Datas
 
 
 def test_logged_executions_come_out_right_beside_their_own_operators(logged: Dataset, staircase: Any):
-    staircase.card = {"split": {"test": logged.executions["execution"].to_list()[:4]}}
+    held_out = tuple(logged.executions["execution"].to_list()[:4])
+    staircase.card = TrainingCard(split=SplitCard(test=held_out))
     found = check_rollout(staircase, logged)
     assert (found.executions, found.held_out) == (16, 4)
     assert abs(found.own_bias) < 0.003
@@ -281,7 +284,7 @@ def test_resampling_draws_tracks_of_an_execution_together():
 class Sides:
     """0.2 where the operator is nearer than 2 m on the x axis, else 1."""
 
-    problem, card = "now", {}
+    problem, card = "now", TrainingCard()
 
     def predict(self, X: np.ndarray) -> np.ndarray:
         return np.where(np.abs(X[:, 3] - X[:, 0]) < 2.0, 0.2, 1.0)
@@ -309,8 +312,8 @@ def test_s_rises_farther_out_than_it_falls():
 
 
 def test_what_the_card_tells_of_the_dynamics_is_used():
-    assert Dynamics.of({}).none
-    card = {"dynamics": {"latency_s": 0.1, "ramp_down_per_s": None, "ramp_up_per_s": None, "hysteresis_m": 0.0}}
+    assert Dynamics.of(DynamicsCard()).none
+    card = DynamicsCard(latency_s=0.1, hysteresis_m=0.0)
     assert Dynamics.of(card) == Dynamics(latency_s=0.1, hysteresis_m=0.0)
     assert not Dynamics.of(card).none
 
@@ -367,7 +370,7 @@ def test_beside_other_operators_s_follows_as_late_as_beside_their_own(
 ):
     """Slow recovery makes every cycle longer; no operator reacts to the robot because of it."""
     at_once = check_rollout(staircase, logged)
-    monkeypatch.setitem(logged.card, "dynamics", {"ramp_up_per_s": 0.1})
+    monkeypatch.setattr(logged, "card", structs.replace(logged.card, dynamics=DynamicsCard(ramp_up_per_s=0.1)))
     slow = check_rollout(staircase, logged)
     assert slow.own_bias > at_once.own_bias + 0.02
     assert slow.crossed_bias - slow.own_bias == pytest.approx(at_once.crossed_bias - at_once.own_bias, abs=0.01)
@@ -386,7 +389,7 @@ def test_what_was_never_logged_is_a_doubt_that_says_what_the_interval_leaves_out
 
 def test_too_few_logged_executions_are_said_and_correct_nothing(logged: Dataset, staircase: Any, routes: Any):
     two = logged.only(logged.executions["execution"].to_list()[:2])
-    sequence = TaskSequence("A", tuple(two.card["executions"][0]["places"][:3]))
+    sequence = TaskSequence("A", two.card.executions[0].places[:3])
     (found,) = estimate_validated(staircase, two, [sequence], extrapolate=True)
     assert found.check is None
     assert any("not validated on logged executions" in text for text in found.doubts)

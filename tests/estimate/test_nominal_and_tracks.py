@@ -9,7 +9,9 @@ import numpy as np
 import polars as pl
 import pytest
 from ingested import without_checksums
+from msgspec.structs import replace
 
+from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.limits import limits_of_logs
@@ -201,10 +203,14 @@ def test_a_cycle_to_which_the_operator_never_came_counts_as_one_without_him(hand
     assert np.isfinite(found["there"]).all()
 
 
+def meant_to_be_alone(found: Dataset) -> Dataset:
+    """Return the dataset with its executions without an operator marked as runs meant to be so."""
+    marked = (replace(one, reference=one.execution.startswith("away")) for one in found.card.executions)
+    return Dataset(found.path, replace(found.card, executions=tuple(marked)))
+
+
 def test_a_run_recorded_without_operator_on_purpose_is_no_track(hand_made: Any):
-    found = one_who_stays_away(hand_made)
-    for entry in found.card["executions"]:
-        entry["reference"] = entry["execution"].startswith("away")
+    found = meant_to_be_alone(one_who_stays_away(hand_made))
     tracks = operator_tracks(found, horizon_s=20.0)
     assert [name.partition(".")[0] for name in tracks.executions] == ["there"]
 
@@ -212,8 +218,7 @@ def test_a_run_recorded_without_operator_on_purpose_is_no_track(hand_made: Any):
 @pytest.mark.parametrize("meant", [False, True])
 def test_the_estimate_says_how_many_cycles_had_no_operator(hand_made: Any, meant: bool):
     found = one_who_stays_away(hand_made)
-    for entry in found.card["executions"]:
-        entry["reference"] = meant and entry["execution"].startswith("away")
-    model: Any = SimpleNamespace(card={"scaling_without_operator": 1.0})
+    found = meant_to_be_alone(found) if meant else found
+    model: Any = SimpleNamespace(card=TrainingCard(scaling_without_operator=1.0))
     said = [each for each in limits_of_logs(found, model) if "nobody came" in each]
     assert [each.partition(":")[0] for each in said] == ([] if meant else ["in 1 of 2 executions nobody came"])

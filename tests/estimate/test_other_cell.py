@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from cyclekit.config.sequences import TaskSequence
-from cyclekit.dataset.cards import BadCard, CellCard, checked
+from cyclekit.dataset.cards import BadCard, CellCard, TrainingCard, checked, dataset_card, plain
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ModelError
 from cyclekit.estimate.check import Check
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def card_of(dataset: Dataset) -> dict[str, Any]:
-    return {"dataset_sha256": fingerprint(dataset), "cell": cell_of(dataset)}
+def card_of(dataset: Dataset) -> TrainingCard:
+    return TrainingCard(dataset_sha256=fingerprint(dataset), cell=cell_of(dataset))
 
 
 def changed(logged: Dataset, change: Callable[[dict[str, Any]], object]) -> Dataset:
     """Return a dataset with another card; what `change` returns is not looked at."""
-    card = copy.deepcopy(logged.card)
+    card = plain(logged.card)
     change(card)
-    return Dataset(logged.path, card)
+    return Dataset(logged.path, dataset_card(card))
 
 
 def newer(card: dict[str, Any]) -> None:
@@ -47,7 +47,7 @@ def move(card: dict[str, Any], metres: float, count: int = 99) -> None:
 
 
 def grow(card: dict[str, Any]) -> None:
-    more = copy.deepcopy(card["recordings"][0])
+    more = {**copy.deepcopy(card["recordings"][0]), "id": "session_001.robot"}
     more["sources"][0]["blake3"] = "f" * 64
     card["recordings"].append(more)
     card["executions"].append({**card["executions"][0], "execution": "session_001.001"})
@@ -108,13 +108,13 @@ def test_another_cell_is_refused_with_the_reason(
     assert said in str(caught.value)
     assert "--other-cell" in str(caught.value.cure)
     refuse_other_cell(card_of(logged), other, other_cell=True)
-    refuse_other_cell({}, other)  # a function that was written by hand is of no cell
+    refuse_other_cell(TrainingCard(), other)  # a function that was written by hand is of no cell
 
 
 def test_estimate_plan_and_what_if_refuse_and_answer_where_it_is_meant(logged: Dataset, staircase: Any):
     elsewhere = changed(logged, lambda card: (newer(card), move(card, 0.3)))
     staircase.card = card_of(elsewhere)
-    asked = [TaskSequence("A", tuple(logged.card["executions"][0]["places"][:5]))]
+    asked = [TaskSequence("A", logged.card.executions[0].places[:5])]
     slots = tuple(place for place in asked[0].places if place not in ("home", "conveyor"))
     with pytest.raises(ModelError, match="not the cell"):
         estimate(staircase, logged, asked)
@@ -145,7 +145,7 @@ def test_a_bias_beyond_ten_percent_is_refused_and_one_beyond_three_stands_above_
 
 
 def test_a_model_far_off_on_the_logs_is_refused_unless_that_is_meant(logged: Dataset, constant: Any):
-    sequence = TaskSequence("A", tuple(logged.card["executions"][0]["places"][:5]))
+    sequence = TaskSequence("A", logged.card.executions[0].places[:5])
     with pytest.raises(ModelError, match="does not fit these logs"):
         estimate(constant(1.0), logged, [sequence], extrapolate=True)
     (found,) = estimate(constant(1.0), logged, [sequence], extrapolate=True, other_cell=True)
@@ -154,7 +154,7 @@ def test_a_model_far_off_on_the_logs_is_refused_unless_that_is_meant(logged: Dat
 
 
 def test_the_cell_of_a_dataset_is_one(logged: Dataset):
-    stated = cell_of(logged)
-    assert dict(checked(stated, CellCard).places) == {name: tuple(place) for name, place in stated["places"].items()}
+    stated = plain(cell_of(logged))
+    assert checked(stated, CellCard) == cell_of(logged)
     with pytest.raises(BadCard, match="logs"):
         checked({**stated, "logs": {"a": [1.0]}}, CellCard)

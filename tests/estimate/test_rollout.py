@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from ingested import without_checksums
 
 from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate import walk as walking
@@ -40,7 +41,7 @@ SHORT = TaskSequence("short", ("home", "conveyor", "left_1", "home"))
 
 @pytest.fixture(scope="module")
 def routes(logged: Dataset) -> list[tuple[str, ...]]:
-    return [tuple(entry["places"]) for entry in logged.card["executions"]]
+    return [entry.places for entry in logged.card.executions]
 
 
 def some_route(routes: Sequence[tuple[str, ...]], length: int) -> TaskSequence:
@@ -56,13 +57,13 @@ def test_rolled_along_its_own_track_an_execution_takes_as_long_as_it_did(
 ):
     """The true safety function, every logged route against its own operator: nothing is left to chance."""
     monkeypatch.setattr(walking, "TIME_STEP_S", step_s)
-    nominal, entries = nominal_tasks(logged), logged.card["executions"]
+    nominal, entries = nominal_tasks(logged), logged.card.executions
     tracks = operator_tracks(logged, horizon_s=200.0)
-    assert list(tracks.executions) == [entry["execution"] for entry in entries]
-    programs = [lay_out(TaskSequence("own", tuple(entry["places"])), nominal, logged) for entry in entries]
+    assert list(tracks.executions) == [entry.execution for entry in entries]
+    programs = [lay_out(TaskSequence("own", entry.places), nominal, logged) for entry in entries]
     stands, every = [draw_stands(program, 1, 0) for program in programs], np.arange(len(programs))
     rolled = walking.walk(staircase, programs, every, every, stands, tracks)
-    late = rolled.duration_s - [entry["end_s"] - entry["start_s"] for entry in entries]
+    late = rolled.duration_s - [entry.end_s - entry.start_s for entry in entries]
     assert abs(np.mean(late)) < within_s  # of about 95 s
     assert np.quantile(np.abs(late), 0.8) < within_s
     assert np.max(np.abs(late)) < 10 * within_s  # on the edge of a threshold a cycle can take another turn
@@ -70,7 +71,7 @@ def test_rolled_along_its_own_track_an_execution_takes_as_long_as_it_did(
 
 def test_a_sequence_that_never_occurred_takes_as_long_as_fresh_simulations_of_it(logged: Dataset, staircase: Any):
     route = random_sequence("box-picking", 77)
-    assert route not in [entry["places"] for entry in logged.card["executions"]]
+    assert route not in [list(entry.places) for entry in logged.card.executions]
     (found,) = estimate(staircase, logged, [TaskSequence("new", tuple(route))])
     fresh = simulate_sequence("box-picking", route, executions=32, seed=5)
     error = np.hypot(np.std(found.durations_s) / np.sqrt(16), fresh["duration_s"].std() / np.sqrt(32))  # type: ignore[operator]
@@ -202,7 +203,7 @@ def test_an_operator_who_never_lets_the_robot_go_on_is_told_and_not_waited_for(
 class HaltedAt:
     """The staircase, but the robot halts for ever within 5 cm of one place."""
 
-    problem, card = "now", {}
+    problem, card = "now", TrainingCard()
 
     def __init__(self, staircase: Any, place: tuple[float, ...]) -> None:
         self._staircase, self._place = staircase, np.array(place)
@@ -276,9 +277,9 @@ def test_while_nobody_is_there_the_robot_runs_at_what_the_logs_showed_without_an
     hand_made: Any, constant: Any
 ):
     found = hand_made({"a": ([0.0, 0.0, 0.0], {0.0: (3.0, 0.0), 1.0: (3.0, 0.0)})})  # the tracker stops after 1 s
-    places = tuple(found.card["executions"][0]["places"])
+    places = found.card.executions[0].places
     model = constant(0.1)
     (free,) = estimate(model, found, [TaskSequence("A", places)], extrapolate=True)
-    model.card = {"scaling_without_operator": 0.5}
+    model.card = TrainingCard(scaling_without_operator=0.5)
     (half,) = estimate(model, found, [TaskSequence("A", places)], extrapolate=True)
     assert free.expected_s + 2.0 < half.expected_s

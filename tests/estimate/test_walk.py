@@ -77,7 +77,7 @@ def by_hand(
 @pytest.fixture(scope="module")
 def asked(logged: Dataset) -> tuple[list[Program], OperatorTracks]:
     """Two programs of different length and five tracks, one of whose operators is away for a while."""
-    places = tuple(logged.card["executions"][0]["places"])
+    places = logged.card.executions[0].places
     nominal = nominal_tasks(logged)
     programs = [lay_out(TaskSequence("some", places[:count]), nominal, logged) for count in (7, 4)]
     tracks = operator_tracks(logged, horizon_s=90.0)

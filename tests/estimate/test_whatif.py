@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from known_cells import LEVELS, THRESHOLDS_M
+from msgspec import structs
 
 from cyclekit.cli import run
 from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.cards import DynamicsCard, TrainingCard
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.safety import Dynamics, Follower
@@ -74,7 +76,7 @@ def test_a_written_function_slows_at_its_thresholds_and_lets_go_by_the_hysteresi
 class Hesitant:
     """0.5 within 0.9 m of the x axis, else 1; at 0.9 to 1.1 m now one, now the other, as logged with hysteresis."""
 
-    problem, network, levels, card = "now", "classifier", (0.5, 1.0), {}
+    problem, network, levels, card = "now", "classifier", (0.5, 1.0), TrainingCard()
 
     def probabilities(self, X: np.ndarray) -> np.ndarray:
         quick = np.clip((np.abs(X[:, 4]) - 0.9) / 0.2, 0.0, 1.0)
@@ -106,10 +108,11 @@ def test_what_is_learned_keeps_where_it_slows_when_the_hysteresis_is_changed(sta
 def test_what_is_logged_of_the_scaling_in_time_holds_after_a_change_unless_it_is_changed(
     logged: Dataset, staircase: Any, monkeypatch: pytest.MonkeyPatch
 ):
-    places = tuple(logged.card["executions"][0]["places"])
+    places = logged.card.executions[0].places
     same = {"levels": LEVELS, "thresholds_m": THRESHOLDS_M}
     changes = [Change("same", **same), Change("at once", **same, dynamics={"ramp_up_per_s": float("inf")})]
-    monkeypatch.setitem(logged.card, "dynamics", {"ramp_up_per_s": 0.3, "latency_s": 0.2})
+    told = DynamicsCard(ramp_up_per_s=0.3, latency_s=0.2)
+    monkeypatch.setattr(logged, "card", structs.replace(logged.card, dynamics=told))
     kept, quicker = what_if(staircase, logged, [TaskSequence("A", places)], changes, validate=False)
     assert kept.saves_s[0] == pytest.approx(0.0)
     assert quicker.saves_s[0] > 1.0
@@ -119,7 +122,7 @@ def test_what_is_logged_of_the_scaling_in_time_holds_after_a_change_unless_it_is
 
 
 def test_the_same_staircase_changes_nothing_and_a_smaller_one_saves_time(logged: Dataset, staircase: Any):
-    places = tuple(logged.card["executions"][0]["places"])
+    places = logged.card.executions[0].places
     changes = [
         Change("same", levels=LEVELS, thresholds_m=THRESHOLDS_M),
         Change("small", levels=LEVELS, thresholds_m=(0.6, 0.8, 1.2, 1.6)),
@@ -141,7 +144,7 @@ def test_the_bias_of_the_learned_function_does_not_correct_one_that_is_written_d
         def predict(self, X: Any) -> Any:
             return 0.97 * staircase.predict(X)
 
-    places = tuple(logged.card["executions"][0]["places"])
+    places = logged.card.executions[0].places
     same = Change("same", levels=LEVELS, thresholds_m=THRESHOLDS_M)
     (exact,) = what_if(staircase, logged, [TaskSequence("A", places)], [same], validate=False)
     (judged,) = what_if(Slow(), logged, [TaskSequence("A", places)], [same])

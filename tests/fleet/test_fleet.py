@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from msgspec.structs import replace
 
 from cyclekit import fleet as fleets
 from cyclekit.cli import run
+from cyclekit.dataset.cards import FiguresCard, SplitCard, TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.fleet.months import day_in, days_of, since_last_month, since_training
@@ -240,7 +242,7 @@ def test_else_it_is_when_the_file_was_written(small_cell: Path, tmp_path: Path) 
     for file in logs.rglob("*.csv"):
         os.utime(file, (1_790_000_000 + 86_400 * (file.parent.name == "day_1"),) * 2)
     days = days_of(Dataset.open(small_cell / "dataset"), [logs])
-    assert days == {"day_0": "2026-09-21", "day_1": "2026-09-22"}
+    assert days == {"day_0": dt.date(2026, 9, 21), "day_1": dt.date(2026, 9, 22)}
 
 
 class Blind:
@@ -250,7 +252,7 @@ class Blind:
     inputs = ("robot_x_m", "robot_y_m", "robot_z_m", "human_x_m", "human_y_m", "human_z_m")
 
     def __init__(self, **split: list[str]) -> None:
-        self.card = {"split": split}
+        self.card = TrainingCard(split=SplitCard(**{part: tuple(names) for part, names in split.items()}))
 
     def predict(self, positions):
         return 0 * positions[:, 0]
@@ -258,37 +260,37 @@ class Blind:
 
 def test_the_last_month_is_held_against_the_time_before(small_cell: Path) -> None:
     logs = Dataset.open(small_cell / "dataset")
-    found = since_last_month(Blind(), logs, {"day_0": "2026-09-21", "day_1": "2026-11-01"})
+    apart = {"day_0": dt.date(2026, 9, 21), "day_1": dt.date(2026, 11, 1)}
+    found = since_last_month(Blind(), logs, apart)
     assert not isinstance(found, str)
     assert found.executions == (3, 3)
     learned = Blind(train=["day_0.001", "day_0.002"])
     for days, said in (
         ({}, "the days of the logs are not known"),
-        ({"day_0": "2026-10-21", "day_1": "2026-11-01"}, "less than a month"),
+        ({"day_0": dt.date(2026, 10, 21), "day_1": dt.date(2026, 11, 1)}, "less than a month"),
     ):
         assert said in str(since_last_month(Blind(), logs, days))
-    assert "too few" in str(since_last_month(learned, logs, {"day_0": "2026-09-21", "day_1": "2026-11-01"}))
+    assert "too few" in str(since_last_month(learned, logs, apart))
     after = since_training(Blind(test=["day_0.001", "day_0.002"], train=["day_0.003"]), logs)
     assert after is not None
     assert after.executions == (2, 3)
 
 
-FIGURES = {
-    "executions": 20, "cycle_s": 90.0, "lost_s": 9.0, "lost_share": 0.1, "newest": "2026-11-20", "set_aside_share": 0.0,
-    "safety_changed": False, "habits_changed": False, "shifts": [], "drift": "",
-}  # fmt: skip
+FIGURES = FiguresCard(
+    executions=20, cycle_s=90.0, lost_s=9.0, lost_share=0.1, newest=dt.date(2026, 11, 20), set_aside_share=0.0,
+    safety_changed=False, habits_changed=False,
+)  # fmt: skip
 
 
 def test_the_page_ranks_cells_and_names_those_that_need_a_look() -> None:
-    changed = {"safety_changed": True, "shifts": ["everywhere: 0.010 -> 0.090"]}
     cells = [
         CellLine("good", FIGURES, link="good/report.html"),
-        CellLine("worst", {**FIGURES, "lost_share": 0.5}, link="worst/report.html"),
-        CellLine("old", {**FIGURES, "newest": "2026-11-01"}),
-        CellLine("dirty", {**FIGURES, "set_aside_share": 0.02}, unread="a.csv: cut"),
-        CellLine("moved", {**FIGURES, **changed}),
-        CellLine("unlearned", {**FIGURES, "model_doubt": "mean absolute error 0.148"}),
-        CellLine("<b>", {}, failed=["ingest: no such folder"]),
+        CellLine("worst", replace(FIGURES, lost_share=0.5), link="worst/report.html"),
+        CellLine("old", replace(FIGURES, newest=dt.date(2026, 11, 1))),
+        CellLine("dirty", replace(FIGURES, set_aside_share=0.02), unread="a.csv: cut"),
+        CellLine("moved", replace(FIGURES, safety_changed=True, shifts=("everywhere: 0.010 -> 0.090",))),
+        CellLine("unlearned", replace(FIGURES, model_doubt="mean absolute error 0.148")),
+        CellLine("<b>", FiguresCard(), failed=["ingest: no such folder"]),
     ]
     page = fleet_page("Line 4", cells, TODAY)
     order = [page.index(f">{name}<", page.index("<tbody>")) for name in ("worst", "dirty", "good", "&lt;b&gt;")]

@@ -197,25 +197,25 @@ def test_a_dataset_of_another_version_is_read_anew(three_runs: Path, tmp_path: P
 def test_provenance_tells_every_file_by_its_checksum_and_its_rows(three_runs: Path, tmp_path: Path):
     out = ingest([three_runs], tmp_path / "dataset").dataset
     for entry in Dataset.open(out).recordings:
-        (source,) = entry["sources"]
-        log = three_runs / source["path"]
-        assert source["blake3"] == blake3(log.read_bytes()).hexdigest()
-        assert source["size"] == log.stat().st_size
+        (source,) = entry.sources
+        log = three_runs / source.path
+        assert source.blake3 == blake3(log.read_bytes()).hexdigest()
+        assert source.size == log.stat().st_size
         rows = len(log.read_text(encoding="utf-8").splitlines()) - 1
-        assert entry["rows_read"] == entry["rows"]["robot"] == rows
-        assert (entry["adapter"], entry["adapter_package"]) == ("ur-rtde", "cyclekit")
-        assert entry["rate_hz"] == pytest.approx(125.0, abs=0.01)
+        assert entry.rows_read == entry.rows["robot"] == rows
+        assert (entry.adapter, entry.adapter_package) == ("ur-rtde", "cyclekit")
+        assert entry.rate_hz == pytest.approx(125.0, abs=0.01)
     assert str(tmp_path) not in (out / "dataset.json").read_text(encoding="utf-8")
 
 
 def test_the_cell_file_beside_the_logs_is_followed(three_runs: Path, tmp_path: Path):
     (three_runs / "cell.toml").write_text('name = "press 2"\n[places.here]\nxyz_m = [0.3, 0, 0]', encoding="utf-8")
     found = Dataset.open(ingest([three_runs], tmp_path / "dataset").dataset)
-    assert found.card["name"] == "press 2"
+    assert found.card.name == "press 2"
     assert set(found.places) == {"here", "place_1"}
     assert not found.places["here"].inferred
     beside_a_file = Dataset.open(ingest([three_runs / "run_0.csv"], tmp_path / "other").dataset)
-    assert beside_a_file.card["name"] == "press 2"
+    assert beside_a_file.card.name == "press 2"
 
 
 def test_another_cell_file_gives_other_samples_out_of_the_same_readings(
@@ -245,7 +245,7 @@ def test_files_to_be_ignored_are(three_runs: Path, tmp_path: Path):
     for globs in (("truth/*", "run_1.csv"), ("truth", "*_1.csv")):
         report = ingest([three_runs], tmp_path / "dataset", cell=Cell(ignore=globs))
         assert report.not_read == ()
-        assert [entry["id"] for entry in Dataset.open(report.dataset).recordings] == ["run_0", "run_2"]
+        assert [entry.id for entry in Dataset.open(report.dataset).recordings] == ["run_0", "run_2"]
 
 
 def test_a_source_that_means_no_log_is_said_aloud(three_runs: Path, tmp_path: Path):
@@ -268,17 +268,17 @@ def test_a_log_with_brackets_in_its_name_is_a_log_like_any_other(tmp_path: Path,
         robot_log(tmp_path / "logs[1]" / name, ROUND_TRIP)
     found = Dataset.open(ingest([tmp_path / "logs[1]"], tmp_path / "data[1]").dataset)
     assert found.executions.height == 3
-    assert found.samples().height == found.card["rows"]["samples"]
-    assert found.recorded(found.recordings[0]["id"], "robot") is not None
+    assert found.samples().height == found.card.rows.samples
+    assert found.recorded(found.recordings[0].id, "robot") is not None
 
 
 def test_a_robot_and_its_tracker_in_one_folder_are_one_session(tmp_path: Path, robot_log: Any, motive_log: Any):
     robot_log(tmp_path / "logs" / "robot.csv", ROUND_TRIP)
     motive_log(tmp_path / "logs" / "operator.csv", WALK)
     found = Dataset.open(ingest([tmp_path / "logs"], tmp_path / "dataset").dataset)
-    assert {entry["session"] for entry in found.recordings} == {found.executions["session"][0]}
+    assert {entry.session for entry in found.recordings} == {found.executions["session"][0]}
     assert found.samples()["human_x_m"].null_count() == 0
-    assert any("clock relates" in text for entry in found.recordings for text in entry["warnings"])
+    assert any("clock relates" in text for entry in found.recordings for text in entry.said)
 
 
 def test_sessions_in_folders_of_their_own_keep_apart(tmp_path: Path, robot_log: Any, motive_log: Any):
@@ -329,7 +329,7 @@ def test_a_bag_is_ingested_as_the_same_cell_as_the_csv_logs(cells: Cells):
     assert bags.routes_found == tables.routes_found == tables.routes
     lost = [cell.dataset.tasks()["safety_loss_s"].sum() for cell in (bags, tables)]
     assert lost[0] == pytest.approx(lost[1], rel=0.01)
-    assert {entry["adapter"] for entry in bags.dataset.recordings} == {"rosbag"}
+    assert {entry.adapter for entry in bags.dataset.recordings} == {"rosbag"}
 
 
 def test_executions_that_begin_by_a_register_nobody_logged_are_refused(three_runs: Path, tmp_path: Path):
@@ -366,7 +366,7 @@ def test_another_rate_gives_other_samples_of_the_same_recordings(three_runs: Pat
     reads.clear()
     fifty = Dataset.open(ingest([three_runs], tmp_path / "dataset", rate_hz=50.0).dataset)
     assert reads == []
-    assert fifty.card["rate_hz"] == 50.0
+    assert fifty.card.rate_hz == 50.0
     assert fifty.samples().height == pytest.approx(5 * ten.height, rel=0.05)
     with pytest.raises(ConfigError, match=r"0\.1 to 1000"):
         ingest([three_runs], tmp_path / "dataset", rate_hz=0.0)
@@ -374,7 +374,7 @@ def test_another_rate_gives_other_samples_of_the_same_recordings(three_runs: Pat
 
 def test_checksums_can_be_left_out_and_are_made_good_later(three_runs: Path, tmp_path: Path, reads: list[str]):
     def sums(dataset: Path) -> list[str | None]:
-        return [source["blake3"] for entry in Dataset.open(dataset).recordings for source in entry["sources"]]
+        return [source.blake3 for entry in Dataset.open(dataset).recordings for source in entry.sources]
 
     true = [blake3(file.read_bytes()).hexdigest() for file in sorted(three_runs.glob("*.csv"))]
     assert sums(ingest([three_runs], tmp_path / "dataset", checksums=False).dataset) == [None, None, None]

@@ -170,12 +170,12 @@ def test_samples_are_the_same_and_recordings_keep_their_relation(named: Path, ma
     for name, dtype in there.schema.items():
         if dtype.is_float():
             assert np.allclose(here[name].fill_null(-9), there[name].fill_null(-9), atol=1e-5), name
-    offsets = {entry["adapter"]: entry["clock"]["offset_s"] for entry in hidden.recordings}
+    offsets = {entry.adapter: entry.clock.offset_s for entry in hidden.recordings}
     assert offsets["ur-rtde"] == 0.0
     assert offsets["csv"] == pytest.approx(0.0, abs=1e-6)
     for entry in hidden.recordings:
-        for table in entry["tables"]:
-            recorded = hidden.recorded(entry["id"], table)
+        for table in entry.tables:
+            recorded = hidden.recorded(entry.id, table)
             assert recorded is not None
             assert recorded["t_s"].min() == 0.0
 

@@ -44,8 +44,8 @@ def test_a_pseudonymised_dataset_holds_neither_names_nor_the_date_and_the_same_s
     for name in numbers:
         assert np.allclose(away[name].fill_null(-9), there[name].fill_null(-9), atol=1e-6), name
     for entry in hidden.recordings:
-        for table in entry["tables"]:
-            frame = hidden.recorded(entry["id"], table)
+        for table in entry.tables:
+            frame = hidden.recorded(entry.id, table)
             assert frame["t_s"].min() == 0.0
             assert "person" not in frame.columns or set(frame["person"]) == {"person_1"}
     card = (hidden.path / "dataset.json").read_text(encoding="utf-8")

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from log_cards import log_card
 
 from cyclekit.adapter import ReadOptions, Recording
 from cyclekit.config import Cell, Source
+from cyclekit.dataset.cards import LogCard, texts
 from cyclekit.dataset.sessions import group_sessions, unpaired
 from cyclekit.errors import ConfigError, LogError, UnknownName
 from cyclekit.ingest.discover import find_all, matches
@@ -132,63 +134,60 @@ def test_a_folder_of_other_files_is_refused_and_names_some_with_the_reason(tmp_p
         find_all([tmp_path], Cell())
 
 
-def entry(path: str, *tables: str) -> dict[str, Any]:
-    return {"id": path.replace("/", "."), "tables": list(tables), "sources": [{"path": path}]}
-
-
-def names(*entries: dict[str, Any]) -> list[list[str]]:
-    return [[log["id"] for log in session.entries] for session in group_sessions(list(entries), lambda shown: False)]
+def names(*logs: LogCard) -> list[list[str]]:
+    return [[log.id for log in session.logs] for session in group_sessions(logs, lambda shown: False)]
 
 
 def test_one_robot_and_one_tracker_belong_together_wherever_they_lie():
-    assert names(entry("t/walk.csv", "people"), entry("r/run.csv", "robot")) == [["r.run.csv", "t.walk.csv"]]
+    assert names(log_card("t/walk.csv", "people"), log_card("r/run.csv", "robot")) == [["r.run.csv", "t.walk.csv"]]
 
 
 def test_with_several_robots_each_folder_is_a_session_with_the_robot_first():
-    logs = [entry(f"{day}/{name}", kind) for day in "ab" for name, kind in (("1", "people"), ("2", "robot"))]
+    logs = [log_card(f"{day}/{name}", kind) for day in "ab" for name, kind in (("1", "people"), ("2", "robot"))]
     assert names(*logs) == [["a.2", "a.1"], ["b.2", "b.1"]]
 
 
 def test_several_robots_alone_are_sessions_of_their_own():
-    assert names(entry("1.csv", "robot"), entry("2.csv", "robot")) == [["1.csv"], ["2.csv"]]
+    assert names(log_card("1.csv", "robot"), log_card("2.csv", "robot")) == [["1.csv"], ["2.csv"]]
 
 
 def test_a_bag_that_holds_everything_is_a_session():
-    assert names(*(entry(f"{n}.bag", "robot", "people", "events") for n in range(2))) == [["0.bag"], ["1.bag"]]
+    assert names(*(log_card(f"{n}.bag", "robot", "people", "events") for n in range(2))) == [["0.bag"], ["1.bag"]]
 
 
 def test_logs_in_folders_by_kind_belong_together_by_their_names():
-    logs = [entry(f"{kind}/{name}.csv", table) for kind, table in (("r", "robot"), ("t", "people")) for name in "ab"]
+    logs = [log_card(f"{kind}/{name}.csv", table) for kind, table in (("r", "robot"), ("t", "people")) for name in "ab"]
     assert names(*logs) == [["r.a.csv", "t.a.csv"], ["r.b.csv", "t.b.csv"]]
-    days = [entry(f"{day}/{kind}/run.csv", table) for day in "12" for kind, table in (("r", "robot"), ("t", "people"))]
+    days = [
+        log_card(f"{day}/{kind}/run.csv", table) for day in "12" for kind, table in (("r", "robot"), ("t", "people"))
+    ]
     assert names(*days) == [["1.r.run.csv", "1.t.run.csv"], ["2.r.run.csv", "2.t.run.csv"]]
     assert unpaired(group_sessions(logs + days, lambda shown: False)) == []
 
 
 def test_where_names_do_not_tell_which_belong_together_it_is_said_with_the_cure():
-    two_arms = [entry("left/a.csv", "robot"), entry("right/a.csv", "robot"), entry("t/a.csv", "people")]
-    other_names = [entry("r/1.csv", "robot"), entry("r/2.csv", "robot"), entry("t/x.csv", "people")]
+    two_arms = [log_card("left/a.csv", "robot"), log_card("right/a.csv", "robot"), log_card("t/a.csv", "people")]
+    other_names = [log_card("r/1.csv", "robot"), log_card("r/2.csv", "robot"), log_card("t/x.csv", "people")]
     for logs in (two_arms, other_names):
         sessions = group_sessions(logs, lambda shown: False)
-        assert [len(session.entries) for session in sessions] == [1, 1, 1]
-        (said,) = unpaired(sessions)
+        assert [len(session.logs) for session in sessions] == [1, 1, 1]
+        (said,) = texts(unpaired(sessions))
         assert "unclear which belong together" in said
         assert "same name" in said
-    empty = [entry("r/1.csv", "robot"), entry("r/2.csv", "robot")]
+    empty = [log_card("r/1.csv", "robot"), log_card("r/2.csv", "robot")]
     assert unpaired(group_sessions(empty, lambda shown: False)) == []
 
 
 def test_two_robots_and_a_tracker_in_one_folder_are_refused():
     with pytest.raises(ConfigError, match="2 robot logs and 1 others"):
-        names(entry("1.csv", "robot"), entry("2.csv", "robot"), entry("3.csv", "people"))
+        names(log_card("1.csv", "robot"), log_card("2.csv", "robot"), log_card("3.csv", "people"))
 
 
 def test_sessions_are_named_after_their_folder_or_their_log_and_never_alike():
-    logs = [entry("day/a/run.csv", "robot"), entry("day/b/run.csv", "robot"), entry("run.csv", "robot")]
+    logs = [log_card("day/a/run.csv", "robot"), log_card("day/b/run.csv", "robot"), log_card("run.csv", "robot")]
     sessions = group_sessions(logs, lambda shown: shown.startswith("day/b"))
     assert [session.name for session in sessions] == ["day.a", "day.b", "run.csv"]
     assert [session.reference for session in sessions] == [False, True, False]
-    assert [log["session"] for log in logs] == ["day.a", "day.b", "run.csv"]
 
 
 def test_a_file_of_a_log_that_is_a_folder_points_at_the_folder(tmp_path: Path):

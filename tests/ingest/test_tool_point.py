@@ -68,10 +68,10 @@ def test_a_log_of_joints_alone_has_tasks_once_the_arm_is_named(tmp_path: Path):
     log = joints_only(tmp_path / "run.csv")
     without = Dataset.open(ingest([log], tmp_path / "dataset").dataset)
     assert without.tasks().height == 0
-    assert any("no TCP" in text for entry in without.card["recordings"] for text in entry["warnings"])
+    assert any("no TCP" in text for entry in without.card.recordings for text in entry.said)
     found = Dataset.open(ingest([log], tmp_path / "dataset", cell=Cell(robot=Robot("UR5e"))).dataset)
     assert found.tasks().height == 8
-    assert any("computed for the flange" in text for entry in found.card["recordings"] for text in entry["warnings"])
+    assert any("computed for the flange" in text for entry in found.card.recordings for text in entry.said)
 
 
 @pytest.mark.parametrize("beside", [True, False])
@@ -92,7 +92,7 @@ def test_inspect_and_convert_compute_the_tcp_as_ingest_does(tmp_path: Path, besi
     made = pl.read_parquet(tmp_path / "out.parquet")
     assert made.columns == ["t_s", *TCP]
     kept = Dataset.open(ingest([log], tmp_path / "dataset", cell=load_cell(cell)).dataset)
-    assert made.select(TCP).rows() == kept.recorded(kept.recordings[0]["id"], "robot").select(TCP).rows()  # type: ignore[union-attr]
+    assert made.select(TCP).rows() == kept.recorded(kept.recordings[0].id, "robot").select(TCP).rows()  # type: ignore[union-attr]
 
 
 def test_parameters_and_a_tool_of_the_cell_file_are_used_and_another_number_of_joints_is_said():

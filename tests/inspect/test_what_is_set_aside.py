@@ -42,7 +42,7 @@ def test_what_was_set_aside_stays_listed_when_its_log_is_not_read_again(logs: Pa
 
 def test_a_dataset_says_which_of_its_logs_have_no_checksum(logs: Path, tmp_path: Path):
     found = Dataset.open(ingest([logs], tmp_path / "dataset").dataset)
-    assert {entry["facts"]["checksum"].partition(":")[0] for entry in found.recordings} == {"none"}
+    assert {entry.facts["checksum"].partition(":")[0] for entry in found.recordings} == {"none"}
 
 
 def test_a_table_that_polars_cannot_write_is_an_error_of_the_system(tmp_path: Path):
@@ -55,6 +55,6 @@ def test_a_bag_with_checksums_says_so_and_a_csv_says_that_it_has_none(tmp_path: 
     bag = simulate("box-picking", tmp_path / "bag", executions=1, seed=1, options=SimulationOptions(logs="mcap"))
     ingest([bag], tmp_path / "from_bag")
     (protected,) = Dataset.open(tmp_path / "from_bag").recordings
-    assert protected["facts"]["checksum"].startswith("CRC-32")
+    assert protected.facts["checksum"].startswith("CRC-32")
     ingest([simulate("box-picking", tmp_path / "csv", executions=1, seed=1)], tmp_path / "from_csv")
-    assert all(r["facts"]["checksum"].startswith("none") for r in Dataset.open(tmp_path / "from_csv").recordings)
+    assert all(r.facts["checksum"].startswith("none") for r in Dataset.open(tmp_path / "from_csv").recordings)

@@ -11,6 +11,7 @@ import pytest
 from ingested import without_checksums
 from known_cells import LEVELS
 
+from cyclekit.dataset.cards import SplitCard, TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ModelError
 from cyclekit.learning.evaluation.drift import drift
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 @pytest.fixture
 def model(staircase: Any, logged: Dataset) -> Any:
     names = logged.executions["execution"].to_list()
-    staircase.card = {"split": {"train": names[6:], "test": names[:6]}}
+    staircase.card = TrainingCard(split=SplitCard(train=tuple(names[6:]), test=tuple(names[:6])))
     staircase.levels, staircase.horizon_s, staircase.inputs = LEVELS, 0.0, INPUTS["now"]
     return staircase
 
@@ -70,6 +71,6 @@ def test_without_activities_habits_are_places_on_the_floor(model: Any, logged: D
 
 
 def test_a_model_of_other_logs_is_refused(model: Any, logged: Dataset):
-    model.card = {"split": {"train": ["x"], "test": ["y"]}}
+    model.card = TrainingCard(split=SplitCard(train=("x",), test=("y",)))
     with pytest.raises(ModelError, match="not the dataset that the model was trained on"):
         drift(model, logged, logged)

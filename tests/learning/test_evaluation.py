@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-from dataclasses import asdict
 
 import numpy as np
 import polars as pl
@@ -12,6 +11,7 @@ import pytest
 from fabricated import LEVELS, THRESHOLDS_M, fabricate_dataset
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from cyclekit.cli import run
 from cyclekit.errors import DatasetError
@@ -40,8 +40,8 @@ def judged(model, cell):
 
 def test_a_model_is_judged_on_the_executions_it_never_saw(judged, model):
     assert judged.held_out
-    assert list(judged.executions) == model.card["split"]["test"]
-    assert judged.metrics.to_json() == pytest.approx(model.card["metrics"])
+    assert judged.executions == model.card.split.test
+    assert judged.metrics.to_json() == pytest.approx(structs.asdict(model.card.metrics))
 
 
 def test_another_dataset_is_judged_whole_and_without_rivals(model, tmp_path):
@@ -92,7 +92,7 @@ def squared_errors(each: list[float]) -> tuple[np.ndarray, np.ndarray]:
 def test_a_rival_that_is_better_in_every_execution_is_named():
     model, execution = squared_errors([0.024, 0.026, 0.025, 0.027])
     rivals = {"distance staircase": model / 2, "constant mean": 2 * model, "gradient boosting": model / 1.9}
-    better = better_rival({}, model, rivals, execution)
+    better = better_rival(None, model, rivals, execution)
     assert (better.name, better.executions) == ("distance staircase", 4)
     assert better.model_mse / better.mse == pytest.approx(2.0)
 
@@ -107,12 +107,12 @@ def test_a_rival_that_is_better_in_every_execution_is_named():
 )
 def test_a_rival_that_is_not_surely_better_is_not_named(rival):
     model, execution = squared_errors([0.024, 0.026, 0.025, 0.027])
-    assert better_rival({}, model, {"distance staircase": squared_errors(rival)[0]}, execution) is None
+    assert better_rival(None, model, {"distance staircase": squared_errors(rival)[0]}, execution) is None
 
 
 def test_few_executions_prove_nothing():
     model, execution = squared_errors([0.024, 0.026])
-    assert better_rival({}, model, {"distance staircase": model / 10}, execution) is None
+    assert better_rival(None, model, {"distance staircase": model / 10}, execution) is None
 
 
 @pytest.mark.parametrize(
@@ -134,8 +134,8 @@ def test_few_executions_prove_nothing():
 )
 def test_the_better_training_is_like_the_first_but_for_one_thing(settings, options):
     model, execution = squared_errors([0.024, 0.026, 0.025, 0.027])
-    card = {"spec": asdict(ModelSpec.of(**settings).with_features())}
-    better = better_rival(card, model, {"distance staircase": model / 2}, execution)
+    spec = ModelSpec.of(**settings).with_features().card()
+    better = better_rival(spec, model, {"distance staircase": model / 2}, execution)
     assert list(better.otherwise) == options
     line = better.said("my dataset", "model")
     assert shlex.split(line.partition("cyclekit ")[2]) == ["train", "my dataset", "--out", "model", *options]
@@ -150,8 +150,8 @@ def test_what_beats_a_model_is_said_with_the_command_that_mends_it(cell, tmp_pat
     assert line.startswith("the distance staircase is better than the model beyond chance")
     command = shlex.split(line.partition("train again: cyclekit ")[2])
     assert run([*command, "--quiet"]) == 0
-    assert load_model(out).card["spec"]["features"] == "distance"
-    assert load_model(out).card["metrics"]["mse_mean"] < 0.01
+    assert load_model(out).card.spec.features == "distance"
+    assert load_model(out).card.metrics.mse_mean < 0.01
 
 
 def test_an_evaluation_is_one_json_document(judged):

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Source
 from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.dataset.unknown_height import in_plane, inputs_in_plane
 from cyclekit.estimate.rollout import estimate
@@ -45,8 +46,8 @@ def flat(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 def test_training_estimate_zones_and_evaluation_work_on_the_floor(flat: Dataset):
     model = train(flat, ModelSpec.of(batch=256, epochs=4))
-    assert model.card["rows"]["train"] > 500
-    assert SAID in model.card["warnings"]
+    assert model.card.rows.train > 500
+    assert SAID in texts(model.card.warnings)
     (found,) = estimate(model, flat, [TaskSequence("round", ("conveyor", "left", "conveyor"))])
     assert found.support > 0.9
     assert found.safety_loss_s > 0.0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from contextlib import contextmanager
-from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -15,6 +14,7 @@ import pytest
 from fabricated import LEVELS, fabricate_dataset
 
 from cyclekit.cli.facts import page
+from cyclekit.dataset.cards import TrainingCard, plain
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, ModelError
 from cyclekit.estimate.transit import transit_table
@@ -48,7 +48,7 @@ def five(ten, tmp_path_factory):
     for file in (path / "samples").glob("*.parquet"):
         rows = pl.read_parquet(file)
         write_parquet(rows.filter(pl.int_range(pl.len()).over("execution") % 2 == 0), file)
-    (path / CARD).write_text(json.dumps(ten.card | {"rate_hz": 5.0}), encoding="utf-8")
+    (path / CARD).write_text(json.dumps(plain(ten.card) | {"rate_hz": 5.0}), encoding="utf-8")
     return Dataset.open(path)
 
 
@@ -101,9 +101,9 @@ def test_hysteresis_is_read_from_speeds_in_metres_per_second(ten, five):
 def test_a_horizon_is_that_many_seconds_at_any_rate(five):
     spec = ModelSpec(problem="ahead", network="regressor", horizon_s=1.0, epochs=1, hidden=(4,), norm="none")
     model = train(five, spec)
-    assert model.card["rate_hz"] == 5.0
+    assert model.card.rate_hz == 5.0
     rows = evaluate(model, five).metrics.rows
-    held = five.samples(model.card["split"]["test"])
+    held = five.samples(model.card.split.test)
     ends = 5 * held["execution"].n_unique()  # the last second of each has nothing ahead of it
     assert rows <= held.height - ends
     assert rows > held.height - 2 * ends - held["scaling"].null_count() - held["human_x_m"].null_count()
@@ -113,7 +113,7 @@ def test_a_model_that_looks_back_is_not_asked_at_another_rate(ten, five):
     spec = ModelSpec.of(problem="ahead", network="lstm-1", horizon_s=1.0, epochs=1, norm="none")
     model = train(five, spec)
     with pytest.raises(ModelError, match=r"5 Hz.*10 Hz"):
-        evaluate(replace(model, card=model.card | {"split": model.card["split"]}), ten)
+        evaluate(model, ten)
 
 
 def held(rate_hz: float, ramp_s: float, noise: float, *, rare: bool) -> np.ndarray:
@@ -173,7 +173,7 @@ def test_a_slow_down_costs_the_same_at_any_rate(rate_hz):
 
 @pytest.mark.parametrize(("rate_hz", "apart_s"), [(2.0, 0.5), (5.0, 0.2), (10.0, 0.2), (20.0, 0.2), (50.0, 0.2)])
 def test_starts_in_the_table_of_arrivals_lie_a_fifth_of_a_second_apart(rate_hz, apart_s):
-    model = SimpleNamespace(predict=lambda x: np.ones(len(x)), card={})
+    model = SimpleNamespace(predict=lambda x: np.ones(len(x)), card=TrainingCard())
     task = SimpleNamespace(nominal_s=1.0, xyz_m=np.zeros((11, 3)))
     tracks = SimpleNamespace(xyz_m=np.ones((2, int(10 * rate_hz), 3)), step_s=1 / rate_hz)
     table = transit_table(model, {"a->b": task}, tracks)

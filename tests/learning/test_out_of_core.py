@@ -75,11 +75,11 @@ def test_a_model_learned_from_files_is_as_good(logs: Dataset, monkeypatch: pytes
     monkeypatch.setenv("CYCLEKIT_MEMORY_ROWS", "4000")
     monkeypatch.setattr(model_rows, "_BLOCK_ROWS", 64)
     card = train(logs, spec).card
-    assert card["split"] == whole["split"]
-    assert card["rows"] == whole["rows"]
-    assert card["metrics"]["mse_mean"] == pytest.approx(whole["metrics"]["mse_mean"], rel=0.3)
-    assert "rows learned from in files" in card["warnings"][0]
-    assert not any("files" in text for text in whole["warnings"])
+    assert card.split == whole.split
+    assert card.rows == whole.rows
+    assert card.metrics.mse_mean == pytest.approx(whole.metrics.mse_mean, rel=0.3)
+    assert "rows learned from in files" in card.warnings[0]
+    assert not any("files" in text for text in whole.warnings)
 
 
 def test_estimates_and_judgements_look_at_as_many_executions_as_memory_takes(
@@ -96,7 +96,7 @@ def test_estimates_and_judgements_look_at_as_many_executions_as_memory_takes(
     (again,) = estimate(model, logs, [TaskSequence("one way", ("home", "conveyor"))], **asked)
     assert again.durations_s == found.durations_s
     assert f"{part.executions.height} of 6 logged executions were looked at" in " ".join(again.warnings)
-    model.card["dataset_sha256"] = "another"
+    model.card.dataset_sha256 = "another"
     judged = evaluate(model, logs)
     assert len(judged.executions) == 2
     assert "2 of 6 executions are judged" in judged.notes[0]

@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 from known_cells import LEVELS, THRESHOLDS_M
+from msgspec import structs
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError
@@ -132,7 +133,7 @@ def test_what_shows_no_staircase_is_refused(logged: Dataset, staircase: Any, tmp
     with pytest.raises(ModelError, match="shows no staircase"):
         read_zones(staircase, logged)
     staircase.levels = LEVELS
-    empty = Dataset(tmp_path, {**logged.card, "files": None})
+    empty = Dataset(tmp_path, structs.replace(logged.card, files=None))
     (tmp_path / "samples").mkdir()
     logged.samples().head(100).write_parquet(tmp_path / "samples" / "s.parquet")
     assert pl.read_parquet(tmp_path / "samples" / "s.parquet").height == 100

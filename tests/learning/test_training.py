@@ -10,7 +10,9 @@ import polars as pl
 import pytest
 import torch
 from fabricated import LEVELS, THRESHOLDS_M, fabricate_dataset
+from msgspec import structs
 
+from cyclekit.dataset.cards import plain, texts
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError, MissingExtra
 from cyclekit.learning.networks import fitting
@@ -35,7 +37,7 @@ def model(cell):
 
 def changed(dataset: Dataset, folder, *columns: pl.Expr, keep: int | None = None) -> Dataset:
     """Write the dataset again with other samples and, if asked, only the first executions."""
-    card = dict(dataset.card)
+    card = plain(dataset.card)
     card["executions"] = card["executions"][:keep]
     kept = pl.col("execution").is_in([entry["execution"] for entry in card["executions"]])
     for file in (dataset.path / "samples").glob("*.parquet"):
@@ -46,9 +48,9 @@ def changed(dataset: Dataset, folder, *columns: pl.Expr, keep: int | None = None
 
 
 def test_the_slow_down_is_learned_from_the_logs_alone(model):
-    metrics = model.card["metrics"]
-    assert metrics["mse_mean"] < 0.02  # guessing the mean: about 0.13
-    assert metrics["accuracy"] > 0.85
+    metrics = model.card.metrics
+    assert metrics.mse_mean < 0.02  # guessing the mean: about 0.13
+    assert metrics.accuracy > 0.85
 
 
 def test_the_model_slows_down_where_the_operator_comes_near(model):
@@ -61,43 +63,43 @@ def test_the_model_slows_down_where_the_operator_comes_near(model):
 
 def test_the_levels_are_found_in_the_logs(model):
     assert model.levels == LEVELS
-    assert sum(level["share"] for level in model.card["levels"]) == pytest.approx(1, abs=1e-3)
+    assert sum(level.share for level in model.card.levels) == pytest.approx(1, abs=1e-3)
 
 
 def test_what_holds_without_operator_is_read_from_the_logs_and_kept_in_the_card(model):
-    assert model.card["scaling_without_operator"] == 1.0
-    assert model.card["may_be_unknown"] == ["human"]
-    assert model.card["dropped"] == {}
+    assert model.card.scaling_without_operator == 1.0
+    assert model.card.may_be_unknown == ("human",)
+    assert model.card.dropped == {}
 
 
 def test_no_execution_serves_two_purposes(model, cell):
-    parts = [set(part) for part in model.card["split"].values()]
+    parts = [set(part) for part in structs.astuple(model.card.split)]
     assert set.union(*parts) == set(cell.executions["execution"])
     assert sum(len(part) for part in parts) == cell.executions.height
 
 
 def test_the_card_says_where_the_model_comes_from(model, cell):
     card = model.card
-    assert card["dataset_sha256"] == fingerprint(cell)
-    assert card["inputs"] == list(model.inputs)
-    assert card["spec"]["batch"] == 256
-    assert card["rows"]["train"] > card["rows"]["validation"] > 0
-    assert len(card["history"]) == 40
+    assert card.dataset_sha256 == fingerprint(cell)
+    assert card.inputs == tuple(model.inputs)
+    assert card.spec.batch == 256
+    assert card.rows.train > card.rows.validation > 0
+    assert len(card.history) == 40
 
 
 def test_the_kept_weights_are_those_of_the_best_epoch(model, cell):
-    rows = cell.samples(model.card["split"]["validation"]).drop_nulls(["scaling"])
+    rows = cell.samples(model.card.split.validation).drop_nulls(["scaling"])
     X = rows.select(model.inputs).to_numpy()
     assert np.isnan(X).any()
-    p = model.probabilities(X) ** model.card["temperature"]  # as it was before calibration
+    p = model.probabilities(X) ** model.card.temperature  # as it was before calibration
     before = p @ np.array(model.levels) / p.sum(axis=1)
     mse = float(np.mean((before - rows["scaling"].to_numpy()) ** 2))
-    assert mse == pytest.approx(min(epoch["validation_mse"] for epoch in model.card["history"]), rel=1e-3)
+    assert mse == pytest.approx(min(epoch.validation_mse for epoch in model.card.history), rel=1e-3)
 
 
 def test_a_trained_model_survives_the_disk(model, tmp_path):
     save_model(tmp_path / "model", model)
-    assert load_model(tmp_path / "model").card == json.loads(json.dumps(model.card))
+    assert load_model(tmp_path / "model").card == model.card
 
 
 @pytest.mark.parametrize("optimiser", ["adamw", "muon"])
@@ -121,10 +123,10 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(cell, opti
 def test_every_other_network_beats_the_constant_mean(cell, problem, network):
     horizon_s = None if problem == "now" else 2.0
     model = train(cell, ModelSpec.of(problem, network, horizon_s, batch=256, epochs=15))
-    assert model.card["history"][-1]["loss"] < model.card["history"][0]["loss"]
-    held_out = build_samples(cell.samples(model.card["split"]["test"]), problem, model.horizon_s, LEVELS, rate_hz=10.0)
-    assert model.card["metrics"]["mse_mean"] < 0.9 * held_out.scaling.var()
-    assert (model.card["metrics"]["accuracy"] is None) == (problem == "average")
+    assert model.card.history[-1].loss < model.card.history[0].loss
+    held_out = build_samples(cell.samples(model.card.split.test), problem, model.horizon_s, LEVELS, rate_hz=10.0)
+    assert model.card.metrics.mse_mean < 0.9 * held_out.scaling.var()
+    assert (model.card.metrics.accuracy is None) == (problem == "average")
 
 
 def test_progress_is_told_after_every_epoch(cell):
@@ -177,8 +179,8 @@ def test_one_or_two_executions_are_too_few(cell, tmp_path, count):
 
 
 def test_three_executions_are_just_enough(cell, tmp_path):
-    split = train(changed(cell, tmp_path, keep=3), ModelSpec.of(epochs=1)).card["split"]
-    assert [len(part) for part in split.values()] == [1, 1, 1]
+    split = train(changed(cell, tmp_path, keep=3), ModelSpec.of(epochs=1)).card.split
+    assert [len(part) for part in structs.astuple(split)] == [1, 1, 1]
 
 
 def test_a_scaling_without_steps_is_no_case_for_a_classifier_but_for_a_regressor(cell, tmp_path):
@@ -187,7 +189,7 @@ def test_a_scaling_without_steps_is_no_case_for_a_classifier_but_for_a_regressor
     continuous = changed(cell, tmp_path, jumpy.alias("scaling"))
     with pytest.raises(DatasetError, match="--network regressor"):
         train(continuous, ModelSpec.of())
-    assert train(continuous, ModelSpec.of("now", "regressor", epochs=1)).card["warnings"]
+    assert train(continuous, ModelSpec.of("now", "regressor", epochs=1)).card.warnings
 
 
 def test_without_torch_the_message_names_the_extra(cell, monkeypatch):
@@ -200,15 +202,15 @@ def test_without_torch_the_message_names_the_extra(cell, monkeypatch):
 def test_a_recurrent_network_learns_from_the_history_of_each_execution(cell, network):
     model = train(cell, ModelSpec.of("ahead", network, 1.0, batch=256, epochs=4, history=(3, 3)))
     held_out = build_samples(
-        cell.samples(model.card["split"]["test"]), "ahead", 1.0, LEVELS, allow=model.weights.known, rate_hz=10.0
+        cell.samples(model.card.split.test), "ahead", 1.0, LEVELS, allow=model.weights.known, rate_hz=10.0
     )
-    assert model.card["metrics"]["mse_mean"] < 0.7 * held_out.scaling.var()
+    assert model.card.metrics.mse_mean < 0.7 * held_out.scaling.var()
     assert model.history == (3, 3)
 
 
 def test_the_probabilities_of_a_classifier_hold_on_executions_it_never_saw(model):
-    assert model.card["metrics"]["calibration_error"] < 0.03
-    assert model.card["temperature"] > 0
+    assert model.card.metrics.calibration_error < 0.03
+    assert model.card.temperature > 0
 
 
 def test_an_absent_operator_is_predicted_from_his_absence(model):
@@ -224,7 +226,7 @@ def test_rows_that_are_less_sure_count_less(cell, tmp_path):
     spec = ModelSpec.of("now", "regressor", batch=256, epochs=6)
     blind = train(changed(cell, tmp_path / "a", wrong.alias("scaling")), spec)
     told = train(changed(cell, tmp_path / "b", wrong.alias("scaling"), sure.alias("scaling_sd")), spec)
-    rows = build_samples(cell.samples(told.card["split"]["test"]), "now", 0.0, LEVELS, rate_hz=10.0)
+    rows = build_samples(cell.samples(told.card.split.test), "now", 0.0, LEVELS, rate_hz=10.0)
     errors = [float(np.mean((m.predict(rows.X) - rows.scaling) ** 2)) for m in (blind, told)]
     assert errors[1] < errors[0] / 2
 
@@ -233,7 +235,7 @@ def test_training_with_noise_suits_a_tracker_that_is_noisier_than_the_logs(cell)
     clean, aware = (
         train(cell, ModelSpec.of("now", "regressor", batch=256, epochs=10, noise_m=noise)) for noise in (0.0, 0.3)
     )
-    rows = build_samples(cell.samples(clean.card["split"]["test"]), "now", 0.0, LEVELS, rate_hz=10.0)
+    rows = build_samples(cell.samples(clean.card.split.test), "now", 0.0, LEVELS, rate_hz=10.0)
     noisy = rows.X.copy()
     noisy[:, 3:6] += np.random.default_rng(0).normal(0, 0.3, (len(rows), 3))
     errors = [float(np.mean((m.predict(noisy) - rows.scaling) ** 2)) for m in (clean, aware)]
@@ -249,13 +251,13 @@ def test_a_rare_level_is_found_more_often_when_all_levels_weigh_alike(cell, tmp_
         train(few, ModelSpec.of(batch=256, epochs=6, noise_m=0.3, balance=how)) for how in ("none", "classes")
     )
     assert plain.levels == balanced.levels == LEVELS
-    rows = build_samples(cell.samples(plain.card["split"]["test"]), "now", 0.0, LEVELS, rate_hz=10.0)
+    rows = build_samples(cell.samples(plain.card.split.test), "now", 0.0, LEVELS, rate_hz=10.0)
     found = [float(np.mean(m.steps(rows.X)[rows.step == 1] == 1)) for m in (plain, balanced)]
     assert found[1] > found[0] + 0.2
 
 
 def test_training_stops_early_when_asked_to(cell):
-    history = train(cell, ModelSpec.of(batch=64, epochs=40, patience=1, learning_rate=0.05)).card["history"]
+    history = train(cell, ModelSpec.of(batch=64, epochs=40, patience=1, learning_rate=0.05)).card.history
     assert len(history) < 40
 
 
@@ -271,7 +273,7 @@ def test_the_mean_error_over_the_rows_learned_from_is_zero(cell, problem, networ
         model = train(cell, spec)
         build = {"allow": model.weights.known, "history": model.history}
         rows = build_samples(
-            cell.samples(model.card["split"]["train"]), problem, model.horizon_s, LEVELS, **build, rate_hz=10.0
+            cell.samples(model.card.split.train), problem, model.horizon_s, LEVELS, **build, rate_hz=10.0
         )
         bias.append(abs(float((model.predict(rows.model_inputs) - rows.scaling).mean())))
     assert bias[1] < 1e-3
@@ -282,7 +284,7 @@ def test_normalisation_keeps_its_statistics_from_the_stated_part_of_the_run_on(c
     frozen = []
     monkeypatch.setattr(fitting, "freeze_norm", frozen.append)
     model = train(cell, ModelSpec.of(batch=64, epochs=2, freeze_norm_after=0.75))
-    steps = 2 * (int(model.card["rows"]["train"]) // 64)
+    steps = 2 * (int(model.card.rows.train) // 64)
     assert abs(len(frozen) - steps / 4) < steps / 20  # rows on no level are not learned from
 
 
@@ -293,7 +295,7 @@ def test_executions_under_different_sliders_teach_one_safety_function(cell, tmp_
     )
     model = train(slowed, ModelSpec.of(epochs=2))
     assert model.levels == LEVELS
-    assert any("slider" in text for text in model.card["warnings"])
+    assert any("slider" in text for text in texts(model.card.warnings))
 
 
 @pytest.mark.parametrize(
@@ -307,24 +309,24 @@ def test_executions_under_different_sliders_teach_one_safety_function(cell, tmp_
 )
 def test_a_network_sees_the_distance_too_where_the_present_scaling_is_asked_for(cell, problem, settings, sees):
     model = train(cell, ModelSpec.of(problem, horizon_s=None if problem == "now" else 2.0, epochs=1, **settings))
-    assert model.card["spec"]["features"] == sees
+    assert model.card.spec.features == sees
     assert (model.weights.distance is not None) == (sees == "distance")
 
 
 def test_a_network_that_the_staircase_beats_is_said_to_be_so(cell):
     spec = ModelSpec.of(batch=256, epochs=2, test_fraction=0.4, features="positions")
-    poor = train(cell, spec).card["warnings"]
+    poor = texts(train(cell, spec).card.warnings)
     assert any("distance staircase is better" in text and "--features distance" in text for text in poor)
 
 
 @pytest.mark.parametrize("settings", [{"features": "positions"}, {"optimiser": "muon"}])
 def test_what_differs_from_the_paper_learns_as_well_and_survives_the_disk(cell, tmp_path, settings):
     model = train(cell, ModelSpec.of(batch=256, epochs=5, **settings))
-    assert model.card["metrics"]["mse_mean"] < 0.03
+    assert model.card.metrics.mse_mean < 0.03
     save_model(tmp_path / "model", model)
-    rows = build_samples(cell.samples(model.card["split"]["test"]), "now", 0.0, LEVELS, allow=("human",), rate_hz=10.0)
+    rows = build_samples(cell.samples(model.card.split.test), "now", 0.0, LEVELS, allow=("human",), rate_hz=10.0)
     assert np.array_equal(load_model(tmp_path / "model").predict(rows.X), model.predict(rows.X))
-    assert model.card["spec"]["optimiser"] == settings.get("optimiser", "adamw")  # of the default: what it came to
+    assert model.card.spec.optimiser == settings.get("optimiser", "adamw")  # of the default: what it came to
 
 
 @pytest.fixture
@@ -352,8 +354,8 @@ def test_a_network_that_answers_one_whatever_it_is_asked_is_learned_again_by_ada
     monkeypatch.setattr("cyclekit.learning.networks.spec.MUON_ROWS", 1)
     model = train(cell, ModelSpec.of(network="regressor", epochs=12, batch=256))
     assert thrown == ["muon", "adamw"]
-    assert model.card["spec"]["optimiser"] == "adamw"
-    assert model.card["metrics"]["mse_mean"] < 0.1
+    assert model.card.spec.optimiser == "adamw"
+    assert model.card.metrics.mse_mean < 0.1
 
 
 def test_where_muon_was_asked_for_such_a_network_is_refused(cell, thrown):
@@ -378,7 +380,7 @@ def test_a_network_thrown_out_of_its_range_once_comes_back(cell, monkeypatch):
 
     monkeypatch.setattr(fitting, "Steps", ThrowingOnce)
     model = train(cell, ModelSpec.of(network="regressor", epochs=30, batch=256, norm="none"))
-    assert model.card["metrics"]["mse_mean"] < 0.03
+    assert model.card.metrics.mse_mean < 0.03
 
 
 @pytest.mark.parametrize(("value", "given", "slope"), [(0.4, 0.4, 1.0), (3.0, 1.02, 0.01), (-2.0, -0.02, 0.01)])

@@ -278,8 +278,8 @@ def test_ids_that_change_every_frame_still_make_one_operator_in_the_samples(tmp_
     people = Source("people.csv", adapter="csv", role="people", clock_offset_s=10.0, map=columns)
     ingest([tmp_path / "logs"], tmp_path / "d", cell=Cell(sources=(people,)))
     dataset = Dataset.open(tmp_path / "d")
-    (entry,) = [record for record in dataset.recordings if "people" in record["tables"]]
-    assert any("linked by motion into 2 tracks" in text for text in entry["warnings"])
+    (entry,) = [record for record in dataset.recordings if "people" in record.tables]
+    assert any("linked by motion into 2 tracks" in text for text in entry.said)
     seen = dataset.samples().filter(pl.col("human_x_m").is_not_null())
     assert seen.height > 100
     assert seen["human_x_m"].to_numpy() == pytest.approx(1.0, abs=1e-6)  # the nearer one, never a mix of both

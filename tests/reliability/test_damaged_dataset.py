@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from cyclekit import schema
 from cyclekit.cli import run
+from cyclekit.dataset.cards import plain
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError, DatasetError
 from cyclekit.ingest.ingest import ingest
@@ -62,9 +63,9 @@ def everything(path: Path) -> list[Any]:
         data.scan_samples().collect(),
     ]
     for record in data.recordings:
-        found += [data.recorded(record["id"], name) for name in record["tables"]]
-        found += [data.recorded_between(record["id"], "robot", 11.0, 12.0), *data.times(record["id"], "robot")]
-    card = {key: value for key, value in data.card.items() if key != "card_blake3"}
+        found += [data.recorded(record.id, name) for name in record.tables]
+        found += [data.recorded_between(record.id, "robot", 11.0, 12.0), *data.times(record.id, "robot")]
+    card = {key: value for key, value in plain(data.card).items() if key != "card_blake3"}
     return [*found, json.dumps(card, sort_keys=True)]
 
 
@@ -184,11 +185,11 @@ def test_a_dataset_without_checksums_is_read_as_before_and_damage_is_one_message
 
 def test_what_is_taken_over_keeps_its_checksum(logs: Path, tmp_path: Path):
     mine = Path(shutil.copytree(logs, tmp_path / "logs"))
-    before = Dataset.open(ingest([mine], tmp_path / "dataset").dataset).card["files"]
+    before = Dataset.open(ingest([mine], tmp_path / "dataset").dataset).card.files
     shutil.copy2(mine / "run_0.csv", mine / "run_9.csv")
     report = ingest([mine], tmp_path / "dataset")
     assert report.recordings_kept == 2
-    after = Dataset.open(tmp_path / "dataset").card["files"]
+    after = Dataset.open(tmp_path / "dataset").card.files
     assert after[RECORDED] == before[RECORDED]
     assert Dataset.open(tmp_path / "dataset").verify() == len(after) + 1
 
@@ -202,7 +203,7 @@ def test_of_a_large_file_the_pieces_that_are_read_are_checked(
     rows = schema.conform(pl.DataFrame({"t_s": t_s, "tcp_x_m": [t % 1 for t in t_s]}), schema.ROBOT)
     rows.write_parquet(dataset / RECORDED, row_group_size=2_000)
     card = json.loads((dataset / CARD).read_text(encoding="utf-8"))
-    card["files"] = checksums.listed(dataset)
+    card["files"] = {name: plain(entry) for name, entry in checksums.listed(dataset).items()}
     del card["files"][CARD]
     card["recordings"][0]["rows"]["robot"] = rows.height
     (dataset / CARD).write_text(json.dumps(card), encoding="utf-8")

@@ -18,6 +18,7 @@ from rerun.chunk import RrdReader
 
 from cyclekit import schema
 from cyclekit.alignment.clocks import LogClock, fit_clock
+from cyclekit.dataset.cards import plain
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError
 from cyclekit.replay import serve, write_replay
@@ -135,7 +136,7 @@ def test_a_clock_that_is_assumed_to_start_together_tells_no_time_of_day(dataset,
     card = json.loads((path / CARD).read_text("utf-8"))
     fit = fit_clock(LogClock("epoch", 1_750_000_000.0), LogClock("relative", 0.0), None)
     for record in card["recordings"]:
-        record["clock"] = {"kind": "epoch", **fit.to_json()}
+        record["clock"] = plain(fit.card("epoch"))
     (path / CARD).write_text(json.dumps(card), "utf-8")
     assert load_execution(Dataset.open(path), "1").epoch_s is None
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from fabricated import THRESHOLDS_M, fabricate_dataset
 
+from cyclekit.dataset.cards import TrainingCard
 from cyclekit.errors import CyclekitError
 from cyclekit.estimate.result import CycleEstimate, TaskShare
 from cyclekit.report import Tried, pdf, write_pdf, write_report
@@ -27,7 +28,7 @@ class Model:
     problem, network = "now", "classifier"
 
     def __init__(self):
-        self.card = {"cyclekit": "0.1.0"}
+        self.card = TrainingCard(cyclekit="0.1.0")
 
     def predict(self, x):
         distance = np.linalg.norm(x[:, :3] - x[:, 3:], axis=1)

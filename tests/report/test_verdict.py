@@ -7,6 +7,7 @@ import json
 from dataclasses import replace
 
 import pytest
+from msgspec import structs
 from report_pages import Page, estimate
 
 from cyclekit.dataset.dataset import Dataset
@@ -28,12 +29,13 @@ PLANNED = Plan(
 @pytest.fixture
 def logged(dataset):
     """The four executions as if they went through ROUTE in 28, 30, 31 and 35 s; and a fifth without operator."""
-    card, entries = dataset.card, []
-    for entry, duration in zip(card["executions"], (28.0, 30.0, 31.0, 35.0), strict=True):
-        end_s = entry["start_s"] + duration
-        entries.append(entry | {"end_s": end_s, "places": list(ROUTE), "reference": False})
-    reference = entries[0] | {"execution": "reference", "reference": True, "end_s": entries[0]["start_s"] + 10.0}
-    return Dataset(dataset.path, card | {"executions": [*entries, reference]})
+    entries = [
+        structs.replace(one, end_s=one.start_s + duration, places=tuple(ROUTE), reference=False)
+        for one, duration in zip(dataset.card.executions, (28.0, 30.0, 31.0, 35.0), strict=True)
+    ]
+    end_s = entries[0].start_s + 10.0
+    reference = structs.replace(entries[0], execution="reference", reference=True, end_s=end_s)
+    return Dataset(dataset.path, structs.replace(dataset.card, executions=(*entries, reference)))
 
 
 def document(dataset, tmp_path, **given):

@@ -11,10 +11,12 @@ import pytest
 from fabricated import LEVELS, fabricate_dataset
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 from sklearn.cluster import DBSCAN, KMeans
 from sklearn.metrics import silhouette_score
 
 from cyclekit.cli import run
+from cyclekit.dataset.cards import CellSettings, texts
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.errors import ConfigError, UnknownName
@@ -89,7 +91,7 @@ def test_an_operator_slider_that_differs_between_executions_is_taken_out():
     found = find_staircase(np.concatenate(parts), run=run)
     assert found.levels == pytest.approx(LEVELS, abs=1e-6)
     assert np.unique(np.round(found.slider, 6)).tolist() == [0.63, 0.8, 1.0]
-    assert any("slider" in text for text in found.warnings)
+    assert any("slider" in text for text in texts(found.warnings))
 
 
 def test_without_a_slider_none_is_invented_though_one_execution_never_reaches_full_speed():
@@ -107,7 +109,7 @@ def test_a_continuous_function_is_no_staircase_and_regression_is_offered(noise, 
     wave = 0.5 + 0.5 * np.sin(2 * np.pi * time_s / period_s) + np.random.default_rng(0).normal(0, noise, time_s.size)
     found = find_staircase(wave)
     assert not found.is_staircase
-    assert "--network regressor" in " ".join(found.warnings)
+    assert "--network regressor" in " ".join(texts(found.warnings))
 
 
 def test_fixed_levels_are_only_labelled():
@@ -137,7 +139,7 @@ def test_two_methods_that_disagree_are_a_warning():
     close += rng.normal(0, 0.004, close.size)
     found = find_staircase(close)
     assert found.levels.size == 5
-    assert "cell.toml" in second_opinion(close, found)
+    assert "cell.toml" in second_opinion(close, found).text
     even = series(0.002, 0.0, 1)
     assert second_opinion(even, find_staircase(even)) is None
 
@@ -205,7 +207,7 @@ def test_executions_and_gaps_divide_the_samples_of_a_dataset(cell):
 
 
 def test_levels_fixed_in_the_cell_file_are_used(cell, tmp_path):
-    card = {**cell.card, "settings": {"levels": [0.0, 0.25, 0.5, 0.75, 0.9, 1.0]}}
+    card = structs.replace(cell.card, settings=CellSettings(levels=(0.0, 0.25, 0.5, 0.75, 0.9, 1.0)))
     fixed = Dataset(cell.path, card)
     assert staircase_of(fixed, cell.samples()).levels.tolist() == [0.0, 0.25, 0.5, 0.75, 0.9, 1.0]
     assert staircase_of(cell, cell.samples()).levels.tolist() == list(LEVELS)

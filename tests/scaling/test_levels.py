@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from sklearn.cluster import DBSCAN
 
+from cyclekit.dataset.cards import texts
 from cyclekit.errors import ShapeError
 from cyclekit.scaling.levels import dbscan_1d, find_staircase, label
 
@@ -105,11 +106,11 @@ def test_where_the_scaling_is_unknown_the_label_is_unknown():
 
 def test_a_continuous_safety_function_is_said_to_be_no_staircase():
     time_s = np.arange(20_000) / 10
-    assert any("continuous" in text for text in find_staircase(0.5 + 0.5 * np.sin(time_s / 30)).warnings)
+    assert any("continuous" in text for text in texts(find_staircase(0.5 + 0.5 * np.sin(time_s / 30)).warnings))
 
 
 def test_random_values_are_said_to_be_no_staircase():
-    warnings = find_staircase(np.random.default_rng(0).random(5000)).warnings
+    warnings = texts(find_staircase(np.random.default_rng(0).random(5000)).warnings)
     assert warnings
 
 
@@ -118,7 +119,7 @@ def test_random_values_are_said_to_be_no_staircase():
     [([np.nan] * 50, "unknown everywhere"), ([1.0] * 50, "only one level"), ([0.1, 0.9] * 25, "no value")],
 )
 def test_a_log_without_a_staircase_says_what_it_shows(signal, said):
-    assert said in " ".join(find_staircase(signal).warnings)
+    assert said in " ".join(texts(find_staircase(signal).warnings))
 
 
 def test_a_value_between_two_levels_is_on_neither():

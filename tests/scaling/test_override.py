@@ -14,6 +14,7 @@ import polars as pl
 import pytest
 
 from cyclekit.config import Cell
+from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.scaling.infer.override import _goes as goes
@@ -52,8 +53,8 @@ def test_an_inferred_override_says_so(silent: SimulatedCell, compared: pl.DataFr
     assert (
         compared.filter(pl.col("scaling").is_null())["scaling_origin"].null_count() == compared["scaling"].null_count()
     )
-    assert silent.dataset.card["scaling_origin"] == "inferred"
-    assert "inferred from velocity ratios" in silent.dataset.card["warnings"][0]
+    assert silent.dataset.card.scaling_origin == "inferred"
+    assert "inferred from velocity ratios" in texts(silent.dataset.card.warnings)[0]
 
 
 def test_where_the_robot_dwells_the_override_is_unknown_not_zero(compared: pl.DataFrame):
@@ -85,7 +86,7 @@ def test_a_run_with_nobody_in_the_cell_is_the_reference_where_there_is_one(tmp_p
     with_reference = Dataset.open(ingest([tmp_path / "logs"], tmp_path / "with", cell=cell).dataset)
     lost = with_reference.tasks().filter(pl.col("task") == "place_1->place_2")["safety_loss_s"]
     assert sorted(lost.to_list()) == pytest.approx([0.0, 3.0, 3.0, 3.0, 3.0], abs=0.1)
-    assert "runs without the operator" in with_reference.card["warnings"][0]
+    assert "runs without the operator" in texts(with_reference.card.warnings)[0]
     # Without it, a halt that every repetition has cannot be told from the program.
     assert alone.tasks()["safety_loss_s"].abs().max() < 0.1
 
@@ -119,5 +120,5 @@ def test_a_motion_that_never_repeats_has_no_reference_and_that_is_said(tmp_path:
     assert found.tasks()["nominal_s"].to_list() == [None]
     assert found.tasks()["safety_loss_s"].to_list() == [None]
     assert found.samples()["scaling"].null_count() == found.samples().height
-    assert found.card["scaling_origin"] is None
-    assert any("could not be inferred" in text for text in found.card["warnings"])
+    assert found.card.scaling_origin is None
+    assert any("could not be inferred" in text for text in texts(found.card.warnings))

@@ -16,23 +16,23 @@ SLOW = {"latency_s": 0.2, "ramp_down_per_s": 2.5, "ramp_up_per_s": 1.0, "hystere
 
 
 def test_latency_ramps_and_hysteresis_are_read_from_the_logs(cells: Cells):
-    found = cells("pick-and-package", 4, **SLOW).dataset.card["dynamics"]
-    assert found["latency_s"] == pytest.approx(0.2, abs=0.02)
-    assert found["hysteresis_m"] == pytest.approx(0.1, abs=0.02)
-    assert found["ramp_down_per_s"] == pytest.approx(2.5, rel=0.05)
-    assert found["ramp_up_per_s"] == pytest.approx(1.0, rel=0.05)
+    found = cells("pick-and-package", 4, **SLOW).dataset.card.dynamics
+    assert found.latency_s == pytest.approx(0.2, abs=0.02)
+    assert found.hysteresis_m == pytest.approx(0.1, abs=0.02)
+    assert found.ramp_down_per_s == pytest.approx(2.5, rel=0.05)
+    assert found.ramp_up_per_s == pytest.approx(1.0, rel=0.05)
 
 
 def test_a_safety_system_that_reacts_at_once_has_no_latency_and_no_ramps(cells: Cells):
-    found = cells("pick-and-package").dataset.card["dynamics"]
-    assert found["latency_s"] == pytest.approx(0.0, abs=0.02)
-    assert found["hysteresis_m"] == pytest.approx(0.0, abs=0.02)
-    assert (found["ramp_down_per_s"], found["ramp_up_per_s"]) == (None, None)
+    found = cells("pick-and-package").dataset.card.dynamics
+    assert found.latency_s == pytest.approx(0.0, abs=0.02)
+    assert found.hysteresis_m == pytest.approx(0.0, abs=0.02)
+    assert (found.ramp_down_per_s, found.ramp_up_per_s) == (None, None)
 
 
 def test_where_distance_does_not_decide_latency_and_hysteresis_stay_unknown(cells: Cells):
-    found = cells("laser-zones", 6).dataset.card["dynamics"]
-    assert (found["latency_s"], found["hysteresis_m"]) == (None, None)
+    found = cells("laser-zones", 6).dataset.card.dynamics
+    assert (found.latency_s, found.hysteresis_m) == (None, None)
 
 
 def test_few_changes_say_nothing():

@@ -104,7 +104,7 @@ def test_places_are_found_without_a_cell_file_from_motion_alone(cells: Cells, sc
         assert apart[named[name]] < 1e-3, f"{name} is no place of the cell"
         assert place.inferred
     assert sorted(named.values()) == sorted(visited)
-    assert [[named[place] for place in entry["places"]] for entry in found.card["executions"]] == cell.routes
+    assert [[named[place] for place in entry.places] for entry in found.card.executions] == cell.routes
 
 
 def test_where_safety_halts_the_robot_on_its_way_is_no_place_however_often(tmp_path: Path, robot_log: Any):
@@ -171,7 +171,7 @@ def test_the_spot_at_which_recordings_begin_and_end_is_home_though_the_robot_nev
         robot_log(tmp_path / "logs" / f"run_{number}.csv", doing)
     found = made_of(tmp_path, tmp_path / "logs")
     assert found.places["place_1"].xyz_m == pytest.approx((0.0, 0.0, 0.0), abs=0.01)
-    assert [entry["places"] for entry in found.card["executions"]] == [["place_1", "place_2", "place_3", "place_1"]] * 3
+    assert [list(entry.places) for entry in found.card.executions] == [["place_1", "place_2", "place_3", "place_1"]] * 3
 
 
 def test_where_a_recorder_was_switched_off_is_no_place(tmp_path: Path, robot_log: Any):
@@ -192,7 +192,7 @@ def test_executions_of_an_endless_recording_begin_at_home(tmp_path: Path, robot_
     routes = {}
     for how in (Executions(), Executions(home="pick"), Executions("file"), Executions("gap")):
         found = Dataset.open(ingest([log], tmp_path / "dataset", cell=Cell(places=places, executions=how)).dataset)
-        routes[(how.begin, how.home)] = [entry["places"] for entry in found.card["executions"]]
+        routes[(how.begin, how.home)] = [list(entry.places) for entry in found.card.executions]
     assert routes["auto", None] == [["rest", "pick", "put", "rest"]] * 3
     assert routes["auto", "pick"] == [["pick", "put", "rest", "pick"]] * 2 + [["pick", "put", "rest"]]
     assert routes["file", None] == routes["gap", None] == [["rest", *["pick", "put", "rest"] * 3]]
@@ -219,7 +219,7 @@ def test_executions_can_begin_by_the_register_that_counts_them(cells: Cells, tmp
     told = load_cell(cell.logs / "cell.toml")
     counted = Cell(told.name, told.sources, told.ignore, places=told.places, executions=Executions("register"))
     found = made_of(tmp_path, cell.logs, counted)
-    assert [entry["places"] for entry in found.card["executions"]] == cell.routes
+    assert [list(entry.places) for entry in found.card.executions] == cell.routes
 
 
 def test_executions_can_begin_by_an_event_of_another_log_of_the_session(cells: Cells, tmp_path: Path):
@@ -233,7 +233,7 @@ def test_executions_can_begin_by_an_event_of_another_log_of_the_session(cells: C
     begun = Executions("signal", signal="cycle_start=1")
     counted = Cell(told.name, told.sources, told.ignore, places=told.places, executions=begun)
     found = made_of(tmp_path, logs, counted)
-    assert [entry["places"] for entry in found.card["executions"]] == cell.routes
+    assert [list(entry.places) for entry in found.card.executions] == cell.routes
     unknown = Cell(told.name, told.sources, told.ignore, executions=Executions("signal", signal="cycle_strat"))
     with pytest.raises(UnknownName, match="cycle_start"):
         ingest([logs], tmp_path / "other", cell=unknown)
@@ -250,7 +250,7 @@ def test_executions_can_begin_at_a_program_line_in_the_register(tmp_path: Path, 
     line = pl.when(away == 0).then(10).when(lap == 0).then(100).otherwise(200)
     rows.with_columns(output_int_register_0=line).write_csv(log, separator=" ")
     found = made_of(tmp_path, log, Cell(executions=Executions("signal", signal="register=100")))
-    assert [len(entry["places"]) for entry in found.card["executions"]] == [5, 5, 5]
+    assert [len(entry.places) for entry in found.card.executions] == [5, 5, 5]
 
 
 def test_a_home_that_is_no_place_is_refused(tmp_path: Path, robot_log: Any):
@@ -336,7 +336,7 @@ def test_tasks_are_found_in_spite_of_a_noisy_robot_log(cells: Cells, tmp_path: P
         table = table.drop([f"actual_TCP_speed_{i}" for i in range(6)])
     table.write_csv(logs / "robot.csv", separator=" ", line_terminator="\r\n")
     found = made_of(tmp_path, tmp_path / "logs")
-    assert [entry["places"] for entry in found.card["executions"]] == cell.routes
+    assert [list(entry.places) for entry in found.card.executions] == cell.routes
     assert found.tasks()["nominal_s"].sum() == pytest.approx(cell.tasks["nominal_s"].sum(), rel=0.04)
     assert found.tasks()["safety_loss_s"].sum() == pytest.approx(cell.tasks["safety_loss_s"].sum(), rel=0.05)
     late = found.executions["duration_s"] - cell.executions["duration_s"]

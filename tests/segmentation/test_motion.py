@@ -165,4 +165,4 @@ def test_a_dataset_does_not_depend_on_how_much_is_read_at_once(
     in_pieces = Dataset.open(ingest([cell.logs], tmp_path / "dataset").dataset)
     assert in_pieces.tasks().equals(cell.dataset.tasks())
     assert in_pieces.samples().equals(cell.dataset.samples())
-    assert in_pieces.card["places"] == cell.dataset.card["places"]
+    assert in_pieces.card.places == cell.dataset.card.places

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from cyclekit.dataset.cards import dataset_card, plain
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.trace import trace
 from cyclekit.errors import CyclekitError, LogError, OutsideFolder
@@ -153,22 +154,22 @@ def test_only_the_tables_that_an_entry_names_are_taken_over(boxes: SimulatedCell
 def test_a_line_is_traced_only_in_the_folder_of_logs(boxes: SimulatedCell, tmp_path: Path):
     (tmp_path / "secret.txt").write_text("secret\n" * 100_000)
     (tmp_path / "logs").mkdir()
-    for record in boxes.dataset.card["recordings"]:
-        assert record["sources"]
-    card: dict[str, Any] = json.loads(json.dumps(boxes.dataset.card))
+    for record in boxes.dataset.card.recordings:
+        assert record.sources
+    card = plain(boxes.dataset.card)
     for record in card["recordings"]:
         record["sources"] = [{"path": "../secret.txt", "sha256": None, "size": 1}]
     with pytest.raises(OutsideFolder, match="leads out of the folder"):
-        trace(Dataset(boxes.dataset.path, card), "1", 5.0, logs=tmp_path / "logs")
+        trace(Dataset(boxes.dataset.path, dataset_card(card)), "1", 5.0, logs=tmp_path / "logs")
 
 
 def test_the_day_of_a_log_is_looked_up_only_in_the_folder_of_logs(boxes: SimulatedCell, tmp_path: Path):
     (tmp_path / "secret.txt").write_text("secret")
     (tmp_path / "logs").mkdir()
-    card: dict[str, Any] = json.loads(json.dumps(boxes.dataset.card))
+    card = plain(boxes.dataset.card)
     for record in card["recordings"]:
         record["sources"] = [{"path": "../secret.txt", "sha256": None, "size": 1}]
-    assert days_of(Dataset(boxes.dataset.path, card), [tmp_path / "logs"]) == {}
+    assert days_of(Dataset(boxes.dataset.path, dataset_card(card)), [tmp_path / "logs"]) == {}
 
 
 def test_a_template_reads_its_own_folder_and_no_other(tmp_path: Path):
@@ -200,7 +201,7 @@ def test_logs_and_folders_called_as_devices_become_recordings_all_the_same(tmp_p
     dataset = Dataset.open(ingest([tmp_path / "logs"], tmp_path / "dataset").dataset)
     assert dataset.recordings
     for record in dataset.recordings:
-        assert dataset.recorded(record["id"], "robot") is not None
+        assert dataset.recorded(record.id, "robot") is not None
     for file in dataset.path.rglob("*"):
         assert unfit(file.name) is None
 

@@ -11,6 +11,7 @@ import pytest
 from made_once import made_once, simulated
 
 from cyclekit.config import Cell, Source
+from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 
@@ -23,7 +24,7 @@ class TrueStaircase:
     problem = "now"
 
     def __init__(self) -> None:
-        self.card: Mapping[str, object] = {}
+        self.card = TrainingCard()
 
     def predict(self, positions: np.ndarray) -> np.ndarray:
         apart_m = np.linalg.norm(positions[:, :3].astype(float) - positions[:, 3:], axis=1)
@@ -36,7 +37,7 @@ class Constant:
     problem = "now"
 
     def __init__(self, scaling: float) -> None:
-        self.card: Mapping[str, object] = {}
+        self.card = TrainingCard()
         self.scaling = scaling
 
     def predict(self, positions: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import re
 import numpy as np
 from fabricated import THRESHOLDS_M
 
+from cyclekit.dataset.cards import MetricsCard, TrainingCard
 from cyclekit.estimate.result import CycleEstimate, TaskShare
 
 
@@ -17,7 +18,8 @@ class DistanceModel:
     problem, network = "now", "classifier"
 
     def __init__(self):
-        self.card = {"cyclekit": "0.1.0", "metrics": {"rows": 1234, "mse_mean": 3.2e-4, "accuracy": 0.991, "mae": None}}
+        metrics = MetricsCard(rows=1234, mse_mean=3.2e-4, accuracy=0.991, mae=0.0081, bias=0.0)
+        self.card = TrainingCard(cyclekit="0.1.0", metrics=metrics)
 
     def predict(self, x):
         distance = np.linalg.norm(x[:, :3] - x[:, 3:], axis=1)

@@ -52,7 +52,7 @@ class SimulatedCell:
     @property
     def routes_found(self) -> list[list[str]]:
         """The places of every execution that the dataset holds."""
-        return [entry["places"] for entry in self.dataset.card["executions"]]
+        return [list(entry.places) for entry in self.dataset.card.executions]
 
 
 class Cells:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.alignment.clocks.fit import ClockFit
+from cyclekit.dataset.cards import note
 from cyclekit.dataset.unknown_height import in_plane
 
 if TYPE_CHECKING:
@@ -29,7 +30,6 @@ REACH_S = 120.0
 LEAST_SHARE = 0.6
 TOO_WEAK = 0.2
 AMBIGUOUS = 0.9
-HIDES = "the reaction delay of the safety function is hidden in it, so no delay in this dataset means anything"
 
 
 def coarse_fit(people: Sequence[Points], tcp_m: Points, scaling: Vector, *, step_s: float) -> ClockFit | None:
@@ -59,13 +59,13 @@ def coarse_fit(people: Sequence[Points], tcp_m: Points, scaling: Vector, *, step
     elsewhere = np.where(np.abs(lags - lags[best]) * step_s > 5.0, score, np.nan)
     second = int(np.nanargmax(elsewhere)) if np.isfinite(elsewhere).any() else best
     doubt = float(score[second]) / peak if second != best else None
-    warning = f"its clock was aligned by the operator being near while the robot slows: {HIDES}"
+    warnings = [note("clock-coarse")]
     if doubt is not None and doubt >= AMBIGUOUS:
-        warning += f"; {float(lags[second] - lags[best]) * step_s:+.1f} s from there it fits almost as well"
+        warnings.append(note("clock-coarse-ambiguous", away_s=float(lags[second] - lags[best]) * step_s))
     return ClockFit(
         "coarse",
         float(lags[best]) * step_s,
-        warning=warning,
+        warnings=tuple(warnings),
         residual_s=step_s,
         correlation=round(peak, 4),
         second_best=round(doubt, 4) if doubt is not None else None,

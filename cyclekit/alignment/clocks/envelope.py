@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.alignment.clocks.fit import ClockFit
+from cyclekit.dataset.cards import note
 from cyclekit.errors import ShapeError
 
 if TYPE_CHECKING:
@@ -85,8 +86,7 @@ def follow(device_s: Vector, host_s: Vector) -> ClockFit | None:
     apart = abs(fit.rate - 1.0)
     if apart >= MAX_RATE * (1.0 - 1e-9) or (fit.residual_s or 0.0) > EXPLAINED * apart * span_s:
         return None
-    said = f"its clock runs at {1.0 / fit.rate:.4f} times the speed of its host's, which no real clock does: "
-    return replace(fit, warning=f"{said}if its time is simulated, durations are simulated ones")
+    return replace(fit, warnings=(note("clock-of-host-differs", rate=1.0 / fit.rate),))
 
 
 def _lowest(delay: Vector) -> NDArray[np.int64]:

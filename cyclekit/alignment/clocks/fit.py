@@ -6,9 +6,9 @@ A fit carries how it was found and how well: a report can then refuse a weak one
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from cyclekit.dataset.cards import ClockMethod
+from cyclekit.dataset.cards import ClockCard, ClockMethod, Note, note
 
 if TYPE_CHECKING:
     from cyclekit.adapter import ClockKind
@@ -34,7 +34,7 @@ class ClockFit:
     Attributes:
         method: How; see docs/clocks.md.
         offset_s, rate: The line; of a fit made for a session t_other is session time, else the other log's time.
-        warning: What a person must know before trusting it.
+        warnings: What a person must know before trusting it.
         residual_s: What the fit leaves unexplained, typically, seconds; None where nothing was left to check it by.
         events: Event pairs (or windows of motion) that the fit rests on.
         events_rejected: Events of the log that found no partner, or contradicted the others.
@@ -47,7 +47,7 @@ class ClockFit:
     method: Method
     offset_s: float
     rate: float = 1.0
-    warning: str | None = None
+    warnings: tuple[Note, ...] = ()
     residual_s: float | None = None
     events: int | None = None
     events_rejected: int | None = None
@@ -60,10 +60,14 @@ class ClockFit:
         """Return the fit onto the time that counts from `start_s` of the other log."""
         return replace(self, offset_s=self.offset_s - start_s)
 
-    def to_json(self) -> dict[str, Any]:
-        """Return what is known of the fit as plain JSON values, without the warning."""
-        named = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "warning"}
-        return {name: value for name, value in named.items() if value is not None}
+    def card(self, kind: ClockKind) -> ClockCard:
+        """Return the card of a log whose clock is of that kind."""
+        return ClockCard(kind=kind, **vars(self))
+
+    @classmethod
+    def of(cls, card: ClockCard) -> ClockFit:
+        """Return the fit that a card holds."""
+        return cls(**{one.name: getattr(card, one.name) for one in fields(cls)})
 
 
 def fit_clock(log: LogClock, master: LogClock, source: Source | None, *, same_log: bool = False) -> ClockFit:
@@ -81,8 +85,4 @@ def fit_clock(log: LogClock, master: LogClock, source: Source | None, *, same_lo
         return ClockFit("cell-file", source.clock_offset_s - master.first_s, source.clock_rate)
     if log.kind == "epoch" and master.kind == "epoch":
         return ClockFit("epoch", -master.first_s)
-    warning = (
-        "nothing says how its clock relates to the robot's: both are taken to start together; "
-        "give clock_offset_s, sync or sees in cell.toml"
-    )
-    return ClockFit(ASSUMED, -log.first_s, 1.0, warning)
+    return ClockFit(ASSUMED, -log.first_s, 1.0, (note("clock-assumed"),))

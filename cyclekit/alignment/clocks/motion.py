@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.alignment.clocks.fit import ClockFit
+from cyclekit.dataset.cards import Note, note
 from cyclekit.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -85,19 +86,16 @@ def _common(log_s: Vector, mine: Vector, robot_s: Vector, theirs: Vector) -> Clo
     second, second_at = _second(score, best)
     offset = shift + _refined(lags, score, best) / GRID_HZ
     line = _line(log_s, *_windows(mine, theirs, len(mine) // 2, int(lags[best])), offset, shift)
-    warning = None
+    warnings: tuple[Note, ...] = ()
     if second is not None and second >= AMBIGUOUS * peak:
         away = float(lags[second_at] - lags[best]) / GRID_HZ
-        warning = (
-            f"its motion fits the robot's almost as well {away:+.2f} s away ({second / peak:.0%} of the correlation): "
-            "a robot that repeats itself cannot tell one cycle from the next; let it do something once, or give sync"
-        )
+        warnings = (note("clock-motion-ambiguous", away_s=away, height=float(second / peak)),)
     elif peak < WEAK:
-        warning = f"its motion fits the robot's only roughly (correlation {peak:.2f})"
+        warnings = (note("clock-motion-rough", correlation=peak),)
     return ClockFit(
         "motion",
         *line[:2],
-        warning,
+        warnings=warnings,
         residual_s=line[2],
         events=line[3],
         correlation=round(peak, 4),

@@ -7,11 +7,13 @@ the business of `align`.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.alignment.clocks.fit import ClockFit
+from cyclekit.dataset.cards import Note, note
 from cyclekit.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -145,30 +147,23 @@ def _fit(line: tuple[float, float, float], x: Vector, y: Vector, *, rejected: in
     free = len(x) - (2 if rate != 1.0 else 1)
     apart = y - _at(line, x)
     residual = float(np.sqrt(apart @ apart / free)) if free > 0 else None
-    warning = None
+    warnings: tuple[Note, ...] = ()
     if residual is None:
-        warning = f"its clock rests on {_count(len(x))}, which leaves nothing to check it by: record three or more"
+        warnings = (note("clock-events-few", events=len(x)),)
     elif residual > 0.1:
-        warning = f"the events that place its clock disagree by {residual:.2g} s: check the pairs"
+        warnings = (note("clock-events-disagree", residual_s=residual),)
     elif rejected > len(x):
-        warning = f"of {len(x) + rejected} events only {len(x)} place its clock: the others have no partner"
-    return ClockFit("event-pairs", about + offset - rate * about, rate, warning, residual, len(x), rejected)
-
-
-def _count(events: int) -> str:
-    return "one event" if events == 1 else f"{events} events"
+        warnings = (note("clock-events-alone", events=len(x) + rejected, used=len(x)),)
+    return ClockFit("event-pairs", about + offset - rate * about, rate, warnings, residual, len(x), rejected)
 
 
 def _with_doubt(fit: ClockFit, matched: int, fewer: int, second: float, second_s: float) -> ClockFit:
-    told = {**vars(fit), "second_best": second or None, "second_best_s": second_s if second else None}
+    warnings = fit.warnings
     if second >= AMBIGUOUS and fewer > 1:
-        told["warning"] = (
-            f"its events fit the robot's almost as well {second_s:+.2f} s away ({second:.0%} as many pairs): "
-            "the clock may be off by that; record events at uneven intervals, or give sync_events"
-        )
-    elif matched < 0.5 * fewer and fit.warning is None:
-        told["warning"] = f"only {matched} of {fewer} events place its clock: the others have no partner"
-    return ClockFit(**told)
+        warnings = (note("clock-events-ambiguous", away_s=second_s, pairs=second),)
+    elif matched < 0.5 * fewer and not warnings:
+        warnings = (note("clock-events-unmatched", used=matched, events=fewer),)
+    return replace(fit, warnings=warnings, second_best=second or None, second_best_s=second_s if second else None)
 
 
 def _vote(log_s: Vector, other_s: Vector) -> tuple[float, int, int, float]:

@@ -6,10 +6,32 @@ checks it here before any of it is used. Keys that are not known are passed over
 What the values are used for is the business of the rooms above; this one knows none of them.
 """
 
-from cyclekit.dataset.cards.dataset import DatasetCard, DynamicsCard, ExecutionCard, PlaceCard, RowCounts, UnreadCard
+from cyclekit.dataset.cards.dataset import (
+    DatasetCard,
+    DynamicsCard,
+    ExecutionCard,
+    FileCard,
+    PlaceCard,
+    RowCounts,
+    UnreadCard,
+    dataset_card,
+)
 from cyclekit.dataset.cards.fleet import CellLedger, FiguresCard, StageCard
-from cyclekit.dataset.cards.model import CellCard, MetricsCard, ModelCard, SpecCard, SplitCard, TrainingCard
-from cyclekit.dataset.cards.read import BadCard, checked, parse_json, read_content, read_json
+from cyclekit.dataset.cards.model import (
+    CellCard,
+    EpochCard,
+    LevelShare,
+    MetricsCard,
+    ModelCard,
+    RowsCard,
+    SpecCard,
+    SplitCard,
+    StandardisationCard,
+    TrainingCard,
+    model_card,
+)
+from cyclekit.dataset.cards.notes import READ, TEXT, Note, note, texts
+from cyclekit.dataset.cards.read import BadCard, checked, parse_json, plain, read_content, read_json
 from cyclekit.dataset.cards.recording import (
     ClockCard,
     ClockMethod,
@@ -23,6 +45,8 @@ from cyclekit.dataset.cards.recording import (
 from cyclekit.dataset.cards.settings import CellSettings
 
 __all__ = [
+    "READ",
+    "TEXT",
     "BadCard",
     "CellCard",
     "CellLedger",
@@ -31,25 +55,36 @@ __all__ = [
     "ClockMethod",
     "DatasetCard",
     "DynamicsCard",
+    "EpochCard",
     "ExecutionCard",
     "FiguresCard",
+    "FileCard",
     "FrameCard",
+    "LevelShare",
     "LogCard",
     "MetricsCard",
     "ModelCard",
+    "Note",
     "OperatorCard",
     "PlaceCard",
     "RecordingCard",
     "RowCounts",
+    "RowsCard",
     "SetAside",
     "SourceFile",
     "SpecCard",
     "SplitCard",
     "StageCard",
+    "StandardisationCard",
     "TrainingCard",
     "UnreadCard",
     "checked",
+    "dataset_card",
+    "model_card",
+    "note",
     "parse_json",
+    "plain",
     "read_content",
     "read_json",
+    "texts",
 ]

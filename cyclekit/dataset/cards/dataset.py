@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
+from cyclekit.dataset.cards.notes import Note, from_sentences
 from cyclekit.dataset.cards.quantities import (
     Card,
     Count,
@@ -16,6 +17,7 @@ from cyclekit.dataset.cards.quantities import (
     Seconds,
     ascending,
 )
+from cyclekit.dataset.cards.read import checked
 from cyclekit.dataset.cards.recording import RecordingCard
 from cyclekit.dataset.cards.settings import CellSettings
 
@@ -153,7 +155,7 @@ class DatasetCard(Card, frozen=True, kw_only=True):
     scaling_origin: str | None = None
     dynamics: DynamicsCard = DynamicsCard()
     rows: RowCounts
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Note, ...] = ()
     files: dict[str, FileCard] | None = None
     card_blake3: Digest | None = None
 
@@ -171,3 +173,21 @@ class DatasetCard(Card, frozen=True, kw_only=True):
             if len(set(names)) < len(names):
                 msg = f"two {what}s have the same name"
                 raise ValueError(msg)
+
+
+def dataset_card(values: dict[str, Any]) -> DatasetCard:
+    """Return the JSON values of a dataset's card as that card; warnings may be sentences, as in an earlier version.
+
+    Raises:
+        BadCard: A value is missing or not of its kind.
+    """
+    values = {**values, "warnings": from_sentences(values.get("warnings", []))}
+    if isinstance(recordings := values.get("recordings"), list):
+        values["recordings"] = [_with_notes(one) for one in recordings]
+    return checked(values, DatasetCard)
+
+
+def _with_notes(recording: object) -> object:
+    if not isinstance(recording, dict) or "warnings" not in recording:
+        return recording
+    return {**recording, "warnings": from_sentences(recording["warnings"])}

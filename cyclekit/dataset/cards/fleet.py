@@ -19,15 +19,20 @@ class StageCard(Card, frozen=True, kw_only=True):
 
 
 class FiguresCard(Card, frozen=True, kw_only=True):
-    """Figures of a cell; None = unknown. See `cyclekit.fleet.figures.Figures`.
+    """Figures of a cell for the page of the fleet; None = unknown.
 
     Attributes:
-        cycle_s: Mean duration of complete executions.
-        lost_s, lost_share: Lost to safety in an execution.
+        executions: Complete executions; None without a report.
+        cycle_s: Their mean duration.
+        lost_s: Time lost to safety in an execution, mean over those in which it is known.
+        lost_share: The same as part of the duration.
         newest: Day of the newest log.
         set_aside_share: Part of all rows read that were set aside.
-        shifts: What has changed since last month, the clearest first.
-        drift: Why nothing can be said of that.
+        safety_changed: Whether the safety function is another one since last month.
+        habits_changed: Whether the operator's habits are.
+        shifts: What has changed, the clearest first.
+        drift: Why nothing can be said of it; empty where something can.
+        model_doubt: Why the error of the model is large; empty where it is not, or there is no model.
     """
 
     executions: Count | None = None
@@ -40,21 +45,32 @@ class FiguresCard(Card, frozen=True, kw_only=True):
     habits_changed: bool | None = None
     shifts: tuple[str, ...] = ()
     drift: str = ""
+    model_doubt: str = ""
 
 
 class CellLedger(Card, frozen=True, kw_only=True):
-    """A cell of a fleet.
+    """A cell of a fleet; its file begins with the stages, by which it is known before it is replaced (`guard`).
 
     Attributes:
-        cell: Its name.
         stages: What came of each stage.
         days: Day of the logs of each session.
+        not_read: The first logs that could not be read, and why.
+        not_read_more: How many others could not.
         figures: For the page of the fleet.
         reported: Changes when the report must be written again; None without one.
+        cell: Its name.
     """
 
-    cell: str = ""
     stages: dict[str, StageCard] = field(default_factory=dict)
     days: dict[str, date] = field(default_factory=dict)
+    not_read: tuple[str, ...] = ()
+    not_read_more: Count = 0
     figures: FiguresCard = FiguresCard()
     reported: str | None = None
+    cell: str = ""
+
+    @property
+    def unread(self) -> str:
+        """The logs that could not be read, and why; empty where all could."""
+        more = f" and {self.not_read_more} more" if self.not_read_more else ""
+        return "; ".join(self.not_read) + more

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from msgspec import UNSET, Meta, UnsetType, field
+from msgspec import Meta, field
 
+from cyclekit.dataset.cards.notes import Note, from_sentences, texts
 from cyclekit.dataset.cards.quantities import (
     Card,
     Count,
@@ -17,6 +18,7 @@ from cyclekit.dataset.cards.quantities import (
     Scaling,
     ascending,
 )
+from cyclekit.dataset.cards.read import checked, plain
 
 Width = Annotated[int, Meta(ge=1, le=4096)]
 """Numbers that go into a layer, or come out of it."""
@@ -47,6 +49,7 @@ class MetricsCard(Card, frozen=True, kw_only=True):
         bias: Mean of predicted - true.
         accuracy: Part of the samples whose level is named rightly; None where there is none.
         calibration_error: Of a classifier's probabilities; None for the others.
+        mse_constant: Mean squared error of always predicting the mean of these samples; None = not measured.
     """
 
     rows: Count
@@ -56,6 +59,7 @@ class MetricsCard(Card, frozen=True, kw_only=True):
     bias: Deviation
     accuracy: Fraction | None = None
     calibration_error: Fraction | None = None
+    mse_constant: Deviation | None = None
 
 
 class LevelShare(Card, frozen=True, kw_only=True):
@@ -133,7 +137,7 @@ class CellCard(Card, frozen=True, kw_only=True):
 
 
 class TrainingCard(Card, frozen=True, kw_only=True):
-    """How a model came about. A model need not say all of it; None and UNSET = it does not.
+    """How a model came about. A model need not say all of it; None = it does not.
 
     Attributes:
         cyclekit: Version that trained it.
@@ -147,6 +151,7 @@ class TrainingCard(Card, frozen=True, kw_only=True):
         mean_scaling: Of the samples learned from.
         dropped: Samples that could not be used, by reason.
         inputs: Names of the inputs.
+        warnings: What a person must know before trusting it.
     """
 
     cyclekit: str | None = None
@@ -159,21 +164,30 @@ class TrainingCard(Card, frozen=True, kw_only=True):
     seed: Count | None = None
     dataset: str | None = None
     dataset_sha256: str | None = None
-    cell: CellCard | UnsetType = UNSET
-    metrics: MetricsCard | UnsetType = UNSET
-    levels: tuple[LevelShare, ...] | UnsetType = UNSET
-    warnings: tuple[str, ...] = ()
-    rate_hz: Hertz = 10.0
+    cell: CellCard | None = None
+    metrics: MetricsCard | None = None
+    levels: tuple[LevelShare, ...] | None = None
+    warnings: tuple[Note, ...] = ()
+    rate_hz: Hertz | None = None
     temperature: float | None = None
     may_be_unknown: tuple[str, ...] = ()
     scaling_without_operator: Scaling | None = None
     mean_scaling: Scaling | None = None
-    rows: RowsCard | UnsetType = UNSET
+    rows: RowsCard | None = None
     dropped: dict[str, Count] = field(default_factory=dict)
     inputs: tuple[str, ...] | None = None
     standardisation: StandardisationCard | None = None
-    split: SplitCard | UnsetType = UNSET
+    split: SplitCard | None = None
     history: tuple[EpochCard, ...] | None = None
+
+    @property
+    def held_out(self) -> tuple[str, ...]:
+        """Names of the executions that served for judging; none where the card does not say."""
+        return self.split.test if self.split is not None else ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON values for people: with sentences in place of the codes of warnings."""
+        return {**plain(self, nulls=True), "warnings": texts(self.warnings)}
 
 
 class ModelCard(Card, frozen=True, kw_only=True):
@@ -216,3 +230,14 @@ class ModelCard(Card, frozen=True, kw_only=True):
             ValueError: They are not.
         """
         ascending(self.levels)
+
+
+def model_card(values: dict[str, Any]) -> ModelCard:
+    """Return the JSON values of a model's card as that card; warnings may be sentences, as in an earlier version.
+
+    Raises:
+        BadCard: A value is missing or not of its kind.
+    """
+    if isinstance(card := values.get("card"), dict) and "warnings" in card:
+        values = {**values, "card": {**card, "warnings": from_sentences(card["warnings"])}}
+    return checked(values, ModelCard)

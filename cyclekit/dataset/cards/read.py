@@ -1,9 +1,10 @@
-"""The one way from the text of a card to checked values, and the one translator of what is wrong with it."""
+"""The one way from the text of a card to checked values and back, and the one translator of what is wrong with it."""
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any, TypeVar
+from functools import cache
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import msgspec
 
@@ -84,6 +85,39 @@ def checked(values: dict[str, Any], kind: type[AnyCard]) -> AnyCard:
         return msgspec.convert(values, kind)
     except (ValueError, OverflowError) as error:
         raise BadCard(_plain(error)) from error
+
+
+def plain(card: Card, *, nulls: bool = False) -> dict[str, Any]:
+    """Return a card as JSON values.
+
+    Args:
+        card: What is written.
+        nulls: Write null for what is not known; else it is left out.
+    """
+    if nulls:
+        return cast("dict[str, Any]", msgspec.to_builtins(card))
+    return {
+        name: _value(value)
+        for name, default, value in zip(
+            card.__struct_fields__, _defaults(type(card)), msgspec.structs.astuple(card), strict=True
+        )
+        if value is not msgspec.UNSET and not (value is None and default is None)
+    }
+
+
+@cache
+def _defaults(kind: type[Card]) -> tuple[object, ...]:
+    return tuple(one.default for one in msgspec.structs.fields(kind))
+
+
+def _value(value: Any) -> Any:  # noqa: ANN401 - any value of a card
+    if isinstance(value, Card):
+        return plain(value)
+    if isinstance(value, dict):
+        return {key: _value(one) for key, one in value.items()}
+    if isinstance(value, tuple | list):
+        return [_value(one) for one in value]
+    return value
 
 
 def _plain(error: Exception) -> str:

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
+from cyclekit.dataset.cards.notes import Note, texts
 from cyclekit.dataset.cards.quantities import Card, Count, Digest, Duration, Name, Point, Rotation, Seconds
 
 Table = Literal["robot", "people", "events", "task_list", "safety", "skeletons", "stamps"]
@@ -40,6 +41,11 @@ class SourceFile(Card, frozen=True, kw_only=True):
     sha256: Digest | None = None
     size: Count = 0
 
+    @property
+    def checksum(self) -> str | None:
+        """Of its bytes, by whichever function; None where none was made."""
+        return self.blake3 or self.sha256
+
 
 class LogClock(Card, frozen=True, kw_only=True):
     """The clock of a log by itself: seconds since 1970, since a device was started, or since the recording began."""
@@ -58,6 +64,7 @@ class ClockCard(LogClock, frozen=True, kw_only=True):
         second_best: Height of the second peak over that of the first; near 1 the fit is ambiguous.
         second_best_s: How far the second peak lies from the first.
         same_as: Id of the recording whose clock this log shares.
+        warnings: What a person must know before trusting it.
     """
 
     method: ClockMethod
@@ -70,6 +77,7 @@ class ClockCard(LogClock, frozen=True, kw_only=True):
     second_best: float | None = None
     second_best_s: Seconds | None = None
     same_as: str | None = None
+    warnings: tuple[Note, ...] = ()
 
 
 class FrameCard(Card, frozen=True, kw_only=True):
@@ -113,6 +121,7 @@ class OperatorCard(Card, frozen=True, kw_only=True):
         occluded: ... hidden for longer than is bridged.
         absent: ... nobody was there.
         outside: ... the log was not running.
+        warnings: What a person must know before trusting it.
     """
 
     not_believed: Count = 0
@@ -120,6 +129,7 @@ class OperatorCard(Card, frozen=True, kw_only=True):
     occluded: Count = 0
     absent: Count = 0
     outside: Count = 0
+    warnings: tuple[Note, ...] = ()
 
 
 class LogCard(Card, frozen=True, kw_only=True):
@@ -140,7 +150,7 @@ class LogCard(Card, frozen=True, kw_only=True):
         first_s, last_s: Time of the first and last row, clock of the log.
         duration_s: last_s - first_s.
         rate_hz: Rows a second; None where the log has a single time.
-        warnings: What a person must know before trusting it.
+        warnings: What a person must know before trusting what was read.
         facts: What else the adapter found out, as texts.
         key: Changes when the log, its adapter or its options do; empty where the dataset is pseudonymised.
     """
@@ -164,9 +174,14 @@ class LogCard(Card, frozen=True, kw_only=True):
     last_s: Seconds
     duration_s: Duration
     rate_hz: Annotated[float, Meta(gt=0.0)] | None
-    warnings: tuple[str, ...]
+    warnings: tuple[Note, ...]
     facts: dict[str, str]
     key: str
+
+    @property
+    def shown(self) -> str:
+        """The path of its first file, by which messages name it."""
+        return self.sources[0].path
 
 
 class RecordingCard(LogCard, frozen=True, kw_only=True):
@@ -176,8 +191,23 @@ class RecordingCard(LogCard, frozen=True, kw_only=True):
         session: Name of the session it belongs to.
         clock: How it lies in the time of the session.
         operator: How well it sees the operator; None for logs without people.
+        listed: What a person must know of the tasks of a task list beside those of the robot.
     """
 
     session: Name
     clock: ClockCard
     operator: OperatorCard | None = None
+    listed: tuple[Note, ...] = ()
+
+    @property
+    def span_s(self) -> tuple[float, float]:
+        """First and last time of the recording, session time."""
+        first_s, last_s = (at_s * self.clock.rate + self.clock.offset_s for at_s in (self.first_s, self.last_s))
+        return first_s, last_s
+
+    @property
+    def said(self) -> list[str]:
+        """All that a person must know of it, one sentence each."""
+        clock = [f"clock: {'; '.join(texts(self.clock.warnings))}"] if self.clock.warnings else []
+        operator = [f"operator: {text}" for text in texts(self.operator.warnings if self.operator else ())]
+        return [*texts(self.warnings), *clock, *operator, *(f"task list: {text}" for text in texts(self.listed))]

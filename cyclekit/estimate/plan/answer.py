@@ -179,11 +179,11 @@ def _tasks(jobs: Jobs, dataset: Dataset) -> tuple[dict[str, NominalTask], list[s
 def _basis(dataset: Dataset, jobs: Jobs, seed: int) -> tuple[str, list[Order]]:
     """Return what an order is compared with: the logged orders of the same work, else random ones."""
     found = []
-    for entry in dataset.card["executions"]:
-        order = tuple(place for place in entry.get("places", ()) if place in jobs.visit)
-        if not entry["complete"] or sorted(order) != sorted(jobs.visit) or not jobs.allowed(order):
+    for one in dataset.card.executions:
+        order = tuple(place for place in one.places if place in jobs.visit)
+        if not one.complete or sorted(order) != sorted(jobs.visit) or not jobs.allowed(order):
             continue
-        went, wanted = tuple(entry.get("places", ())), jobs.places(order)
+        went, wanted = one.places, jobs.places(order)
         if went[: len(wanted)] == wanted and len(went) - len(wanted) <= (jobs.end is None):
             found.append(order)
     if found:

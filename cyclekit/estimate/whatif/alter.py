@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cyclekit.dataset.cards import TrainingCard
 from cyclekit.errors import EstimateError, UnknownName
 from cyclekit.estimate.safety import Classifier, Dynamics, SafetyModel, around, likeliest_of, scaling_of
 
@@ -42,7 +43,7 @@ class WrittenSafety:
     change: Change
     margin_m: float = 0.0
     problem: str = "now"
-    card: Mapping[str, Any] = field(default_factory=dict)
+    card: TrainingCard = field(default_factory=TrainingCard)
     known_everywhere: bool = True
 
     @property
@@ -78,7 +79,7 @@ class LearnedSafety:
     problem: str = "now"
 
     @property
-    def card(self) -> Mapping[str, Any]:
+    def card(self) -> TrainingCard:
         """Of the model."""
         return self.model.card
 

@@ -103,7 +103,7 @@ def what_if(
 
     before = estimates(model, None, validate=validate, check=check)
     check = next((entry.check for entry in before.values()), None)
-    logged, answers = Dynamics.of(dataset.card), []
+    logged, answers = Dynamics.of(dataset.card.dynamics), []
     for number, change in enumerate(changes):
         tell(number / len(changes), change.name)
         safety = altered_safety(change, model, logged)

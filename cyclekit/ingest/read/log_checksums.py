@@ -9,18 +9,22 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self, TypeVar
 
+from msgspec.structs import replace
+
+from cyclekit.dataset.cards import LogCard, SourceFile, note
 from cyclekit.errors import LogError
 from cyclekit.ingest.discover import Log, files_of, key_of
 from cyclekit.storage.checksums import digest_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable
 
-KINDS = ("blake3", "sha256")
-"""Functions by which the checksum of a log can have been made."""
-CHANGED = "the log changed while it was read: is it still being written? ingest again when it is complete"
+CHANGED = note("log-changed")
+
+
+AnyLog = TypeVar("AnyLog", bound=LogCard)
 
 
 class Digests:
@@ -41,8 +45,8 @@ class Digests:
         self._given_up = threading.Event()
         self._pending: dict[str, tuple[Log, list[Future[str]]]] = {}
 
-    def sources(self, log: Log) -> list[dict[str, Any]]:
-        """Return where a log comes from, file by file; `blake3` is filled in by `settle`.
+    def sources(self, log: Log) -> tuple[SourceFile, ...]:
+        """Return where a log comes from, file by file; `settle` gives each its `blake3`.
 
         Raises:
             OSError: A file has gone.
@@ -53,37 +57,39 @@ class Digests:
                 self._worker = self._worker or ThreadPoolExecutor(1)
                 digests.append(self._worker.submit(digest_of, file, self._given_up))
             shown = log.shown if file == log.path else f"{log.shown}/{file.relative_to(log.path).as_posix()}"
-            found.append({"path": shown, "blake3": None, "size": file.stat().st_size})
+            found.append(SourceFile(path=shown, size=file.stat().st_size))
         self._pending[log.id] = (log, digests)
-        return found
+        return tuple(found)
 
-    def completed(self, entry: dict[str, Any], log: Log) -> dict[str, Any]:
-        """Return the entry of a recording taken over, with its checksums to come if it has none yet.
+    def completed(self, entry: LogCard, log: Log) -> LogCard:
+        """Return the card of a log taken over, with its checksums to come if it has none yet.
 
         Raises:
             OSError: A file has gone.
         """
-        if self.wanted and any(not any(map(source.get, KINDS)) for source in entry["sources"]):
-            return {**entry, "sources": self.sources(log)}
+        if self.wanted and any(source.checksum is None for source in entry.sources):
+            return replace(entry, sources=self.sources(log))
         return entry
 
-    def settle(self, entries: Sequence[dict[str, Any]]) -> None:
-        """Fill in the checksums, and warn of logs that changed since they were found.
+    def settle(self, entries: Iterable[AnyLog]) -> list[AnyLog]:
+        """Return the cards with the checksums of their files, and warnings of logs that changed since they were found.
 
         Raises:
             LogError: A file cannot be read any more.
         """
-        for entry in entries:
-            if entry["id"] not in self._pending:
-                continue
-            log, digests = self._pending.pop(entry["id"])
-            for source, digest in zip(entry["sources"], digests, strict=self.wanted):
-                try:
-                    source["blake3"] = digest.result()
-                except OSError as error:
-                    raise LogError(log.path, f"cannot be read ({error.strerror})", cure="Check the file.") from error
-            if _has_changed(log) and CHANGED not in entry["warnings"]:
-                entry["warnings"].append(CHANGED)
+        return [self._settled(entry) if entry.id in self._pending else entry for entry in entries]
+
+    def _settled(self, entry: AnyLog) -> AnyLog:
+        log, digests = self._pending.pop(entry.id)
+        try:
+            found = [digest.result() for digest in digests]
+        except OSError as error:
+            raise LogError(log.path, f"cannot be read ({error.strerror})", cure="Check the file.") from error
+        sources = entry.sources
+        if self.wanted:
+            sources = tuple(replace(one, blake3=digest) for one, digest in zip(sources, found, strict=True))
+        changed = _has_changed(log) and CHANGED not in entry.warnings
+        return replace(entry, sources=sources, warnings=(*entry.warnings, CHANGED) if changed else entry.warnings)
 
     def __enter__(self) -> Self:
         return self

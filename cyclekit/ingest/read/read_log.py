@@ -10,12 +10,14 @@ import secrets
 import shutil
 from copy import copy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import polars as pl
 
 from cyclekit import schema
+from cyclekit.dataset.cards import READ, FrameCard, LogCard, SetAside, note
+from cyclekit.dataset.cards.recording import LogClock
 from cyclekit.dataset.rates import Rates
 from cyclekit.errors import LogError
 from cyclekit.ingest.discover import Log, options_of
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 
     from cyclekit.adapter import Recording
     from cyclekit.config import Source
+    from cyclekit.dataset.cards import SourceFile
+    from cyclekit.dataset.cards.recording import Table
     from cyclekit.ingest.read.log_checksums import Digests
 
 TABLES = {
@@ -71,9 +75,9 @@ class How:
 
 @dataclass(frozen=True)
 class Kept:
-    """The entry of a recording whose tables are on the disk."""
+    """The card of a log whose tables are on the disk."""
 
-    entry: dict[str, Any]
+    card: LogCard
 
 
 def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How) -> Kept | LogError:
@@ -146,7 +150,7 @@ def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
         raise
     if last is None:
         raise LogError(log.path, "holds nothing", cure="Record again, or remove the file.")
-    return Kept(_entry(log, last, written, sources, rows_read, counts))
+    return Kept(_card(log, last, written, sources, rows_read, counts))
 
 
 class _Table:
@@ -189,48 +193,48 @@ def _quarantined(rows: pl.DataFrame, rows_are: str, log: Log, shown: str) -> pl.
     return schema.conform(rows, schema.QUARANTINE)
 
 
-def _entry(
+def _card(
     log: Log,
     last: Recording,
     written: dict[str, _Table],
-    sources: list[dict[str, Any]],
+    sources: tuple[SourceFile, ...],
     rows_read: int,
     set_aside: dict[str, int],
-) -> dict[str, Any]:
+) -> LogCard:
     main = next(written[name] for name in MAIN if name in written and written[name].writer.rows)
     duration_s = main.last_s - main.first_s
     rate = main.rates.found() if main.rates is not None else None
-    return {
-        "id": log.id,
-        "session": "",
-        "tables": list(written),
-        "sources": sources,
-        "adapter": log.adapter,
-        "adapter_package": log.package,
-        "adapter_version": log.version,
-        "clock": {"kind": last.clock},
-        "frame": _frame_card(log.source, last),
-        "positions": any(table.placed for name, table in written.items() if name in ("robot", "people")),
-        "up": last.up,
-        "joint_names": list(last.joint_names),
-        "rows": {name: table.writer.rows for name, table in written.items()},
-        "rows_are": last.rows_are,
-        "rows_read": rows_read,
-        "rows_set_aside": [{"reason": reason, "count": count} for reason, count in set_aside.items()],
-        "first_s": main.first_s,
-        "last_s": main.last_s,
-        "duration_s": duration_s,
-        "rate_hz": round(rate.mean_hz, 3) if rate is not None else None,
-        "warnings": list(last.warnings),
-        "facts": {"checksum": UNPROTECTED, **last.facts},
-        "key": log.key,
-    }
+    tables = cast("dict[Table, _Table]", written)  # as `schema` names them
+    return LogCard(
+        id=log.id,
+        tables=tuple(tables),
+        sources=sources,
+        adapter=log.adapter,
+        adapter_package=log.package,
+        adapter_version=log.version,
+        clock=LogClock(kind=last.clock),
+        frame=_frame_card(log.source, last),
+        positions=any(table.placed for name, table in tables.items() if name in ("robot", "people")),
+        up=last.up,
+        joint_names=tuple(last.joint_names),
+        rows={name: table.writer.rows for name, table in tables.items()},
+        rows_are=last.rows_are,
+        rows_read=rows_read,
+        rows_set_aside=tuple(SetAside(reason=reason, count=count) for reason, count in set_aside.items()),
+        first_s=main.first_s,
+        last_s=main.last_s,
+        duration_s=duration_s,
+        rate_hz=round(rate.mean_hz, 3) if rate is not None else None,
+        warnings=tuple(note(READ, text=text) for text in last.warnings),
+        facts={"checksum": UNPROTECTED, **last.facts},
+        key=log.key,
+    )
 
 
-def _frame_card(source: Source | None, recording: Recording) -> dict[str, Any]:
+def _frame_card(source: Source | None, recording: Recording) -> FrameCard:
     if recording.people is None:
-        return {"method": "robot base"}
+        return FrameCard(method="robot base")
     if source is None or source.frame is None:
-        return {"method": "assumed base frame", "up": recording.up}
+        return FrameCard(method="assumed base frame", up=recording.up)
     frame = source.frame
-    return {"method": "cell-file", "up": recording.up, "xyz_m": list(frame.xyz_m), "rotation": list(frame.rotation)}
+    return FrameCard(method="cell-file", up=recording.up, xyz_m=frame.xyz_m, rotation=frame.rotation)

@@ -1,4 +1,4 @@
-"""Logs -> their native-rate tables on the disk and their entries of provenance, one log a task of the engine.
+"""Logs -> their native-rate tables on the disk and their cards, one log a task of the engine.
 
 What is unchanged since the last ingest is taken over from the old dataset without reading, and so is what an ingest
 that was killed had already read (`shelf`). What one log becomes is decided in `keep`, what the recordings mean together
@@ -10,7 +10,7 @@ from __future__ import annotations
 import shutil
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclekit.errors import EngineError, LogError
 from cyclekit.ingest.read.log_checksums import Digests
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from cyclekit.dataset.cards import LogCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.ingest.discover import Log
 
@@ -34,12 +35,12 @@ class Intake:
     """What came of reading.
 
     Attributes:
-        entries: Entries of the recordings, in order of the logs.
+        cards: Of the recordings, in order of the logs.
         failed: Why the others could not be read.
         kept: How many recordings were taken over without reading.
     """
 
-    entries: list[dict[str, Any]]
+    cards: list[LogCard]
     failed: list[LogError]
     kept: int
 
@@ -69,8 +70,8 @@ def read_all(
     """
     how = how or How()
     damaged = old.damaged() if old else {}
-    known = {entry["key"]: entry for entry in old.card["recordings"]} if old else {}
-    entries: dict[str, dict[str, Any]] = {}
+    known = {entry.key: entry for entry in old.recordings} if old else {}
+    entries: dict[str, LogCard] = {}
     todo = []
     for log in logs:
         before = known.get(log.key)
@@ -94,9 +95,9 @@ def read_all(
         if isinstance(result, LogError):
             failures[log.id] = result
             continue
-        entries[log.id] = result.entry
+        entries[log.id] = result.card
         if shelf is not None:
-            shelf.put(result.entry, log, staging)
+            shelf.put(result.card, log, staging)
     for left in staging.glob(f"recordings/{MAKING}*"):
         shutil.rmtree(left, ignore_errors=True)  # of a worker that was killed; its log was read again
     failed = [failures[log.id] for log in todo if log.id in failures]
@@ -121,5 +122,5 @@ def _read(log: Log, *, staging: Path, how: How) -> Kept | LogError:
     with Digests(wanted=how.checksums) as digests:
         result = keep_or_error(log, digests, staging=staging, how=how)
         if isinstance(result, Kept):
-            digests.settle([result.entry])
+            return Kept(*digests.settle([result.card]))
         return result

@@ -14,10 +14,10 @@ import os
 import secrets
 import shutil
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cyclekit import schema
-from cyclekit.dataset.cards import BadCard, LogCard, checked, read_json
+from cyclekit.dataset.cards import BadCard, LogCard, checked, plain, read_json
 from cyclekit.errors import ConfigError, LogError
 from cyclekit.ingest.read.read_log import QUARANTINE
 from cyclekit.ingest.read.reuse import as_read, link_files, named_anew
@@ -64,21 +64,21 @@ class Shelf:
         shutil.rmtree(place, ignore_errors=True)
         return None
 
-    def take(self, place: Path, log: Log, staging: Path) -> dict[str, Any]:
-        """Link a recording into the dataset in the making; return its entry."""
-        entry = read_json(place / _ENTRY)
+    def take(self, place: Path, log: Log, staging: Path) -> LogCard:
+        """Link a recording into the dataset in the making; return its card."""
+        entry = checked(read_json(place / _ENTRY), LogCard)
         target = staging / "recordings" / log.id
         link_files(sorted(place.iterdir()), target)
         (target / _ENTRY).unlink()
         aside = target / f"{QUARANTINE}.parquet"
-        if aside.is_file() and entry["id"] != log.id:
+        if aside.is_file() and entry.id != log.id:
             aside.unlink()  # it is a link
             with TableWriter(aside, schema.QUARANTINE) as table:
                 for part in parts_of(place / aside.name):
                     table.write(named_anew(part, log))
         return as_read(entry, log)
 
-    def put(self, entry: dict[str, Any], log: Log, staging: Path) -> None:
+    def put(self, entry: LogCard, log: Log, staging: Path) -> None:
         """Keep a recording that is in the dataset in the making; where that fails nothing is lost but the shortcut."""
         if log.size < WORTH_BYTES:
             return
@@ -87,7 +87,7 @@ class Shelf:
         try:
             self._folder.mkdir(exist_ok=True)
             link_files(sorted((staging / "recordings" / log.id).iterdir()), making)
-            (making / _ENTRY).write_text(json.dumps(entry, ensure_ascii=False), encoding="utf-8")
+            (making / _ENTRY).write_text(json.dumps(plain(entry), ensure_ascii=False), encoding="utf-8")
             making.rename(place)
         except OSError:
             shutil.rmtree(making, ignore_errors=True)

@@ -103,12 +103,12 @@ def drift(model: TrainedModel, trained_on: Dataset, newer: Dataset) -> Drift:
         msg = f"the model predicts problem {model.problem!r}; drift is read from the scaling of the present instant"
         cure = f"Train one: {command_line('train', trained_on.place, '--problem', 'now', '--out', 'MODEL')}"
         raise ModelError(msg, cure=cure)
-    split = model.card.get("split") or {}
+    held_out = model.card.held_out
     names = set(trained_on.executions["execution"].to_list())
-    if not split.get("test") or not names.issuperset(split["test"]):
+    if not held_out or not names.issuperset(held_out):
         msg = f"{trained_on.path}: not the dataset that the model was trained on"
         raise ModelError(msg, cure="Give the dataset named in the model's card with --trained-on.")
-    return drift_between(model, trained_on, newer, split["test"], newer.executions["execution"].to_list())
+    return drift_between(model, trained_on, newer, held_out, newer.executions["execution"].to_list())
 
 
 @one_thread()

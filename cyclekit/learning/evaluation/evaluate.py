@@ -143,7 +143,7 @@ def evaluate(
     """
     tell = progress or (lambda fraction, text: None)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)
-    same = model.card.get("dataset_sha256") == fingerprint(dataset)
+    same = model.card.dataset_sha256 == fingerprint(dataset)
     executions = _held_out(model) if same else tuple(dataset.executions["execution"].to_list())
     every = len(executions)
     executions = some_executions(dataset, executions, memory_rows())
@@ -161,12 +161,12 @@ def evaluate(
     notes += said_of_height(dataset.samples(executions, columns=["human_x_m", "human_z_m"]))
     if same:
         tell(0.4, "reading what the rivals learn from")
-        learned = _rows(model, dataset, some_executions(dataset, model.card["split"]["train"], memory_rows()))
+        learned = _rows(model, dataset, some_executions(dataset, _learned_from(model), memory_rows()))
         tell(0.6, f"fitting the rivals to {len(learned)} samples")
         others = rivals(learned, rows, model.levels, boosting=boosting)
         table += [Row(other.name, float(other.squared.mean()), other.note) for other in others]
         squared = (model.predict(rows.model_inputs) - rows.scaling) ** 2
-        better = better_rival(model.card, squared, {other.name: other.squared for other in others}, rows.execution)
+        better = better_rival(model.card.spec, squared, {other.name: other.squared for other in others}, rows.execution)
     else:
         notes.append("not the dataset the model was trained on: all executions are judged, without rivals")
     tell(0.95, "naming levels")
@@ -208,17 +208,20 @@ def evaluate_at(
 
 
 def _held_out(model: TrainedModel) -> tuple[str, ...]:
-    split = model.card.get("split")
-    if not isinstance(split, dict) or not isinstance(split.get("test"), list) or not split.get("train"):
+    if not model.card.held_out or not _learned_from(model):
         msg = "the model's card does not say which executions were held out"
         raise ModelError(msg, cure="Train it again: cyclekit train DATASET --out MODEL")
-    return tuple(str(name) for name in split["test"])
+    return model.card.held_out
+
+
+def _learned_from(model: TrainedModel) -> tuple[str, ...]:
+    return model.card.split.train if model.card.split is not None else ()
 
 
 def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) -> Samples:
     frame, _ = without_slider(dataset, dataset.samples(executions))
     known, history = model.weights.known, model.history
-    learned_hz = float(model.card.get("rate_hz", dataset.rate_hz))
+    learned_hz = model.card.rate_hz or dataset.rate_hz
     if history != (1, 1) and learned_hz != dataset.rate_hz:
         msg = f"the model looks back at samples of {learned_hz:g} Hz, and {dataset.path} has {dataset.rate_hz:g} Hz"
         raise ModelError(msg, cure=f"Ingest the logs with --rate {learned_hz:g}, or train on this dataset.")

@@ -5,8 +5,8 @@ Samples of one execution are alike, so executions are what is counted: the error
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cyclekit.dataset.cards import SpecCard
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.learning.windows import Samples
 
@@ -56,20 +57,21 @@ class Better:
         )
 
 
-def _otherwise(card: Mapping[str, Any]) -> list[str]:
-    """Return the options of a training like that of the card but with the distance or, if it had that, another seed."""
-    spec = card.get("spec") or {}
-    usual = ModelSpec.of(str(spec.get("problem", "now")))
-    words = [] if usual.problem == "now" else ["--problem", usual.problem, "--horizon", f"{spec['horizon_s']:g}s"]
+def _otherwise(spec: SpecCard | None) -> list[str]:
+    """Return the options of a training like that one but with the distance or, if it had that, another seed."""
+    if spec is None:
+        return ["--features", "distance"]
+    usual = ModelSpec.of(spec.problem)
+    words = [] if usual.problem == "now" else ["--problem", usual.problem, "--horizon", f"{spec.horizon_s:g}s"]
     for name in ("network", "norm", "balance"):
-        chosen = str(spec.get(name, getattr(usual, name)))
+        chosen = getattr(spec, name)
         words += [] if chosen == getattr(usual, name) else [f"--{name}", chosen]
-    words += ["--noise", f"{spec['noise_m']:g}"] if spec.get("noise_m") else []
-    if spec.get("network") not in RECURRENT:
+    words += ["--noise", f"{spec.noise_m:g}"] if spec.noise_m else []
+    if spec.network not in RECURRENT:
         words += ["--features", "distance"]
-    if spec.get("network") in RECURRENT or spec.get("features") == "distance":
-        return [*words, "--seed", str(int(spec.get("seed", 0)) + 1)]
-    return [*words, "--seed", str(spec["seed"])] if spec.get("seed") else words
+    if spec.network in RECURRENT or spec.features == "distance":
+        return [*words, "--seed", str(spec.seed + 1)]
+    return [*words, "--seed", str(spec.seed)] if spec.seed else words
 
 
 def staircase_if_better(model: TrainedModel, spec: ModelSpec, learn: Samples, judge: Samples) -> Better | None:
@@ -86,11 +88,11 @@ def staircase_if_better(model: TrainedModel, spec: ModelSpec, learn: Samples, ju
     thresholds = fit_thresholds(distance_of(learn), learn.scaling, model.levels)
     squared = (staircase_at(thresholds, model.levels, judge) - judge.scaling) ** 2
     mine = (model.predict(judge.model_inputs) - judge.scaling) ** 2
-    return better_rival({"spec": asdict(spec)}, mine, {STAIRCASE: squared}, judge.execution)
+    return better_rival(spec.card(), mine, {STAIRCASE: squared}, judge.execution)
 
 
 def better_rival(
-    card: Mapping[str, Any],
+    spec: SpecCard | None,
     model: NDArray[np.float64],
     rivals: Mapping[str, NDArray[np.float64]],
     execution: NDArray[np.int64],
@@ -98,7 +100,7 @@ def better_rival(
     """Return the rival of least error among those that are better beyond chance; None where there is none.
 
     Args:
-        card: Of the model.
+        spec: Of the training of the model; None = not known.
         model: Its squared errors, shape (N,).
         rivals: Those of each rival at the same rows, by its name.
         execution: Which execution each row is of, shape (N,).
@@ -113,7 +115,7 @@ def better_rival(
         lead = np.bincount(which, model - squared) / rows
         sure = lead.mean() > stdtrit(count - 1, 1.0 - CHANCE) * lead.std(ddof=1) / count**0.5
         if sure and model.mean() > LEAST * squared.mean():
-            found.append(Better(name, float(squared.mean()), float(model.mean()), count, tuple(_otherwise(card))))
+            found.append(Better(name, float(squared.mean()), float(model.mean()), count, tuple(_otherwise(spec))))
     return min(found, key=lambda better: better.mse, default=None)
 
 

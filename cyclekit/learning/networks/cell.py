@@ -10,14 +10,19 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from cyclekit.dataset.cards import CellCard, plain
 from cyclekit.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from cyclekit.dataset.cards import FrameCard, TrainingCard
     from cyclekit.dataset.dataset import Dataset
+
+    _Spot = tuple[float, float, float, float, bool]
+    """x, y, z and radius of a place, m, and whether it was found in the logs."""
 
 PLACE_M = 0.05
 """A place has not moved where it is found again within this, and the radii of both."""
@@ -31,30 +36,26 @@ FRAME_M, FRAME_TURN = 0.05, 0.05
 
 def fingerprint(dataset: Dataset) -> str:
     """Return the SHA-256 of what the dataset says about itself: same fingerprint, same data."""
-    text = json.dumps(dataset.card, sort_keys=True, ensure_ascii=False)
+    text = json.dumps(plain(dataset.card), sort_keys=True, ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def cell_of(dataset: Dataset) -> dict[str, Any]:
-    """Return what is known of the cell of a dataset, as JSON values: name, places, levels, and logs with their frames.
-
-    `places` by name: x, y, z, radius in m, and whether it was found in the logs; `logs` by the checksum of each file:
-    where the origin of its frame stands in the base frame, x, y, z in m and the rotation by rows; None: unknown.
-    """
-    return {
-        "name": str(dataset.card.get("name") or dataset.path.name),
-        "places": {name: [*place.xyz_m, place.radius_m, place.inferred] for name, place in dataset.places.items()},
-        "levels": list(dataset.levels),
-        "logs": {
-            str(checksum): _frame(record.get("frame") or {})
+def cell_of(dataset: Dataset) -> CellCard:
+    """Return what is known of the cell of a dataset."""
+    return CellCard(
+        name=dataset.card.name or dataset.path.name,
+        places={name: (*place.xyz_m, place.radius_m, place.inferred) for name, place in dataset.places.items()},
+        levels=dataset.levels,
+        logs={
+            checksum: _frame(record.frame)
             for record in dataset.recordings
-            for source in record["sources"]
-            if (checksum := source.get("blake3") or source.get("sha256"))
+            for source in record.sources
+            if (checksum := source.checksum) is not None
         },
-    }
+    )
 
 
-def refuse_other_cell(card: Mapping[str, Any], dataset: Dataset, *, other_cell: bool = False) -> None:
+def refuse_other_cell(card: TrainingCard, dataset: Dataset, *, other_cell: bool = False) -> None:
     """Refuse a model, by its card, that was learned in another cell than that of the dataset, unless that is meant.
 
     A model whose card names no cell was written by hand (`load_model` reads no other), and is not judged.
@@ -65,31 +66,30 @@ def refuse_other_cell(card: Mapping[str, Any], dataset: Dataset, *, other_cell: 
     """
     dataset.require_positions()
     reason = None if other_cell else other_cell_of(card, dataset)
-    if reason is not None:
-        learned = card["cell"]["name"]
+    if reason is not None and card.cell is not None:
         raise ModelError(
-            f"{dataset.path}: not the cell {learned!r} that the model was learned in: {reason}",
+            f"{dataset.path}: not the cell {card.cell.name!r} that the model was learned in: {reason}",
             cure="Train a model of this cell: cyclekit train DATASET --out MODEL; or add --other-cell where another "
             "cell is meant (from Python other_cell=True).",
         )
 
 
-def other_cell_of(card: Mapping[str, Any], dataset: Dataset) -> str | None:
+def other_cell_of(card: TrainingCard, dataset: Dataset) -> str | None:
     """Return by what a dataset shows another cell than the model's; None where it is the same one."""
-    learned = card.get("cell")
-    if learned is None or card.get("dataset_sha256") == fingerprint(dataset):
+    learned = card.cell
+    if learned is None or card.dataset_sha256 == fingerprint(dataset):
         return None
     here = cell_of(dataset)
-    common = sorted(set(learned["logs"]) & set(here["logs"]))
+    common = sorted(set(learned.logs) & set(here.logs))
     for log in common:
-        if _moved(learned["logs"][log], here["logs"][log]):
+        if _moved(learned.logs[log], here.logs[log]):
             return "the same logs stand in another frame"
     if common:
         return None
-    return _other_places(learned["places"], here["places"]) or _other_levels(learned["levels"], here["levels"])
+    return _other_places(learned.places, here.places) or _other_levels(learned.levels, here.levels)
 
 
-def _other_places(learned: Mapping[str, Sequence[Any]], here: Mapping[str, Sequence[Any]]) -> str | None:
+def _other_places(learned: Mapping[str, _Spot], here: Mapping[str, _Spot]) -> str | None:
     """Return which places are not those of the training; the cell with fewer of them is looked for in the other."""
     if not learned or not here:
         return None
@@ -105,7 +105,7 @@ def _other_places(learned: Mapping[str, Sequence[Any]], here: Mapping[str, Seque
     return f"{len(lost)} of {len(here)} places are not where it was trained, such as {first} at ({shown}) m{was}"
 
 
-def _found(name: str, place: Sequence[Any], others: Mapping[str, Sequence[Any]]) -> bool:
+def _found(name: str, place: _Spot, others: Mapping[str, _Spot]) -> bool:
     """Tell whether a place is among others: under its name where people gave it, else wherever it stands."""
     there = others.get(name)
     named = there is not None and not there[4] and not place[4]
@@ -123,10 +123,10 @@ def _other_levels(learned: Sequence[float], here: Sequence[float]) -> str | None
     return f"the speed scaling has the levels {seen}, and had {told}"
 
 
-def _frame(frame: Mapping[str, Any]) -> list[float] | None:
-    if "xyz_m" not in frame or "rotation" not in frame:
+def _frame(frame: FrameCard) -> tuple[float, ...] | None:
+    if frame.xyz_m is None or frame.rotation is None:
         return None
-    return [round(float(value), 4) for row in (frame["xyz_m"], *frame["rotation"]) for value in row]
+    return tuple(round(value, 4) for row in (frame.xyz_m, *frame.rotation) for value in row)
 
 
 def _moved(before: Sequence[float] | None, after: Sequence[float] | None) -> bool:

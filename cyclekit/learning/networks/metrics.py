@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.learning.networks.calibration import reliability
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
+    from cyclekit.dataset.cards import MetricsCard
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.learning.windows import Samples
 
@@ -72,18 +73,18 @@ def measure(model: TrainedModel, samples: Samples) -> Metrics:
     )
 
 
-def large_error(metrics: Mapping[str, Any], levels: Sequence[float]) -> str:
+def large_error(metrics: Metrics | MetricsCard, levels: Sequence[float]) -> str:
     """Say why the error of a model is large, in a sentence; empty where it is not.
 
     Args:
-        metrics: `mae`, `mse_mean` and, where it was measured, `mse_constant`.
+        metrics: Its errors.
         levels: Of the model, ascending; fewer than two where it has none.
     """
-    mae, constant = float(metrics["mae"]), metrics.get("mse_constant")
+    mae, constant = metrics.mae, metrics.mse_constant
     half = (levels[-1] - levels[0]) / (len(levels) - 1) / 2 if len(levels) > 1 else float("inf")
     if mae > half:
         return f"mean absolute error {mae:.3f}, more than half a step between its levels ({half:.3f})"
-    left = float(metrics["mse_mean"]) / constant if constant else 0.0
+    left = metrics.mse_mean / constant if constant else 0.0
     if left > MUCH_UNEXPLAINED:
         return f"{left:.0%} of the variance of the speed scaling unexplained (always predicting the mean: 100%)"
     return ""

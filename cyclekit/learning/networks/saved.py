@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit import schema
-from cyclekit.dataset.cards import BadCard, ModelCard, checked, read_json
+from cyclekit.dataset.cards import BadCard, TrainingCard, model_card, plain, read_json
 from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.learning.networks.layout import Layout, NotAModel
@@ -62,7 +62,7 @@ class TrainedModel:
     horizon_s: float
     levels: tuple[float, ...]
     weights: Weights
-    card: dict[str, Any] = field(default_factory=dict)
+    card: TrainingCard = field(default_factory=TrainingCard)
     history: tuple[int, int] = (1, 1)
 
     @property
@@ -79,7 +79,7 @@ class TrainedModel:
         Args:
             X: Inputs, metres, base frame; columns as in `inputs`. Shape (N, F), of a recurrent network (N, K, F), the
                 oldest sample first. All must be known, but for the groups in `weights.known`: where nobody is there
-                and the logs never showed that, `card["scaling_without_operator"]` is None as well. A height of the
+                and the logs never showed that, `card.scaling_without_operator` is None as well. A height of the
                 operator alone may be unknown: then that of the TCP stands for it.
 
         Returns:
@@ -191,7 +191,7 @@ def _save(path: Path, model: TrainedModel) -> None:
         "history": list(model.history),
         **sizes_of(model.weights),
         "weights_sha256": hashlib.sha256(weights).hexdigest(),
-        "card": model.card,
+        "card": plain(model.card, nulls=True),
     }
     text = json.dumps(about, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
     with staged(path) as folder:
@@ -221,7 +221,7 @@ def load_model(place: Path | str) -> TrainedModel:
     try:
         about = read_json(file, most_bytes=_MAX_CARD_BYTES)
         _check_versions(about)
-        card = checked(about, ModelCard)
+        card = model_card(all_in_one_line(about))
         layout = Layout.of(card)
         file = path / WEIGHTS
         weights = parse_weights(file, layout, card.weights_sha256)
@@ -235,7 +235,7 @@ def load_model(place: Path | str) -> TrainedModel:
         msg = f"{file}: cannot be read ({cause.strerror or cause})"
         raise ModelError(msg, cure="Check the path and its permissions.") from cause
     made = (layout.problem, layout.network, layout.horizon_s, layout.levels)
-    return TrainedModel(*made, weights, all_in_one_line(dict(about["card"])), layout.history)
+    return TrainedModel(*made, weights, card.card, layout.history)
 
 
 def _no_model(path: Path) -> ModelError:

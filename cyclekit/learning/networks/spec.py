@@ -10,9 +10,10 @@ What differs from the paper is an option with its own name, and its default says
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Literal, get_args
 
+from cyclekit.dataset.cards import SpecCard
 from cyclekit.dataset.time_grid import samples_in
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.learning.windows import PROBLEMS
@@ -186,6 +187,11 @@ class ModelSpec:
         horizon_s = HORIZON_S[problem] if horizon_s is None else horizon_s
         fields = {"hidden": hidden or HIDDEN[network], "norm": norm, **settings}
         return cls(problem=problem, network=network, horizon_s=horizon_s, **fields)  # type: ignore[arg-type]
+
+    def card(self) -> SpecCard:
+        """Return what a model's card says of it."""
+        told = {name: value for name, value in asdict(self).items() if value is not None}
+        return SpecCard(**told)
 
     def at_rate(self, rate_hz: float) -> ModelSpec:
         """Return this with the history that a recurrent network sees of samples of that rate, where none was given."""

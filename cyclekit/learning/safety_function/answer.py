@@ -120,7 +120,7 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
     is_distance = fits[nearest] >= max(parts["network"], parts["place on the floor"]) - BY_DISTANCE
     rule = nearest if is_distance or fits[nearest] >= parts["place on the floor"] else "place on the floor"
     network = by_distance(Rows(rows.robot_m, rows.human_m, predicted, rows.execution, rows.t_s), levels, nearest)[0]
-    said = (dataset.card.get("dynamics") or {}).get("hysteresis_m")
+    said = dataset.card.dynamics.hysteresis_m
     corner, scaling = _floor(rows)
     share = np.bincount(np.abs(rows.scaling[:, None] - np.array(levels)).argmin(axis=1), minlength=len(levels))
     return Zones(

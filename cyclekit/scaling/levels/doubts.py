@@ -1,12 +1,16 @@
-"""Reasons to believe that a speed scaling is no staircase, in words."""
+"""Reasons to believe that a speed scaling is no staircase."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from cyclekit.dataset.cards import note
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+    from cyclekit.dataset.cards import Note
 
     Vector = NDArray[np.float64]
 
@@ -17,12 +21,11 @@ _WIDE = 6.0
 _MUCH_UNKNOWN = 0.2
 _LITTLE_HELD = 0.5
 _MUCH_NOISE = 0.15
-REGRESSION = "learn it by regression: --network regressor"
 
 
 def doubts(
     levels: Vector, share: Vector, spread: Vector, *, known: int, held: float, noise: float
-) -> tuple[list[str], bool]:
+) -> tuple[list[Note], bool]:
     """Say what speaks against a staircase.
 
     Args:
@@ -34,26 +37,25 @@ def doubts(
         noise: Standard deviation of one sample.
 
     Returns:
-        One sentence each, and whether it is a staircase nevertheless.
+        The reasons, and whether it is a staircase nevertheless.
     """
     if known == 0:
-        return ["the scaling is unknown everywhere"], False
+        return [note("scaling-nowhere")], False
     if levels.size == 0 or noise > _MUCH_NOISE:
-        none = "no value of the scaling is held long enough to be a level"
-        return [f"{none}: a continuous function, or none at all; {REGRESSION}"], False
+        return [note("levels-none")], False
     said, stairs = [], True
     if levels.size == 1:
-        said.append(f"only one level, {levels[0]:.2f}: the logs show no slow-down, or no full speed")
+        said.append(note("levels-one", level=float(levels[0])))
     if levels.size > _MANY_LEVELS:
-        said.append(f"{levels.size} levels are too many for a staircase: a continuous function; {REGRESSION}")
+        said.append(note("levels-many", levels=int(levels.size)))
         stairs = False
     wide = [f"{value:.2f}" for value, width in zip(levels, spread, strict=True) if width > _WIDE]
     if wide:
-        said.append(f"values around {', '.join(wide)} form no sharp level: a continuous function; {REGRESSION}")
+        said.append(note("levels-wide", values=", ".join(wide)))
         stairs = False
     if (unknown := 1 - float(share.sum())) > _MUCH_UNKNOWN:
-        said.append(f"{unknown:.0%} of the known samples are on no level: ramps, or no staircase at all")
+        said.append(note("levels-left", unknown=unknown))
     if held < _LITTLE_HELD and stairs:
-        said.append(f"only {held:.0%} of the known samples are held: rather a continuous function; {REGRESSION}")
+        said.append(note("levels-not-held", held=held))
         stairs = False
     return said, stairs

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.dataset.cards import note
 from cyclekit.dataset.time_grid import USUAL_HZ, samples_in
 from cyclekit.errors import ShapeError, UnknownName
 from cyclekit.parallel.one_thread import one_thread
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from cyclekit.dataset.cards import Note
+
 LEAST_HELD_S = 1.0
 """A level is held for at least so long, all plateaus together; short, so that a rare level survives."""
 METHODS = ("plateau", "dbscan", "kmeans-silhouette", "kmeans-elbow", "hdbscan", "gmm-bic")
@@ -49,7 +52,7 @@ class Staircase:
         levels: Level values, shape (P,), ascending, fractions of full speed.
         label: Index into `levels` of every sample, shape (T,), int32; -1 = unknown or in transition between levels.
         share: Part of the known samples that is on each level, shape (P,).
-        warnings: Why this may be no staircase, one sentence each; empty when all is well.
+        warnings: Why this may be no staircase; empty when all is well.
         means: Mean of the samples behind each level, shape (P,): `levels` before they were rounded.
         slider: The operator's slider of every sample, shape (T,), where the values are levels times a slider that
             differs between runs; None where there is none.
@@ -60,7 +63,7 @@ class Staircase:
     levels: NDArray[np.float64]
     label: NDArray[np.int32]
     share: NDArray[np.float64]
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Note, ...] = ()
     means: NDArray[np.float64] | None = None
     slider: NDArray[np.float64] | None = None
     noise: float = 0.0
@@ -128,7 +131,7 @@ def find_staircase(
 
 
 @one_thread()
-def second_opinion(scaling: ArrayLike, staircase: Staircase) -> str | None:
+def second_opinion(scaling: ArrayLike, staircase: Staircase) -> Note | None:
     """Return a warning where K-means with silhouette finds another number of levels in the samples on plateaus.
 
     Args:
@@ -144,10 +147,7 @@ def second_opinion(scaling: ArrayLike, staircase: Staircase) -> str | None:
     other = int(by_silhouette(condense(held)).max()) + 1
     if other == staircase.levels.size:
         return None
-    return (
-        f"{staircase.levels.size} levels by plateaus in time, {other} by K-means with silhouette: look at the levels, "
-        "and fix them in cell.toml where you know them"
-    )
+    return note("levels-disputed", levels=int(staircase.levels.size), other=other)
 
 
 def _finish(
@@ -167,5 +167,5 @@ def _finish(
     said, stairs = doubts(levels, share, found.spread, known=known, held=held, noise=plateaus.noise)
     if slider is not None:
         each = ", ".join(f"{value:.2f}" for value in np.unique(np.round(slider[np.isfinite(slider)], 2))[:8])
-        said.append(f"the values are levels times an operator slider ({each}); the levels are given without it")
+        said.append(note("levels-with-slider", sliders=each))
     return Staircase(levels, labels, share, tuple(said), found.value, slider, plateaus.noise, stairs)

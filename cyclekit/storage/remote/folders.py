@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cyclekit.errors import OutsideFolder, StorageError
+from cyclekit.errors import NothingPublished, OutsideFolder, StorageError
 from cyclekit.storage.atomic import locked
 from cyclekit.storage.atomic import write_text as write_file
 from cyclekit.storage.inside import inside
@@ -60,7 +60,7 @@ def local(place: Path | str) -> Path:
     if (path := of_file_url(url)) is not None:
         return path
     if (folder := fetched(url)) is None:
-        raise StorageError(url, "nothing is published there", cure="Check the address; `--out` of a command publishes.")
+        raise NothingPublished(url)
     return folder
 
 

@@ -1,0 +1,206 @@
+"""What a person must know before trusting something: a code with values, and the one table of sentences.
+
+Whoever finds something out makes a `Note`; the sentence is made where it is shown. So no sentence is ever searched for
+words, and it can be put better without changing what cyclekit does.
+"""
+
+from __future__ import annotations
+
+import string
+from typing import TYPE_CHECKING
+
+from msgspec import field
+
+from cyclekit.dataset.cards.quantities import Card
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+Value = str | int | float
+"""What a note may hold."""
+
+TEXT = "text"
+"""Code of a sentence in a dataset or model of an earlier version, which kept sentences alone."""
+READ = "read"
+"""Code of a sentence that an adapter, or the check of what it read, said about its log."""
+
+
+class Note(Card, frozen=True, kw_only=False):
+    """Something that a person must know.
+
+    Attributes:
+        code: What it is, one of `SENTENCES`.
+        values: What the sentence needs, by name.
+    """
+
+    code: str
+    values: dict[str, Value] = field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """The sentence."""
+        if (sentence := SENTENCES.get(self.code)) is not None:
+            try:
+                return sentence(self.values) if callable(sentence) else _FORMAT.vformat(sentence, (), self.values)
+            except (KeyError, ValueError, TypeError):
+                pass  # values of another version: shown as they are
+        return f"{self.code} ({', '.join(f'{name} {value}' for name, value in self.values.items())})"
+
+
+def note(code: str, **values: Value) -> Note:
+    """Return a note."""
+    return Note(code, values)
+
+
+def texts(notes: Iterable[Note]) -> list[str]:
+    """Return the sentence of each note."""
+    return [one.text for one in notes]
+
+
+def changed(one: Note, said: Callable[[str], str], number: Callable[[float], Value]) -> Note:
+    """Return a note with other texts, and other numbers, in place of its own."""
+    values = {name: said(value) if isinstance(value, str) else number(value) for name, value in one.values.items()}
+    return Note(one.code, values)
+
+
+def from_sentences(values: object) -> object:
+    """Return a list of notes as JSON has them, with those that an earlier version wrote as mere sentences."""
+    if not isinstance(values, list):
+        return values
+    return [{"code": TEXT, "values": {"text": one}} if isinstance(one, str) else one for one in values]
+
+
+class _Format(string.Formatter):
+    """Formats values; a text stays as it is where a number was expected: it was taken out of the note."""
+
+    def format_field(self, value: object, format_spec: str) -> str:
+        return str(value) if isinstance(value, str) else str(format(value, format_spec))
+
+
+_FORMAT = _Format()
+
+
+def _scaling(values: Mapping[str, Value]) -> str:
+    silent, runs = values["silent"], values["runs"]
+    said = "no log holds a" if silent == runs else f"{silent} of {runs} runs hold no"
+    return f"{said} valid speed scaling"
+
+
+def _scaling_inferred(values: Mapping[str, Value]) -> str:
+    count, alone = int(values["references"]), int(values["alone"])
+    how = f"runs without the operator ({count} motions)"
+    if alone == 0:
+        how = f"the fastest repetitions ({count} motions)"
+    elif alone < count:
+        how = f"runs without the operator ({alone} motions) and the fastest repetitions ({count - alone} motions)"
+    slowed = values["never_at_full_speed"]
+    seen = f"; never seen at full speed, so unknown: {slowed}" if slowed else ""
+    return f"{_scaling(values)}: inferred from velocity ratios against {how}{seen}"
+
+
+def _events(values: Mapping[str, Value]) -> str:
+    many = "one event" if values["events"] == 1 else f"{values['events']} events"
+    return f"its clock rests on {many}, which leaves nothing to check it by: record three or more"
+
+
+_REGRESSION = "learn it by regression: --network regressor"
+
+SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
+    TEXT: "{text}",
+    READ: "{text}",
+    "log-changed": "the log changed while it was read: is it still being written? ingest again when it is complete",
+    # clocks
+    "clock-assumed": (
+        "nothing says how its clock relates to the robot's: both are taken to start together; "
+        "give clock_offset_s, sync or sees in cell.toml"
+    ),
+    "clock-restarted": (
+        "a device's clock was restarted while recording, so its stamps place no clock: split the log there"
+    ),
+    "clock-stamps-apart": (
+        "a device's and its host's stamps move apart by more than clocks do, and no line follows them"
+    ),
+    "clock-stamps-late": (
+        "its stamps typically lie {late_s:.2g} s above the line that places its clock: delays, or a poor fit"
+    ),
+    "clock-of-host-differs": (
+        "its clock runs at {rate:.4f} times the speed of its host's, which no real clock does: if its time is "
+        "simulated, durations are simulated ones"
+    ),
+    "clock-not-coarse": (
+        "not aligned on the operator being near while the robot slows: no offset within {reach_s:.0f} s shows that, "
+        "and larger ones are not looked for"
+    ),
+    "clock-coarse": (
+        "its clock was aligned by the operator being near while the robot slows: the reaction delay of the safety "
+        "function is hidden in it, so no delay in this dataset means anything"
+    ),
+    "clock-coarse-ambiguous": "{away_s:+.1f} s from there it fits almost as well",
+    "clock-by-start": (
+        "placed by the time of day at which it began: good to a second or so, so no delay can be read from it"
+    ),
+    "clock-motion-ambiguous": (
+        "its motion fits the robot's almost as well {away_s:+.2f} s away ({height:.0%} of the correlation): "
+        "a robot that repeats itself cannot tell one cycle from the next; let it do something once, or give sync"
+    ),
+    "clock-motion-rough": "its motion fits the robot's only roughly (correlation {correlation:.2f})",
+    "clock-events-few": _events,
+    "clock-events-disagree": "the events that place its clock disagree by {residual_s:.2g} s: check the pairs",
+    "clock-events-alone": "of {events} events only {used} place its clock: the others have no partner",
+    "clock-events-ambiguous": (
+        "its events fit the robot's almost as well {away_s:+.2f} s away ({pairs:.0%} as many pairs): "
+        "the clock may be off by that; record events at uneven intervals, or give sync_events"
+    ),
+    "clock-events-unmatched": "only {used} of {events} events place its clock: the others have no partner",
+    # operator
+    "tracks-linked": (
+        "{ids} track ids in {frames} frames last for no longer than a frame or two: linked by motion into {tracks} "
+        "tracks"
+    ),
+    "positions-too-fast": "{count} positions are not believed, since nobody moves at over 20 m/s: unknown there",
+    "height-changes": (
+        "the height of a person changes by {height_m:.1f} m: check which axis points up, and frame in cell.toml"
+    ),
+    "heights-unknown": "heights are unknown: distances are those in the plane",
+    # task lists
+    "listed-of-robot": "{tasks} tasks of the robot are not used: its log tells its tasks",
+    "listed-outside": "{outside} of {tasks} tasks of the operator lie outside of every execution",
+    # the dataset
+    "made-anew": "the dataset that was there was damaged, or of another version, and was made anew",
+    "repaired": "made anew, since the dataset was not as it was written: {files}",
+    "source-without-log": "the cell file speaks of {path!r}, and no log is meant by it",
+    "no-positions": ("no positions: nothing tells where robot and people were, so no motion or safety can be learned"),
+    "logs-unpaired": (
+        "{robots} robot logs ({robot}, …) are without people, {others} logs ({other}, …) without a "
+        "robot: unclear which belong together. Put each session into a folder of its own, or give its logs the "
+        "same name in their folders (robot/a.csv, tracker/a.csv)"
+    ),
+    # the speed scaling
+    "scaling-unknown": lambda values: f"{_scaling(values)}, and no motion repeats, so it could not be inferred either",
+    "scaling-inferred": _scaling_inferred,
+    "scaling-nowhere": "the scaling is unknown everywhere",
+    "levels-none": (
+        "no value of the scaling is held long enough to be a level: a continuous function, or none at all; "
+        f"{_REGRESSION}"
+    ),
+    "levels-one": "only one level, {level:.2f}: the logs show no slow-down, or no full speed",
+    "levels-many": f"{{levels}} levels are too many for a staircase: a continuous function; {_REGRESSION}",
+    "levels-wide": f"values around {{values}} form no sharp level: a continuous function; {_REGRESSION}",
+    "levels-left": "{unknown:.0%} of the known samples are on no level: ramps, or no staircase at all",
+    "levels-not-held": (
+        f"only {{held:.0%}} of the known samples are held: rather a continuous function; {_REGRESSION}"
+    ),
+    "levels-with-slider": (
+        "the values are levels times an operator slider ({sliders}); the levels are given without it"
+    ),
+    "learned-in-files": (
+        "more samples than memory takes: levels were found in {executions} executions, rows learned from in files"
+    ),
+    "model-data": "{text}",
+    "model-beaten": "{text}",
+    "levels-disputed": (
+        "{levels} levels by plateaus in time, {other} by K-means with silhouette: look at the levels, "
+        "and fix them in cell.toml where you know them"
+    ),
+}
+"""The sentence of each code; a function where it is made of parts."""

@@ -15,6 +15,7 @@ from cyclekit.errors import DatasetError
 from cyclekit.footers import check_rows, sample_files
 from cyclekit.inside import inside
 from cyclekit.memory import free_bytes
+from cyclekit.shared_index import INDEX, RECORDING, shared_rows
 from cyclekit.text_columns import in_one_line
 
 if TYPE_CHECKING:
@@ -166,6 +167,25 @@ class DatasetFiles:
         with reading(file, self._path):
             within = spans(file, "t_s", first_s, last_s)
         return pl.scan_parquet(self._checked(name, within), glob=False).filter(near)
+
+    def shared(self, recording: str, table: str, count: int) -> pl.LazyFrame | None:
+        """Return a native-rate table that lies in a file which recordings share, unread; None where it does not.
+
+        Args:
+            recording: Its id.
+            table: Name of the table.
+            count: How many rows the card says that there are.
+
+        Raises:
+            DatasetError: The file or the index is missing or damaged, or other rows are meant than the card speaks of.
+        """
+        if not self.has(INDEX) or not self.whole(INDEX) or (rows := shared_rows(self._path, recording, table)) is None:
+            return None
+        file = self.whole(rows.file)
+        if rows.count != count:
+            raise unreadable(file, self._path, f"{rows.count:,} rows are said to be of {recording}, and {count:,} are")
+        with reading(file, self._path):
+            return pl.scan_parquet(file, glob=False).slice(rows.first, rows.count).drop(RECORDING)
 
     def collected(self, rows: pl.LazyFrame, name: str) -> pl.DataFrame:
         """Read what was scanned; every text in it is one line, whoever wrote the table.

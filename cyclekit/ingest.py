@@ -35,6 +35,8 @@ from cyclekit.one_thread import one_thread
 from cyclekit.plain_json import finite
 from cyclekit.privacy import Names, numbered_logs, take_out
 from cyclekit.session import WITHOUT_PLACES, group_sessions, unpaired
+from cyclekit.shared_index import shared_rows
+from cyclekit.shared_tables import SharedTable, shared_frame
 from cyclekit.storage import is_url, mirrored, published
 from cyclekit.storage.cache import cached, of_file_url
 from cyclekit.tables import StoredTable
@@ -267,12 +269,16 @@ def _old(out: Path) -> Dataset | None:
 
 def _native(staging: Path, recording: str, table: str) -> pl.DataFrame | None:
     check_shared(staging)
+    if (rows := shared_rows(staging, recording, table)) is not None:
+        return shared_frame(staging, rows)
     file = staging / "recordings" / recording / f"{table}.parquet"
     return pl.read_parquet(file, glob=False) if file.is_file() else None
 
 
 def _stored(staging: Path, recording: str, columns: Sequence[str]) -> StoredTable:
     check_shared(staging)
+    if (rows := shared_rows(staging, recording, "robot")) is not None:
+        return SharedTable(staging, rows, columns)
     return StoredTable(staging / "recordings" / recording / "robot.parquet", columns)
 
 

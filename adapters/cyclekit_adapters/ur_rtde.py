@@ -205,6 +205,8 @@ def _series(name: str, values: Vector) -> pl.Series:
 
 def _states(code: Vector) -> pl.Series:
     """Return the states of the program by their codes (N,), NaN = unknown."""
+    if len(code) and 0 <= code[0] < len(_STATES) and (code == code[0]).all():
+        return pl.Series("state", [_STATES[int(code[0])]]).new_from_index(0, len(code))
     known = (code >= 0) & (code < len(_STATES))
     index = pl.Series(np.where(known, code, np.nan), nan_to_null=True).cast(pl.UInt32)
     return pl.Series("state", list(_STATES.values())).gather(index)

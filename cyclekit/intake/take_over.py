@@ -15,6 +15,7 @@ from cyclekit.errors import OutsideFolder
 from cyclekit.inside import inside
 from cyclekit.intake.keep import QUARANTINE
 from cyclekit.session import LISTED
+from cyclekit.shared_index import INDEX, shared_rows
 from cyclekit.tables import TableWriter, parts_of
 
 if TYPE_CHECKING:
@@ -34,7 +35,8 @@ def is_whole(entry: dict[str, Any], old: Path, damaged: Container[str] = ()) -> 
         old: The dataset.
         damaged: Its files that are not what they were.
     """
-    names = [f"recordings/{entry['id']}/{name}.parquet" for name in entry["tables"]]
+    shared = [rows.file for name in entry["tables"] if (rows := shared_rows(old, entry["id"], name)) is not None]
+    names = [INDEX, *shared] if shared else [f"recordings/{entry['id']}/{name}.parquet" for name in entry["tables"]]
     names += [_ALL] if entry["rows_set_aside"] else []
     try:
         return all(inside(old, *name.split("/")).is_file() and name not in damaged for name in names)
@@ -47,9 +49,13 @@ def _tables(entry: dict[str, Any], old: Path) -> list[Path]:
 
 
 def take_over(entry: dict[str, Any], log: Log, old: Path, staging: Path) -> dict[str, Any]:
-    """Link the tables of a recording of the dataset `old` into `staging`; return its entry as it was after reading."""
+    """Link the tables of a recording of the dataset `old` into `staging`; return its entry as it was after reading.
+
+    What lies in a file that it shares stays where it is (`together`).
+    """
     target = staging / "recordings" / log.id
-    link_files(_tables(entry, old), target)
+    if not any(shared_rows(old, entry["id"], name) for name in entry["tables"]):
+        link_files(_tables(entry, old), target)
     if entry["rows_set_aside"]:
         with TableWriter(target / _ALL, schema.QUARANTINE) as table:
             for part in parts_of(old / _ALL):

@@ -225,13 +225,20 @@ def conform(frame: pl.DataFrame | pl.LazyFrame, table: Mapping[str, Column]) -> 
     wanted = {name: column.dtype for name, column in table.items()} | dict.fromkeys(joints, F64)
     if list(have.items()) == list(wanted.items()):
         return frame
-    nothing = {name: pl.Series(name, [None], dtype=dtype) for name, dtype in wanted.items() if name not in have}
-    return pl.DataFrame(
-        [
-            nothing[name].new_from_index(0, frame.height) if name in nothing else frame.get_column(name).cast(dtype)
-            for name, dtype in wanted.items()
-        ]
-    )
+    return pl.DataFrame([_conformed(frame, name, dtype) for name, dtype in wanted.items()])
+
+
+def _conformed(frame: pl.DataFrame, name: str, dtype: pl.DataType) -> pl.Series:
+    if name not in frame.columns:
+        return _nothing(name, dtype).new_from_index(0, frame.height)
+    column = frame.get_column(name)
+    return column if column.dtype == dtype else column.cast(dtype)
+
+
+@lru_cache(maxsize=256)
+def _nothing(name: str, dtype: pl.DataType) -> pl.Series:
+    """Return a column of one null."""
+    return pl.Series(name, [None], dtype=dtype)
 
 
 def joint_order(name: str) -> tuple[bool, int]:

@@ -225,14 +225,14 @@ def conform(frame: pl.DataFrame | pl.LazyFrame, table: Mapping[str, Column]) -> 
     wanted = {name: column.dtype for name, column in table.items()} | dict.fromkeys(joints, F64)
     if list(have.items()) == list(wanted.items()):
         return frame
-    return pl.DataFrame([_conformed(frame, name, dtype) for name, dtype in wanted.items()])
-
-
-def _conformed(frame: pl.DataFrame, name: str, dtype: pl.DataType) -> pl.Series:
-    if name not in frame.columns:
-        return _nothing(name, dtype).new_from_index(0, frame.height)
-    column = frame.get_column(name)
-    return column if column.dtype == dtype else column.cast(dtype)
+    return pl.DataFrame(
+        [
+            frame.get_column(name).cast(dtype)
+            if name in have
+            else _nothing(name, dtype).new_from_index(0, frame.height)
+            for name, dtype in wanted.items()
+        ]
+    )
 
 
 @lru_cache(maxsize=256)

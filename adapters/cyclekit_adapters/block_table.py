@@ -180,7 +180,10 @@ def _plain(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
 
     The same as `_parsed`, which is asked where this returns None. There are logs of few rows by the ten thousand.
     """
-    if len(block) > _PLAIN_BYTES or wanted.texts or layout.decimal_comma or not _is_of_numbers(block, layout):
+    if len(block) > _PLAIN_BYTES or wanted.texts or layout.decimal_comma:
+        return None
+    block = block.replace(b"\r\n", b"\n")
+    if not _is_of_numbers(block, layout):
         return None
     last = layout.names[-1]  # as text, as there, so that it is the same number
     types: dict[str, pl.DataType] = {
@@ -190,10 +193,11 @@ def _plain(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
         table = _scanned(block, layout, types, quoted=False).collect(engine="in-memory", optimizations=_AS_IT_IS)
         columns = [table.get_column(name) for name in wanted.numbers]
         columns = [one.cast(pl.Float64, strict=True) if one.name == last else one for one in columns]
+        frame = pl.DataFrame(columns)
     except pl.exceptions.PolarsError:
         return None
     sure = table.height == block.count(b"\n") and math.isfinite(sum(float(one.sum()) for one in columns))
-    return Table(pl.DataFrame(columns), table.height, 0) if sure else None
+    return Table(frame, table.height, 0) if sure else None
 
 
 def _is_of_numbers(block: bytes, layout: Layout) -> bool:

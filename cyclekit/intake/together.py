@@ -77,7 +77,7 @@ class Together:
             OSError: It cannot be written.
         """
         if self._index:
-            (self._staging / INDEX).write_bytes(msgspec.json.encode(self._index) + b"\n")
+            (self._staging / INDEX).write_bytes(msgspec.json.encode(self._index, order="deterministic") + b"\n")
 
     def _write_out(self, batch: int, waiting: Mapping[str, Tables]) -> None:
         alike: dict[tuple[str, tuple[str, ...]], dict[str, pl.DataFrame]] = {}

@@ -1,8 +1,8 @@
 """Checksums of files: which file of a folder is not what was written, told by BLAKE3.
 
-A file is hashed in pieces of `PIECE_BYTES`, so that who reads a part of a large one checks that part. What was hashed
-once is not hashed again while the file has its size and time, under whatever name; only a file that has just been
-written is, since a change might not show in its time.
+A file is hashed in pieces of `PIECE_BYTES`, so that who reads a part of a large one (a column of a table) checks that
+part. What was hashed once is not hashed again while the file has its size and time, under whatever name; only a file
+that has just been written is, since a change might not show in its time.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import os
 import re
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
@@ -22,12 +22,17 @@ from cyclekit.errors import DatasetError
 if TYPE_CHECKING:
     import threading
     from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from io import FileIO
     from pathlib import Path
 
-PIECE_BYTES = 16 << 20
+PIECE_BYTES = 1 << 18
+"""Smaller pieces would be hashed more slowly, and make the card long."""
+EARLIER_PIECE_BYTES = 16 << 20
+"""Of files listed without `piece_bytes`."""
 _STEP = 1 << 20
 _YOUNG_NS = 2_000_000_000
-_AT_ONCE = 4
+_AT_ONCE, _TAKEN = 4, 64
+"""Threads, and pieces that one of them takes at a time."""
 _SEAL = ',\n "card_blake3": "{}"\n}}\n'
 _ENDS_AS_SEALED = re.compile(r',\n "[^"\n]*": "[0-9a-f]{64}"\n}\n\Z')
 
@@ -45,7 +50,8 @@ def digest_of(file: Path, given_up: threading.Event | None = None) -> str:
     Raises:
         OSError: It cannot be read.
     """
-    return _hashed(file, 0, None, given_up)
+    with file.open("rb", buffering=0) as handle:
+        return _digest_from(handle, None, memoryview(bytearray(_STEP)), given_up)
 
 
 def listed(folder: Path) -> dict[str, dict[str, Any]]:
@@ -56,26 +62,23 @@ def listed(folder: Path) -> dict[str, dict[str, Any]]:
     """
     files = {file.relative_to(folder).as_posix(): file for file in sorted(folder.rglob("*")) if file.is_file()}
     sizes = {name: file.stat().st_size for name, file in files.items()}
-    todo = [(name, number) for name, size in sizes.items() for number in range(_count(size))]
-    found: dict[str, dict[str, Any]] = {name: {"size": size, "blake3": []} for name, size in sizes.items()}
-    for (name, _), digest in zip(todo, _digests([(files[name], n) for name, n in todo]), strict=True):
-        found[name]["blake3"].append(digest)
+    wanted = [(files[name], PIECE_BYTES, range(_count(size, PIECE_BYTES))) for name, size in sizes.items()]
+    found: dict[str, dict[str, Any]] = {}
+    for (name, size), digests in zip(sizes.items(), _digests(wanted), strict=True):
+        pieces = {} if len(digests) == 1 else {"piece_bytes": PIECE_BYTES}
+        found[name] = {"size": size, **pieces, "blake3": digests}
     return found
 
 
 def changes(folder: Path, files: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """Return what is not as it was listed: by name, what is wrong with it."""
-    wrong: dict[str, str] = {}
-    todo: list[tuple[str, int]] = []
-    for name, entry in files.items():
-        if (problem := _wrong_size(folder / name, entry)) is not None:
-            wrong[name] = problem
-        else:
-            todo += [(name, number) for number in range(len(entry["blake3"]))]
-    for (name, number), digest in zip(todo, _digests([(folder / name, n) for name, n in todo]), strict=True):
-        if digest != files[name]["blake3"][number]:
-            wrong.setdefault(name, "damaged")
-    return wrong
+    wrong = {name: problem for name, entry in files.items() if (problem := _wrong_size(folder / name, entry))}
+    same = {name: entry for name, entry in files.items() if name not in wrong}
+    wanted = [(folder / name, _piece_bytes(entry), range(len(entry["blake3"]))) for name, entry in same.items()]
+    for (name, entry), digests in zip(same.items(), _digests(wanted), strict=True):
+        if digests != list(entry["blake3"]):
+            wrong[name] = "damaged"
+    return {name: wrong[name] for name in files if name in wrong}
 
 
 def change(file: Path, entry: Mapping[str, Any], spans: Iterable[tuple[int, int]] | None = None) -> str | None:
@@ -88,11 +91,12 @@ def change(file: Path, entry: Mapping[str, Any], spans: Iterable[tuple[int, int]
     """
     if (problem := _wrong_size(file, entry)) is not None:
         return problem
+    piece = _piece_bytes(entry)
     numbers: Sequence[int] = range(len(entry["blake3"]))
     if spans is not None:
-        numbers = sorted({n for a, b in spans for n in range(a // PIECE_BYTES, _count(b))} & set(numbers))
-    same = all(d == entry["blake3"][n] for n, d in zip(numbers, _digests([(file, n) for n in numbers]), strict=True))
-    return None if same else "damaged"
+        numbers = sorted({n for a, b in spans for n in range(a // piece, _count(b, piece))} & set(numbers))
+    [digests] = _digests([(file, piece, numbers)])
+    return None if digests == [entry["blake3"][number] for number in numbers] else "damaged"
 
 
 def sealed(text: str) -> str:
@@ -140,38 +144,64 @@ def _wrong_size(file: Path, entry: Mapping[str, Any]) -> str | None:
     return None if size == entry["size"] else f"damaged: {size} bytes of {entry['size']}"
 
 
-def _count(size: int) -> int:
-    return max(1, -(-size // PIECE_BYTES))
+def _piece_bytes(entry: Mapping[str, Any]) -> int:
+    return int(entry.get("piece_bytes", EARLIER_PIECE_BYTES))
 
 
-def _digests(pieces: Sequence[tuple[Path, int]]) -> list[str]:
-    """Return the digests of pieces; "" for one that cannot be read."""
-    if len(pieces) < 2:
-        return [_digest(*piece) for piece in pieces]
-    with ThreadPoolExecutor(min(_AT_ONCE, os.cpu_count() or 1)) as pool:
-        return list(pool.map(lambda piece: _digest(*piece), pieces))
+def _count(size: int, piece_bytes: int) -> int:
+    return max(1, -(-size // piece_bytes))
 
 
-def _digest(file: Path, number: int) -> str:
-    try:
-        about = file.stat()
-        key = (about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns, number)
-        found = _known.get(key) or _hashed(file, number * PIECE_BYTES, PIECE_BYTES)
-        if time.time_ns() - about.st_mtime_ns > _YOUNG_NS:
-            _known[key] = found
-    except OSError:
-        return ""
+def _digests(wanted: Iterable[tuple[Path, int, Sequence[int]]]) -> list[list[str]]:
+    """Return the digests of pieces of files, each given with the size of its pieces and their numbers, ascending.
+
+    "" is that of a piece that cannot be read.
+    """
+    every = list(wanted)
+    parts = [
+        (number, file, piece, numbers[begin : begin + _TAKEN])
+        for number, (file, piece, numbers) in enumerate(every)
+        for begin in range(0, len(numbers), _TAKEN)
+    ]
+    found: list[list[str]] = [[] for _ in every]
+    with ThreadPoolExecutor(min(_AT_ONCE, os.cpu_count() or 1)) if len(parts) > 1 else nullcontext() as pool:
+        made = map(_of_part, parts) if pool is None else pool.map(_of_part, parts)
+        for (number, *_), digests in zip(parts, made, strict=True):
+            found[number] += digests
     return found
 
 
-def _hashed(file: Path, begin: int, count: int | None, given_up: threading.Event | None = None) -> str:
-    digest, view = blake3(), memoryview(bytearray(_STEP))
+def _of_part(part: tuple[int, Path, int, Sequence[int]]) -> list[str]:
+    _, file, piece, numbers = part
+    try:
+        about = file.stat()
+        identity = (about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns, piece)
+        missing = [number for number in numbers if (*identity, number) not in _known]
+        found = dict(zip(missing, _hashed_pieces(file, piece, missing), strict=True)) if missing else {}
+        digests = [_known.get((*identity, number)) or found[number] for number in numbers]
+        if time.time_ns() - about.st_mtime_ns > _YOUNG_NS:
+            _known.update({(*identity, number): digest for number, digest in found.items()})
+    except OSError:
+        return [""] * len(numbers)
+    return digests
+
+
+def _hashed_pieces(file: Path, piece: int, numbers: Iterable[int]) -> Iterator[str]:
+    """Yield the digests of pieces of a file, which is opened once."""
     with file.open("rb", buffering=0) as handle:
-        handle.seek(begin)
-        while count is None or count > 0:
-            read = handle.readinto(view if count is None else view[:count])
-            if not read or (given_up is not None and given_up.is_set()):
-                break  # else who interrupts the reading of a large log would wait for the rest of this
-            digest.update(view[:read])
-            count = None if count is None else count - read
+        view = memoryview(bytearray(min(piece, _STEP, os.fstat(handle.fileno()).st_size + 1)))
+        for number in numbers:
+            handle.seek(number * piece)
+            yield _digest_from(handle, piece, view, None)
+
+
+def _digest_from(handle: FileIO, count: int | None, view: memoryview, given_up: threading.Event | None) -> str:
+    """Return the digest of the next bytes of a file, by way of a buffer; all that there are where no count is given."""
+    digest = blake3()
+    while count is None or count > 0:
+        read = handle.readinto(view if count is None else view[:count])
+        if not read or (given_up is not None and given_up.is_set()):
+            break  # else who interrupts the reading of a large log would wait for the rest of this
+        digest.update(view[:read])
+        count = None if count is None else count - read
     return digest.hexdigest()

@@ -261,7 +261,7 @@ class Dataset:
         if (shared := self._shared(recording, table)) is not None:
             yield self._files.collected(shared.select("t_s"), _recorded(recording, table))
             return
-        file = self._files.whole(self._native(recording, table) or _recorded(recording, table))
+        file = self._files.of_columns(self._native(recording, table) or _recorded(recording, table), ["t_s"])
         with checksums.reading(file, self.path):
             stored = StoredTable(file, ("t_s",))
             for begin, end in stored.groups:
@@ -282,7 +282,9 @@ class Dataset:
                 first, last = ((entry[key] - offset_s) / rate for key in ("start_s", "end_s"))
                 inside = pl.col("t_s").is_between(entry["start_s"], entry["end_s"])
                 if shared is None:
-                    shared = self._files.between(name, first - _NEAR_S, last + _NEAR_S)  # others are not unpacked
+                    shared = self._files.between(
+                        name, first - _NEAR_S, last + _NEAR_S, columns
+                    )  # no others are unpacked
                 rows = shared.with_columns(t_s=pl.col("t_s") * rate + offset_s).filter(inside)
                 return self._files.collected(rows if columns is None else rows.select(columns), name)
         return None

@@ -323,22 +323,37 @@ def _floats(values: pl.Series) -> NDArray[np.float64]:
     return (values if values.dtype == pl.Float64 else values.cast(pl.Float64)).to_numpy()
 
 
-def spans(file: Path, column: str, least: float, most: float) -> list[tuple[int, int]]:
-    """Return the bytes, from and to before, of the row groups that may hold values of a column from `least` to `most`.
+def spans(
+    file: Path,
+    columns: Container[str] | None = None,
+    *,
+    column: str | None = None,
+    least: float = -np.inf,
+    most: float = np.inf,
+) -> list[tuple[int, int]]:
+    """Return the bytes, from and to before, in which columns lie, in the row groups that may hold some values.
 
     Where the file does not say what a row group holds, it may.
+
+    Args:
+        file: The Parquet file.
+        columns: Which; None = all.
+        column: The column of the values; None = all row groups.
+        least: The smallest of the values.
+        most: The largest.
     """
     with pq.ParquetFile(file) as parquet:
-        about, place = parquet.metadata, parquet.schema_arrow.get_field_index(column)
+        about, place = parquet.metadata, -1 if column is None else parquet.schema_arrow.get_field_index(column)
     found = []
     for number in range(about.num_row_groups):
         group = about.row_group(number)
         known = group.column(place).statistics if place >= 0 else None
         if known is None or not known.has_min_max or (known.min <= most and known.max >= least):
-            parts = [group.column(index) for index in range(group.num_columns)]
-            begins = [part.dictionary_page_offset or part.data_page_offset for part in parts]
-            ends = [begin + part.total_compressed_size for begin, part in zip(begins, parts, strict=True)]
-            found.append((min(begins), max(ends)))
+            parts = (group.column(index) for index in range(group.num_columns))
+            for part in parts:
+                if columns is None or part.path_in_schema in columns:
+                    begin = part.dictionary_page_offset or part.data_page_offset
+                    found.append((begin, begin + part.total_compressed_size))
     return found
 
 

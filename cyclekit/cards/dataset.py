@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
+
+import msgspec
 
 from cyclekit.cards.quantities import Card, Count, Digest, Hertz, Length, Name, Point, Scaling, Seconds, ascending
 from cyclekit.cards.recording import RecordingCard
@@ -92,10 +94,14 @@ class RowCounts(Card, frozen=True, kw_only=True):
 
 
 class FileCard(Card, frozen=True, kw_only=True):
-    """A file of the dataset as it was written: its size in bytes, and the BLAKE3 of each piece (`checksums`)."""
+    """A file of the dataset as it was written: its size in bytes, and the BLAKE3 of each piece (`checksums`).
+
+    `piece_bytes`: of how many bytes each is, if there are several; None in those of an earlier version.
+    """
 
     size: Count
     blake3: tuple[Digest, ...]
+    piece_bytes: Annotated[int, msgspec.Meta(ge=1)] | None = None
 
 
 class DatasetCard(Card, frozen=True, kw_only=True):

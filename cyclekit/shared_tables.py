@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.files import regular
 from cyclekit.shared_index import RECORDING
-from cyclekit.tables import StoredTable
+from cyclekit.storage.files import regular
+from cyclekit.storage.parquet import StoredTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.shared_index import SharedRows
-    from cyclekit.tables import Columns
+    from cyclekit.storage.parquet import Columns
 
 
 def shared_frame(dataset: Path, rows: SharedRows) -> pl.DataFrame:

@@ -8,9 +8,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit_adapters import block_table
-from cyclekit_adapters.delimited import Layout
-from cyclekit_adapters.text_rows import Wanted
+from cyclekit_adapters.text import block_table
+from cyclekit_adapters.text.delimited import Layout
+from cyclekit_adapters.text.text_rows import Wanted
 
 numbers = st.one_of(st.floats(allow_nan=False, allow_infinity=False).map(repr), st.integers(-(10**20), 10**20).map(str))
 cells = st.one_of(

@@ -11,11 +11,11 @@ import pytest
 from ingested import only_bytes
 from polars.testing import assert_frame_equal
 
-from cyclekit.dataset import CARD, Dataset
-from cyclekit.engine import Engine
+from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import DatasetError
-from cyclekit.ingest import ingest
-from cyclekit.intake import together
+from cyclekit.ingest.ingest import ingest
+from cyclekit.ingest.read import together
+from cyclekit.parallel.engine import Engine
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -16,11 +16,14 @@ from blake3 import blake3
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit import checksums, dataset_files, schema, table_layout
+from cyclekit import schema
 from cyclekit.cli import run
-from cyclekit.dataset import CARD, Dataset
+from cyclekit.dataset import files as dataset_files
+from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError, DatasetError
-from cyclekit.ingest import ingest
+from cyclekit.ingest.ingest import ingest
+from cyclekit.storage import checksums
+from cyclekit.storage import parquet_layout as table_layout
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

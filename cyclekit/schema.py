@@ -225,13 +225,20 @@ def conform(frame: pl.DataFrame | pl.LazyFrame, table: Mapping[str, Column]) -> 
     wanted = {name: column.dtype for name, column in table.items()} | dict.fromkeys(joints, F64)
     if list(have.items()) == list(wanted.items()):
         return frame
-    nothing = {name: pl.Series(name, [None], dtype=dtype) for name, dtype in wanted.items() if name not in have}
     return pl.DataFrame(
         [
-            nothing[name].new_from_index(0, frame.height) if name in nothing else frame.get_column(name).cast(dtype)
+            frame.get_column(name).cast(dtype)
+            if name in have
+            else _nothing(name, dtype).new_from_index(0, frame.height)
             for name, dtype in wanted.items()
         ]
     )
+
+
+@lru_cache(maxsize=256)
+def _nothing(name: str, dtype: pl.DataType) -> pl.Series:
+    """Return a column of one null."""
+    return pl.Series(name, [None], dtype=dtype)
 
 
 def joint_order(name: str) -> tuple[bool, int]:

@@ -87,7 +87,9 @@ MODELS = {
     )
 }
 """Arms that a cell file can name. Panda and FR3 have one kinematic chain, published by Franka in "Control Interface
-Specification and Robot Limits" (there in Craig's convention, with the flange at 0.107 m)."""
+Specification and Robot Limits" (there in Craig's convention, with the flange at 0.107 m). The iiwa: Kuka
+Sunrise Toolbox, `constDhDataOf14R820.m` (in Craig's convention, from KUKA's manual of the media flange); the axes of
+the iiwa 7 in the documentation of Exp[licit] are the same."""
 _UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 
 

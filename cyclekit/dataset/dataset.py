@@ -2,6 +2,7 @@
 
     DATASET/dataset.json                                  schema version, provenance, executions, places, levels
     DATASET/recordings/<id>/{robot,people,events}.parquet native rate, SI, each log's own clock
+    DATASET/shared/<table>-<number>.parquet               the same of many short recordings; `index.json` says whose
     DATASET/samples/<part>.parquet                        `rate_hz`, one clock, one base frame; of a session or several
     DATASET/tasks.parquet                                 one row per executed task
     DATASET/quarantine.parquet                            every row that was set aside, with file, row and reason
@@ -22,11 +23,11 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.config import Furniture
+from cyclekit.dataset import checksums
 from cyclekit.dataset.cards import BadCard, dataset_card, parse_json, read_content
 from cyclekit.dataset.files import DatasetFiles
 from cyclekit.dataset.footers import check_tables
 from cyclekit.errors import DatasetError, UnknownName, command_line
-from cyclekit.storage import checksums
 from cyclekit.storage.atomic import recover
 from cyclekit.storage.mistaken import DATASET_CARD, toml_for, what_is
 from cyclekit.storage.remote.folders import local
@@ -237,6 +238,8 @@ class Dataset:
 
     def recorded(self, recording: str, table: str) -> pl.DataFrame | None:
         """Return one native-rate table (`robot`, `people` or `events`) of a recording, None if it has none."""
+        if (shared := self._shared(recording, table)) is not None:
+            return self._files.collected(shared, _recorded(recording, table))
         if (name := self._native(recording, table)) is None:
             return None
         file = self._files.whole(name)
@@ -248,6 +251,9 @@ class Dataset:
 
     def recorded_between(self, recording: str, table: str, first_s: float, last_s: float) -> pl.DataFrame | None:
         """Return the rows of one native-rate table from `first_s` to `last_s` of the log's clock, None without it."""
+        if (shared := self._shared(recording, table)) is not None:
+            within = shared.filter(pl.col("t_s").is_between(first_s, last_s))
+            return self._files.collected(within, _recorded(recording, table))
         if (name := self._native(recording, table)) is None:
             return None
         return self._files.collected(self._files.between(name, first_s, last_s), name)
@@ -256,7 +262,10 @@ class Dataset:
         """Yield the times of one native-rate table (`t_s`), in parts: it may be larger than memory."""
         from cyclekit.storage.parquet import StoredTable  # whoever reads a log needs no Arrow to begin
 
-        file = self._files.whole(self._native(recording, table) or _recorded(recording, table))
+        if (shared := self._shared(recording, table)) is not None:
+            yield self._files.collected(shared.select("t_s"), _recorded(recording, table))
+            return
+        file = self._files.of_columns(self._native(recording, table) or _recorded(recording, table), ["t_s"])
         with checksums.reading(file, self.path):
             stored = StoredTable(file, ("t_s",))
             for begin, end in stored.groups:
@@ -270,12 +279,15 @@ class Dataset:
         entry = self._execution(execution)
         for record in self.recordings:
             if record.session == entry.session and "robot" in record.tables:
-                name = self._native(record.id, "robot") or _recorded(record.id, "robot")  # a lost one is named
+                shared, name = self._shared(record.id, "robot"), _recorded(record.id, "robot")
+                if shared is None:
+                    self._native(record.id, "robot")  # has its rows counted; a lost one is named below
                 rate, offset_s = record.clock.rate, record.clock.offset_s
                 first, last = ((at_s - offset_s) / rate for at_s in (entry.start_s, entry.end_s))
                 inside = pl.col("t_s").is_between(entry.start_s, entry.end_s)
-                rows = self._files.between(name, first - _NEAR_S, last + _NEAR_S)  # others are not unpacked
-                rows = rows.with_columns(t_s=pl.col("t_s") * rate + offset_s).filter(inside)
+                if shared is None:  # rows of no other time are unpacked
+                    shared = self._files.between(name, first - _NEAR_S, last + _NEAR_S, columns)
+                rows = shared.with_columns(t_s=pl.col("t_s") * rate + offset_s).filter(inside)
                 return self._files.collected(rows if columns is None else rows.select(columns), name)
         return None
 
@@ -312,15 +324,22 @@ class Dataset:
         """
         return self._files.damaged()
 
+    def _shared(self, recording: str, table: str) -> pl.LazyFrame | None:
+        """Return a native-rate table, unread, that lies in a file which recordings share; None if it does not."""
+        counts = self._row_counts.get(recording, {})
+        return self._files.shared(recording, table, counts[table]) if table in counts else None
+
+    @cached_property
+    def _row_counts(self) -> dict[str, dict[str, int]]:
+        return {entry.id: {str(name): rows for name, rows in entry.rows.items()} for entry in self.recordings}
+
     def _native(self, recording: str, table: str) -> str | None:
         """Return the name of a native-rate table that holds no more rows than the card says; None if there is none."""
         name = _recorded(recording, table)
         if not self._files.has(name):
             return None
-        for entry in self.recordings:
-            for kept, rows in entry.rows.items() if entry.id == recording else ():
-                if kept == table:
-                    self._files.check_rows(name, rows, f"in table {table}")
+        if (count := self._row_counts.get(recording, {}).get(table)) is not None:
+            self._files.check_rows(name, count, f"in table {table}")
         return name
 
     def _rows_of(self, executions: Sequence[str]) -> int:

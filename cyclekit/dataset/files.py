@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
+from cyclekit.dataset.checksums import change, changes, reading, unreadable
 from cyclekit.dataset.footers import check_rows, sample_files
+from cyclekit.dataset.shared_index import INDEX, RECORDING, shared_rows
 from cyclekit.errors import DatasetError
-from cyclekit.storage.checksums import PIECE_BYTES, change, changes, reading, unreadable
 from cyclekit.storage.inside import inside
 from cyclekit.storage.memory import free_bytes
 from cyclekit.text.columns import in_one_line
@@ -32,6 +33,12 @@ _COPIES = 2
 """A table is unpacked and decoded, or sorted: for a while it is there twice."""
 _SMALL_BYTES = 1 << 18
 """In files of less, what is packed is not looked at: that takes longer than to read them."""
+_TAIL_BYTES = 8
+"""At the end of a Parquet file: the length of its footer, and the mark of the format."""
+PARTLY_BYTES = 16 << 20
+"""Smaller tables are checked as a whole: Arrow, which looks up what bytes will be read, takes longer to import."""
+SMALL_TABLE_BYTES = 1 << 20
+"""Smaller tables are read as a whole, whichever column is wanted (`table_layout`)."""
 _CURE = (
     "Ingest fewer logs into one dataset, a month of them say, or work on a machine with more memory; train, estimate "
     "and evaluate hold fewer executions at a time where CYCLEKIT_MEMORY_ROWS is set to less than 10000000 samples."
@@ -148,25 +155,72 @@ class DatasetFiles:
                 cure=_CURE,
             )
 
-    def between(self, name: str, first_s: float, last_s: float) -> pl.LazyFrame:
+    def between(self, name: str, first_s: float, last_s: float, columns: Sequence[str] | None = None) -> pl.LazyFrame:
         """Return the rows of a native-rate table from `first_s` to `last_s` of the log's clock, unread.
 
-        Of a large file only the pieces are checked that will be read.
+        Of a large file only the pieces are checked that will be read: `t_s` and `columns`, None = all.
 
         Raises:
             DatasetError: The file is missing or damaged there.
         """
         near = pl.col("t_s").is_between(first_s, last_s)
-        entry = (self._listed or {}).get(name)
-        if entry is None or len(entry.blake3) < 2:
+        if self._size(name) < PARTLY_BYTES:
             return pl.scan_parquet(self.whole(name), glob=False).filter(near)
         from cyclekit.storage.parquet import spans  # whoever reads a log needs no Arrow to begin
 
-        end = entry.size
-        file = self._checked(name, [(end - PIECE_BYTES, end)])  # there stands where the rows are
+        file, wanted = self._with_footer(name), None if columns is None else {"t_s", *columns}
         with reading(file, self._path):
-            within = spans(file, "t_s", first_s, last_s)
-        return pl.scan_parquet(self._checked(name, within), glob=False).filter(near)
+            within = spans(file, wanted, column="t_s", least=first_s, most=last_s)
+        rows = pl.scan_parquet(self._checked(name, within), glob=False).filter(near)
+        return rows if columns is None else rows.select(list(dict.fromkeys(["t_s", *columns])))
+
+    def of_columns(self, name: str, columns: Sequence[str]) -> Path:
+        """Return a file of which only some columns will be read, by Arrow, which reads nothing else of a large one.
+
+        Raises:
+            DatasetError: It is missing or damaged there.
+        """
+        if self._size(name) < SMALL_TABLE_BYTES:
+            return self.whole(name)
+        from cyclekit.storage.parquet import spans
+
+        file = self._with_footer(name)
+        with reading(file, self._path):
+            within = spans(file, columns)
+        return self._checked(name, within)
+
+    def _size(self, name: str) -> int:
+        """Return the size of a file as the card says it; 0 where it does not."""
+        card = (self._listed or {}).get(name)
+        return 0 if card is None else card.size
+
+    def _with_footer(self, name: str) -> Path:
+        """Return a Parquet file, its end checked, where it is written which bytes are what."""
+        end = self._size(name)
+        file = self._checked(name, [(end - _TAIL_BYTES, end)])
+        with reading(file, self._path), file.open("rb") as handle:
+            handle.seek(end - _TAIL_BYTES)
+            length = int.from_bytes(handle.read(4), "little")
+        return self._checked(name, [(max(end - _TAIL_BYTES - length, 0), end)])
+
+    def shared(self, recording: str, table: str, count: int) -> pl.LazyFrame | None:
+        """Return a native-rate table that lies in a file which recordings share, unread; None where it does not.
+
+        Args:
+            recording: Its id.
+            table: Name of the table.
+            count: How many rows the card says that there are.
+
+        Raises:
+            DatasetError: The file or the index is missing or damaged, or other rows are meant than the card speaks of.
+        """
+        if not self.has(INDEX) or not self.whole(INDEX) or (rows := shared_rows(self._path, recording, table)) is None:
+            return None
+        file = self.whole(rows.file)
+        if rows.count != count:
+            raise unreadable(file, self._path, f"{rows.count:,} rows are said to be of {recording}, and {count:,} are")
+        with reading(file, self._path):
+            return pl.scan_parquet(file, glob=False).slice(rows.first, rows.count).drop(RECORDING)
 
     def collected(self, rows: pl.LazyFrame, name: str) -> pl.DataFrame:
         """Read what was scanned; every text in it is one line, whoever wrote the table.

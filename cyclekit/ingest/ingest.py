@@ -33,9 +33,12 @@ from cyclekit.dataset.cards import (
     plain,
     texts,
 )
+from cyclekit.dataset.checksums import listed, sealed
 from cyclekit.dataset.dataset import CARD, TASKS, Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.dataset.sessions import WITHOUT_PLACES, group_sessions, unpaired
+from cyclekit.dataset.shared_index import shared_rows
+from cyclekit.dataset.shared_tables import SharedTable, shared_frame
 from cyclekit.derive.passes import Derived, derive
 from cyclekit.errors import ConfigError, DatasetError, LogError
 from cyclekit.ingest.discover import Log, cell_for, find_all, matches
@@ -46,7 +49,6 @@ from cyclekit.ingest.read.reuse import gather_quarantine
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.storage.atomic import built, locked, settle, unsettled, write_parquet, write_text
-from cyclekit.storage.checksums import listed, sealed
 from cyclekit.storage.parquet import StoredTable
 from cyclekit.storage.remote.cache import cached, of_file_url
 from cyclekit.storage.remote.folders import is_url, mirrored, published
@@ -293,12 +295,16 @@ def _old(out: Path) -> Dataset | None:
 
 def _native(staging: Path, recording: str, table: str) -> pl.DataFrame | None:
     check_shared(staging)
+    if (rows := shared_rows(staging, recording, table)) is not None:
+        return shared_frame(staging, rows)
     file = staging / "recordings" / recording / f"{table}.parquet"
     return pl.read_parquet(file, glob=False) if file.is_file() else None
 
 
 def _stored(staging: Path, recording: str, columns: Sequence[str]) -> StoredTable:
     check_shared(staging)
+    if (rows := shared_rows(staging, recording, "robot")) is not None:
+        return SharedTable(staging, rows, columns)
     return StoredTable(staging / "recordings" / recording / "robot.parquet", columns)
 
 

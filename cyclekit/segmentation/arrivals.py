@@ -145,7 +145,7 @@ def _left(part: RobotRun, at: int, place_m: Vector, vague_s: float) -> tuple[flo
     rest = int(resting[-1]) if len(resting) else at
     half = max(1, round(0.5 * STILL_S / period_s))
     s = _known(scaling, wide, wide_reach, half)
-    nominal = np.concatenate([[0.0], np.cumsum(s[:-1] * np.diff(t_s))])
+    nominal = np.concatenate([[0.0], np.cumsum(s[:-1] * (t_s[1:] - t_s[:-1]))])
     seen = _seen(off, s, np.isnan(scaling) & (s == 0.0), reach, rest, half)
     still = np.flatnonzero(off[rest:] > reach)
     jumped = rest + (int(still[0]) - 1 if len(still) else 0) + (round(SMOOTH_S / period_s) | 1) // 2
@@ -182,7 +182,7 @@ def _instant(t_s: Vector, nominal: Vector, halted: NDArray[np.bool_], began: flo
     if len(halt):
         last = min(int(halt[-1]) + 1, len(t_s) - 1)
         return float(t_s[int(halt[0])]), float(t_s[last])
-    rising = np.concatenate([[True], np.diff(nominal) > 0.0])
+    rising = np.concatenate([[True], nominal[1:] > nominal[:-1]])
     when = float(np.interp(began, nominal[rising], t_s[rising]))
     return when, when
 
@@ -222,6 +222,8 @@ def _rest(xyz_m: Points, scaling: Vector, place_m: Vector, reach: float, enough:
 def _known(scaling: Vector, off: Vector, reach: float, half: int) -> Vector:
     """Return the scaling with its unknown rows filled by the nearest known one; 0 where the robot is halted midway."""
     known = np.flatnonzero(scaling > BLOCKED)  # a halt is where it was seen, and nowhere else
+    if len(known) == len(scaling):
+        return scaling
     s = fill_nearest(scaling, known) if len(known) else np.ones(len(scaling))
     s = np.where(scaling <= BLOCKED, 0.0, s)
     row = np.arange(len(s))

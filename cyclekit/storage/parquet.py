@@ -67,9 +67,7 @@ class TableWriter:
         self._types += tuple((name, pl.Float64()) for name in more)
         self._made_by, self._behind = made_by, Behind()
         self._parquet: pq.ParquetWriter | None = None
-        with _as_os_error(file):
-            file.parent.mkdir(parents=True, exist_ok=True)
-            self._file = file.open("wb")
+        self._file: IO[bytes] | None = None
 
     def write(self, frame: pl.DataFrame) -> None:
         """Append rows; the frame has exactly the columns of the table."""
@@ -78,6 +76,10 @@ class TableWriter:
         self.rows += frame.height
         while self._waiting >= GROUP_ROWS:
             self._put(GROUP_ROWS)
+
+    def held(self) -> pl.DataFrame | None:
+        """Return all rows if nothing of them is on the disk yet, else None. Who takes them leaves the table alone."""
+        return None if self._file is not None or not self._pieces else pl.concat(self._pieces)
 
     def close(self) -> None:
         """Write what is left; `atomic.built` sees to it that it is on the disk before it is in place."""
@@ -88,7 +90,8 @@ class TableWriter:
             with _as_os_error(self._path):
                 if self._parquet is not None:
                     self._parquet.close()
-                self._file.close()
+                if self._file is not None:
+                    self._file.close()
         except BaseException:
             self.abandon()
             raise
@@ -99,14 +102,17 @@ class TableWriter:
             self._behind.end()
         if self._parquet is not None:
             self._parquet.is_open = False  # else it would try to end the file when it is collected, and complain
-        with suppress(Exception):
-            self._file.close()
+        if self._file is not None:
+            with suppress(Exception):
+                self._file.close()
 
     def _put(self, count: int) -> None:
         empty, layout, texts, numbers = _layout_of(self._types)
         frame = pl.concat(self._pieces) if self._pieces else empty
         if self._parquet is None:
             with _as_os_error(self._path):
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                self._file = self._path.open("wb")
                 small = frame.height <= SMALL_ROWS
                 self._parquet = _writer(self._file, layout, texts, numbers, small=small)
                 if self._made_by:
@@ -317,22 +323,37 @@ def _floats(values: pl.Series) -> NDArray[np.float64]:
     return (values if values.dtype == pl.Float64 else values.cast(pl.Float64)).to_numpy()
 
 
-def spans(file: Path, column: str, least: float, most: float) -> list[tuple[int, int]]:
-    """Return the bytes, from and to before, of the row groups that may hold values of a column from `least` to `most`.
+def spans(
+    file: Path,
+    columns: Container[str] | None = None,
+    *,
+    column: str | None = None,
+    least: float = -np.inf,
+    most: float = np.inf,
+) -> list[tuple[int, int]]:
+    """Return the bytes, from and to before, in which columns lie, in the row groups that may hold some values.
 
     Where the file does not say what a row group holds, it may.
+
+    Args:
+        file: The Parquet file.
+        columns: Which; None = all.
+        column: The column of the values; None = all row groups.
+        least: The smallest of the values.
+        most: The largest.
     """
     with pq.ParquetFile(file) as parquet:
-        about, place = parquet.metadata, parquet.schema_arrow.get_field_index(column)
+        about, place = parquet.metadata, -1 if column is None else parquet.schema_arrow.get_field_index(column)
     found = []
     for number in range(about.num_row_groups):
         group = about.row_group(number)
         known = group.column(place).statistics if place >= 0 else None
         if known is None or not known.has_min_max or (known.min <= most and known.max >= least):
-            parts = [group.column(index) for index in range(group.num_columns)]
-            begins = [part.dictionary_page_offset or part.data_page_offset for part in parts]
-            ends = [begin + part.total_compressed_size for begin, part in zip(begins, parts, strict=True)]
-            found.append((min(begins), max(ends)))
+            parts = (group.column(index) for index in range(group.num_columns))
+            for part in parts:
+                if columns is None or part.path_in_schema in columns:
+                    begin = part.dictionary_page_offset or part.data_page_offset
+                    found.append((begin, begin + part.total_compressed_size))
     return found
 
 

@@ -114,3 +114,29 @@ def test_the_robot_of_a_cell_file_is_read_written_and_checked(tmp_path: Path):
         path.write_text(f"[robot]\n{text}\n", encoding="utf-8")
         with pytest.raises(error):
             load_cell(path)
+
+
+IIWA_AXES = ((0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 1), (0, 1, 0), (0, 0, 1))
+"""Around which its joints turn when it stands upright, whatever its size: as others publish it, without DH."""
+
+
+@pytest.mark.parametrize(
+    ("model", "heights_m", "flange_m"),
+    [
+        ("iiwa 7", (0, 0.34, 0.34, 0.74, 0.74, 1.14, 1.14), 1.266),
+        ("iiwa 14", (0, 0.36, 0.36, 0.78, 0.78, 1.18, 1.18), 1.306),
+    ],
+)
+def test_an_iiwa_turns_around_the_axes_that_others_give(model: str, heights_m: tuple[float, ...], flange_m: float):
+    angles = np.random.default_rng(3).uniform(-2.0, 2.0, (20, 7))
+    points, turn = joint_points(MODELS[model], angles)
+    for row, mine in enumerate(angles):
+        at, whole = np.array([0.0, 0.0, flange_m]), np.eye(3)
+        for axis, height, angle in reversed(list(zip(IIWA_AXES, heights_m, mine, strict=True))):
+            x, y, z = axis
+            cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+            rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+            centre = np.array([0.0, 0.0, height])
+            at, whole = centre + rotation @ (at - centre), rotation @ whole
+        np.testing.assert_allclose(points[row, -1], at, atol=1e-12)
+        np.testing.assert_allclose(turn[row], whole, atol=1e-12)

@@ -12,16 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 import pytest
+from blake3 import blake3
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cyclekit import schema
 from cyclekit.cli import run
+from cyclekit.dataset import checksums
+from cyclekit.dataset import files as dataset_files
 from cyclekit.dataset.cards import plain
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError, DatasetError
 from cyclekit.ingest.ingest import ingest
-from cyclekit.storage import checksums
+from cyclekit.storage import parquet_layout as table_layout
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -194,13 +197,15 @@ def test_what_is_taken_over_keeps_its_checksum(logs: Path, tmp_path: Path):
     assert Dataset.open(tmp_path / "dataset").verify() == len(after) + 1
 
 
-def test_of_a_large_file_the_pieces_that_are_read_are_checked(
-    dataset: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-):
-    monkeypatch.setattr(checksums, "PIECE_BYTES", 4096)
-    monkeypatch.setattr("cyclekit.dataset.files.PIECE_BYTES", 4096)
+@pytest.fixture
+def large(dataset: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, pl.DataFrame]:
+    """A dataset with a table that counts as large, and the table."""
+    monkeypatch.setattr(checksums, "PIECE_BYTES", 512)
+    monkeypatch.setattr(dataset_files, "PARTLY_BYTES", 4096)
+    monkeypatch.setattr(dataset_files, "SMALL_TABLE_BYTES", 4096)
+    monkeypatch.setattr(table_layout, "SMALL_BYTES", 4096)
     t_s = [i / 100 for i in range(20_000)]
-    rows = schema.conform(pl.DataFrame({"t_s": t_s, "tcp_x_m": [t % 1 for t in t_s]}), schema.ROBOT)
+    rows = schema.conform(pl.DataFrame({"t_s": t_s, "tcp_x_m": [t**0.5 % 1 for t in t_s]}), schema.ROBOT)
     rows.write_parquet(dataset / RECORDED, row_group_size=2_000)
     card = json.loads((dataset / CARD).read_text(encoding="utf-8"))
     card["files"] = {name: plain(entry) for name, entry in checksums.listed(dataset).items()}
@@ -208,6 +213,11 @@ def test_of_a_large_file_the_pieces_that_are_read_are_checked(
     card["recordings"][0]["rows"]["robot"] = rows.height
     (dataset / CARD).write_text(json.dumps(card), encoding="utf-8")
     assert len(card["files"][RECORDED]["blake3"]) > 5
+    return dataset, rows
+
+
+def test_of_a_large_file_the_pieces_that_are_read_are_checked(large: tuple[Path, pl.DataFrame]):
+    dataset, _ = large
     spoil(dataset / RECORDED, "bit")
     opened = Dataset.open(dataset)
     late = opened.recorded_between("run_0", "robot", 150.0, 160.0)
@@ -217,6 +227,61 @@ def test_of_a_large_file_the_pieces_that_are_read_are_checked(
         opened.recorded_between("run_0", "robot", 1.0, 2.0)
     with pytest.raises(DatasetError, match="damaged"):
         opened.recorded("run_0", "robot")
+
+
+def test_columns_of_a_large_file_are_those_of_the_whole_rows(large: tuple[Path, pl.DataFrame]):
+    opened = Dataset.open(large[0])
+    execution = opened.executions["execution"][0]
+    every, some = opened.native_robot(execution), opened.native_robot(execution, ["tcp_x_m"])
+    assert every is not None
+    assert some is not None
+    assert every.height > 100
+    assert some.equals(every.select("tcp_x_m"))
+
+
+def test_of_a_column_of_a_large_file_only_its_bytes_are_hashed(
+    large: tuple[Path, pl.DataFrame], monkeypatch: pytest.MonkeyPatch
+):
+    hashed: list[int] = []
+    before = checksums._hashed_pieces
+    monkeypatch.setattr(
+        checksums, "_hashed_pieces", lambda file, piece, n: (hashed.extend(n), before(file, piece, n))[1]
+    )
+    opened = Dataset.open(large[0])
+    pl.concat(opened.times("run_0", "robot"))
+    pieces = len(opened.card["files"][RECORDED]["blake3"])
+    assert 0 < len(set(hashed)) < 0.8 * pieces
+    hashed.clear()
+    opened.recorded("run_0", "robot")
+    assert len(set(hashed)) == pieces
+
+
+def test_a_column_of_a_large_file_with_a_flipped_bit_is_refused_or_whole(large: tuple[Path, pl.DataFrame]):
+    dataset, rows = large
+    file, chance = dataset / RECORDED, random.Random(5)
+    whole, refused = file.read_bytes(), 0
+    for number in range(60):
+        place = chance.randrange(len(whole)) if number % 3 else len(whole) - 1 - chance.randrange(5000)
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << chance.randrange(8)]) + whole[place + 1 :])
+        try:
+            read = pl.concat(Dataset.open(dataset).times("run_0", "robot"))
+        except DatasetError:
+            refused += 1
+        else:
+            assert read.equals(rows.select("t_s"))
+    assert 20 <= refused < 60
+
+
+def test_files_listed_in_the_larger_pieces_of_an_earlier_version_are_checked(dataset: Path):
+    card = json.loads((dataset / CARD).read_text(encoding="utf-8"))
+    for name, entry in card["files"].items():
+        whole = (dataset / name).read_bytes()
+        card["files"][name] = {"size": entry["size"], "blake3": [blake3(whole).hexdigest()]}
+    (dataset / CARD).write_text(json.dumps({k: v for k, v in card.items() if k != "card_blake3"}), encoding="utf-8")
+    assert Dataset.open(dataset).verify() == len(card["files"]) + 1
+    spoil(dataset / RECORDED, "bit")
+    with pytest.raises(DatasetError, match="damaged"):
+        Dataset.open(dataset).recorded("run_0", "robot")
 
 
 def test_a_file_written_again_within_its_time_stamp_is_hashed_again(tmp_path: Path):

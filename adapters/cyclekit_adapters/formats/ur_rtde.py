@@ -15,6 +15,7 @@ import re
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
@@ -32,6 +33,10 @@ from cyclekit_adapters.text.text_blocks import head_of
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
 
 _FIELD = re.compile(r"(actual|target)_(q|qd|qdd|current|moment|TCP_pose|TCP_speed|TCP_force)_[0-5]")
 _VECTORS = {"actual_q": 6, "actual_qd": 6, "actual_TCP_pose": 6, "actual_TCP_speed": 6}
@@ -172,30 +177,45 @@ def _require(path: Path, names: tuple[str, ...], joints: dict[str, str]) -> None
 
 
 def _robot(frame: pl.DataFrame, register: str, joints: dict[str, str]) -> pl.DataFrame:
+    """Return the rows in the canonical columns; by numpy, since a query costs more than the rows of a small log."""
     have = set(frame.columns)
-    columns = [pl.col("source_row"), pl.col("timestamp").alias("t_s")]
+    named = {"source_row": "source_row", "timestamp": "t_s"}
     if have.issuperset(_POSITION):
-        columns += [pl.col(name).alias(f"tcp_{axis}_m") for name, axis in zip(_POSITION, "xyz", strict=True)]
+        named |= {name: f"tcp_{axis}_m" for name, axis in zip(_POSITION, "xyz", strict=True)}
+    columns = [frame.get_column(n).alias(c) for n, c in (named | joints).items() if n in have]
     if have.issuperset(_SPEED):
-        squares = pl.sum_horizontal([pl.col(name) ** 2 for name in _SPEED], ignore_nulls=False)
-        columns.append(squares.sqrt().alias("tcp_speed_m_s"))
+        x, y, z = (frame.get_column(name).to_numpy() for name in _SPEED)
+        columns.append(_series("tcp_speed_m_s", np.sqrt(x * x + y * y + z * z)))
     if "target_speed_fraction" in have:
-        columns.append(_fraction(pl.col("target_speed_fraction")).alias("slider"))
+        columns.append(_series("slider", _fraction(frame, "target_speed_fraction")))
     if "runtime_state" in have:
-        state = pl.col("runtime_state").cast(pl.Int64, strict=False)
-        columns.append(state.replace_strict(_STATES, default=None, return_dtype=pl.String).alias("state"))
+        code = np.trunc(frame.get_column("runtime_state").to_numpy())
+        columns.append(_states(code))
         if have.issuperset(_FRACTIONS):
-            product = _fraction(pl.col("speed_scaling")) * _fraction(pl.col("target_speed_fraction"))
-            columns.append(pl.when(state == _PLAYING).then(product).alias("scaling"))
+            product = _fraction(frame, "speed_scaling") * _fraction(frame, "target_speed_fraction")
+            columns.append(_series("scaling", np.where(code == _PLAYING, product, np.nan)))
     whole = {_OUTPUTS: "digital_out_bits", register: "register"}
-    columns += [pl.col(n).cast(pl.Int64, strict=False).alias(c) for n, c in whole.items() if n in have]
-    columns += [pl.col(name).alias(column) for name, column in joints.items() if name in have]
-    return conform(frame.lazy().select(columns), ROBOT)
+    columns += [frame.get_column(n).cast(pl.Int64, strict=False).alias(c) for n, c in whole.items() if n in have]
+    return conform(pl.DataFrame(columns), ROBOT)
 
 
-def _fraction(value: pl.Expr) -> pl.Expr:
-    """Return `value` where it is a fraction, null where it is none: a log in percent is not guessed at."""
-    return pl.when(value.is_between(0.0, 1.0 + _SLACK)).then(value.clip(0.0, 1.0))
+def _series(name: str, values: Vector) -> pl.Series:
+    return pl.Series(name, values, nan_to_null=True)
+
+
+def _states(code: Vector) -> pl.Series:
+    """Return the states of the program by their codes (N,), NaN = unknown."""
+    if len(code) and 0 <= code[0] < len(_STATES) and (code == code[0]).all():
+        return pl.Series("state", [_STATES[int(code[0])]]).new_from_index(0, len(code))
+    known = (code >= 0) & (code < len(_STATES))
+    index = pl.Series(np.where(known, code, np.nan), nan_to_null=True).cast(pl.UInt32)
+    return pl.Series("state", list(_STATES.values())).gather(index)
+
+
+def _fraction(frame: pl.DataFrame, name: str) -> Vector:
+    """Return a column where it is a fraction, NaN where it is none: a log in percent is not guessed at."""
+    value = frame.get_column(name).to_numpy()
+    return np.where((value >= 0.0) & (value <= 1.0 + _SLACK), np.minimum(value, 1.0), np.nan)
 
 
 @dataclass

@@ -28,6 +28,10 @@ _LOOKED_AT = 1 << 17
 _NEWLINE, _RETURN, _QUOTE, _BLANK = b'\n\r" '
 _WHITE = np.frombuffer(b" \t\n\v\f\r", np.uint8)
 _PLACES, _PLACE_BYTES = 32, 1024
+_PLAIN_BYTES = 1 << 17
+"""Of a smaller block the plan of a query costs more than its rows, and a look at each byte next to nothing."""
+_OF_NUMBERS = b"0123456789.eE+-\n"
+_AS_IT_IS = pl.QueryOptFlags.none()
 
 
 def mark_between(layout: Layout) -> str:
@@ -69,7 +73,7 @@ def table_of(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
     """
     if _has_too_many_lines(block, layout) or _may_be_garbled(block, layout, wanted):
         return None
-    if (found := _parsed(block, layout, wanted)) is not None:
+    if (found := _plain(block, layout, wanted) or _parsed(block, layout, wanted)) is not None:
         return found
     if not _has_blank_lines(block):
         return None
@@ -169,6 +173,42 @@ def _has_too_many_lines(block: bytes, layout: Layout) -> bool:
     step = max(len(block) // _PLACES, _PLACE_BYTES)
     seen = [block[begin : begin + _PLACE_BYTES] for begin in range(0, len(block), step)]
     return sum(part.count(b"\n") for part in seen) * len(layout.names) > sum(map(len, seen))
+
+
+def _plain(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
+    """Return the rows of a small block that holds nothing but finite numbers, as many in each line as there are names.
+
+    The same as `_parsed`, which is asked where this returns None. There are logs of few rows by the ten thousand.
+    """
+    if len(block) > _PLAIN_BYTES or wanted.texts or layout.decimal_comma:
+        return None
+    block = block.replace(b"\r\n", b"\n")
+    if not _is_of_numbers(block, layout):
+        return None
+    last = layout.names[-1]  # as text, as there, so that it is the same number
+    types: dict[str, pl.DataType] = {
+        n: pl.Float64() if n in wanted.numbers and n != last else pl.String() for n in layout.names
+    }
+    try:
+        table = _scanned(block, layout, types, quoted=False).collect(engine="in-memory", optimizations=_AS_IT_IS)
+        columns = [table.get_column(name) for name in wanted.numbers]
+        columns = [one.cast(pl.Float64, strict=True) if one.name == last else one for one in columns]
+        frame = pl.DataFrame(columns)
+    except pl.exceptions.PolarsError:
+        return None
+    sure = table.height == block.count(b"\n") and math.isfinite(sum(float(one.sum()) for one in columns))
+    return Table(frame, table.height, 0) if sure else None
+
+
+def _is_of_numbers(block: bytes, layout: Layout) -> bool:
+    """Tell whether a block holds numbers alone, each line has its first and last one, and as many marks as it must."""
+    mark = mark_between(layout).encode()
+    if mark in _OF_NUMBERS or block.translate(None, _OF_NUMBERS + mark) or not _is_even(block, layout):
+        return False
+    raw = np.frombuffer(block, np.uint8)
+    ends = np.flatnonzero(raw == _NEWLINE)
+    beside = np.concatenate([raw[:1], raw[ends[:-1] + 1], raw[ends - 1]])
+    return bool(((beside != mark[0]) & (beside != _NEWLINE)).all())
 
 
 def _parsed(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:

@@ -34,6 +34,8 @@ BLOCK_BYTES = 12 << 20
 """What is parsed at once: large enough for polars to use both cores, small enough for any machine."""
 LONGEST_LINE = 16 << 20
 """No logger writes a line of more bytes, headers of 17,000 columns included."""
+_SMALL = 1 << 17
+"""A file of no more bytes is read once, for its head and for its rows."""
 _STEP = 1 << 16
 _PIECE = 1 << 19
 _GZIP, _ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
@@ -119,11 +121,21 @@ def _first(path: Path, size: int) -> bytes:
 
 @lru_cache(maxsize=16)  # each adapter looks at the head of each file
 def _read_first(path: Path, size: int, _bytes: int, _changed: int) -> bytes:
-    with path.open("rb") as file, _unpacked(file, path) as log:
+    with _opened(path, _bytes, _changed) as file, _unpacked(file, path) as log:
         try:
             return log.read(size)
         except (zlib.error, zstd.ZstdError, gzip.BadGzipFile, EOFError):
             return b""
+
+
+def _opened(path: Path, size: int, changed: int) -> BinaryIO:
+    return io.BytesIO(_content(path, size, changed)) if size <= _SMALL else path.open("rb")
+
+
+@lru_cache(maxsize=2)
+def _content(path: Path, _bytes: int, _changed: int) -> bytes:
+    with path.open("rb") as file:
+        return file.read(_bytes)
 
 
 def blocks_of(path: Path, encoding: str, *, skip_lines: int = 0, delimiter: str = ",") -> Iterator[bytes]:
@@ -140,8 +152,10 @@ def blocks_of(path: Path, encoding: str, *, skip_lines: int = 0, delimiter: str 
         OSError: The file cannot be read.
         DamagedLog: It holds a line longer than any logger writes, or is a bomb.
     """
-    with path.open("rb") as file, _unpacked(file, path) as log:
-        bare_cr = bool(_BARE_CR.search(_first(path, HEAD_BYTES).decode(encoding, "replace")))
+    about = path.stat()
+    with _opened(path, about.st_size, about.st_mtime_ns) as file, _unpacked(file, path) as log:
+        first = _first(path, HEAD_BYTES)
+        bare_cr = b"\r" in first and bool(_BARE_CR.search(first.decode(encoding, "replace")))
         plain = log is file and encoding in ("utf-8", "utf-8-sig") and not bare_cr
         blocks = _plain_blocks(file, path) if plain else _decoded_blocks(log, path, encoding, bare_cr=bare_cr)
         try:
@@ -188,7 +202,7 @@ def _with_line_feeds(text: str) -> str:
 
 def _plain_blocks(log: BinaryIO, path: Path) -> Iterator[bytes]:
     """Read to the next line end behind each block, so that nothing is copied."""
-    end, begin = os.fstat(log.fileno()).st_size, 0
+    end, begin = log.seek(0, os.SEEK_END), 0
     while begin < end:
         after = min(begin + BLOCK_BYTES, end)
         log.seek(after)

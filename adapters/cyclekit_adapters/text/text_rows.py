@@ -161,7 +161,8 @@ def trusted(
         wanted: Which columns are needed.
         not_finite: How many values were NaN or infinite.
     """
-    rows = Rows(table, rows_read, pl.DataFrame(aside, schema=SET_ASIDE, orient="row"), not_finite)
+    set_aside = pl.DataFrame(aside, schema=SET_ASIDE, orient="row") if aside else pl.DataFrame(schema=SET_ASIDE)
+    rows = Rows(table, rows_read, set_aside, not_finite)
     for name in wanted.required:
         if rows.frame[name].null_count():
             rows = rows.without(rows.frame[name].is_null(), f"no value in column {name!r}")

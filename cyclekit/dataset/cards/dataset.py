@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+import msgspec
 
 from cyclekit.dataset.cards.notes import Note, from_sentences
 from cyclekit.dataset.cards.quantities import (
@@ -105,10 +107,14 @@ class RowCounts(Card, frozen=True, kw_only=True):
 
 
 class FileCard(Card, frozen=True, kw_only=True):
-    """A file of the dataset as it was written: its size in bytes, and the BLAKE3 of each piece (`checksums`)."""
+    """A file of the dataset as it was written: its size in bytes, and the BLAKE3 of each piece (`checksums`).
+
+    `piece_bytes`: of how many bytes each is, if there are several; None in those of an earlier version.
+    """
 
     size: Count
     blake3: tuple[Digest, ...]
+    piece_bytes: Annotated[int, msgspec.Meta(ge=1)] | None = None
 
 
 class DatasetCard(Card, frozen=True, kw_only=True):

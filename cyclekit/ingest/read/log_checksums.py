@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Self, TypeVar
 from msgspec.structs import replace
 
 from cyclekit.dataset.cards import LogCard, SourceFile, note
+from cyclekit.dataset.checksums import digest_of
 from cyclekit.errors import LogError
 from cyclekit.ingest.discover import Log, files_of, key_of
-from cyclekit.storage.checksums import digest_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

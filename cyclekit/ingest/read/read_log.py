@@ -9,7 +9,7 @@ from __future__ import annotations
 import secrets
 import shutil
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -28,6 +28,7 @@ from cyclekit.ingest.validate.validate import examined_parts
 from cyclekit.storage.parquet import TableWriter
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from cyclekit.adapter import Recording
@@ -56,6 +57,8 @@ MAKING = ".making-"
 """Begins the name of the folder that a recording is written in before it has its own."""
 UNPROTECTED = "none: a flipped bit passes unnoticed unless it makes a value impossible"
 """What a recording's fact `checksum` says where its adapter knows of none."""
+SHORT_BYTES, SHORT_ROWS = 1 << 20, 1024
+"""A recording of a log of fewer bytes, and of up to so many rows, can be held until others are written with it."""
 
 
 @dataclass(frozen=True)
@@ -75,21 +78,24 @@ class How:
 
 @dataclass(frozen=True)
 class Kept:
-    """The card of a log whose tables are on the disk."""
+    """The card of a log whose tables are on the disk, or here: then none of them is there."""
 
     card: LogCard
+    tables: dict[str, pl.DataFrame] = field(default_factory=dict)
 
 
-def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How) -> Kept | LogError:
+def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How, hold: bool = False) -> Kept | LogError:
     """Read a log into `staging/recordings/<id>`, or return why that cannot be; then nothing of it is left there.
 
-    The folder has its name when it is whole, so that reading a log twice does no harm.
+    The folder has its name when it is whole, so that reading a log twice does no harm. `hold`: the tables of a short
+    recording are returned and not written.
     """
     place = staging / "recordings" / log.id
     folder = place.with_name(f"{MAKING}{secrets.token_hex(6)}")
     try:
-        kept = _keep(log, digests, folder, how)
-        _put(folder, place)
+        kept = _keep(log, digests, folder, how, hold=hold)
+        if not kept.tables:
+            _put(folder, place)
     except LogError as error:
         problem = copy(error)  # without what hangs on it: frames, tables, the error that it came from
     except (OSError, MemoryError) as error:
@@ -118,7 +124,7 @@ def _is_ours(error: BaseException, folder: Path) -> bool:
     return name is not None and str(folder.parent.parent) in str(name)
 
 
-def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
+def _keep(log: Log, digests: Digests, folder: Path, how: How, *, hold: bool) -> Kept:
     sources, options = digests.sources(log), options_of(log.source, skeletons=how.skeletons)
     written: dict[str, _Table] = {}
     aside, counts, rows_read = None, dict[str, int](), 0
@@ -142,7 +148,8 @@ def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
         _check(log, written)
         if nameless:
             nameless.check(log.path)
-        for writer in [*(table.writer for table in written.values()), *([aside] if aside else [])]:
+        held = _held(written) if hold and aside is None and log.size < SHORT_BYTES else {}
+        for writer in [] if held else [*(table.writer for table in written.values()), *([aside] if aside else [])]:
             writer.close()
     except BaseException:
         for writer in [*(table.writer for table in written.values()), *([aside] if aside else [])]:
@@ -150,7 +157,15 @@ def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
         raise
     if last is None:
         raise LogError(log.path, "holds nothing", cure="Record again, or remove the file.")
-    return Kept(_card(log, last, written, sources, rows_read, counts))
+    return Kept(_card(log, last, written, sources, rows_read, counts), held)
+
+
+def _held(written: Mapping[str, _Table]) -> dict[str, pl.DataFrame]:
+    """Return the tables of a short recording, none of which is on the disk yet; nothing of a long one."""
+    if sum(table.writer.rows for table in written.values()) > SHORT_ROWS:
+        return {}
+    held = {name: frame for name, table in written.items() if (frame := table.writer.held()) is not None}
+    return held if len(held) == len(written) else {}
 
 
 class _Table:

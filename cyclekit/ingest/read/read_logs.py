@@ -8,7 +8,7 @@ in `derive`.
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,7 @@ from cyclekit.ingest.read.log_checksums import Digests
 from cyclekit.ingest.read.read_log import MAKING, How, Kept, keep_or_error
 from cyclekit.ingest.read.resume import Shelf
 from cyclekit.ingest.read.reuse import is_whole, take_over
+from cyclekit.ingest.read.together import Together, tables_shared
 from cyclekit.parallel.engine import LOCAL, Engine
 
 if TYPE_CHECKING:
@@ -72,32 +73,38 @@ def read_all(
     damaged = old.damaged() if old else {}
     known = {entry.key: entry for entry in old.recordings} if old else {}
     entries: dict[str, LogCard] = {}
-    todo = []
+    todo, together = [], Together(logs, staging)
     for log in logs:
         before = known.get(log.key)
         if old is not None and before is not None and is_whole(before, old.path, damaged):
             entries[log.id] = digests.completed(take_over(before, log, old.path, staging), log)
+            together.put(log.id, tables_shared(before, old.path))
         elif shelf is not None and (found := shelf.find(log)) is not None:
             entries[log.id] = digests.completed(shelf.take(found, log, staging), log)
+            together.put(log.id, {})
         else:
             todo.append(log)
     kept = len(entries)
     size = sum(log.size for log in todo) or 1
     done = 0
     failures: dict[str, LogError] = {}
-    read: Callable[[Log], Kept | LogError] = partial(_read, staging=staging, how=how)
+    hold = together.shares and not how.pseudonymise  # which has every recording's times changed in its own files
+    read: Callable[[Log], Kept | LogError] = partial(_read, staging=staging, how=how, hold=hold)
     if engine.stays_here(len(todo)):  # then no log waits for the checksums of the one before
-        read = partial(keep_or_error, digests=digests, staging=staging, how=how)
+        read = partial(keep_or_error, digests=digests, staging=staging, how=how, hold=hold)
     for outcome in engine.map(read, todo):
         log, result = outcome.item, outcome.get()
         done += log.size
         tell(done / size, f"read {log.shown}")
         if isinstance(result, LogError):
             failures[log.id] = result
+            together.put(log.id, {})
             continue
         entries[log.id] = result.card
-        if shelf is not None:
+        together.put(log.id, result.tables)
+        if shelf is not None and not result.tables:
             shelf.put(result.card, log, staging)
+    together.close()
     for left in staging.glob(f"recordings/{MAKING}*"):
         shutil.rmtree(left, ignore_errors=True)  # of a worker that was killed; its log was read again
     failed = [failures[log.id] for log in todo if log.id in failures]
@@ -116,11 +123,12 @@ def check_shared(staging: Path) -> None:
         raise EngineError(seen, cure=cure)
 
 
-def _read(log: Log, *, staging: Path, how: How) -> Kept | LogError:
+def _read(log: Log, *, staging: Path, how: How, hold: bool) -> Kept | LogError:
     """Read one log, wherever that is; its checksums are computed beside the reading."""
     check_shared(staging)
     with Digests(wanted=how.checksums) as digests:
-        result = keep_or_error(log, digests, staging=staging, how=how)
+        result = keep_or_error(log, digests, staging=staging, how=how, hold=hold)
         if isinstance(result, Kept):
-            return Kept(*digests.settle([result.card]))
+            [card] = digests.settle([result.card])
+            return replace(result, card=card)
         return result

@@ -11,6 +11,7 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.dataset.cards import TEXT, LogCard
 from cyclekit.dataset.cards.recording import LogClock
+from cyclekit.dataset.shared_index import INDEX, shared_rows
 from cyclekit.errors import OutsideFolder
 from cyclekit.ingest.read.read_log import QUARANTINE
 from cyclekit.storage.inside import inside
@@ -37,7 +38,8 @@ def is_whole(entry: LogCard, old: Path, damaged: Container[str] = ()) -> bool:
     """
     if any(one.code == TEXT for one in entry.warnings):
         return False
-    names = [f"recordings/{entry.id}/{name}.parquet" for name in entry.tables]
+    shared = [rows.file for name in entry.tables if (rows := shared_rows(old, entry.id, name)) is not None]
+    names = [INDEX, *shared] if shared else [f"recordings/{entry.id}/{name}.parquet" for name in entry.tables]
     names += [_ALL] if entry.rows_set_aside else []
     try:
         return all(inside(old, *name.split("/")).is_file() and name not in damaged for name in names)
@@ -50,9 +52,13 @@ def _tables(entry: LogCard, old: Path) -> list[Path]:
 
 
 def take_over(entry: LogCard, log: Log, old: Path, staging: Path) -> LogCard:
-    """Link the tables of a recording of the dataset `old` into `staging`; return its card as it was after reading."""
+    """Link the tables of a recording of the dataset `old` into `staging`; return its card as it was after reading.
+
+    What lies in a file that it shares stays where it is (`together`).
+    """
     target = staging / "recordings" / log.id
-    link_files(_tables(entry, old), target)
+    if not any(shared_rows(old, entry.id, name) for name in entry.tables):
+        link_files(_tables(entry, old), target)
     if entry.rows_set_aside:
         with TableWriter(target / _ALL, schema.QUARANTINE) as table:
             for part in parts_of(old / _ALL):

@@ -1,0 +1,208 @@
+"""Checksums of files: which file of a folder is not what was written, told by BLAKE3.
+
+A file is hashed in pieces of `PIECE_BYTES`, so that who reads a part of a large one (a column of a table) checks that
+part. What was hashed once is not hashed again while the file has its size and time, under whatever name; only a file
+that has just been written is, since a change might not show in its time.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
+from typing import TYPE_CHECKING
+
+import polars as pl
+from blake3 import blake3
+
+from cyclekit.dataset.cards import FileCard
+from cyclekit.errors import DatasetError
+
+if TYPE_CHECKING:
+    import threading
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from io import FileIO
+    from pathlib import Path
+
+PIECE_BYTES = 1 << 18
+"""Smaller pieces would be hashed more slowly, and make the card long."""
+EARLIER_PIECE_BYTES = 16 << 20
+"""Of files listed without `piece_bytes`."""
+_STEP = 1 << 20
+_YOUNG_NS = 2_000_000_000
+_AT_ONCE, _TAKEN = 4, 64
+"""Threads, and pieces that one of them takes at a time."""
+_SEAL = ',\n "card_blake3": "{}"\n}}\n'
+_ENDS_AS_SEALED = re.compile(r',\n "[^"\n]*": "[0-9a-f]{64}"\n}\n\Z')
+
+_known: dict[tuple[int, ...], str] = {}
+"""Digest by device, number, size and time of a file, and piece."""
+
+
+def digest_of(file: Path, given_up: threading.Event | None = None) -> str:
+    """Return the BLAKE3 of a whole file, 64 hexadecimal digits, as `b3sum` prints it.
+
+    Args:
+        file: What is hashed.
+        given_up: When it is set, the rest is left out.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    with file.open("rb", buffering=0) as handle:
+        return _digest_from(handle, None, memoryview(bytearray(_STEP)), given_up)
+
+
+def listed(folder: Path) -> dict[str, FileCard]:
+    """Return size and digests of every file of a folder, by its name in there.
+
+    Raises:
+        OSError: A file cannot be read.
+    """
+    files = {file.relative_to(folder).as_posix(): file for file in sorted(folder.rglob("*")) if file.is_file()}
+    sizes = {name: file.stat().st_size for name, file in files.items()}
+    wanted = [(files[name], PIECE_BYTES, range(_count(size, PIECE_BYTES))) for name, size in sizes.items()]
+    found: dict[str, FileCard] = {}
+    for (name, size), digests in zip(sizes.items(), _digests(wanted), strict=True):
+        piece_bytes = None if len(digests) == 1 else PIECE_BYTES
+        found[name] = FileCard(size=size, piece_bytes=piece_bytes, blake3=tuple(digests))
+    return found
+
+
+def changes(folder: Path, files: Mapping[str, FileCard]) -> dict[str, str]:
+    """Return what is not as it was listed: by name, what is wrong with it."""
+    wrong = {name: problem for name, entry in files.items() if (problem := _wrong_size(folder / name, entry))}
+    same = {name: entry for name, entry in files.items() if name not in wrong}
+    wanted = [(folder / name, _piece_bytes(entry), range(len(entry.blake3))) for name, entry in same.items()]
+    for (name, entry), digests in zip(same.items(), _digests(wanted), strict=True):
+        if digests != list(entry.blake3):
+            wrong[name] = "damaged"
+    return {name: wrong[name] for name in files if name in wrong}
+
+
+def change(file: Path, entry: FileCard, spans: Iterable[tuple[int, int]] | None = None) -> str | None:
+    """Return what is wrong with one file, None if it is as it was listed.
+
+    Args:
+        file: What is about to be read.
+        entry: Its size and digests.
+        spans: Bytes that will be read, from and to before; None = all.
+    """
+    if (problem := _wrong_size(file, entry)) is not None:
+        return problem
+    piece = _piece_bytes(entry)
+    numbers: Sequence[int] = range(len(entry.blake3))
+    if spans is not None:
+        numbers = sorted({n for a, b in spans for n in range(a // piece, _count(b, piece))} & set(numbers))
+    [digests] = _digests([(file, piece, numbers)])
+    return None if digests == [entry.blake3[number] for number in numbers] else "damaged"
+
+
+def sealed(text: str) -> str:
+    """Return an indented JSON object as text with the checksum of all that stands in it as its last entry."""
+    body = text.removesuffix("\n}\n")
+    return body + _SEAL.format(blake3(body.encode()).hexdigest())
+
+
+def is_broken(text: str) -> bool:
+    """Tell whether a text that `sealed` wrote is another now; one without a checksum counts as whole."""
+    body, mark, _ = text.rpartition(',\n "card_blake3"')
+    if not mark:
+        return _ENDS_AS_SEALED.search(text) is not None  # the name of the checksum itself is another now
+    return sealed(f"{body}\n}}\n") != text
+
+
+@contextmanager
+def reading(file: Path, again: Path) -> Iterator[None]:
+    """Turn what polars and Arrow raise over a table that they cannot read into one message.
+
+    Args:
+        file: The table.
+        again: The dataset, to be made again.
+    """
+    try:
+        yield
+    except (pl.exceptions.PolarsError, OSError) as error:  # Arrow's own is a ValueError or an OSError
+        raise unreadable(file, again, str(error).strip().partition("\n")[0]) from error
+    except ValueError as error:
+        if type(error).__module__ != "pyarrow.lib":
+            raise
+        raise unreadable(file, again, str(error).strip().partition("\n")[0]) from error
+
+
+def unreadable(file: Path, dataset: Path, why: str) -> DatasetError:
+    """Return the error that says which file of a dataset is not what it should be, and the cure."""
+    return DatasetError(f"{file}: {why}", cure=f"Ingest the logs again: cyclekit ingest LOGS --out {dataset}")
+
+
+def _wrong_size(file: Path, entry: FileCard) -> str | None:
+    try:
+        size = file.stat().st_size
+    except OSError:
+        return "missing"
+    return None if size == entry.size else f"damaged: {size} bytes of {entry.size}"
+
+
+def _piece_bytes(entry: FileCard) -> int:
+    return entry.piece_bytes or EARLIER_PIECE_BYTES
+
+
+def _count(size: int, piece_bytes: int) -> int:
+    return max(1, -(-size // piece_bytes))
+
+
+def _digests(wanted: Iterable[tuple[Path, int, Sequence[int]]]) -> list[list[str]]:
+    """Return the digests of pieces of files, each given with the size of its pieces and their numbers, ascending.
+
+    "" is that of a piece that cannot be read.
+    """
+    every = list(wanted)
+    parts = [
+        (number, file, piece, numbers[begin : begin + _TAKEN])
+        for number, (file, piece, numbers) in enumerate(every)
+        for begin in range(0, len(numbers), _TAKEN)
+    ]
+    found: list[list[str]] = [[] for _ in every]
+    with ThreadPoolExecutor(min(_AT_ONCE, os.cpu_count() or 1)) if len(parts) > 1 else nullcontext() as pool:
+        made = map(_of_part, parts) if pool is None else pool.map(_of_part, parts)
+        for (number, *_), digests in zip(parts, made, strict=True):
+            found[number] += digests
+    return found
+
+
+def _of_part(part: tuple[int, Path, int, Sequence[int]]) -> list[str]:
+    _, file, piece, numbers = part
+    try:
+        about = file.stat()
+        identity = (about.st_dev, about.st_ino, about.st_size, about.st_mtime_ns, piece)
+        missing = [number for number in numbers if (*identity, number) not in _known]
+        found = dict(zip(missing, _hashed_pieces(file, piece, missing), strict=True)) if missing else {}
+        digests = [_known.get((*identity, number)) or found[number] for number in numbers]
+        if time.time_ns() - about.st_mtime_ns > _YOUNG_NS:
+            _known.update({(*identity, number): digest for number, digest in found.items()})
+    except OSError:
+        return [""] * len(numbers)
+    return digests
+
+
+def _hashed_pieces(file: Path, piece: int, numbers: Iterable[int]) -> Iterator[str]:
+    """Yield the digests of pieces of a file, which is opened once."""
+    with file.open("rb", buffering=0) as handle:
+        view = memoryview(bytearray(min(piece, _STEP, os.fstat(handle.fileno()).st_size + 1)))
+        for number in numbers:
+            handle.seek(number * piece)
+            yield _digest_from(handle, piece, view, None)
+
+
+def _digest_from(handle: FileIO, count: int | None, view: memoryview, given_up: threading.Event | None) -> str:
+    """Return the digest of the next bytes of a file, by way of a buffer; all that there are where no count is given."""
+    digest = blake3()
+    while count is None or count > 0:
+        read = handle.readinto(view if count is None else view[:count])
+        if not read or (given_up is not None and given_up.is_set()):
+            break  # else who interrupts the reading of a large log would wait for the rest of this
+        digest.update(view[:read])
+        count = None if count is None else count - read
+    return digest.hexdigest()

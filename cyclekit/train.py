@@ -19,7 +19,8 @@ import numpy as np
 import cyclekit
 from cyclekit import schema
 from cyclekit.dataset import Dataset
-from cyclekit.errors import DatasetError, MissingExtra, command_line
+from cyclekit.errors import DatasetError, command_line
+from cyclekit.extras import need
 from cyclekit.guard import check_output
 from cyclekit.height import said_of_height
 from cyclekit.labelling import scaling_in_time, staircase_of, without_slider
@@ -246,10 +247,7 @@ def need_torch() -> None:
     Raises:
         MissingExtra: torch is not installed.
     """
-    try:
-        import torch  # noqa: F401
-    except ImportError as error:
-        raise MissingExtra("torch", "train", "training") from error
+    need("training", "train")
 
 
 def _origin(dataset: Dataset, spec: ModelSpec) -> dict[str, Any]:

@@ -35,7 +35,7 @@ FLOORS = [
     {"engine"},
     {"config", "schema", "sequences"},
     {"cards", "mistaken", "toml_file"},
-    {"inside", "text_columns"},
+    {"extras", "inside", "text_columns"},
     {
         "ahead",
         "arm",

@@ -96,10 +96,10 @@ class _Run:
 
 def _check(out: Path, operator_log: Path | None) -> None:
     """Refuse before any work what would be refused after half of it."""
+    from cyclekit.extras import need
     from cyclekit.guard import Kind, check_output
-    from cyclekit.train import need_torch
 
-    need_torch()
+    need("the demo", "simulate", "train", "replay")
     check_output(out, "folder", [operator_log])
     parts: dict[str, Kind] = {
         "logs": "logs",

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.engine import ONE_THREAD, RETRIES, Done, cores, in_chunks
 from cyclekit.engine.work import outcomes, packed
-from cyclekit.errors import EngineError, MissingExtra
+from cyclekit.errors import EngineError
+from cyclekit.extras import need
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -76,10 +77,9 @@ def _connected(jobs: int | None, address: str | None) -> Any:  # noqa: ANN401 - 
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # before the import: it reports usage otherwise
     if address not in (None, "auto") and (Path.home() / ".ray" / "auth_token").is_file():
         os.environ.setdefault("RAY_AUTH_MODE", "token")  # as Ray does for a cluster that it has found by itself
-    try:
-        import ray
-    except ImportError as error:
-        raise MissingExtra("ray", "ray", "--engine ray") from error
+    need("--engine ray", "ray")
+    import ray
+
     if ray.is_initialized():
         return ray
     if address is None:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.atomic import replaced
-from cyclekit.errors import MissingExtra, ModelError
+from cyclekit.errors import ModelError
+from cyclekit.extras import need
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -43,10 +44,9 @@ def write_onnx(path: Path, model: TrainedModel) -> float | None:
         what = "a recurrent network" if model.weights.recurrent else f"inputs that may be unknown {model.weights.known}"
         msg = f"a model with {what} cannot be written as ONNX yet"
         raise ModelError(msg, cure="Train a feed-forward network on logs in which the operator is always seen.")
-    try:
-        import onnx
-    except ImportError as error:
-        raise MissingExtra("onnx", "onnx", "writing ONNX files") from error
+    need("writing ONNX files", "onnx")
+    import onnx
+
     content = _graph(model)
     onnx.checker.check_model(content)
     data = content.SerializeToString()

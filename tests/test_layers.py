@@ -15,7 +15,7 @@ FLOORS = [
     {"__main__"},
     {"cli"},
     {"fleet"},
-    {"benchmark", "describe", "replay", "report", "trace"},
+    {"describe", "replay", "report", "trace"},
     {"plan", "whatif", "zones"},
     {"estimate", "evaluate"},
     {"convert", "figures", "ingest", "train"},
@@ -61,7 +61,7 @@ FLOORS = [
 ROOMS_OF = {
     "torch": {"models", "train"},
     "rerun": {"replay"},
-    "sklearn": {"benchmark", "evaluate", "samples", "steps"},
+    "sklearn": {"evaluate", "samples", "steps"},
     "typer": {"cli"},
     "rich": {"cli"},
     "jinja2": {"report"},

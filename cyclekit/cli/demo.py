@@ -99,7 +99,7 @@ def _check(out: Path, operator_log: Path | None) -> None:
     from cyclekit.extras import need
     from cyclekit.guard import Kind, check_output
 
-    need("the demo", "simulate", "train", "replay")
+    need("demo", "simulate", "train", "replay")
     check_output(out, "folder", [operator_log])
     parts: dict[str, Kind] = {
         "logs": "logs",

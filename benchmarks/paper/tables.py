@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from benchmarks.paper.figures import draw_heatmap, draw_reliability, draw_staircase
+from benchmarks.paper.plan import AHEAD_S, AVERAGES_S, DELTAS_M, PAPER, Entry, entries
 from cyclekit.atomic import write_text
-from cyclekit.benchmark.plan import AHEAD_S, AVERAGES_S, DELTAS_M, PAPER, Entry, entries
 from cyclekit.errors import ConfigError
-from cyclekit.figures.accuracy import draw_heatmap, draw_reliability, draw_staircase
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     Results = Sequence[dict[str, Any]]
 
-BEGIN, END = "<!-- made by cyclekit benchmark paper: begin -->", "<!-- made by cyclekit benchmark paper: end -->"
+BEGIN, END = "<!-- made by python -m benchmarks.paper: begin -->", "<!-- made by python -m benchmarks.paper: end -->"
 _MISSING = ""
 
 

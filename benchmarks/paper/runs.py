@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
+from benchmarks.paper.floors import bayes, plug_in
+from benchmarks.paper.plan import FLOORS, SCENES, Entry, entries
+from benchmarks.paper.rivals import predict_by
 from cyclekit.atomic import write_text
-from cyclekit.benchmark.floors import bayes, plug_in
-from cyclekit.benchmark.plan import FLOORS, SCENES, Entry, entries
-from cyclekit.benchmark.rivals import predict_by
 from cyclekit.dataset import Dataset
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import ConfigError, DatasetError, ShapeError

@@ -61,7 +61,7 @@ FLOORS = [
 ROOMS_OF = {
     "torch": {"models", "train"},
     "rerun": {"replay"},
-    "sklearn": {"evaluate", "samples", "steps"},
+    "sklearn": {"evaluate"},
     "typer": {"cli"},
     "rich": {"cli"},
     "jinja2": {"report"},

@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 from sklearn.cluster import DBSCAN, KMeans
 from sklearn.metrics import silhouette_score
 
+from benchmarks.rival_levels import register
 from cyclekit.cli import run
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.figures.levels import draw_levels
 from cyclekit.labelling import staircase_of
 from cyclekit.samples import stretches
-from cyclekit.steps import METHODS, dbscan_1d, find_staircase, label_in_time, second_opinion
+from cyclekit.steps import FINDERS, PLATEAU, dbscan_1d, find_staircase, label_in_time, second_opinion
 from cyclekit.steps.kmeans import by_silhouette, condense, kmeans_1d, silhouette_1d
 from cyclekit.steps.plateaus import find_plateaus, noise_of
 
@@ -117,8 +118,15 @@ def test_fixed_levels_are_only_labelled():
     assert found.label.tolist() == [0] * 30 + [1] * 30 + [3] * 30
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_every_method_finds_clean_levels_that_are_all_used_often(method):
+@pytest.fixture
+def with_rivals(monkeypatch):
+    for name in ("kmeans-elbow", "hdbscan", "gmm-bic"):  # taken out again after the test
+        monkeypatch.setitem(FINDERS, name, None)
+    register()
+
+
+@pytest.mark.parametrize("method", [PLATEAU, *FINDERS, "kmeans-elbow", "hdbscan", "gmm-bic"])
+def test_every_method_finds_clean_levels_that_are_all_used_often(method, with_rivals):
     found = find_staircase(series(0.002, 0.0, 5, count=100), method=method)
     if method == "kmeans-elbow":  # known to stop too early on even levels
         assert 2 <= found.levels.size <= 5

@@ -35,7 +35,7 @@ FLOORS = [
     {"engine"},
     {"config", "schema", "sequences"},
     {"cards", "mistaken", "toml_file"},
-    {"extras", "inside", "text_columns"},
+    {"expected", "extras", "inside", "text_columns"},
     {
         "ahead",
         "arm",

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
 from cyclekit.cards.quantities import Card
+from cyclekit.expected import in_words
 from cyclekit.files import regular
 
 if TYPE_CHECKING:
@@ -17,16 +17,6 @@ AnyCard = TypeVar("AnyCard", bound=Card)
 
 MAX_BYTES = 256 << 20
 """No card is larger: that of ten thousand recordings has some 20 MB."""
-_WORDS = {
-    "float": "a number",
-    "int": "a whole number",
-    "str": "a text",
-    "bool": "true or false",
-    "array": "a list",
-    "object": "a table",
-    "null": "null",
-}
-_SHOWN = 160
 
 
 class BadCard(Exception):
@@ -88,9 +78,5 @@ def checked(values: dict[str, Any], kind: type[AnyCard]) -> AnyCard:
 
 def _plain(error: Exception) -> str:
     """Return what msgspec found wrong in our words, the place first: `executions[3].end_s: expected a number`."""
-    text, _, where = str(error).partition(" - at `$")
-    text = re.sub(r"Object missing required field `(\w+)`", r"\1 is missing", text)
-    text = re.sub(r"`([a-z]+)(?: \| null)?`", lambda found: _WORDS.get(found[1], found[0]), text)
-    where = where.removesuffix("`").removeprefix(".")
-    text = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
-    return f"{where}: {text[:1].lower()}{text[1:]}" if where else text
+    where, said = in_words(error)
+    return f"{where}: {said}" if where else said

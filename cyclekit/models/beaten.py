@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.errors import command_line
-from cyclekit.models.spec import RECURRENT, ModelSpec
+from cyclekit.models.networks import NETWORKS
+from cyclekit.models.spec import ModelSpec
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -65,9 +66,11 @@ def _otherwise(card: Mapping[str, Any]) -> list[str]:
         chosen = str(spec.get(name, getattr(usual, name)))
         words += [] if chosen == getattr(usual, name) else [f"--{name}", chosen]
     words += ["--noise", f"{spec['noise_m']:g}"] if spec.get("noise_m") else []
-    if spec.get("network") not in RECURRENT:
+    kind = NETWORKS.get(str(spec.get("network")))
+    recurrent = kind is not None and kind.lstm_layers > 0
+    if not recurrent:
         words += ["--features", "distance"]
-    if spec.get("network") in RECURRENT or spec.get("features") == "distance":
+    if recurrent or spec.get("features") == "distance":
         return [*words, "--seed", str(int(spec.get("seed", 0)) + 1)]
     return [*words, "--seed", str(spec["seed"])] if spec.get("seed") else words
 

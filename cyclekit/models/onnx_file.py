@@ -14,6 +14,7 @@ import numpy as np
 from cyclekit.atomic import replaced
 from cyclekit.errors import ModelError
 from cyclekit.extras import need
+from cyclekit.models.networks import names_levels
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -74,12 +75,12 @@ def _graph(model: TrainedModel) -> Any:  # noqa: ANN401 - onnx has no types
         value = f"linear{i}"
         kind = "Softmax" if i == model.weights.softmax_after else "Relu" if i < len(layers) - 1 else None
         if kind:
-            out = "probabilities" if kind == "Softmax" and model.network == "classifier" else f"active{i}"
+            out = "probabilities" if kind == "Softmax" and names_levels(model.network) else f"active{i}"
             axis: dict[str, Any] = {"axis": 1} if kind == "Softmax" else {}
             nodes.append(helper.make_node(kind, [value], [out], **axis))
             value = out
     outputs = [helper.make_tensor_value_info("scaling", TensorProto.FLOAT, [None, 1])]
-    if model.network == "classifier":
+    if names_levels(model.network):
         levels = np.array(model.levels, np.float32)[:, None]
         constants.append(numpy_helper.from_array(levels, "levels"))
         nodes.append(helper.make_node("MatMul", [value, "levels"], ["mean"]))
@@ -122,7 +123,7 @@ def _difference(data: bytes, model: TrainedModel) -> float | None:
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
     scaling = session.run(["scaling"], {"positions": X})[0][:, 0]
     off = float(np.abs(scaling - model.predict(X)).max())
-    if model.network == "classifier":
+    if names_levels(model.network):
         found = session.run(["probabilities"], {"positions": X})[0]
         off = max(off, float(np.abs(found - model.probabilities(X)).max()))
     return off

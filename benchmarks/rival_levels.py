@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.steps.kmeans import Weighted, condense, kmeans_1d
-from cyclekit.steps.levels import FINDERS
+from cyclekit.scaling.levels.clusters import FINDERS
+from cyclekit.scaling.levels.kmeans import Weighted, condense, kmeans_1d
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -15,11 +15,11 @@ from benchmarks.paper.cells import prepared
 from benchmarks.paper.plan import SCENES
 from benchmarks.paper.runs import Settings, benchmark_paper
 from benchmarks.paper.tables import markdown, put_into, write_figures
-from cyclekit.atomic import write_text
-from cyclekit.engine import Engine
+from cyclekit.dataset.guard import check_output
 from cyclekit.errors import CyclekitError
 from cyclekit.extras import need
-from cyclekit.guard import check_output
+from cyclekit.parallel.engine import Engine
+from cyclekit.storage.atomic import write_text
 
 
 def main(words: list[str] | None = None) -> int:

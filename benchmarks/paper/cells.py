@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from typing import TYPE_CHECKING
 
-from cyclekit.ingest import ingest
+from cyclekit.ingest.ingest import ingest
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit import colours
-from cyclekit.figures.canvas import canvas
+from cyclekit.plots import colours
+from cyclekit.plots.canvas import canvas
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -8,8 +8,8 @@ import numpy as np
 
 from benchmarks.paper.figures import draw_heatmap, draw_reliability, draw_staircase
 from benchmarks.paper.plan import AHEAD_S, AVERAGES_S, DELTAS_M, PAPER, Entry, entries
-from cyclekit.atomic import write_text
 from cyclekit.errors import ConfigError
+from cyclekit.storage.atomic import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

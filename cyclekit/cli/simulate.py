@@ -113,9 +113,9 @@ def simulated(scene: str, out: Path, executions: int, seed: int, settings: dict[
         MissingExtra: What the simulator needs is not installed.
         CyclekitError: The simulator refuses the settings, or the operator's recording.
     """
+    from cyclekit.dataset.guard import check_output
     from cyclekit.errors import CyclekitError
     from cyclekit.extras import need
-    from cyclekit.guard import check_output
 
     need("the simulator", "simulate")
     from cyclekit_sim import SimulationOptions, simulate

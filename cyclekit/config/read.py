@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.arm import MODELS
+from cyclekit.config.arms import MODELS
 from cyclekit.config.cells import CLOCK_KEYS, Cell, Executions, Frame, Matrix, Number, Point, Robot
+from cyclekit.config.toml_file import followed, list_at, read_toml, table_at
 from cyclekit.errors import ConfigError, UnknownName
-from cyclekit.files import resolved
-from cyclekit.toml_file import followed, list_at, read_toml, table_at
+from cyclekit.storage.files import resolved
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
-    from cyclekit.engine import Engine
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.program import Program
     from cyclekit.estimate.rollout import Altered
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled
-    from cyclekit.sequences import TaskSequence
+    from cyclekit.parallel.engine import Engine
 
 LEAST_SUPPORT = 0.5
 """Below this part of the cycle in logged cells the question is refused."""

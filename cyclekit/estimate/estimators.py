@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.estimate.rivals import by_average, by_history, by_nominal
 
 if TYPE_CHECKING:
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.program import Program
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled

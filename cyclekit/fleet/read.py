@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import Meta
 
+from cyclekit.config.toml_file import followed, list_at, read_toml, refuse_twice, table_at
 from cyclekit.errors import ConfigError, UnknownName
-from cyclekit.files import resolved
-from cyclekit.inside import unfit
-from cyclekit.storage import is_url, join
-from cyclekit.toml_file import followed, list_at, read_toml, refuse_twice, table_at
+from cyclekit.storage.files import resolved
+from cyclekit.storage.inside import unfit
+from cyclekit.storage.remote.folders import is_url, join
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

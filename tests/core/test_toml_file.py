@@ -12,11 +12,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cyclekit.config import load_cell
+from cyclekit.config.sequences import load_sequences
 from cyclekit.errors import ConfigError
+from cyclekit.estimate.plan import load_jobs
+from cyclekit.estimate.whatif import load_changes
 from cyclekit.fleet import load_fleet
-from cyclekit.plan import load_jobs
-from cyclekit.sequences import load_sequences
-from cyclekit.whatif import load_changes
 
 Load = Callable[[Path], object]
 

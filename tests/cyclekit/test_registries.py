@@ -9,15 +9,15 @@ import pytest
 from fabricated import fabricate_dataset
 
 from cyclekit.cli import run
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.estimators import ESTIMATORS, Estimator
 from cyclekit.estimate.rivals import by_nominal
-from cyclekit.labelling import staircase_of
+from cyclekit.learning.labelling import staircase_of
+from cyclekit.learning.networks.saved import load_model, save_model
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import train
 from cyclekit.models.networks import NETWORKS, Inputs, Network
-from cyclekit.models.saved import load_model, save_model
-from cyclekit.models.spec import ModelSpec
-from cyclekit.steps import FINDERS
-from cyclekit.train import train
+from cyclekit.scaling.levels import FINDERS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,7 +37,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 def _toy(spec: ModelSpec, inputs: Inputs, levels: Sequence[float]) -> nn.Module:
     from torch import nn
 
-    from cyclekit.models.network import feed_forward
+    from cyclekit.learning.networks.network import feed_forward
 
     return nn.Sequential(
         *feed_forward((inputs.width, *spec.hidden), spec.norm), nn.Linear(spec.hidden[-1], len(levels))

@@ -1,0 +1,98 @@
+"""The sequence file: which task sequences are asked for, in which order the robot visits its places.
+
+Whether the places exist and the tasks were ever logged is found out by `estimate`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from cyclekit.config.toml_file import followed, list_at, read_toml, refuse_twice
+from cyclekit.errors import ConfigError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_EXAMPLE = """Add one:
+  [[sequence]]
+  name = "A"
+  places = ["home", "conveyor", "left_1", "home"]"""
+
+
+@dataclass(frozen=True)
+class TaskSequence:
+    """What the robot shall do: ordered places, the start first; optionally what the operator does meanwhile.
+
+    `file` is where it was read from, for messages.
+    """
+
+    name: str
+    places: tuple[str, ...]
+    operator: tuple[str, ...] | None = None
+    file: Path | None = None
+
+    @property
+    def shown(self) -> str:
+        """How a message names it: file and name."""
+        return f"{self.file}: sequence {self.name!r}" if self.file else f"sequence {self.name!r}"
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks `start->goal` in order."""
+        return tuple(f"{a}->{b}" for a, b in pairwise(self.places))
+
+
+def load_sequences(path: Path) -> list[TaskSequence]:
+    """Read a sequence file: `[[sequence]]` with `name` and `places` (or `tasks`), optionally `operator`.
+
+    Raises:
+        ConfigError: The file cannot be read, holds no sequence, or a sequence is not one.
+    """
+    raw = read_toml(path)
+    entries = list_at(str(path), raw, "sequence")
+    if not entries and not set(raw) - {"sequence"}:
+        raise ConfigError(f"{path}: no [[sequence]] in it", cure=_EXAMPLE)
+    file = followed(str(path), raw, _File)
+    found = [_sequence(path, entry, i) for i, entry in enumerate(file.sequence)]
+    refuse_twice(str(path), "sequence", [sequence.name for sequence in found])
+    return found
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A sequence as the file says it."""
+
+    name: str | None = None
+    places: tuple[str, ...] | None = None
+    tasks: tuple[str, ...] | None = None
+    operator: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class _File:
+    """All keys of a sequence file."""
+
+    sequence: tuple[_Entry, ...] = ()
+
+
+def _sequence(path: Path, entry: _Entry, index: int) -> TaskSequence:
+    where = f"{path} sequence[{index}]"
+    if (entry.places is None) == (entry.tasks is None):
+        raise ConfigError(f"{where}: needs either places or tasks", cure='places = ["home", "conveyor", "left_1"]')
+    places = entry.places if entry.places is not None else _joined(where, entry.tasks or ())
+    if len(places) < 2:
+        raise ConfigError(f"{where}: a sequence needs at least two places", cure="Name the start, then each goal.")
+    return TaskSequence(entry.name or f"sequence {index + 1}", places, entry.operator, path)
+
+
+def _joined(where: str, tasks: tuple[str, ...]) -> tuple[str, ...]:
+    pairs = [task.split("->") for task in tasks]
+    if bad := [task for task, pair in zip(tasks, pairs, strict=True) if len(pair) != 2 or not all(pair)]:
+        raise ConfigError(f"{where}: {bad[0]!r} is no task", cure="Write a task as 'start->goal'.")
+    for before, after in pairwise(pairs):
+        if before[1] != after[0]:
+            seen = f"{where}: task {'->'.join(after)!r} does not start where {'->'.join(before)!r} ends"
+            raise ConfigError(seen, cure="A robot cannot jump: insert the task between them.")
+    return (*(pair[0] for pair in pairs), pairs[-1][1]) if pairs else ()

@@ -21,15 +21,18 @@ from functools import partial
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from rival_levels import register
 from sklearn.cluster import HDBSCAN  # noqa: F401 - importing it is no part of finding levels
 from sklearn.mixture import GaussianMixture  # noqa: F401
 
-from cyclekit.scaling.levels import METHODS, find_staircase
+from cyclekit.scaling.levels import FINDERS, PLATEAU, find_staircase
 
 LEVELS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 NOISE, RAMP_S = (0.002, 0.005, 0.01, 0.02, 0.05), (0.0, 0.5, 2.0, 5.0)
 SHARE = {"equal": None, "1 %": 0.01, "0.1 %": 0.001}
 RARE, SAMPLES, HOLD = 1, 20_000, (30, 120)
+register()
+METHODS = (PLATEAU, *FINDERS)
 SETTINGS = {"dbscan, eps .05, 5 samples": {"method": "dbscan", "eps": 0.05, "min_samples": 5}}
 
 

@@ -185,9 +185,15 @@ class MissingExtra(CyclekitError):
     """An optional dependency is needed and not installed."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        """Name the command that installs it."""
+        """Name the command that installs it.
+
+        Args:
+            package: What is missing.
+            extra: The extra of cyclekit that brings it; several with commas.
+            purpose: What needs it.
+        """
         super().__init__(
-            f"{purpose} needs {package}, which is not installed", cure=f'Install it: pip install "cyclekit[{extra}]"'
+            f"{purpose} needs {package}: not installed", cure=f'Install it: pip install "cyclekit[{extra}]"'
         )
 
 

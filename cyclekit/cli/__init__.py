@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 ORDER = (
     *("demo", "simulate", "calibrate", "ingest", "inspect", "trace", "convert"),
     *("levels", "train", "evaluate", "estimate", "plan", "zones", "whatif", "replay", "report"),
-    *("fleet", "export", "benchmark", "adapters"),
+    *("fleet", "export", "adapters"),
 )
 """The commands in the order of the work; each is a module of this package with a function of its name."""
 

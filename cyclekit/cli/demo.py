@@ -97,9 +97,9 @@ class _Run:
 def _check(out: Path, operator_log: Path | None) -> None:
     """Refuse before any work what would be refused after half of it."""
     from cyclekit.dataset.guard import Kind, check_output
-    from cyclekit.learning.training import need_torch
+    from cyclekit.extras import need
 
-    need_torch()
+    need("demo", "simulate", "train", "replay")
     check_output(out, "folder", [operator_log])
     parts: dict[str, Kind] = {
         "logs": "logs",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,14 +14,13 @@ if TYPE_CHECKING:
     from cyclekit.scaling.levels import Staircase
 
 EXAMPLE = "cyclekit levels dataset --picture levels.svg"
-Method = Literal["plateau", "dbscan", "kmeans-silhouette", "kmeans-elbow", "hdbscan", "gmm-bic"]
 
 
 def levels(
     dataset: DatasetPlace,
-    method: Annotated[Method, typer.Option(help="How levels are found; plateau looks at the order in time.")] = (
-        "plateau"
-    ),
+    method: Annotated[
+        str, typer.Option(help="plateau (values held in time), or by bare values dbscan or kmeans-silhouette.")
+    ] = "plateau",
     picture: Annotated[Path | None, typer.Option(help="Also draw them: a .svg, .png or .pdf file.")] = None,
     json: Json = False,
     quiet: Quiet = False,

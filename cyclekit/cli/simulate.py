@@ -110,10 +110,14 @@ def simulated(scene: str, out: Path, executions: int, seed: int, settings: dict[
         progress: Called with the fraction done and what is being done.
 
     Raises:
+        MissingExtra: What the simulator needs is not installed.
         CyclekitError: The simulator refuses the settings, or the operator's recording.
     """
     from cyclekit.dataset.guard import check_output
     from cyclekit.errors import CyclekitError
+    from cyclekit.extras import need
+
+    need("the simulator", "simulate")
     from cyclekit_sim import SimulationOptions, simulate
     from cyclekit_sim.errors import SimulationError
 

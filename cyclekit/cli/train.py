@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 EXAMPLE = "cyclekit train dataset --out model"
 Problem = Literal["now", "ahead", "average"]
-Network = Literal["classifier", "regressor", "lstm-1", "lstm-2", "mixed"]
 
 
 def train(
@@ -36,8 +35,8 @@ def train(
         Problem, typer.Option(help="Predict the scaling now, ahead by the horizon, or its average over it.")
     ] = "now",
     network: Annotated[
-        Network | None,
-        typer.Option(help="Which network; default: classifier, for the average: mixed.", show_default=False),
+        str | None,
+        typer.Option(help="By name; default: classifier, for the average: mixed (docs/models.md).", show_default=False),
     ] = None,
     horizon: Annotated[str | None, typer.Option(help="How far ahead, such as 14s (ahead and average).")] = None,
     norm: Annotated[

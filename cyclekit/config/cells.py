@@ -4,11 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 Role = Literal["robot", "people", "events", "tasks"]
 Begin = Literal["auto", "file", "gap", "home", "register", "digital-output", "signal"]
-Point = tuple[float, float, float]
+Number = Annotated[float, Meta(ge=-1e15, le=1e15)]
+"""No number of a cell is larger; NaN and infinity are not either."""
+Positive = Annotated[float, Meta(gt=0.0, le=1e15)]
+Rate = Annotated[float, Meta(gt=0.0, le=1e6)]
+"""A sampling rate, 1/s."""
+Levels = Annotated[tuple[Annotated[float, Meta(ge=0.0, le=1.0)], ...], Meta(examples=[[0.0, 0.5, 1.0]])]
+Point = Annotated[tuple[Number, Number, Number], Meta(examples=[[0.0, 0.0, 0.0]])]
 Matrix = tuple[Point, Point, Point]
 IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 CLOCK_KEYS = ("clock_offset_s", "sync", "sync_events", "sees", "same_clock_as")
@@ -69,10 +77,10 @@ class Source:
     path: str
     adapter: str | None = None
     role: Role | None = None
-    clock_offset_s: float | None = None
-    clock_rate: float = 1.0
+    clock_offset_s: Number | None = None
+    clock_rate: Positive = 1.0
     sync: Sync | None = None
-    sync_events: tuple[tuple[float, float], ...] = ()
+    sync_events: Annotated[tuple[tuple[Number, Number], ...], Meta(examples=[[[1.5, 101.5]]])] = ()
     sees: Literal["tcp"] | None = None
     sees_as: str | None = None
     same_clock_as: str | None = None
@@ -80,7 +88,7 @@ class Source:
     frame: Frame | None = None
     body: str | None = None
     silence: Literal["absent", "unknown"] | None = None
-    rate_hz: float | None = None
+    rate_hz: Rate | None = None
     map: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -89,7 +97,7 @@ class NamedPlace:
     """A place that the integrator named: positions within `radius_m` of `xyz_m` (base frame) are there."""
 
     xyz_m: Point
-    radius_m: float = 0.05
+    radius_m: Positive = 0.05
 
 
 @dataclass(frozen=True)
@@ -103,8 +111,8 @@ class Furniture:
     """
 
     xyz_m: Point
-    size_m: Point
-    yaw_deg: float = 0.0
+    size_m: Annotated[tuple[Positive, Positive, Positive], Meta(examples=[[0.9, 0.4, 0.7]])]
+    yaw_deg: Number = 0.0
 
 
 @dataclass(frozen=True)
@@ -121,9 +129,9 @@ class Executions:
     """
 
     begin: Begin = "auto"
-    gap_s: float = 2.0
+    gap_s: Positive = 2.0
     home: str | None = None
-    bit: int = 0
+    bit: Annotated[int, Meta(ge=0, le=62)] = 0
     signal: str | None = None
 
 
@@ -138,7 +146,7 @@ class Robot:
     """
 
     model: str | None = None
-    dh: tuple[tuple[float, float, float, float], ...] = ()
+    dh: Annotated[tuple[tuple[Number, Number, Number, Number], ...], Meta(examples=[[[0.34, 0, -90, 0]]])] = ()
     tool_m: Point = (0.0, 0.0, 0.0)
 
 
@@ -165,7 +173,7 @@ class Cell:
     human_places: Mapping[str, NamedPlace] = field(default_factory=dict)
     furniture: Mapping[str, Furniture] = field(default_factory=dict)
     executions: Executions = field(default_factory=Executions)
-    rate_hz: float = 10.0
-    bridge_s: float = 0.3
-    levels: tuple[float, ...] = ()
+    rate_hz: Rate = 10.0
+    bridge_s: Number = 0.3
+    levels: Levels = ()
     robot: Robot | None = None

@@ -5,13 +5,12 @@ Whether the places exist and the tasks were ever logged is found out by `estimat
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from cyclekit.config.toml_file import list_at, read_toml
-from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.config.toml_file import followed, list_at, read_toml, refuse_twice
+from cyclekit.errors import ConfigError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,41 +51,43 @@ def load_sequences(path: Path) -> list[TaskSequence]:
         ConfigError: The file cannot be read, holds no sequence, or a sequence is not one.
     """
     raw = read_toml(path)
-    for key in raw:
-        if key != "sequence":
-            raise UnknownName(str(path), "key", key, ["sequence"])
     entries = list_at(str(path), raw, "sequence")
-    if not entries:
-        msg = f"{path}: no [[sequence]] in it"
-        raise ConfigError(msg, cure=_EXAMPLE)
-    found = [_sequence(path, entry, i) for i, entry in enumerate(entries)]
-    names = [sequence.name for sequence in found]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        msg = f"{path}: sequence name {twice[0]!r} is used twice"
-        raise ConfigError(msg, cure="Give each sequence a name of its own.")
+    if not entries and not set(raw) - {"sequence"}:
+        raise ConfigError(f"{path}: no [[sequence]] in it", cure=_EXAMPLE)
+    file = followed(str(path), raw, _File)
+    found = [_sequence(path, entry, i) for i, entry in enumerate(file.sequence)]
+    refuse_twice(str(path), "sequence", [sequence.name for sequence in found])
     return found
 
 
-def _sequence(path: Path, entry: Mapping[str, Any], index: int) -> TaskSequence:
+@dataclass(frozen=True)
+class _Entry:
+    """A sequence as the file says it."""
+
+    name: str | None = None
+    places: tuple[str, ...] | None = None
+    tasks: tuple[str, ...] | None = None
+    operator: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class _File:
+    """All keys of a sequence file."""
+
+    sequence: tuple[_Entry, ...] = ()
+
+
+def _sequence(path: Path, entry: _Entry, index: int) -> TaskSequence:
     where = f"{path} sequence[{index}]"
-    if not isinstance(entry, Mapping):
-        raise ConfigError(f"{where}: {entry!r} must be a table", cure="Begin each sequence with [[sequence]].")
-    for key in entry:
-        if key not in {"name", "places", "tasks", "operator"}:
-            raise UnknownName(where, "key", key, ["name", "places", "tasks", "operator"])
-    if ("places" in entry) == ("tasks" in entry):
+    if (entry.places is None) == (entry.tasks is None):
         raise ConfigError(f"{where}: needs either places or tasks", cure='places = ["home", "conveyor", "left_1"]')
-    if "tasks" in entry:
-        places = _joined(where, [str(task) for task in list_at(where, entry, "tasks")])
-    else:
-        places = tuple(map(str, list_at(where, entry, "places")))
+    places = entry.places if entry.places is not None else _joined(where, entry.tasks or ())
     if len(places) < 2:
         raise ConfigError(f"{where}: a sequence needs at least two places", cure="Name the start, then each goal.")
-    operator = tuple(map(str, list_at(where, entry, "operator"))) if "operator" in entry else None
-    return TaskSequence(str(entry.get("name", f"sequence {index + 1}")), places, operator, path)
+    return TaskSequence(entry.name or f"sequence {index + 1}", places, entry.operator, path)
 
 
-def _joined(where: str, tasks: list[str]) -> tuple[str, ...]:
+def _joined(where: str, tasks: tuple[str, ...]) -> tuple[str, ...]:
     pairs = [task.split("->") for task in tasks]
     if bad := [task for task, pair in zip(tasks, pairs, strict=True) if len(pair) != 2 or not all(pair)]:
         raise ConfigError(f"{where}: {bad[0]!r} is no task", cure="Write a task as 'start->goal'.")

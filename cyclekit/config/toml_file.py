@@ -1,21 +1,31 @@
-"""A TOML file as plain values, with errors that name the file and the line.
+"""A TOML file as checked values, with errors that name the file, the key, what was expected and the cure.
 
-What the values mean is the business of `config` and `sequences`.
+`read_toml` parses; `followed` turns a table into a frozen dataclass. Each leaf is checked by msgspec against the type
+of its field, and this is the one place where what it found is put into words.
 """
 
 from __future__ import annotations
 
 import json
 import tomllib
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Any, Literal, TypeGuard, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from cyclekit.errors import ConfigError
+import msgspec
+
+from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.storage.files import regular
+from cyclekit.text.expected import in_words
 from cyclekit.text.plain_text import all_in_one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from dataclasses import Field
     from pathlib import Path
+
+Table = TypeVar("Table")
+_PAGE = "docs/commands.md (of a fleet: docs/fleet.md) shows the keys and their values."
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -41,6 +51,48 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: nested too deeply for TOML", cure="Check what the file is.") from error
 
 
+def followed(where: str, raw: object, kind: type[Table], **given: object) -> Table:
+    """Return a table as a dataclass; tables in it become the dataclasses that its fields say.
+
+    Args:
+        where: File and table, as messages name them.
+        raw: What stands there.
+        kind: A dataclass whose fields are the keys; msgspec checks what they hold, `Meta(examples=…)` gives the cure.
+        given: Fields that do not come from the file; they are no keys of it.
+
+    Raises:
+        UnknownName: A key, or a value that is one of few, is not known.
+        ConfigError: A key is missing, or its value is not of its kind or is refused by the dataclass.
+    """
+    hints = get_type_hints(kind, include_extras=True)
+    keys = [each for each in fields(kind) if each.name not in given]  # type: ignore[arg-type]
+    known = [each.name for each in keys]
+    for key in table_at(where, raw):
+        if key not in known:
+            raise UnknownName(where, "key", str(key), known)
+    values: dict[str, Any] = {}
+    for each in keys:
+        if each.name in table_at(where, raw):
+            values[each.name] = _value(where, each, table_at(where, raw)[each.name], hints[each.name])
+        elif each.default is MISSING and each.default_factory is MISSING:
+            raise ConfigError(f"{where}: no {each.name!r}", cure=f"Add {each.name} = …")
+    try:
+        return kind(**values, **given)
+    except ValueError as error:
+        raise ConfigError(f"{where}: {error}", cure=_PAGE) from error
+
+
+def table_at(where: str, raw: object) -> Mapping[str, Any]:
+    """Return what must be a table.
+
+    Raises:
+        ConfigError: It is something else.
+    """
+    if not isinstance(raw, Mapping):
+        raise ConfigError(f"{where}: {raw!r} must be a table", cure=_PAGE)
+    return raw
+
+
 def list_at(where: str, raw: Mapping[str, Any], key: str) -> list[Any]:
     """Return the list under `key`, empty when absent.
 
@@ -52,6 +104,55 @@ def list_at(where: str, raw: Mapping[str, Any], key: str) -> list[Any]:
         cure = f"Begin each of them with [[{key}]]." if isinstance(value, dict) else f"{key} = [{_as_toml(value)}]"
         raise ConfigError(f"{where}: {key} must be a list", cure=cure)
     return value
+
+
+def refuse_twice(where: str, kind: str, names: list[str]) -> None:
+    """Refuse names of which one stands twice.
+
+    Raises:
+        ConfigError: One does.
+    """
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ConfigError(
+            f"{where}: {kind} name {twice[0]!r} is used twice", cure=f"Give each {kind} a name of its own."
+        )
+
+
+def _value(where: str, each: Field[Any], value: object, hint: Any) -> Any:  # noqa: ANN401 - a type, and what it says
+    if get_origin(hint) in (Union, UnionType):  # a key is there or not; TOML has no null
+        (hint,) = (kind for kind in get_args(hint) if kind is not NoneType)
+    origin, inner = get_origin(hint), get_args(hint)
+    if _is_table(hint):
+        return value if isinstance(value, hint) else followed(f"{where} {each.name}", value, hint)
+    if origin is tuple and _is_table(inner[0]):
+        entries = list_at(where, {each.name: value}, each.name)
+        return tuple(followed(f"{where} {each.name}[{i}]", entry, inner[0]) for i, entry in enumerate(entries))
+    if origin is Mapping and _is_table(inner[1]):
+        tables = table_at(f"{where} [{each.name}]", value).items()
+        return {name: followed(f"{where} [{each.name}.{name}]", entry, inner[1]) for name, entry in tables}
+    if origin is Literal and value not in inner:
+        raise UnknownName(where, f"value of {each.name}", str(value), inner)
+    try:
+        return msgspec.convert(value, hint)
+    except (ValueError, OverflowError) as error:
+        if origin is tuple and not isinstance(value, list):
+            list_at(where, {each.name: value}, each.name)
+        at, said = in_words(error)
+        raise ConfigError(f"{where}: {each.name}{at} = {value!r}: {said}", cure=_cure(each, value, hint)) from error
+
+
+def _is_table(kind: object) -> TypeGuard[type]:
+    return isinstance(kind, type) and is_dataclass(kind)
+
+
+def _cure(each: Field[Any], value: object, hint: Any) -> str:  # noqa: ANN401 - a type
+    """Return a line that would be right: an example of the type, the value as a text, or the default."""
+    found = [meta.examples[0] for meta in getattr(hint, "__metadata__", ()) if getattr(meta, "examples", None)]
+    if not found and hint is str:
+        found = [str(value)]
+    if not found and isinstance(each.default, str | int | float):
+        found = [each.default]
+    return f"{each.name} = {_as_toml(found[0])}" if found else _PAGE
 
 
 def _as_toml(value: object) -> str:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.resample import interval_of_mean, share_within
 from cyclekit.estimate.result import CycleEstimate, TaskShare
 
@@ -26,13 +26,6 @@ if TYPE_CHECKING:
     from cyclekit.estimate.walk import Rolled
     from cyclekit.parallel.engine import Engine
 
-ESTIMATORS: Mapping[str, str] = {
-    "rollout": "the learned safety function is walked beside every logged operator track",
-    "average": "the model predicts mean scalings, which give each task's duration",
-    "history": "logged durations of the same tasks were asked for",
-    "nominal": "the time without an operator was asked for",
-}
-"""Estimators by name, and why one is used."""
 LEAST_SUPPORT = 0.5
 """Below this part of the cycle in logged cells the question is refused."""
 
@@ -102,7 +95,7 @@ def entry_of(
         safety_by_activity_s={name: lost for name, lost in by_activity if lost > 0.0},
         durations_s=tuple(durations.tolist()),
         estimator=ask.estimator,
-        why=ESTIMATORS[ask.estimator],
+        why=ESTIMATORS[ask.estimator].why,
         executions=len(set(logged)),
         calibrated=check is not None and check.coverage is not None,
         takt_s=ask.takt_s,

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import EstimateError, ModelError, UnknownName
-from cyclekit.estimate.entry import ESTIMATORS, LEAST_SUPPORT, Question, entry_of
+from cyclekit.estimate.entry import LEAST_SUPPORT, Question, entry_of
+from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.resample import TOGETHER, means_below, resampled
-from cyclekit.estimate.rivals import by_average, by_history, by_nominal
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.same_work import by_work
 from cyclekit.estimate.spread import Asked, logged_support, roll_spread
@@ -115,7 +115,7 @@ def estimate(
     tell = progress or (lambda fraction, text: None)
     dataset.require_positions()
     chosen = _chosen(model, estimator)
-    if chosen in ("rollout", "average"):
+    if ESTIMATORS[chosen].needs is not None:
         refuse_other_cell(model.card, dataset, other_cell=other_cell)
     dataset, left_out = in_memory(dataset)
     wanted = None if altered else {task for sequence in sequences for task in sequence.tasks}
@@ -162,7 +162,7 @@ def _chosen(model: SafetyModel, estimator: str | None) -> str:
         estimator = "average" if model.problem == "average" else "rollout"
     if estimator not in ESTIMATORS:
         raise UnknownName("estimate", "estimator", estimator, ESTIMATORS)
-    needs = {"rollout": "now", "average": "average"}.get(estimator)
+    needs = ESTIMATORS[estimator].needs
     if needs is not None and model.problem != needs:
         msg = f"the model predicts problem {model.problem!r}; estimator {estimator!r} needs {needs!r}"
         raise ModelError(msg, cure=f"Train one: cyclekit train DATASET --problem {needs} --out MODEL")
@@ -230,15 +230,14 @@ def _cycles(
 
     A cycle that does not end within them has duration inf.
     """
-    if ask.estimator == "history":
-        return [by_history(ask.dataset, program, seed=ask.seed) for program in programs], None, np.inf
-    if ask.estimator == "nominal":
-        return [by_nominal(program) for program in programs], None, np.inf
+    estimator = ESTIMATORS[ask.estimator]
+    if estimator.alone is not None:
+        return [estimator.alone(ask.dataset, program, ask.seed) for program in programs], None, np.inf
     horizon = 2.5 * max(program.length_s for program in programs)
     rolled: list[Rolled] = []
     for last in (False, False, False, True):  # tracks must be long enough for the slowest cycle; halts take longer
-        operator, goals = sequences[0].operator, ask.estimator == "average"
-        tracks = operator_tracks(ask.dataset, horizon_s=horizon, operator=operator, goals=goals)
+        operator = sequences[0].operator
+        tracks = operator_tracks(ask.dataset, horizon_s=horizon, operator=operator, goals=estimator.goals)
         if ask.altered is not None:
             tracks = ask.altered.tracks(tracks, {task.task: task for program in programs for task in program.tasks})
         rolled = []
@@ -265,8 +264,8 @@ class _Round:
 
 def _rolled(ask: Question, turn: _Round) -> Iterator[Rolled]:
     programs, tracks = turn.programs, turn.tracks
-    if ask.estimator == "average":
-        return (by_average(ask.model, program, tracks, seed=ask.seed) for program in programs)  # type: ignore[arg-type]
+    if (beside := ESTIMATORS[ask.estimator].beside) is not None:
+        return (beside(ask.model, program, tracks, ask.seed) for program in programs)
     if len(programs) <= MANY or not _dynamics(ask).none:
         return _walked(ask, turn)
     return _looked_up(ask, turn)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from cyclekit.dataset.unknown_height import in_plane, inputs_in_plane
+from cyclekit.learning.networks.kinds import names_levels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -202,7 +203,7 @@ class Follower:
             outer = self._model.moved_outwards(margin_m)
             return scaling_of(outer, robot_m, human_m), scaling_of(self._model, robot_m, human_m)
         human_m = in_plane(robot_m, human_m)
-        if not isinstance(self._model, Classifier) or self._model.network != "classifier":
+        if not isinstance(self._model, Classifier) or not names_levels(self._model.network):
             nearer, farther, *_ = around(robot_m, human_m, margin_m / 2)
             return scaling_of(self._model, robot_m, nearer), scaling_of(self._model, robot_m, farther)
         rising, sure = likeliest_of(self._model, robot_m, human_m)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from glob import glob, has_magic
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cyclekit.config.toml_file import list_at, read_toml
+from msgspec import Meta
+
+from cyclekit.config.toml_file import followed, list_at, read_toml, refuse_twice, table_at
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.storage.files import resolved
 from cyclekit.storage.inside import unfit
@@ -17,7 +18,10 @@ from cyclekit.storage.remote.folders import is_url, join
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]*$"
+"""It names a folder: letters, digits, '.', '_' and '-', the first a letter or digit."""
+_OF_A_CELL = ("name", "sources", "folder")
+"""What [fleet] cannot say for all cells."""
 
 
 @dataclass(frozen=True)
@@ -37,16 +41,16 @@ class FleetCell:
         epochs: Passes of the training, None for as many as the rows need.
     """
 
-    name: str
-    sources: tuple[str, ...]
+    name: Annotated[str, Meta(pattern=_NAME, examples=["press-1"])]
+    sources: Annotated[tuple[Annotated[str, Meta(min_length=1)], ...], Meta(min_length=1, examples=[["logs/press-1"]])]
     folder: str = ""
     cell_file: str | None = None
     sequences: str | None = None
     pseudonymise: bool = False
     checksums: bool = True
     follow_links: bool = False
-    seed: int = 0
-    epochs: int | None = None
+    seed: Annotated[int, Meta(ge=0)] = 0
+    epochs: Annotated[int, Meta(ge=1)] | None = None
 
     @property
     def dataset(self) -> str:
@@ -99,55 +103,31 @@ def load_fleet(path: Path) -> Fleet:
         UnknownName: A key is not known.
     """
     raw, here = read_toml(path), resolved(path).parent
-    _only(str(path), raw, ("fleet", "cell"))
-    shared = raw.get("fleet", {})
-    if not isinstance(shared, dict):
-        raise ConfigError(f"{path}: [fleet] must be a table", cure='[fleet]\n  out = "fleet"')
-    settings = [field.name for field in fields(FleetCell) if field.name not in ("name", "sources", "folder")]
-    _only(f"{path} [fleet]", shared, ("name", "out", *settings))
-    out = _place(here, str(shared.get("out", path.stem)))
+    for key in raw:
+        if key not in ("fleet", "cell"):
+            raise UnknownName(str(path), "key", key, ("fleet", "cell"))
+    shared = dict(table_at(f"{path} [fleet]", raw.get("fleet", {})))
+    name, out = (str(shared.pop(key, path.stem)) for key in ("name", "out"))
+    followed(f"{path} [fleet]", shared, FleetCell, **dict.fromkeys(_OF_A_CELL))
     entries = list_at(str(path), raw, "cell")
     if not entries:
         cure = 'Add them:\n  [[cell]]\n  name = "press-1"\n  sources = ["logs/press-1"]'
         raise ConfigError(f"{path}: no [[cell]] in it", cure=cure)
-    common = {name: shared[name] for name in settings if name in shared}
-    cells = [_cell(f"{path} cell[{number}]", {**common, **entry}, here) for number, entry in enumerate(entries)]
-    names = [cell.name for cell in cells]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ConfigError(f"{path}: cell name {twice[0]!r} is used twice", cure="Each needs a name of its own.")
-    return Fleet(
-        str(shared.get("name", path.stem)), out, tuple(replace(cell, folder=join(out, cell.name)) for cell in cells)
-    )
+    out = _place(here, out)
+    cells = [_cell(f"{path} cell[{number}]", shared, entry, here) for number, entry in enumerate(entries)]
+    refuse_twice(str(path), "cell", [cell.name for cell in cells])
+    return Fleet(name, out, tuple(replace(cell, folder=join(out, cell.name)) for cell in cells))
 
 
-def _cell(where: str, raw: Mapping[str, Any], here: Path) -> FleetCell:
-    kinds: dict[str, type] = {
-        "name": str, "sources": list, "cell_file": str, "sequences": str, "pseudonymise": bool, "checksums": bool,
-        "follow_links": bool, "seed": int, "epochs": int,
-    }  # fmt: skip
-    _only(where, raw, tuple(kinds))
-    for key, value in raw.items():
-        if type(value) is not kinds[key]:
-            raise ConfigError(f"{where}: {key} = {value!r} is not of the right kind", cure="See docs/fleet.md.")
-    name, sources = raw.get("name", ""), raw.get("sources", [])
-    if not _NAME.fullmatch(name) or unfit(name):
-        cure = "It names a folder: letters, digits, '.', '_' and '-', the first a letter or digit, no '.' last."
-        raise ConfigError(f"{where}: name = {name!r}", cure=cure)
-    if not sources or not all(isinstance(source, str) and source for source in sources):
-        raise ConfigError(f"{where}: sources = {sources!r}", cure='Say where its logs lie: sources = ["logs/press-1"]')
-    if raw.get("epochs", 1) < 1 or raw.get("seed", 0) < 0:
-        raise ConfigError(f"{where}: a training of fewer than one epoch, or a seed below 0", cure="See docs/fleet.md.")
-    paths = {key: _place(here, raw[key]) for key in ("cell_file", "sequences") if key in raw}
-    return FleetCell(**{**raw, **paths, "sources": tuple(_place(here, source) for source in sources)})
+def _cell(where: str, shared: Mapping[str, Any], entry: object, here: Path) -> FleetCell:
+    cell = followed(where, {**shared, **table_at(where, entry)}, FleetCell, folder="")
+    if unfit(cell.name):
+        raise ConfigError(
+            f"{where}: name = {cell.name!r} can be no folder on every system", cure="Choose another name."
+        )
+    paths = {key: _place(here, told) for key in ("cell_file", "sequences") if (told := getattr(cell, key)) is not None}
+    return replace(cell, **paths, sources=tuple(_place(here, source) for source in cell.sources))  # type: ignore[arg-type]
 
 
 def _place(here: Path, text: str) -> str:
     return text if is_url(text) else str(here / text)
-
-
-def _only(where: str, raw: object, known: tuple[str, ...]) -> None:
-    if not isinstance(raw, dict):
-        raise ConfigError(f"{where}: must be a table", cure="See docs/fleet.md.")
-    for key in raw:
-        if key not in known:
-            raise UnknownName(where, "key", str(key), known)

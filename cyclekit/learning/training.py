@@ -32,7 +32,8 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.dataset.time_grid import samples_in
 from cyclekit.dataset.unknown_height import said_of_height
-from cyclekit.errors import DatasetError, MissingExtra, command_line
+from cyclekit.errors import DatasetError, command_line
+from cyclekit.extras import need
 from cyclekit.learning.labelling import scaling_in_time, staircase_of, without_slider
 from cyclekit.learning.networks.beaten import staircase_if_better
 from cyclekit.learning.networks.cell import cell_of, fingerprint
@@ -174,7 +175,7 @@ def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -
 
     def rows(frame: pl.DataFrame) -> Samples:
         found = build(without_slider(dataset, frame)[0] if slider else frame, levels=levels, allow=known)
-        on_level = found.where(found.step >= 0) if spec.network == "classifier" else found
+        on_level = found.where(found.step >= 0) if spec.kind.names_levels else found
         return replace(on_level, dropped=found.dropped)
 
     learn = in_files((rows(frame) for frame in frames(dataset, split.train, min(PART_ROWS, most_rows))), folder)
@@ -259,10 +260,7 @@ def need_torch() -> None:
     Raises:
         MissingExtra: torch is not installed.
     """
-    try:
-        import torch  # noqa: F401
-    except ImportError as error:
-        raise MissingExtra("torch", "train", "training") from error
+    need("training", "train")
 
 
 def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
@@ -281,9 +279,9 @@ def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
 
 def _check_learnable(dataset: Dataset, learn: Samples, check: Samples, held_out: Samples, spec: ModelSpec) -> None:
     """Refuse when the split leaves too little to learn from: executions may be of very different length."""
-    count = int((learn.step >= 0).sum()) if spec.network == "classifier" else len(learn)
+    count = int((learn.step >= 0).sum()) if spec.kind.names_levels else len(learn)
     if count < samples_in(LEAST_S / 2, dataset.rate_hz):
-        what = "samples on a level" if spec.network == "classifier" else "usable samples"
+        what = "samples on a level" if spec.kind.names_levels else "usable samples"
         msg = f"{dataset.path}: the executions to learn from hold only {count} {what}"
         raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
     for rows, purpose in ((check, "to stop at"), (held_out, "to judge by")):
@@ -317,7 +315,7 @@ def _staircase(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Stairc
     if np.nanmax(scaling) - np.nanmin(scaling) < 1e-6:
         msg = f"{dataset.path}: the speed scaling is {np.nanmax(scaling):.2f} throughout, so there is nothing to learn"
         raise DatasetError(msg, cure="Log executions in which the operator comes near enough to slow the robot.")
-    if spec.network in ("classifier", "mixed") and (staircase.levels.size < 2 or not staircase.is_staircase):
+    if spec.kind.needs_levels and (staircase.levels.size < 2 or not staircase.is_staircase):
         msg = f"{dataset.path}: a {spec.network} needs at least two levels, but {'; '.join(texts(staircase.warnings))}"
         raise DatasetError(msg, cure="Train a network that needs none: --network regressor")
     return staircase

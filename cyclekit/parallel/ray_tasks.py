@@ -14,7 +14,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.errors import EngineError, MissingExtra
+from cyclekit.errors import EngineError
+from cyclekit.extras import need
 from cyclekit.parallel.outcome import ONE_THREAD, RETRIES, Done, cores, in_chunks
 from cyclekit.parallel.worker import outcomes, packed
 
@@ -76,10 +77,9 @@ def _connected(jobs: int | None, address: str | None) -> Any:  # noqa: ANN401 - 
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # before the import: it reports usage otherwise
     if address not in (None, "auto") and (Path.home() / ".ray" / "auth_token").is_file():
         os.environ.setdefault("RAY_AUTH_MODE", "token")  # as Ray does for a cluster that it has found by itself
-    try:
-        import ray
-    except ImportError as error:
-        raise MissingExtra("ray", "ray", "--engine ray") from error
+    need("--engine ray", "ray")
+    import ray
+
     if ray.is_initialized():
         return ray
     if address is None:

@@ -4,10 +4,15 @@
     open_viewer(facts.path, facts.first)
 
 The file holds its own layout and opens in any Rerun viewer of the same minor version. What is missing from the log is
-missing from the replay, and the replay says so. The only room that knows rerun.
+missing from the replay, and the replay says so. The only room that knows rerun, which is the extra `replay`.
 """
+# ruff: noqa: E402 - whether rerun is there is asked before anything imports it
 
 from __future__ import annotations
+
+from cyclekit.extras import need
+
+need("a replay", "replay")
 
 from cyclekit.replay.execution import PredictsNow
 from cyclekit.replay.misses import Miss

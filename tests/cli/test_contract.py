@@ -33,7 +33,6 @@ CONTRACT = {
     "whatif": (["model", "sequences", "changes"], ["--dataset", "--out"]),
     "replay": (["dataset"], ["--execution", "--out", "--model", "--open"]),
     "report": (["dataset"], ["--model", "--sequences", "--out"]),
-    "benchmark": (["what"], ["--executions", "--out", "--seeds", "--scenes", "--only"]),
     "fleet": (["what", "file"], ["--engine", "--jobs", "--ray-address"]),
     "calibrate": (["points"], ["--up"]),
     "adapters": ([], []),

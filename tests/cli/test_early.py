@@ -23,11 +23,9 @@ OUTPUTS = {
     "convert": (["convert", "log.csv", "--out"], ".parquet"),
     "report": (["report", "data", "--out"], ".html"),
     "report --pdf": (["report", "data", "--out", "page.html", "--pdf"], ".pdf"),
-    "benchmark --page": (["benchmark", "paper", "--done", "--page"], ".md"),
     "train": (["train", "data", "--out"], ""),
     "simulate": (["simulate", "box-picking", "--out"], ""),
     "demo": (["demo", "--out"], ""),
-    "benchmark": (["benchmark", "paper", "--out"], ""),
 }
 FILES = [name for name, (_, ending) in OUTPUTS.items() if ending]
 
@@ -74,9 +72,7 @@ def test_a_folder_that_is_no_model_is_refused_before_the_training(cyclekit: Shel
     assert "is no model of cyclekit's, so it is not replaced" in failed.err
 
 
-@pytest.mark.parametrize(
-    "words", [["demo"], ["train", "data", "--out", "model"], ["benchmark", "paper"], ["fleet", "all", "fleet.toml"]]
-)
+@pytest.mark.parametrize("words", [["demo"], ["train", "data", "--out", "model"], ["fleet", "all", "fleet.toml"]])
 def test_without_torch_what_trains_ends_before_it_begins(
     cyclekit: Shell, words: list[str], monkeypatch: pytest.MonkeyPatch
 ):
@@ -84,7 +80,7 @@ def test_without_torch_what_trains_ends_before_it_begins(
     monkeypatch.setitem(__import__("sys").modules, "torch", None)
     failed = cyclekit(*words)
     assert failed.code == 1
-    assert failed.err.startswith("error: training needs torch")
+    assert failed.err.splitlines()[0].endswith(" needs torch: not installed")
     assert [path.name for path in Path().iterdir()] == ["fleet.toml"]
 
 

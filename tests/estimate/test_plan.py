@@ -100,9 +100,9 @@ def test_a_duration_is_the_arrivals_one_after_the_other():
     [
         ('start = "home"\nvisit = ["a", "b"]\nbefore = [["a", "b"], ["b", "a"]]', "form a circle: a, b"),
         ('start = "home"\nvisit = ["a", "b"]\nbefore = [["a", "x"]]', "unknown place in before 'x'"),
-        ('start = "home"\nvisit = ["a", "b"]\nbefore = ["a"]', "in before is no pair"),
+        ('start = "home"\nvisit = ["a", "b"]\nbefore = ["a"]', "expected a list"),
         ('start = "home"\nvisit = ["a"]', "fewer than two places"),
-        ('visit = ["a", "b"]', "no start in it"),
+        ('visit = ["a", "b"]', "no 'start'"),
         ('start = "home"\nvisits = ["a", "b"]', "unknown key 'visits'"),
     ],
 )

@@ -186,12 +186,12 @@ def test_a_fault_of_ours_in_one_cell_is_told_as_one(one_day: Path, tmp_path: Pat
     ("text", "said"),
     [
         ("", "no [[cell]] in it"),
-        ('[[cell]]\nname = "a"\n', "sources = []"),
+        ('[[cell]]\nname = "a"\n', "no 'sources'"),
         ('[[cell]]\nname = "../a"\nsources = ["x"]', "name = '../a'"),
         ('[[cell]]\nname = "a"\nsources = ["x"]\n[[cell]]\nname = "a"\nsources = ["y"]', "'a' is used twice"),
-        ('[[cell]]\nname = "a"\nsources = "x"', "not of the right kind"),
-        ('fleet = 1\n[[cell]]\nname = "a"\nsources = ["x"]', "[fleet] must be a table"),
-        ('[[cell]]\nname = "a"\nsources = ["x"]\nepochs = 0', "fewer than one epoch"),
+        ('[[cell]]\nname = "a"\nsources = "x"', "sources = 'x': expected a list, got a text"),
+        ('fleet = 1\n[[cell]]\nname = "a"\nsources = ["x"]', "[fleet]: 1 must be a table"),
+        ('[[cell]]\nname = "a"\nsources = ["x"]\nepochs = 0', "epochs = 0: expected a whole number >= 1"),
     ],
 )
 def test_a_fleet_file_that_cannot_be_followed_is_refused(text: str, said: str, tmp_path: Path) -> None:

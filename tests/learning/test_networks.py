@@ -10,14 +10,16 @@ from torch import nn
 
 from cyclekit.errors import ConfigError, CyclekitError, UnknownName
 from cyclekit.learning.networks.folding import fold
+from cyclekit.learning.networks.kinds import NETWORKS, networks_for
 from cyclekit.learning.networks.network import build
 from cyclekit.learning.networks.saved import TrainedModel
-from cyclekit.learning.networks.spec import FREEZE_NORM_AFTER, MUON_ROWS, NETWORKS, RECURRENT, ModelSpec
+from cyclekit.learning.networks.spec import FREEZE_NORM_AFTER, MUON_ROWS, ModelSpec
 from cyclekit.learning.windows import GROUPS
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
-EVERY = [(problem, network) for problem, networks in NETWORKS.items() for network in networks]
-WITH_DISTANCE = [(problem, name, (1.5, 4.0)) for problem, name in EVERY if name not in RECURRENT]
+PROBLEMS = ("now", "ahead", "average")
+EVERY = [(problem, network) for problem in PROBLEMS for network in networks_for(problem)]
+WITH_DISTANCE = [(problem, name, (1.5, 4.0)) for problem, name in EVERY if not NETWORKS[name].lstm_layers]
 
 
 def widths(network: nn.Sequential) -> list[int]:
@@ -43,7 +45,7 @@ def test_the_mixed_net_ends_in_memberships_of_the_levels_and_a_linear_value():
 
 
 def test_muon_moves_the_weights_where_it_was_measured_better():
-    assert [ModelSpec.of(problem).for_rows(MUON_ROWS).optimiser for problem in NETWORKS] == ["muon", "muon", "adamw"]
+    assert [ModelSpec.of(problem).for_rows(MUON_ROWS).optimiser for problem in PROBLEMS] == ["muon", "muon", "adamw"]
     few = ModelSpec.of().for_rows(MUON_ROWS - 1)
     assert (few.optimiser, few.freeze_norm_after) == ("adamw", FREEZE_NORM_AFTER["adamw"])
     asked = ModelSpec.of("average", optimiser="muon", freeze_norm_after=0.5).for_rows(1)

@@ -15,6 +15,7 @@ from msgspec import structs
 from sklearn.cluster import DBSCAN, KMeans
 from sklearn.metrics import silhouette_score
 
+from benchmarks.rival_levels import register
 from cyclekit.cli import run
 from cyclekit.dataset.cards import CellSettings, texts
 from cyclekit.dataset.dataset import CARD, Dataset
@@ -22,7 +23,7 @@ from cyclekit.dataset.time_grid import stretches
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.learning.labelling import staircase_of
 from cyclekit.plots.levels import draw_levels
-from cyclekit.scaling.levels import METHODS, dbscan_1d, find_staircase, label_in_time, second_opinion
+from cyclekit.scaling.levels import FINDERS, PLATEAU, dbscan_1d, find_staircase, label_in_time, second_opinion
 from cyclekit.scaling.levels.kmeans import by_silhouette, condense, kmeans_1d, silhouette_1d
 from cyclekit.scaling.levels.plateaus import find_plateaus, noise_of
 
@@ -119,8 +120,15 @@ def test_fixed_levels_are_only_labelled():
     assert found.label.tolist() == [0] * 30 + [1] * 30 + [3] * 30
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_every_method_finds_clean_levels_that_are_all_used_often(method):
+@pytest.fixture
+def with_rivals(monkeypatch):
+    for name in ("kmeans-elbow", "hdbscan", "gmm-bic"):  # taken out again after the test
+        monkeypatch.setitem(FINDERS, name, None)
+    register()
+
+
+@pytest.mark.parametrize("method", [PLATEAU, *FINDERS, "kmeans-elbow", "hdbscan", "gmm-bic"])
+def test_every_method_finds_clean_levels_that_are_all_used_often(method, with_rivals):
     found = find_staircase(series(0.002, 0.0, 5, count=100), method=method)
     if method == "kmeans-elbow":  # known to stop too early on even levels
         assert 2 <= found.levels.size <= 5

@@ -44,7 +44,7 @@ def main(threads: int, cell: Path) -> None:
     answers["estimate"] = [cycle.to_json() for cycle in estimate(model, dataset, sequences, check=check)]
     answers["zones"] = read_zones(model, dataset).to_json()
     answers["plan"] = plan(model, dataset, load_jobs(Path("jobs.toml"))).to_json()
-    answers["levels"] = staircase_of(dataset, dataset.samples(), "gmm-bic").levels.tolist()
+    answers["levels"] = staircase_of(dataset, dataset.samples(), "kmeans-silhouette").levels.tolist()
     for name, answer in answers.items():
         Path(f"{name}.json").write_text(json.dumps(answer, indent=2), encoding="utf-8")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -10,6 +9,7 @@ import msgspec
 
 from cyclekit.dataset.cards.quantities import Card
 from cyclekit.storage.files import regular
+from cyclekit.text.expected import in_words
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -18,16 +18,6 @@ AnyCard = TypeVar("AnyCard", bound=Card)
 
 MAX_BYTES = 256 << 20
 """No card is larger: that of ten thousand recordings has some 20 MB."""
-_WORDS = {
-    "float": "a number",
-    "int": "a whole number",
-    "str": "a text",
-    "bool": "true or false",
-    "array": "a list",
-    "object": "a table",
-    "null": "null",
-}
-_SHOWN = 160
 
 
 class BadCard(Exception):
@@ -122,9 +112,5 @@ def _value(value: Any) -> Any:  # noqa: ANN401 - any value of a card
 
 def _plain(error: Exception) -> str:
     """Return what msgspec found wrong in our words, the place first: `executions[3].end_s: expected a number`."""
-    text, _, where = str(error).partition(" - at `$")
-    text = re.sub(r"Object missing required field `(\w+)`", r"\1 is missing", text)
-    text = re.sub(r"`([a-z]+)(?: \| null)?`", lambda found: _WORDS.get(found[1], found[0]), text)
-    where = where.removesuffix("`").removeprefix(".")
-    text = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
-    return f"{where}: {text[:1].lower()}{text[1:]}" if where else text
+    where, said = in_words(error)
+    return f"{where}: {said}" if where else said

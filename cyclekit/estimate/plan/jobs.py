@@ -12,16 +12,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from cyclekit.config.toml_file import list_at, read_toml
+from msgspec import Meta
+
+from cyclekit.config.toml_file import followed, read_toml
 from cyclekit.errors import ConfigError, UnknownName
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-_KEYS = ("start", "end", "via", "visit", "before")
 _EXAMPLE = """For example:
   start = "home"
   end = "home"
@@ -46,7 +47,7 @@ class Jobs:
     start: str
     end: str | None = None
     via: str | None = None
-    before: tuple[tuple[str, str], ...] = ()
+    before: Annotated[tuple[tuple[str, str], ...], Meta(examples=[[["left_1", "left_2"]]])] = ()
     shown: str = "the jobs"
     unlogged: frozenset[str] = frozenset()
 
@@ -153,19 +154,6 @@ def load_jobs(path: Path) -> Jobs:
         ConfigError: The file cannot be read, or its jobs cannot be put in any order.
     """
     raw = read_toml(path)
-    for key in raw:
-        if key not in _KEYS:
-            raise UnknownName(str(path), "key", key, _KEYS)
-    for key in ("start", "visit"):
-        if key not in raw:
-            raise ConfigError(f"{path}: no {key} in it", cure=_EXAMPLE)
-    visit = tuple(map(str, list_at(str(path), raw, "visit")))
-    pairs = [_pair(path, entry) for entry in list_at(str(path), raw, "before")]
-    end, via = (None if raw.get(key) is None else str(raw[key]) for key in ("end", "via"))
-    return Jobs(visit, str(raw["start"]), end, via, tuple(pairs), str(path))
-
-
-def _pair(path: Path, entry: object) -> tuple[str, str]:
-    if not isinstance(entry, list) or len(entry) != 2:
-        raise ConfigError(f"{path}: {entry!r} in before is no pair", cure='before = [["left_1", "left_2"]]')
-    return str(entry[0]), str(entry[1])
+    if not raw:
+        raise ConfigError(f"{path}: no work in it", cure=_EXAMPLE)
+    return followed(str(path), raw, Jobs, shown=str(path), unlogged=frozenset())

@@ -16,6 +16,7 @@ import numpy as np
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.errors import EstimateError, UnknownName
 from cyclekit.estimate.safety import Classifier, Dynamics, SafetyModel, around, likeliest_of, scaling_of
+from cyclekit.learning.networks.kinds import names_levels
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -102,7 +103,7 @@ class LearnedSafety:
 
     def _level(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
         """Return the likeliest level where the model is a classifier: it hesitates within the hysteresis."""
-        if isinstance(self.model, Classifier) and self.model.network == "classifier":
+        if isinstance(self.model, Classifier) and names_levels(self.model.network):
             return likeliest_of(self.model, robot_m, human_m)[0]
         return scaling_of(self.model, robot_m, human_m)
 

@@ -31,20 +31,18 @@ hysteresis_m = 0.0               # also ramp_down_per_s, latency_s
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from cyclekit.config.toml_file import list_at, read_toml
-from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.config.cells import Levels, Number, Point
+from cyclekit.config.toml_file import followed, list_at, read_toml
+from cyclekit.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
-    Place = tuple[float, float, float]
-
 _DYNAMICS = ("latency_s", "ramp_down_per_s", "ramp_up_per_s", "hysteresis_m")
-_KEYS = ("name", "levels", "thresholds_m", "zones", "base", "places", "frequency", *_DYNAMICS)
 _EXAMPLE = """Add one:
   [[change]]
   name = "fewer visits"
@@ -56,9 +54,19 @@ _CURE = "docs/commands.md shows every key of a change."
 class Zone:
     """A rectangle on the floor, base frame, m, border included; an operator in it allows at most `level`."""
 
-    x_m: tuple[float, float]
-    y_m: tuple[float, float]
+    x_m: tuple[Number, Number]
+    y_m: tuple[Number, Number]
     level: float
+
+    def __post_init__(self) -> None:
+        """Refuse a rectangle without extent.
+
+        Raises:
+            ValueError: It has none.
+        """
+        if self.x_m[0] >= self.x_m[1] or self.y_m[0] >= self.y_m[1]:
+            msg = f"zone x_m {self.x_m}, y_m {self.y_m}: the first of each must be less than the second"
+            raise ValueError(msg)
 
 
 @dataclass(frozen=True)
@@ -80,9 +88,9 @@ class Change:
     levels: tuple[float, ...] = ()
     thresholds_m: tuple[float, ...] = ()
     zones: tuple[Zone, ...] = ()
-    base_m: Place | None = None
+    base_m: Point | None = None
     base_yaw_deg: float = 0.0
-    places: Mapping[str, Place] = field(default_factory=dict)
+    places: Mapping[str, Point] = field(default_factory=dict)
     frequency: float | None = None
     dynamics: Mapping[str, float] = field(default_factory=dict)
 
@@ -132,50 +140,52 @@ def load_changes(path: Path) -> list[Change]:
         ConfigError: The file cannot be read, holds no change, or a change is not one.
     """
     raw = read_toml(path)
-    for key in raw:
-        if key != "change":
-            raise UnknownName(str(path), "key", key, ["change"])
-    entries = list_at(str(path), raw, "change")
-    if not entries:
+    if not list_at(str(path), raw, "change") and not set(raw) - {"change"}:
         raise ConfigError(f"{path}: no [[change]] in it", cure=_EXAMPLE)
-    return [_change(path, entry, number) for number, entry in enumerate(entries)]
+    return [_change(entry, number) for number, entry in enumerate(followed(str(path), raw, _File).change)]
 
 
-def _change(path: Path, entry: Any, number: int) -> Change:  # noqa: ANN401 whatever stands in the file
-    where = f"{path} change[{number}]"
-    if not isinstance(entry, dict):
-        raise ConfigError(f"{where}: {entry!r} must be a table", cure="Begin each change with [[change]].")
-    for key in entry:
-        if key not in _KEYS:
-            raise UnknownName(where, "key", key, _KEYS)
-    base = entry.get("base", {})
-    try:
-        return Change(
-            name=str(entry.get("name", f"change {number + 1}")),
-            levels=tuple(map(float, entry.get("levels", ()))),
-            thresholds_m=tuple(map(float, entry.get("thresholds_m", ()))),
-            zones=tuple(_zone(zone) for zone in entry.get("zones", ())),
-            base_m=_place(base.get("xyz_m", (0.0, 0.0, 0.0))) if base else None,
-            base_yaw_deg=float(base.get("yaw_deg", 0.0)),
-            places={str(name): _place(xyz) for name, xyz in entry.get("places", {}).items()},
-            frequency=None if entry.get("frequency") is None else float(entry["frequency"]),
-            dynamics={key: float(entry[key]) for key in _DYNAMICS if key in entry},
-        )
-    except (TypeError, ValueError, AttributeError, KeyError) as error:
-        raise ConfigError(f"{where}: a value is not what it should be ({error})", cure=_CURE) from error
+@dataclass(frozen=True)
+class _Base:
+    """Where the base shall stand, as the file says it."""
+
+    xyz_m: Point = (0.0, 0.0, 0.0)
+    yaw_deg: Number = 0.0
 
 
-def _zone(entry: Mapping[str, Any]) -> Zone:
-    (x_low, x_high), (y_low, y_high) = entry["x_m"], entry["y_m"]
-    if x_low >= x_high or y_low >= y_high:
-        msg = f"zone x_m {entry['x_m']}, y_m {entry['y_m']}: the first of each must be less than the second"
-        raise ValueError(msg)
-    return Zone((float(x_low), float(x_high)), (float(y_low), float(y_high)), float(entry["level"]))
+@dataclass(frozen=True)
+class _Entry:
+    """A change as the file says it."""
+
+    name: str | None = None
+    levels: Levels = ()
+    thresholds_m: tuple[Number, ...] = ()
+    zones: tuple[Zone, ...] = ()
+    base: _Base | None = None
+    places: Mapping[str, Point] = field(default_factory=dict)
+    frequency: float | None = None
+    latency_s: float | None = None
+    ramp_down_per_s: float | None = None
+    ramp_up_per_s: float | None = None
+    hysteresis_m: float | None = None
 
 
-def _place(xyz: Any) -> Place:  # noqa: ANN401 whatever stands in the file
-    x, y, z = map(float, xyz)
-    if not all(map(math.isfinite, (x, y, z))):
-        msg = f"{xyz} are not three finite numbers"
-        raise ValueError(msg)
-    return x, y, z
+@dataclass(frozen=True)
+class _File:
+    """All keys of a file of changes."""
+
+    change: tuple[_Entry, ...] = ()
+
+
+def _change(entry: _Entry, number: int) -> Change:
+    return Change(
+        name=entry.name or f"change {number + 1}",
+        levels=entry.levels,
+        thresholds_m=entry.thresholds_m,
+        zones=entry.zones,
+        base_m=entry.base.xyz_m if entry.base else None,
+        base_yaw_deg=entry.base.yaw_deg if entry.base else 0.0,
+        places=entry.places,
+        frequency=entry.frequency,
+        dynamics={key: value for key in _DYNAMICS if (value := getattr(entry, key)) is not None},
+    )

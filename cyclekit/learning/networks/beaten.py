@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import command_line
-from cyclekit.learning.networks.spec import RECURRENT, ModelSpec
+from cyclekit.learning.networks.kinds import NETWORKS
+from cyclekit.learning.networks.spec import ModelSpec
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -67,9 +68,11 @@ def _otherwise(spec: SpecCard | None) -> list[str]:
         chosen = getattr(spec, name)
         words += [] if chosen == getattr(usual, name) else [f"--{name}", chosen]
     words += ["--noise", f"{spec.noise_m:g}"] if spec.noise_m else []
-    if spec.network not in RECURRENT:
+    kind = NETWORKS.get(spec.network)
+    recurrent = kind is not None and kind.lstm_layers > 0
+    if not recurrent:
         words += ["--features", "distance"]
-    if spec.network in RECURRENT or spec.features == "distance":
+    if recurrent or spec.features == "distance":
         return [*words, "--seed", str(spec.seed + 1)]
     return [*words, "--seed", str(spec.seed)] if spec.seed else words
 

@@ -104,7 +104,7 @@ def fit(
     """
     standard = standardisation(rows.X)
     device = torch.device("cuda" if torch.cuda.is_available() and not rows.in_files else "cpu")
-    names_steps = spec.network == "classifier"
+    names_steps = spec.kind.names_levels
     if names_steps and not rows.in_files:  # what is in files has been left out before
         rows = rows.where(rows.step >= 0)
     asked, spec = spec, spec.for_rows(len(rows))
@@ -170,7 +170,7 @@ def _run(
     epochs = spec.epochs or min(max(round(_STEPS / batches), _EPOCHS[0]), _EPOCHS[1])
     decay = min(_DECAY_ROWS / len(learn), _MOST_DECAY) if spec.weight_decay is None else spec.weight_decay
     steps = Steps(network, spec, decay, max(batches * epochs, 20))  # fewer cannot rise and fall
-    balance = _balance(learn, len(levels)) if spec.balance == "classes" and spec.network == "classifier" else None
+    balance = _balance(learn, len(levels)) if spec.balance == "classes" and spec.kind.names_levels else None
     history: list[Epoch] = []
     spread = _spread(check)
     best, best_state, since = float("inf"), copy.deepcopy(network.state_dict()), 0
@@ -183,7 +183,7 @@ def _run(
             loss = _loss(network, spec, learn, part, balance)
             steps.take(loss)
             total += loss.detach()
-        mse = _validation_mse(network, check, levels if spec.network == "classifier" else None)
+        mse = _validation_mse(network, check, levels if spec.kind.names_levels else None)
         history.append(Epoch(number, float(total) / batches, mse))
         since += 1
         if mse < best:
@@ -192,7 +192,7 @@ def _run(
             progress(number / epochs, f"epoch {number} of {epochs}, validation MSE {mse:.2e}")
         if spec.patience is not None and since >= spec.patience:
             break
-    if mse > spread and spec.network != "classifier" and (value := _cut_off(network, check)) is not None:
+    if mse > spread and not spec.kind.names_levels and (value := _cut_off(network, check)) is not None:
         msg = f"training failed: after {number} epochs the network answers {value:g} whatever it is asked"
         raise CutOff(msg, cure="Choose another --seed, --optimiser adamw or --norm none.")
     if not math.isfinite(best):
@@ -208,7 +208,7 @@ def _loss(
     """Return the weighted mean loss of a batch."""
     x = learn.inputs(part, spec.noise_m)
     out, weight = network(x), learn.weight[part]
-    if spec.network == "classifier":
+    if spec.kind.names_levels:
         step = learn.step[part]
         each = nn.functional.cross_entropy(out, step, reduction="none")
         weight = weight if balance is None else weight * balance[step]

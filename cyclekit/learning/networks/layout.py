@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from cyclekit.learning.networks.spec import NETWORKS
+from cyclekit.learning.networks.kinds import NETWORKS, networks_for
 from cyclekit.learning.windows import GROUPS, INPUTS
 
 if TYPE_CHECKING:
@@ -41,7 +41,8 @@ class Layout:
     @property
     def softmax_after(self) -> int | None:
         """Index of the layer behind which the softmax stands."""
-        return {"classifier": len(self.layers) - 1, "mixed": len(self.layers) - 2}.get(self.network)
+        kind = NETWORKS[self.network]
+        return len(self.layers) - len(kind.outputs(len(self.levels))) if kind.needs_levels else None
 
     @classmethod
     def of(cls, about: ModelCard) -> Layout:
@@ -51,11 +52,11 @@ class Layout:
             NotAModel: They do not.
         """
         problem, network = about.problem, about.network
-        if network not in NETWORKS.get(problem, ()):
+        if network not in networks_for(problem):
             raise NotAModel(f"no known network: problem {problem!r}, network {network!r}")
         if (about.horizon_s == 0) != (problem == "now"):
             raise NotAModel(f"horizon_s is {about.horizon_s!r} for problem {problem!r}")
-        if network in ("classifier", "mixed") and len(about.levels) < 2:
+        if NETWORKS[network].needs_levels and len(about.levels) < 2:
             raise NotAModel(f"a {network} needs two levels or more, and has {len(about.levels)}")
         _check_recurrent(about)
         _check_known(about)
@@ -74,7 +75,7 @@ def _fits(about: ModelCard) -> bool:
     """Tell whether inputs, hidden layers and outputs have the widths that go with each other."""
     levels, recurrent, forecast = len(about.levels), about.recurrent, about.forecast
     inputs = len(INPUTS[about.problem]) + len(about.known) + (about.distance is not None)
-    outputs = {"classifier": [levels], "mixed": [levels, 1]}.get(about.network, [1])
+    outputs = NETWORKS[about.network].outputs(levels)
     first = recurrent[0][0] if recurrent and forecast is None else about.layers[0][0]
     fits = first == inputs and [out for _, out in about.layers[-len(outputs) :]] == outputs
     if recurrent and forecast is None:
@@ -85,8 +86,8 @@ def _fits(about: ModelCard) -> bool:
 
 
 def _check_recurrent(about: ModelCard) -> None:
-    count = {"lstm-1": 2, "lstm-2": 1}.get(about.network, 0)
-    if len(about.recurrent) != count or (about.forecast is not None) != (about.network == "lstm-2"):
+    kind = NETWORKS[about.network]
+    if len(about.recurrent) != kind.lstm_layers or (about.forecast is not None) != kind.forecasts:
         raise NotAModel(f"{len(about.recurrent)} LSTM layers do not fit a {about.network}")
     _check_chain(about.recurrent)
 

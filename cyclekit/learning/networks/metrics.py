@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.learning.networks.calibration import reliability
+from cyclekit.learning.networks.kinds import names_levels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -59,7 +60,7 @@ def measure(model: TrainedModel, samples: Samples) -> Metrics:
         mse_argmax = float(np.mean((np.array(model.levels)[step] - samples.scaling) ** 2))
         if on_level.any():
             accuracy = float(np.mean(step[on_level] == samples.step[on_level]))
-            if model.network == "classifier":
+            if names_levels(model.network):
                 calibration = reliability(model.probabilities(X)[on_level], samples.step[on_level]).error
     return Metrics(
         rows=len(samples),

@@ -1,4 +1,4 @@
-"""The networks of the paper, put together from a body and a head.
+"""The parts that the networks of the paper are put together from: a body and a head (`networks` has each).
 
     body   feed-forward   linear, batch normalisation (or none), ReLU
            lstm-1         two LSTM layers over the history, then feed-forward layers
@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import nn
 
+from cyclekit.learning.networks.kinds import NETWORKS, Inputs
 from cyclekit.learning.windows import GROUPS
 
 if TYPE_CHECKING:
@@ -56,12 +57,8 @@ def build(
         values (B, 1).
     """
     width = inputs + len(known) + (spec.features == "distance")
-    if spec.network == "lstm-1":
-        return Recurrent(width, spec, _head(spec, levels))
-    if spec.network == "lstm-2":
-        varies = torch.ones(3) if scale is None else torch.from_numpy(scale[_HUMAN] > 0).float()
-        return Forecasting(width, spec, _head(spec, levels), ("human" in known) * inputs, varies)
-    return nn.Sequential(*feed_forward((width, *spec.hidden), spec.norm), *_head(spec, levels))
+    varies = [True] * 3 if scale is None else (scale[_HUMAN] > 0).tolist()
+    return NETWORKS[spec.network].build(spec, Inputs(width, ("human" in known) * inputs, tuple(varies)), levels)
 
 
 class Recurrent(nn.Module):
@@ -148,16 +145,8 @@ def feed_forward(widths: Sequence[int], norm: str) -> list[nn.Module]:
     return layers
 
 
-def _head(spec: ModelSpec, levels: Sequence[float]) -> list[nn.Module]:
-    width, count = spec.hidden[-1], len(levels)
-    if spec.network == "classifier":
-        return [nn.Linear(width, count)]
-    if spec.network == "mixed":
-        out = nn.Linear(count, 1)
-        with torch.no_grad():  # start from "membership in a level means its value"
-            out.weight.copy_(torch.tensor(levels)[None, :])
-            out.bias.zero_()
-        return [nn.Linear(width, count), nn.Softmax(dim=1), out]
+def bounded_value(width: int) -> list[nn.Module]:
+    """Return the last layers of a network that answers with one value in [0, 1]."""
     out = nn.Linear(width, 1)
     nn.init.constant_(out.bias, 0.5)  # start inside of [0, 1], where the slope is
     return [out, Bounded()]

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.errors import MissingExtra, ModelError
+from cyclekit.errors import ModelError
+from cyclekit.extras import need
+from cyclekit.learning.networks.kinds import names_levels
 from cyclekit.storage.atomic import replaced
 
 if TYPE_CHECKING:
@@ -43,10 +45,9 @@ def write_onnx(path: Path, model: TrainedModel) -> float | None:
         what = "a recurrent network" if model.weights.recurrent else f"inputs that may be unknown {model.weights.known}"
         msg = f"a model with {what} cannot be written as ONNX yet"
         raise ModelError(msg, cure="Train a feed-forward network on logs in which the operator is always seen.")
-    try:
-        import onnx
-    except ImportError as error:
-        raise MissingExtra("onnx", "onnx", "writing ONNX files") from error
+    need("writing ONNX files", "onnx")
+    import onnx
+
     content = _graph(model)
     onnx.checker.check_model(content)
     data = content.SerializeToString()
@@ -74,12 +75,12 @@ def _graph(model: TrainedModel) -> Any:  # noqa: ANN401 - onnx has no types
         value = f"linear{i}"
         kind = "Softmax" if i == model.weights.softmax_after else "Relu" if i < len(layers) - 1 else None
         if kind:
-            out = "probabilities" if kind == "Softmax" and model.network == "classifier" else f"active{i}"
+            out = "probabilities" if kind == "Softmax" and names_levels(model.network) else f"active{i}"
             axis: dict[str, Any] = {"axis": 1} if kind == "Softmax" else {}
             nodes.append(helper.make_node(kind, [value], [out], **axis))
             value = out
     outputs = [helper.make_tensor_value_info("scaling", TensorProto.FLOAT, [None, 1])]
-    if model.network == "classifier":
+    if names_levels(model.network):
         levels = np.array(model.levels, np.float32)[:, None]
         constants.append(numpy_helper.from_array(levels, "levels"))
         nodes.append(helper.make_node("MatMul", [value, "levels"], ["mean"]))
@@ -122,7 +123,7 @@ def _difference(data: bytes, model: TrainedModel) -> float | None:
     session = onnxruntime.InferenceSession(data, providers=["CPUExecutionProvider"])
     scaling = session.run(["scaling"], {"positions": X})[0][:, 0]
     off = float(np.abs(scaling - model.predict(X)).max())
-    if model.network == "classifier":
+    if names_levels(model.network):
         found = session.run(["probabilities"], {"positions": X})[0]
         off = max(off, float(np.abs(found - model.probabilities(X)).max()))
     return off

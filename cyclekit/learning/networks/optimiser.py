@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from cyclekit.learning.networks.spec import RECURRENT
-
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
@@ -80,7 +78,7 @@ class Steps:
         if square:
             muon = Muon(square, lr=_MUON_RATE, weight_decay=decay * rate / _MUON_RATE)
             parts.append((muon, _MUON_RATE))
-        self._shortened = list(network.parameters()) if spec.network in RECURRENT else []
+        self._shortened = list(network.parameters()) if spec.kind.lstm_layers else []
         self._optimisers = [optimiser for optimiser, _ in parts]
         self._schedules = [
             torch.optim.lr_scheduler.OneCycleLR(

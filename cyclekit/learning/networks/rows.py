@@ -124,7 +124,7 @@ def rows_on(device: torch.device, rows: Samples, spec: ModelSpec, standard: Stan
         table = _standardised(raw, standard, known)
     ahead: torch.Tensor | None = None
     seen: NDArray[np.bool_] = np.zeros(len(rows), np.bool_)
-    if spec.network == "lstm-2" and rows.table is not None and rows.ahead is not None:
+    if spec.kind.forecasts and rows.table is not None and rows.ahead is not None:
         ahead = torch.from_numpy(table[rows.ahead][:, _HUMAN]).to(device)
         seen = np.asarray(np.isfinite(rows.table[rows.ahead][:, _HUMAN]).all(axis=1))
     return Rows(

@@ -22,6 +22,7 @@ from cyclekit import schema
 from cyclekit.dataset.cards import BadCard, TrainingCard, model_card, plain, read_json
 from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import ModelError, ShapeError, command_line
+from cyclekit.learning.networks.kinds import names_levels
 from cyclekit.learning.networks.layout import Layout, NotAModel
 from cyclekit.learning.networks.tensors import parse_weights, sizes_of, to_safetensors
 from cyclekit.learning.windows import GROUPS, INPUTS
@@ -48,7 +49,7 @@ class TrainedModel:
 
     Attributes:
         problem: `now`, `ahead` or `average`.
-        network: `classifier`, `regressor`, `mixed`, `lstm-1` or `lstm-2`.
+        network: Its name, one of `networks.NETWORKS`.
         horizon_s: How far ahead the target lies or reaches, s.
         levels: Staircase levels, shape (P,), ascending; empty for a regressor of a scaling without levels.
         weights: The numbers, and which groups of inputs may be unknown.
@@ -90,7 +91,7 @@ class TrainedModel:
             ModelError: The weights are too large for numbers to come out.
         """
         out = self._run(X)
-        values = np.matmul(out, np.array(self.levels)) if self.network == "classifier" else out[:, 0]
+        values = np.matmul(out, np.array(self.levels)) if names_levels(self.network) else out[:, 0]
         return np.asarray(np.clip(values, 0.0, 1.0), np.float64)
 
     def probabilities(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
@@ -100,7 +101,7 @@ class TrainedModel:
             ModelError: The network is no classifier.
             ShapeError: As `predict`.
         """
-        if self.network != "classifier":
+        if not names_levels(self.network):
             msg = f"a {self.network} gives one value and no probabilities"
             raise ModelError(msg, cure="Train a classifier: cyclekit train DATASET --network classifier --out MODEL")
         return self._run(X).astype(np.float64)
@@ -112,7 +113,7 @@ class TrainedModel:
             ModelError: The model knows no levels.
             ShapeError: As `predict`.
         """
-        if self.network == "classifier":
+        if names_levels(self.network):
             return np.asarray(self._run(X).argmax(axis=1), np.int64)
         if not self.levels:
             msg = "the model knows no levels, so it cannot name a step"

@@ -1,10 +1,7 @@
 """What to train: the problem, the network, and the settings of the training run.
 
-    now      classifier, regressor
-    ahead    classifier, regressor, lstm-1, lstm-2
-    average  mixed, regressor
-
-What differs from the paper is an option with its own name, and its default says whether it was measured better.
+Which networks there are is said by `networks`. What differs from the paper is an option with its own name, and its
+default says whether it was measured better.
 """
 
 from __future__ import annotations
@@ -16,6 +13,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 from cyclekit.dataset.cards import SpecCard
 from cyclekit.dataset.time_grid import samples_in
 from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.learning.networks.kinds import NETWORKS, Network, networks_for
 from cyclekit.learning.windows import PROBLEMS
 
 if TYPE_CHECKING:
@@ -26,22 +24,6 @@ Balance = Literal["none", "classes"]
 Optimiser = Literal["auto", "adamw", "muon"]
 Features = Literal["auto", "positions", "distance"]
 
-NETWORKS: Mapping[str, tuple[str, ...]] = {
-    "now": ("classifier", "regressor"),
-    "ahead": ("classifier", "regressor", "lstm-1", "lstm-2"),
-    "average": ("mixed", "regressor"),
-}
-"""Networks that can be trained for each problem, the default first."""
-HIDDEN: Mapping[str, tuple[int, ...]] = {
-    "classifier": (64,) * 4,
-    "regressor": (64,) * 5,
-    "mixed": (64,) * 5,
-    "lstm-1": (64,) * 5,
-    "lstm-2": (64,) * 5,
-}
-"""Widths of the hidden layers in the paper; `mixed` has a sixth, as wide as there are levels; the first two of `lstm-1`
-are LSTM layers; `lstm-2` has an LSTM layer of that width before them."""
-RECURRENT = ("lstm-1", "lstm-2")
 HISTORY, HISTORY_S = 6, 1.0
 """What a recurrent network sees where nothing else is asked for: six samples over one second, fewer where the rate is
 less than 5 Hz."""
@@ -61,7 +43,7 @@ class ModelSpec:
 
     Attributes:
         problem: `now`, `ahead` or `average`.
-        network: One of `NETWORKS[problem]`.
+        network: One of `networks.networks_for(problem)`.
         horizon_s: How far the target lies ahead or reaches; 0 for `now`.
         hidden: Widths of the hidden layers.
         norm: `batch` normalises inside the network as the paper does; `none` leaves that out.
@@ -149,21 +131,26 @@ class ModelSpec:
         for name, kinds in (("balance", Balance), ("optimiser", Optimiser), ("features", Features)):
             if getattr(self, name) not in get_args(kinds):
                 raise UnknownName("the model", name, getattr(self, name), get_args(kinds))
-        recurrent = self.network in RECURRENT
+        recurrent = self.kind.lstm_layers > 0
         count, every = self.history or ((2, 1) if recurrent else (1, 1))
         if recurrent and self.features == "distance":
             raise ConfigError(f"a {self.network} with features {self.features!r}", cure="It sees positions only.")
         if not (count > 1 if recurrent else count == 1) or not 1 <= every <= 1000 or count > 1000:
             msg = f"a {self.network} with a history of {count} samples, {every} rows apart"
-            cure = "lstm-1 and lstm-2 need 2 to 1000 samples; the others see one, (1, 1)."
+            cure = "Recurrent networks need 2 to 1000 samples; the others see one, (1, 1)."
             raise ConfigError(msg, cure=cure)
-        if self.network == "lstm-1" and len(self.hidden) < 3:
-            msg = f"lstm-1 with {len(self.hidden)} hidden layers"
-            raise ConfigError(msg, cure="Its first two are LSTM layers, so it needs at least three.")
+        if len(self.hidden) < self.kind.least_hidden:
+            msg = f"{self.network} with {len(self.hidden)} hidden layers"
+            raise ConfigError(msg, cure=f"It needs at least {self.kind.least_hidden}.")
         numbers = (self.noise_m, self.forecast_weight)
         if not all(0 <= number < math.inf for number in numbers) or (self.patience is not None and self.patience < 1):
             msg = f"noise {self.noise_m} m, forecast weight {self.forecast_weight}, patience {self.patience}"
             raise ConfigError(msg, cure="Noise and weight are not negative; patience is at least one epoch.")
+
+    @property
+    def kind(self) -> Network:
+        """What its network is."""
+        return NETWORKS[self.network]
 
     @classmethod
     def of(
@@ -180,12 +167,12 @@ class ModelSpec:
 
         `settings` are the numbers of the training run (seed, epochs, batch, ...), as the attributes of this class.
         """
-        if problem not in NETWORKS:
+        if problem not in PROBLEMS:
             raise UnknownName("the model", "problem", problem, PROBLEMS)
-        network = network or NETWORKS[problem][0]
+        network = network or networks_for(problem)[0]
         check_network(problem, network)
         horizon_s = HORIZON_S[problem] if horizon_s is None else horizon_s
-        fields = {"hidden": hidden or HIDDEN[network], "norm": norm, **settings}
+        fields = {"hidden": hidden or NETWORKS[network].hidden, "norm": norm, **settings}
         return cls(problem=problem, network=network, horizon_s=horizon_s, **fields)  # type: ignore[arg-type]
 
     def card(self) -> SpecCard:
@@ -199,7 +186,7 @@ class ModelSpec:
             return self
         every = samples_in(HISTORY_S / (HISTORY - 1), rate_hz)
         count = min(HISTORY, samples_in(HISTORY_S, rate_hz) // every + 1)
-        return replace(self, history=(max(count, 2), every) if self.network in RECURRENT else (1, 1))
+        return replace(self, history=(max(count, 2), every) if self.kind.lstm_layers else (1, 1))
 
     def with_features(self) -> ModelSpec:
         """Return this with what the network sees, where that was left open: the distance too for `now`, else positions.
@@ -226,11 +213,13 @@ def check_network(problem: str, network: str) -> None:
         UnknownName: There is no such problem or network.
         ConfigError: The network exists but not for this problem.
     """
-    if problem not in NETWORKS:
+    if problem not in PROBLEMS:
         raise UnknownName("the model", "problem", problem, PROBLEMS)
-    suits = ", ".join(NETWORKS[problem])
-    if network not in HIDDEN:
-        raise UnknownName("the model", "network", network, HIDDEN, cure=f"For problem {problem!r} there are: {suits}.")
-    if network not in NETWORKS[problem]:
+    suits = ", ".join(networks_for(problem))
+    if network not in NETWORKS:
+        raise UnknownName(
+            "the model", "network", network, NETWORKS, cure=f"For problem {problem!r} there are: {suits}."
+        )
+    if problem not in NETWORKS[network].problems:
         msg = f"network {network!r} does not solve problem {problem!r}"
         raise ConfigError(msg, cure=f"For problem {problem!r} there are: {suits}.")

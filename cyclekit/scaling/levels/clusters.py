@@ -9,11 +9,10 @@ import numpy as np
 
 from cyclekit.dataset.time_grid import samples_in
 from cyclekit.scaling.levels.dbscan import dbscan_1d
-from cyclekit.scaling.levels.kmeans import by_elbow, by_silhouette, condense
-from cyclekit.scaling.levels.mixtures import by_hdbscan, by_mixture
+from cyclekit.scaling.levels.kmeans import by_silhouette, condense
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -29,6 +28,31 @@ _GRIDS = (0.05, 0.01)
 _SIGMAS = 2.5
 _SLIDERS_DIFFER = 0.02
 _LOWEST_SLIDER = 0.1
+
+
+def by_density(values: Vector, eps: float, min_samples: int) -> NDArray[np.int64]:
+    """Return the cluster of every value by DBSCAN, shape (T,); -1 = none.
+
+    Args:
+        values: Shape (T,), finite.
+        eps: Values this near to each other are one level.
+        min_samples: Samples that make a level.
+    """
+    return dbscan_1d(values, eps=eps, min_samples=min_samples)
+
+
+def by_kmeans(values: Vector, eps: float, min_samples: int) -> NDArray[np.int64]:
+    """Return the cluster of every value by K-means with the best silhouette, shape (T,); arguments as `by_density`."""
+    del eps, min_samples
+    points = condense(values)
+    return by_silhouette(points)[points.of]
+
+
+FINDERS: dict[str, Callable[[Vector, float, int], NDArray[np.int64]]] = {
+    "dbscan": by_density,
+    "kmeans-silhouette": by_kmeans,
+}
+"""Ways to find levels in values without their order in time, by name: a line each makes one known to `--method`."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +100,7 @@ def cluster_values(values: Vector, method: str, eps: float | None, min_samples: 
 
     Args:
         values: Shape (T,), finite.
-        method: `dbscan`, `kmeans-silhouette`, `kmeans-elbow`, `hdbscan` or `gmm-bic`.
+        method: One of `FINDERS`.
         eps: Of DBSCAN; None: 3.5 deviations of the noise, at least 0.01.
         min_samples: Of DBSCAN.
         noise: Standard deviation of one value.
@@ -84,13 +108,7 @@ def cluster_values(values: Vector, method: str, eps: float | None, min_samples: 
     eps = max(_LEAST_EPS, 3.5 * noise) if eps is None else eps
     if values.size == 0:
         return Cluster(np.empty(0), None, np.empty(0))
-    if method == "dbscan":
-        cluster = dbscan_1d(values, eps=eps, min_samples=min_samples)
-    elif method.startswith("kmeans"):
-        points = condense(values)
-        cluster = (by_silhouette if method == "kmeans-silhouette" else by_elbow)(points)[points.of]
-    else:
-        cluster = by_hdbscan(values) if method == "hdbscan" else by_mixture(values)
+    cluster = FINDERS[method](values, eps, min_samples)
     found = _clusters(values, cluster, np.ones(values.size), eps, noise)
     return Cluster(found.value, None, found.spread)
 

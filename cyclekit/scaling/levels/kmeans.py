@@ -122,16 +122,3 @@ def by_silhouette(points: Weighted, most: int = MOST) -> Rows:
     if points.value.size < 2:
         return np.zeros(points.value.size, np.int64)
     return max((labels for labels, _ in kmeans_1d(points, most)[1:]), key=lambda labels: silhouette_1d(points, labels))
-
-
-def by_elbow(points: Weighted, most: int = MOST) -> Rows:
-    """Return the cluster of every point for the number at the elbow of the squared error.
-
-    The elbow is the k farthest below the line from the first error to the last (Satopaa et al. 2011, "Kneedle").
-    """
-    divisions = kmeans_1d(points, most)
-    error = np.array([error for _, error in divisions])
-    if error.size < 3 or error[0] <= error[-1]:
-        return divisions[-1][0] if error[0] > error[-1] else divisions[0][0]
-    fallen = (error - error[-1]) / (error[0] - error[-1])
-    return divisions[int(np.argmax(1 - np.linspace(0, 1, error.size) - fallen))][0]

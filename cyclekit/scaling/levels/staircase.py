@@ -3,7 +3,7 @@
 A safety system does not slow a robot by a little; it switches between a few speeds that somebody chose in a risk
 assessment. In the log these are values that are held. So plateaus are found in time first (`plateaus`) and their values
 clustered by density, weighted by how long each is held; a cluster is a level and its mean the level's value. The
-literature clusters the bare values instead; those methods are here by name (`METHODS`). Why a level is in force is not
+literature clusters the bare values instead; those methods are here by name (`FINDERS`). Why a level is in force is not
 asked here; that is what the networks learn.
 """
 
@@ -19,6 +19,7 @@ from cyclekit.dataset.time_grid import USUAL_HZ, samples_in
 from cyclekit.errors import ShapeError, UnknownName
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.scaling.levels.clusters import (
+    FINDERS,
     Cluster,
     cluster_values,
     of_plateaus,
@@ -40,8 +41,8 @@ if TYPE_CHECKING:
 
 LEAST_HELD_S = 1.0
 """A level is held for at least so long, all plateaus together; short, so that a rare level survives."""
-METHODS = ("plateau", "dbscan", "kmeans-silhouette", "kmeans-elbow", "hdbscan", "gmm-bic")
-"""Ways to find the levels, the default first; all but `plateau` look at the values without their order in time."""
+PLATEAU = "plateau"
+"""The way to find the levels by default; those of `FINDERS` look at the values without their order in time."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ def find_staircase(
     scaling: ArrayLike,
     *,
     run: ArrayLike | None = None,
-    method: str = "plateau",
+    method: str = PLATEAU,
     levels: Sequence[float] | None = None,
     eps: float | None = None,
     min_samples: int | None = None,
@@ -87,7 +88,7 @@ def find_staircase(
         scaling: Speed scaling, shape (T,), fractions, in the order of time; NaN = unknown.
         run: Number of the unbroken stretch (execution, no gap) of every sample, shape (T,); None: all is one stretch,
             broken where the scaling is unknown.
-        method: One of `METHODS`.
+        method: `plateau` or one of `FINDERS`.
         levels: Fixed by whoever knows the safety configuration; then nothing is searched, only labelled.
         eps: Values this near to each other are the same value; None takes it from the noise: 3.5 deviations of a
             plateau of 1.5 s (`plateau`) or of one sample (`dbscan`), at least 0.01.
@@ -107,8 +108,8 @@ def find_staircase(
     if values.ndim != 1 or runs.shape != values.shape:
         msg = f"scaling and run must be (T,), not {values.shape} and {runs.shape}"
         raise ShapeError(msg)
-    if method not in METHODS:
-        raise UnknownName("self-labelling", "method", method, METHODS)
+    if method not in (PLATEAU, *FINDERS):
+        raise UnknownName("self-labelling", "method", method, (PLATEAU, *FINDERS))
     known = np.isfinite(values)
     stretch = unbroken(runs, known)
     most_noise = np.inf if levels is None else float(np.diff(np.unique(levels)).min(initial=1.0)) / 8
@@ -116,7 +117,7 @@ def find_staircase(
     least = samples_in(LEAST_HELD_S, rate_hz, least=3) if min_samples is None else min_samples
     if levels is not None:
         return _finish(values, stretch, plateaus, Cluster.fixed(levels), None)
-    if method != "plateau":
+    if method != PLATEAU:
         found = cluster_values(values[known], method, eps, least, plateaus.noise)
         return _finish(values, stretch, plateaus, found, None)
     near = usual_eps(plateaus.noise, rate_hz) if eps is None else eps

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from cyclekit.benchmark.floors import bayes, plug_in
-from cyclekit.benchmark.plan import FLOORS, SCENES, Entry, entries
-from cyclekit.benchmark.rivals import predict_by
+from benchmarks.paper.floors import bayes, plug_in
+from benchmarks.paper.plan import FLOORS, SCENES, Entry, entries
+from benchmarks.paper.rivals import predict_by
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, DatasetError, ShapeError
 from cyclekit.learning.networks.calibration import reliability

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.benchmark.plan import AHEAD_S, AVERAGES_S, DELTAS_M, PAPER, Entry, entries
+from benchmarks.paper.figures import draw_heatmap, draw_reliability, draw_staircase
+from benchmarks.paper.plan import AHEAD_S, AVERAGES_S, DELTAS_M, PAPER, Entry, entries
 from cyclekit.errors import ConfigError
-from cyclekit.plots.accuracy import draw_heatmap, draw_reliability, draw_staircase
 from cyclekit.storage.atomic import write_text
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     Results = Sequence[dict[str, Any]]
 
-BEGIN, END = "<!-- made by cyclekit benchmark paper: begin -->", "<!-- made by cyclekit benchmark paper: end -->"
+BEGIN, END = "<!-- made by python -m benchmarks.paper: begin -->", "<!-- made by python -m benchmarks.paper: end -->"
 _MISSING = ""
 
 

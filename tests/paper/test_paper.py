@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cyclekit.benchmark import Settings, benchmark_paper
-from cyclekit.benchmark.floors import bayes, plug_in
-from cyclekit.benchmark.plan import FLOORS, PAPER, RIVALS, entries
-from cyclekit.benchmark.rivals import predict_by
-from cyclekit.benchmark.tables import BEGIN, END, markdown, put_into
-from cyclekit.cli import run
+from benchmarks.paper import Settings, benchmark_paper
+from benchmarks.paper.__main__ import main
+from benchmarks.paper.floors import bayes, plug_in
+from benchmarks.paper.plan import FLOORS, PAPER, RIVALS, entries
+from benchmarks.paper.rivals import predict_by
+from benchmarks.paper.tables import BEGIN, END, markdown, put_into
 from cyclekit.errors import ConfigError
 from cyclekit.learning.windows import INPUTS, Samples
 
@@ -64,13 +64,13 @@ def out(tmp_path_factory) -> Path:
     return tmp_path_factory.mktemp("paper")
 
 
-COMMAND = ("benchmark", "paper", "--executions", "10", "--seeds", "1", "--scenes", "box-picking", "--steps", "10")
+COMMAND = ("--executions", "10", "--seeds", "1", "--scenes", "box-picking", "--steps", "10")
 
 
 @pytest.fixture(scope="module")
 def table(out) -> str:
     for only in ("now_0s_0.02m_classifier_norm", "now_0s_0.02m_Bayes", "ahead_2s_0m_lstm-1_norm", "2s_0m_persistence"):
-        assert run([*COMMAND, "--out", str(out), "--only", only, "--quiet"]) == 0
+        assert main([*COMMAND, "--out", str(out), "--only", only]) == 0
     return (out / "tables.md").read_text()
 
 
@@ -89,14 +89,14 @@ def test_the_command_writes_tables_and_figures(out, table):
 @pytest.mark.slow
 def test_it_goes_on_where_it_stopped(out, table):
     before = {file: file.stat().st_mtime_ns for file in (out / "results").iterdir()}
-    assert run([*COMMAND, "--out", str(out), "--only", "now_0s_0.02m_Bayes", "--quiet"]) == 0
+    assert main([*COMMAND, "--out", str(out), "--only", "now_0s_0.02m_Bayes"]) == 0
     assert {file: file.stat().st_mtime_ns for file in (out / "results").iterdir()} == before
 
 
 @pytest.mark.slow
 def test_tables_of_what_is_done_run_nothing(out, table):
     before = sorted(out.rglob("*.json"))
-    assert run([*COMMAND, "--seeds", "1,2", "--out", str(out), "--done", "--quiet"]) == 0
+    assert main([*COMMAND, "--seeds", "1,2", "--out", str(out), "--done"]) == 0
     text = (out / "tables.md").read_text()
     assert "| persistence |" in text
     assert "| Bayes estimate, flat prior |" in text
@@ -128,9 +128,9 @@ def test_a_training_that_fails_is_named_and_keeps_nothing_else_from_being_done(o
     def fails(*_: object) -> None:
         raise ConfigError("it diverged", cure="Choose another --seed.")
 
-    monkeypatch.setattr("cyclekit.benchmark.runs.train", fails)
-    monkeypatch.setattr("cyclekit.benchmark.runs.entries", lambda: wanted)
-    assert run([*COMMAND, "--out", str(out), "--quiet"]) != 0
+    monkeypatch.setattr("benchmarks.paper.runs.train", fails)
+    monkeypatch.setattr("benchmarks.paper.runs.entries", lambda: wanted)
+    assert main([*COMMAND, "--out", str(out)]) != 0
     said = " ".join(capsys.readouterr().err.split())
     assert "box-picking, seed 1: now_0s_0.02m_classifier_norm-none: it diverged" in said
     assert rival.is_file()
@@ -177,4 +177,6 @@ def test_spread_over_seeds_is_shown():
 
 @pytest.mark.parametrize("words", [["--seeds", "one"], ["--scenes", "boxpicking"]])
 def test_a_slip_in_seeds_or_scenes_is_refused(out, words):
-    assert run([*COMMAND, "--out", str(out), *words]) in (1, 2)
+    with pytest.raises(SystemExit) as left:
+        main([*COMMAND, "--out", str(out), *words])
+    assert left.value.code == 2

@@ -1,9 +1,10 @@
-"""HDBSCAN and Gaussian mixtures, from scikit-learn, on a part of the values that they can manage.
+"""Ways of the literature to find levels that cyclekit itself does not offer: K-means by its elbow, HDBSCAN, mixtures.
 
-Both need far more than linear time or memory. They see at most 4000 of the values: every so-manieth of the sorted ones,
-so that the distribution is kept and the same log always gives the same part; the other values get the label of the
-nearest one seen (HDBSCAN) or of the likeliest component (mixture). Other than the exact methods, a level held for less
-than one part in 4000 of the time can be lost here.
+The last two are from scikit-learn, on a part of the values that they can manage. Both need far more than linear time or
+memory. They see at most 4000 of the values: every so-manieth of the sorted ones, so that the distribution is kept and
+the same log always gives the same part; the other values get the label of the nearest one seen (HDBSCAN) or of the
+likeliest component (mixture). Other than the exact methods, a level held for less than one part in 4000 of the time can
+be lost here.
 """
 
 from __future__ import annotations
@@ -11,6 +12,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from cyclekit.scaling.levels.clusters import FINDERS
+from cyclekit.scaling.levels.kmeans import Weighted, condense, kmeans_1d
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -57,3 +61,23 @@ def by_mixture(values: Vector) -> Rows:
         best = min(fits, key=lambda fit: fit.bic(seen[:, None]))
         blocks = np.array_split(values, max(values.size // 100_000, 1))
         return np.concatenate([best.predict(block[:, None]) for block in blocks]).astype(np.int64)
+
+
+def by_elbow(points: Weighted, most: int = MOST) -> Rows:
+    """Return the cluster of every point for the number at the elbow of the squared error.
+
+    The elbow is the k farthest below the line from the first error to the last (Satopaa et al. 2011, "Kneedle").
+    """
+    divisions = kmeans_1d(points, most)
+    error = np.array([error for _, error in divisions])
+    if error.size < 3 or error[0] <= error[-1]:
+        return divisions[-1][0] if error[0] > error[-1] else divisions[0][0]
+    fallen = (error - error[-1]) / (error[0] - error[-1])
+    return divisions[int(np.argmax(1 - np.linspace(0, 1, error.size) - fallen))][0]
+
+
+def register() -> None:
+    """Make the three known to `find_staircase` by name."""
+    FINDERS["kmeans-elbow"] = lambda values, _eps, _least: by_elbow(points := condense(values))[points.of]
+    FINDERS["hdbscan"] = lambda values, _eps, _least: by_hdbscan(values)
+    FINDERS["gmm-bic"] = lambda values, _eps, _least: by_mixture(values)

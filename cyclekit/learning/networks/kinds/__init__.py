@@ -1,0 +1,28 @@
+"""The networks by name: each is a module of this folder, and a line here makes it known to everything else.
+
+Goes in: nothing but `kind`. Comes out: `NETWORKS`. Nothing here imports torch before a network is built.
+"""
+
+from __future__ import annotations
+
+from cyclekit.learning.networks.kinds.classifier import CLASSIFIER
+from cyclekit.learning.networks.kinds.kind import Inputs, Network
+from cyclekit.learning.networks.kinds.lstm_1 import LSTM_1
+from cyclekit.learning.networks.kinds.lstm_2 import LSTM_2
+from cyclekit.learning.networks.kinds.mixed import MIXED
+from cyclekit.learning.networks.kinds.regressor import REGRESSOR
+
+__all__ = ["NETWORKS", "Inputs", "Network", "names_levels", "networks_for"]
+
+NETWORKS: dict[str, Network] = {each.name: each for each in (CLASSIFIER, MIXED, REGRESSOR, LSTM_1, LSTM_2)}
+"""Every network; the first that suits a problem is its default."""
+
+
+def networks_for(problem: str) -> tuple[str, ...]:
+    """Return the names of the networks for a problem, the default first; none for an unknown problem."""
+    return tuple(name for name, each in NETWORKS.items() if problem in each.problems)
+
+
+def names_levels(network: str) -> bool:
+    """Tell whether a network, known or not, answers with the probability of each level."""
+    return network in NETWORKS and NETWORKS[network].names_levels

@@ -1,0 +1,27 @@
+"""`classifier`: feed-forward layers, then a logit for each level."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cyclekit.learning.networks.kinds.kind import Inputs, Network
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from torch import nn
+
+    from cyclekit.learning.networks.spec import ModelSpec
+
+
+def _build(spec: ModelSpec, inputs: Inputs, levels: Sequence[float]) -> nn.Module:
+    from torch import nn
+
+    from cyclekit.learning.networks.network import feed_forward
+
+    return nn.Sequential(
+        *feed_forward((inputs.width, *spec.hidden), spec.norm), nn.Linear(spec.hidden[-1], len(levels))
+    )
+
+
+CLASSIFIER = Network("classifier", ("now", "ahead"), (64,) * 4, _build, names_levels=True)

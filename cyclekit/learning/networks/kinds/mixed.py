@@ -1,0 +1,31 @@
+"""`mixed`: feed-forward layers, a softmax over the levels (a layer as wide as there are of them), then one value."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cyclekit.learning.networks.kinds.kind import Inputs, Network
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from torch import nn
+
+    from cyclekit.learning.networks.spec import ModelSpec
+
+
+def _build(spec: ModelSpec, inputs: Inputs, levels: Sequence[float]) -> nn.Module:
+    import torch
+    from torch import nn
+
+    from cyclekit.learning.networks.network import feed_forward
+
+    body = feed_forward((inputs.width, *spec.hidden), spec.norm)
+    out = nn.Linear(len(levels), 1)
+    with torch.no_grad():  # start from "membership in a level means its value"
+        out.weight.copy_(torch.tensor(levels)[None, :])
+        out.bias.zero_()
+    return nn.Sequential(*body, nn.Linear(spec.hidden[-1], len(levels)), nn.Softmax(dim=1), out)
+
+
+MIXED = Network("mixed", ("average",), (64,) * 5, _build, through_levels=True)

@@ -1,0 +1,29 @@
+"""What msgspec found wrong with a value, in the words of a person who writes files by hand."""
+
+from __future__ import annotations
+
+import re
+
+_WORDS = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table",
+    "null": "null",
+}
+_SHOWN = 160
+
+
+def in_words(error: Exception) -> tuple[str, str]:
+    """Return where in the value something is wrong (`executions[3].end_s`, empty for all of it) and what was expected.
+
+    Args:
+        error: As msgspec raised it.
+    """
+    text, _, where = str(error).partition(" - at `$")
+    text = re.sub(r"Object missing required field `(\w+)`", r"\1 is missing", text)
+    text = re.sub(r"`([a-z]+)(?: \| null)?`", lambda found: _WORDS.get(found[1], found[0]), text)
+    text = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
+    return where.removesuffix("`").removeprefix("."), f"{text[:1].lower()}{text[1:]}"

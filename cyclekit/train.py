@@ -11,12 +11,12 @@ import json
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-import cyclekit
 from cyclekit import schema
 from cyclekit.dataset import Dataset
 from cyclekit.errors import DatasetError, MissingExtra, command_line
@@ -254,7 +254,7 @@ def need_torch() -> None:
 
 def _origin(dataset: Dataset, spec: ModelSpec) -> dict[str, Any]:
     return {
-        "cyclekit": cyclekit.__version__,
+        "cyclekit": version("cyclekit"),
         "schema_version": schema.SCHEMA_VERSION,
         "model_version": MODEL_VERSION,
         "spec": asdict(spec),

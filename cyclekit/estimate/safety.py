@@ -54,6 +54,20 @@ class Written(SafetyModel, Protocol):
 
 
 @runtime_checkable
+class Everywhere(SafetyModel, Protocol):
+    """A safety function that may hold where nothing was ever logged, as one that is written down does."""
+
+    @property
+    def known_everywhere(self) -> bool:
+        """Whether it holds there."""
+
+
+def holds_everywhere(model: SafetyModel) -> bool:
+    """Return whether the safety function is known in positions that were never logged; a learned one is not."""
+    return isinstance(model, Everywhere) and model.known_everywhere
+
+
+@runtime_checkable
 class Classifier(SafetyModel, Protocol):
     """A network that may tell how likely each level is, if `network` says that it is a classifier."""
 

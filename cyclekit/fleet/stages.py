@@ -10,9 +10,9 @@ import datetime as dt
 import hashlib
 import json
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
-import cyclekit
 from cyclekit.cards import BadCard, CellLedger, checked, parse_json
 from cyclekit.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, ModelError, StorageError
@@ -149,7 +149,7 @@ def _report(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
         return "skipped", "there is no dataset"
     wanted = [] if cell.sequences is None else load_sequences(mirrored(cell.sequences))
     asked = [[each.name, each.places, each.operator] for each in wanted]
-    known = [cyclekit.__version__, fingerprint(dataset), None if model is None else model.card, asked, ledger["days"]]
+    known = [version("cyclekit"), fingerprint(dataset), None if model is None else model.card, asked, ledger["days"]]
     mark = hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
     if ledger.get("reported") == mark:
         return "unchanged", "nothing is new"

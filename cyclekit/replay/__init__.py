@@ -9,7 +9,7 @@ missing from the replay, and the replay says so. The only room that knows rerun.
 
 from __future__ import annotations
 
-from cyclekit.replay.execution import PredictsNow
+from cyclekit.replay.floor import PredictsNow
 from cyclekit.replay.misses import Miss
 from cyclekit.replay.recording import ReplayFacts, write_replay
 from cyclekit.replay.server import serve

@@ -7,7 +7,7 @@ so that whatever is drawn from the arrays stops there. How it looks is the busin
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -24,25 +24,13 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Furniture
     from cyclekit.dataset import Dataset, Place
+    from cyclekit.replay.floor import PredictsNow
 
 GAP_SAMPLES = 3.5
 """A longer time without a sample is a gap: nothing is drawn across it."""
 
 FINEST_S = 1 / 30
 _JOINTS = tuple(f"q{axis}_rad" for axis in range(6))
-
-
-class PredictsNow(Protocol):
-    """What the replay needs of a trained model of problem `now`."""
-
-    @property
-    def problem(self) -> str:
-        """Which question the model answers."""
-        ...
-
-    def predict(self, x: NDArray[np.float32], /) -> NDArray[np.floating]:
-        """Speed scaling (N,) for robot and operator positions (N, 6), metres, base frame."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ system guarantees, and the name of the view says so.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import polars as pl
@@ -19,11 +19,23 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset import Dataset
-    from cyclekit.replay.execution import PredictsNow
 
 SQUARE_M = 0.25
 EVERY_S, MOVED_M = 0.35, 0.03
 """The zones are drawn anew when so much time has passed and the tool has moved so far."""
+
+
+class PredictsNow(Protocol):
+    """What the replay needs of a trained model of problem `now`."""
+
+    @property
+    def problem(self) -> str:
+        """Which question the model answers."""
+        ...
+
+    def predict(self, x: NDArray[np.float32], /) -> NDArray[np.floating]:
+        """Speed scaling (N,) for robot and operator positions (N, 6), metres, base frame."""
+        ...
 
 
 @dataclass(frozen=True)

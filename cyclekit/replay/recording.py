@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.dataset import Dataset
-    from cyclekit.replay.execution import Execution, PredictsNow
+    from cyclekit.replay.execution import Execution
+    from cyclekit.replay.floor import PredictsNow
     from cyclekit.replay.layout import Focus, Opening
     from cyclekit.replay.phase import Order
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.entry import Altered
 from cyclekit.estimate.resample import resampled
-from cyclekit.estimate.rollout import Altered, estimate
+from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.one_thread import one_thread
 from cyclekit.whatif.alter import altered_safety, altered_tasks, altered_tracks

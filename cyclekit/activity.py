@@ -18,7 +18,7 @@ from cyclekit.dataset import Place
 from cyclekit.frames import to_base
 from cyclekit.people import (
     REASONS,
-    Track,
+    PersonTrack,
     find_spots,
     find_stays,
     gap_reasons,
@@ -60,7 +60,7 @@ class _Log:
     """The tracks that one recording saw, in session time and base frame."""
 
     entry: dict[str, Any]
-    tracks: list[Track]
+    tracks: list[PersonTrack]
     silence: Silence
 
 
@@ -224,12 +224,12 @@ def _log(entry: dict[str, Any], read: Read, source: Source | None) -> _Log:
         numbers = link_by_motion(t, xyz)
         names = [f"linked_{number + 1}" for number in range(int(numbers.max(initial=-1)) + 1)]
         entry["warnings"].append(f"{OPERATOR}{told}: linked by motion into {len(names)} tracks")
-    tracks: list[Track] = []
+    tracks: list[PersonTrack] = []
     disbelieved = 0
     for rows in _rows_of_each(numbers):
         alone = len(rows) == len(t)  # of many hours a copy is much
         own = (t, xyz) if alone else (t[rows], xyz[rows])
-        parts, dropped = without_jumps(Track(names[numbers[rows[0]]], *own))
+        parts, dropped = without_jumps(PersonTrack(names[numbers[rows[0]]], *own))
         tracks += parts
         disbelieved += dropped
     if disbelieved:
@@ -244,7 +244,7 @@ def _log(entry: dict[str, Any], read: Read, source: Source | None) -> _Log:
     return _Log(entry, tracks, Silence.of(t, xyz, None if source is None else source.silence))
 
 
-def _height_range(tracks: Sequence[Track]) -> float:
+def _height_range(tracks: Sequence[PersonTrack]) -> float:
     """Return by how much the height of one track changes at most, without its lowest and highest twentieth, m."""
     heights = [height[np.isfinite(height)] for track in tracks for height in [track.xyz_m[:, 2]]]
     ranges = [float(np.subtract(*np.quantile(height, [0.95, 0.05]))) for height in heights if len(height) >= ENOUGH]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.median import median
-from cyclekit.motion import PAUSED, STOPPED, Halt, Overlay, Part, RobotRun, half_window, moving_slider, slope
+from cyclekit.motion import PAUSED, STOPPED, Halt, InferredScaling, Overlay, RobotRun, half_window, moving_slider, slope
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -128,7 +128,7 @@ class StoredRun:
         before = times_there.searchsorted(t_s - self.offset_s + 1e-9, side="right") - 1
         return np.asarray(first + np.maximum(before, 0))
 
-    def with_scaling(self, parts: Sequence[Part]) -> StoredRun:
+    def with_scaling(self, parts: Sequence[InferredScaling]) -> StoredRun:
         """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
         kept = Overlay(parts)
         return replace(self, inferred=kept, knows_scaling=kept.is_known)

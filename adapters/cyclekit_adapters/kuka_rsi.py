@@ -21,7 +21,7 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.controller_time import Once, Spread
-from cyclekit_adapters.delimited import Rows, read_blocks
+from cyclekit_adapters.delimited import TextRows, read_blocks
 from cyclekit_adapters.header_line import column_names, layout_below
 from cyclekit_adapters.host_clock import HostClock
 from cyclekit_adapters.in_parts import in_parts
@@ -85,7 +85,7 @@ class _KukaRsiCsv:
         once, late, cycles = Once(time), Spread((_LATE,)), list[float]()
         host = next((HostClock(name, zone) for name in layout.names if name.lower() == _HOST), None)
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             rows = once.rows(rows)
             late.add(rows.frame)
             cycles.append(_number(rows.frame[time].diff().median()))

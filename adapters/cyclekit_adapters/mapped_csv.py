@@ -26,7 +26,7 @@ from cyclekit_adapters.map_columns import Columns, columns_of, unresolved
 from cyclekit_adapters.map_table import MapTable, text_table
 from cyclekit_adapters.mapped_time import T_S, name_their_zone, require_epoch, timed
 from cyclekit_adapters.sheets import sheet_table
-from cyclekit_adapters.text_rows import Rows, Wanted
+from cyclekit_adapters.text_rows import TextRows, Wanted
 from cyclekit_adapters.workbook import is_workbook
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class _MappedCsv:
         }[role]
         wanted, lists = _wanted(columns, role)
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             rows = timed(lists.rows(rows), mapping, options.rate_hz, zoned=zoned)
             if clock == "epoch":
                 require_epoch(path, rows.frame, mapping)

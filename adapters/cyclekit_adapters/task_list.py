@@ -15,7 +15,7 @@ import polars as pl
 
 from cyclekit.adapter import Adapter, ReadOptions, Recording
 from cyclekit.errors import ConfigError, DamagedLog
-from cyclekit_adapters.delimited import Layout, delimiter_of, header_names, read_rows
+from cyclekit_adapters.delimited import TextLayout, delimiter_of, header_names, read_rows
 from cyclekit_adapters.task_cells import task_table
 from cyclekit_adapters.task_columns import is_task_list, require, said_of
 from cyclekit_adapters.task_json import JsonRecords, json_names, table_of
@@ -102,7 +102,7 @@ def _header(line: str) -> tuple[tuple[str, ...], str]:
 def _of_table(path: Path, said: Said) -> _Cells:
     names, delimiter = _header(next(iter(head_lines(path)), ""))
     columns = require(path, names, said.columns)
-    layout = Layout(names, delimiter, 1, encoding=file_encoding(path) or "utf-8", quotes=True)
+    layout = TextLayout(names, delimiter, 1, encoding=file_encoding(path) or "utf-8", quotes=True)
     texts = list(dict.fromkeys(columns.values()))
     rows = read_rows(path, layout, numbers=[], texts=texts)
     frame = rows.frame.select("source_row", *(pl.col(name).alias(key) for key, name in columns.items()))

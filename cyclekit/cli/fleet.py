@@ -13,7 +13,7 @@ from cyclekit.cli.terminal import Terminal, table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.fleet import Row
+    from cyclekit.fleet import StageResult
 
 EXAMPLE = "cyclekit fleet all fleet.toml --jobs 4"
 MOST = 20
@@ -56,7 +56,7 @@ def fleet(
     return 1 if failed else 0
 
 
-def summary(rows: Sequence[Row], stages: Sequence[str], page: str | None) -> str:
+def summary(rows: Sequence[StageResult], stages: Sequence[str], page: str | None) -> str:
     """Return how many cells went through each stage, and where the page is."""
     states = ("done", "unchanged", "skipped", "failed")
     counts = [

@@ -12,7 +12,7 @@ from cyclekit.cli.options import Checked, Json, LoggedPlace, ModelPlace, OtherCe
 from cyclekit.cli.terminal import Terminal, bullet, write_out
 
 if TYPE_CHECKING:
-    from cyclekit.plan import Plan
+    from cyclekit.plan import OrderPlan
 
 EXAMPLE = "cyclekit plan model jobs.toml --dataset dataset"
 
@@ -62,7 +62,7 @@ def plan(
     terminal.answer({**found.to_json(), "warnings": alarms}, alarmed(alarms), f"{_text(found)}\n{doubts}".rstrip())
 
 
-def _text(found: Plan) -> str:
+def _text(found: OrderPlan) -> str:
     from cyclekit.plan import some
 
     saved, low, high = found.saves_s

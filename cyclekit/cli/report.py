@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cyclekit.evaluate import Evaluation
     from cyclekit.guard import Kind
     from cyclekit.models.saved import TrainedModel
-    from cyclekit.plan import Jobs, Plan
+    from cyclekit.plan import Jobs, OrderPlan
     from cyclekit.report import Tried
     from cyclekit.sequences import TaskSequence
     from cyclekit.whatif import Change
@@ -170,7 +170,7 @@ class _Found:
     estimates: list[CycleEstimate] = field(default_factory=list)
     check: Check | None = None
     tried: list[Tried] = field(default_factory=list)
-    planned: Plan | None = None
+    planned: OrderPlan | None = None
     evaluation: Evaluation | None = None
     missing: list[str] = field(default_factory=list)
 
@@ -219,7 +219,7 @@ def _found(terminal: Terminal, data: Dataset, model: TrainedModel, asked: _Asked
     return found
 
 
-def _with_order(sequences: list[TaskSequence], planned: Plan | None) -> list[TaskSequence]:
+def _with_order(sequences: list[TaskSequence], planned: OrderPlan | None) -> list[TaskSequence]:
     """Return the sequences and the order found, unless it is one of them: it is estimated, and changed, as they are."""
     from cyclekit.sequences import TaskSequence
 

@@ -11,7 +11,7 @@ from cyclekit.cli.options import DatasetPlace, Json, ModelPlace, OtherCell, Quie
 from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
 
 if TYPE_CHECKING:
-    from cyclekit.zones import Zones
+    from cyclekit.zones import SafetyFunction
 
 EXAMPLE = "cyclekit zones model dataset --out zones.svg"
 
@@ -44,7 +44,7 @@ def zones(
     terminal.answer(found.to_json(), _rule(found), _thresholds(found), _explained(found), bullet(found.notes))
 
 
-def _rule(found: Zones) -> str:
+def _rule(found: SafetyFunction) -> str:
     levels = ", ".join(
         f"{level:.2f} ({percent(share)})" for level, share in zip(found.levels, found.shares, strict=True)
     )
@@ -55,7 +55,7 @@ def _rule(found: Zones) -> str:
     )
 
 
-def _thresholds(found: Zones) -> str:
+def _thresholds(found: SafetyFunction) -> str:
     rows = [
         [
             f"{entry.slower:.2f} -> {entry.faster:.2f}",
@@ -67,6 +67,6 @@ def _thresholds(found: Zones) -> str:
     return table(["level ", "threshold, m", "from", "to (95%)", "of the network"], rows, title=title)
 
 
-def _explained(found: Zones) -> str:
+def _explained(found: SafetyFunction) -> str:
     best = sorted(found.explained.items(), key=lambda entry: -entry[1])
     return table(["explained by ", "of the variance"], [[name, f"{share:.1%}"] for name, share in best])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from cyclekit.clock.coarse import REACH_S, coarse_fit
 from cyclekit.clock.envelope import follow, lower_envelope
-from cyclekit.clock.fit import ASSUMED, ClockFit, LogClock, Method, fit_clock
+from cyclekit.clock.fit import ASSUMED, ClockFit, ClockStart, Method, fit_clock
 from cyclekit.clock.motion import fit_motion
 from cyclekit.clock.pairs import fit_events, fit_pairs
 
@@ -17,7 +17,7 @@ __all__ = [
     "ASSUMED",
     "REACH_S",
     "ClockFit",
-    "LogClock",
+    "ClockStart",
     "Method",
     "coarse_fit",
     "fit_clock",

@@ -20,9 +20,9 @@ from cyclekit import schema
 from cyclekit.activity import operator_places
 from cyclekit.derive.finish import Left, finish
 from cyclekit.derive.look import look_at
-from cyclekit.derive.sample import Work, samples_of
+from cyclekit.derive.sample import SessionToSample, samples_of
 from cyclekit.derive.sharing import in_order, shared_files
-from cyclekit.dynamics import MOST, Dynamics, read_dynamics
+from cyclekit.dynamics import MOST, SafetyResponse, read_dynamics
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.places import find_places
 from cyclekit.process import usual_dwells
@@ -76,7 +76,7 @@ class Derived:
     human_places: Mapping[str, Place]
     levels: tuple[float, ...]
     origin: str | None
-    dynamics: Dynamics
+    dynamics: SafetyResponse
     warnings: list[str]
 
 
@@ -218,10 +218,12 @@ def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Ex
     return [Execution(number, (), False) for number in range(len(runs)) if number not in covered]
 
 
-def _with_stands(passes: _Passes, sessions: Sequence[Session], robot: _Robot) -> tuple[list[Work], dict[str, Dwell]]:
+def _with_stands(
+    passes: _Passes, sessions: Sequence[Session], robot: _Robot
+) -> tuple[list[SessionToSample], dict[str, Dwell]]:
     """Return the work that each session is, and the usual dwell at each place."""
     works = [
-        Work(
+        SessionToSample(
             session,
             {number: robot.runs[number] for number in session.runs},
             [found for number in session.runs for found in robot.executions[number]],
@@ -235,7 +237,7 @@ def _with_stands(passes: _Passes, sessions: Sequence[Session], robot: _Robot) ->
     return [replace(work, stands=mine) for work, mine in zip(works, stands, strict=True)], dwells
 
 
-def _stands(work: Work, *, places: Mapping[str, Place]) -> Stands:
+def _stands(work: SessionToSample, *, places: Mapping[str, Place]) -> Stands:
     return stands_of(work.runs, work.executions, places)
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from cyclekit.activity import Stays
     from cyclekit.dataset import Place
-    from cyclekit.dynamics import Change
+    from cyclekit.dynamics import LevelChange
     from cyclekit.motion import Run
     from cyclekit.silence import Absence
 
@@ -81,7 +81,7 @@ def finish(
     return [Changes.seen(_changes(one, levels), t_s, apart_m, most_changes) for one, t_s, apart_m in each]
 
 
-def _changes(left: Left, levels: Sequence[float]) -> list[Change]:
+def _changes(left: Left, levels: Sequence[float]) -> list[LevelChange]:
     if len(levels) < 2:
         return []  # and nothing is read
     parts = (part for run in left.runs for _, part in pieces(run))

@@ -35,7 +35,7 @@ __all__ = ["Evaluation", "LevelRow", "Row", "evaluate", "evaluate_at"]
 
 
 @dataclass(frozen=True)
-class Row:
+class ErrorRow:
     """One line of the comparison: mean squared error of the scaling, and what was done."""
 
     name: str
@@ -85,7 +85,7 @@ class Evaluation:
     held_out: bool
     executions: tuple[str, ...]
     metrics: Metrics
-    mse: tuple[Row, ...]
+    mse: tuple[ErrorRow, ...]
     confusion: tuple[tuple[int, ...], ...] | None
     levels: tuple[LevelRow, ...]
     dropped: Mapping[str, int]
@@ -164,7 +164,7 @@ def evaluate(
         learned = _rows(model, dataset, some_executions(dataset, model.card["split"]["train"], memory_rows()))
         tell(0.6, f"fitting the rivals to {len(learned)} samples")
         others = rivals(learned, rows, model.levels, boosting=boosting)
-        table += [Row(other.name, float(other.squared.mean()), other.note) for other in others]
+        table += [ErrorRow(other.name, float(other.squared.mean()), other.note) for other in others]
         squared = (model.predict(rows.model_inputs) - rows.scaling) ** 2
         better = better_rival(model.card, squared, {other.name: other.squared for other in others}, rows.execution)
     else:
@@ -227,10 +227,12 @@ def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) ->
     )
 
 
-def _read_outs(metrics: Metrics) -> list[Row]:
-    rows = [Row("model", metrics.mse_mean, "best estimate: mean of the levels under their probabilities, or the value")]
+def _read_outs(metrics: Metrics) -> list[ErrorRow]:
+    rows = [
+        ErrorRow("model", metrics.mse_mean, "best estimate: mean of the levels under their probabilities, or the value")
+    ]
     if metrics.mse_argmax is not None:
-        rows.append(Row("model, step named", metrics.mse_argmax, "the level of the likeliest step"))
+        rows.append(ErrorRow("model, step named", metrics.mse_argmax, "the level of the likeliest step"))
     return rows
 
 

@@ -13,6 +13,6 @@ from __future__ import annotations
 
 from cyclekit.fleet.read import Fleet, FleetCell, load_fleet
 from cyclekit.fleet.run import run_fleet
-from cyclekit.fleet.stages import STAGES, Row
+from cyclekit.fleet.stages import STAGES, StageResult
 
-__all__ = ["STAGES", "Fleet", "FleetCell", "Row", "load_fleet", "run_fleet"]
+__all__ = ["STAGES", "Fleet", "FleetCell", "StageResult", "load_fleet", "run_fleet"]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import CyclekitError
-from cyclekit.fleet.stages import LEDGER, REPORT, STAGES, Row, note, read_ledger, work_on
+from cyclekit.fleet.stages import LEDGER, REPORT, STAGES, StageResult, note, read_ledger, work_on
 from cyclekit.guard import check_output
 from cyclekit.report.fleet_page import CellLine, fleet_page
 from cyclekit.storage import join, write_text
@@ -30,7 +30,7 @@ def run_fleet(
     engine: Engine = LOCAL,
     today: dt.date | None = None,
     progress: Callable[[float, str], None] | None = None,
-) -> list[Row]:
+) -> list[StageResult]:
     """Do stages of every cell, one cell a task, and write the page of the fleet where `report` is among them.
 
     Args:
@@ -48,13 +48,13 @@ def run_fleet(
         CyclekitError: The engine cannot be reached, or the page cannot be written.
     """
     _check(fleet, stages)
-    rows: dict[str, list[Row]] = {}
+    rows: dict[str, list[StageResult]] = {}
     for done in engine.map(partial(work_on, stages=tuple(stages)), fleet.cells):
         cell = done.item
         if done.error is None:
             rows[cell.name] = done.get()
         else:  # its worker died again and again, so it could not note that itself
-            rows[cell.name] = [Row(cell.name, stages[0], "failed", str(done.error))]
+            rows[cell.name] = [StageResult(cell.name, stages[0], "failed", str(done.error))]
             with suppress(CyclekitError):  # where it was the place that failed
                 note(cell, read_ledger(cell), rows[cell.name][0])
         if progress:
@@ -95,5 +95,5 @@ def _state(ledger: dict[str, Any], stage: str) -> str:
     return str(ledger["stages"][stage]["state"])
 
 
-def _said(row: Row) -> str:
+def _said(row: StageResult) -> str:
     return f"{row.cell}: {row.stage} {row.state}"

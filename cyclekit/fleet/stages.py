@@ -43,7 +43,7 @@ State = Literal["done", "unchanged", "failed", "skipped"]
 
 
 @dataclass(frozen=True)
-class Row:
+class StageResult:
     """What came of one stage of one cell.
 
     Attributes:
@@ -59,9 +59,9 @@ class Row:
     text: str
 
 
-def work_on(cell: FleetCell, *, stages: Sequence[str]) -> list[Row]:
+def work_on(cell: FleetCell, *, stages: Sequence[str]) -> list[StageResult]:
     """Do stages of a cell, in order. What fails is told and ends no other stage that can do without it."""
-    ledger, rows = read_ledger(cell), list[Row]()
+    ledger, rows = read_ledger(cell), list[StageResult]()
     for stage in stages:
         try:
             state, text = STAGES[stage](cell, ledger)
@@ -69,7 +69,7 @@ def work_on(cell: FleetCell, *, stages: Sequence[str]) -> list[Row]:
             state, text = "failed", str(error)
         except Exception as error:  # a fault of ours in one cell must not end the night's work on the others
             state, text = "failed", f"a fault of cyclekit: {type(error).__name__}: {error}"
-        row = Row(cell.name, stage, state, text)
+        row = StageResult(cell.name, stage, state, text)
         note(cell, ledger, row)
         rows.append(row)
     return rows
@@ -85,7 +85,7 @@ def read_ledger(cell: FleetCell) -> dict[str, Any]:
     return {"stages": {}, "days": {}, "figures": {}, **found, "cell": cell.name}
 
 
-def note(cell: FleetCell, ledger: dict[str, Any], row: Row) -> None:
+def note(cell: FleetCell, ledger: dict[str, Any], row: StageResult) -> None:
     """Write down what came of a stage."""
     now = dt.datetime.now(tz=dt.UTC).isoformat(timespec="seconds")
     ledger["stages"][row.stage] = {"state": row.state, "text": row.text, "at": now}

@@ -24,7 +24,7 @@ class NotAModel(Exception):
 
 
 @dataclass(frozen=True)
-class Layout:
+class NetworkLayout:
     """What `model.json` says about the network, checked."""
 
     problem: str
@@ -44,7 +44,7 @@ class Layout:
         return {"classifier": len(self.layers) - 1, "mixed": len(self.layers) - 2}.get(self.network)
 
     @classmethod
-    def of(cls, about: ModelCard) -> Layout:
+    def of(cls, about: ModelCard) -> NetworkLayout:
         """Check that the parts of the stated network fit each other.
 
         Raises:

@@ -24,7 +24,7 @@ from cyclekit.cards import BadCard, ModelCard, checked, read_json
 from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.height import inputs_in_plane
 from cyclekit.mistaken import MODEL_CARD, toml_for, what_is
-from cyclekit.models.layout import Layout, NotAModel
+from cyclekit.models.layout import NetworkLayout, NotAModel
 from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
 from cyclekit.one_thread import one_thread
 from cyclekit.outputs import check_writable_folder
@@ -222,7 +222,7 @@ def load_model(place: Path | str) -> TrainedModel:
         about = read_json(file, most_bytes=_MAX_CARD_BYTES)
         _check_versions(about)
         card = checked(about, ModelCard)
-        layout = Layout.of(card)
+        layout = NetworkLayout.of(card)
         file = path / WEIGHTS
         weights = parse_weights(file, layout, card.weights_sha256)
     except (BadCard, NotAModel) as cause:

@@ -36,7 +36,7 @@ RANDOM_BASIS = 200
 
 
 @dataclass(frozen=True)
-class Plan:
+class OrderPlan:
     """The order found.
 
     Attributes:
@@ -90,7 +90,7 @@ def plan(
     check: Check | None = None,
     other_cell: bool = False,
     progress: Callable[[float, str], None] | None = None,
-) -> Plan:
+) -> OrderPlan:
     """Search the order of `jobs` with the least expected cycle time, the surer one where they are alike.
 
     Args:
@@ -135,7 +135,7 @@ def plan(
     saved = walker.mean_of(basis, every, found.check) - np.array(found.durations_s)
     low, high = np.quantile(resampled(tracks.executions, seed) @ saved, (0.025, 0.975)).tolist()
     doubt_s = _doubt_s(found, float(saved.mean()))
-    return Plan(
+    return OrderPlan(
         order=order,
         places=jobs.places(order),
         expected_s=found.expected_s,

@@ -39,7 +39,7 @@ class PredictsNow(Protocol):
 
 
 @dataclass(frozen=True)
-class Zones:
+class FloorZones:
     """Learned zones on the floor.
 
     Attributes:
@@ -59,7 +59,7 @@ def learned_zones(
     t_s: NDArray[np.float64],
     robot_m: NDArray[np.float64],
     human_m: NDArray[np.float64],
-) -> Zones | None:
+) -> FloorZones | None:
     """Ask the model for the zones along one execution; None where robot or operator are unknown.
 
     Args:
@@ -81,7 +81,7 @@ def learned_zones(
     x[:, 3:] = np.tile(person, (len(rows), 1))
     x = inputs_in_plane(x)
     scaling = np.asarray(model.predict(x), dtype=np.float64).reshape(len(rows), len(centre))
-    return Zones(centre, t_s[rows], np.round(scaling, 2))
+    return FloorZones(centre, t_s[rows], np.round(scaling, 2))
 
 
 def walked_squares(dataset: Dataset) -> NDArray[np.float64]:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.dataset import Dataset
-    from cyclekit.replay.execution import Execution
+    from cyclekit.replay.execution import ReplayedExecution
     from cyclekit.replay.floor import PredictsNow
     from cyclekit.replay.layout import Focus, Opening
     from cyclekit.replay.phase import Order
@@ -103,7 +103,7 @@ def write_replay(
     if not 1 <= len(set(names)) <= MOST:
         msg = f"{len(names)} executions side by side"
         raise CyclekitError(msg, cure=f"Name 1 to {MOST} of them: more cannot be told apart on a screen.")
-    runs: list[Execution] = []
+    runs: list[ReplayedExecution] = []
     for number, name in enumerate(dict.fromkeys(names)):
         say(0.7 * number / len(names), f"reading {name}")
         runs.append(load_execution(dataset, name, model))
@@ -127,7 +127,11 @@ def write_replay(
 
 
 def _fill(
-    runs: Sequence[Execution], order: Order, first: Opening | None, file: Path, say: Callable[[float, str], None]
+    runs: Sequence[ReplayedExecution],
+    order: Order,
+    first: Opening | None,
+    file: Path,
+    say: Callable[[float, str], None],
 ) -> int:
     """Write the executions into `file` and close it; same executions, same recording id."""
     names = " and ".join(run.name for run in runs)

@@ -16,7 +16,7 @@ from cyclekit.report.template import Template
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cyclekit.report.texts import Texts
+    from cyclekit.report.texts import ReportTexts
 
 FLEET_PAGE = "fleet.html.jinja"
 OLD_DAYS = 7
@@ -74,7 +74,7 @@ def fleet_page(name: str, cells: Sequence[CellLine], today: dt.date) -> str:
 _HEADS = ("cell", "rank", "lost_head", "per_cycle", "cycle", "executions", "newest", "drift_head")
 
 
-def _headline(texts: Texts, ranked: Sequence[CellLine], concerned: int) -> str:
+def _headline(texts: ReportTexts, ranked: Sequence[CellLine], concerned: int) -> str:
     first = next((cell for cell in ranked if cell.figures.get("lost_share") is not None), None)
     said = texts("fleet.nothing_known") if first is None else texts(
         "fleet.most", name=first.name, share=percent(first.figures["lost_share"])
@@ -82,7 +82,7 @@ def _headline(texts: Texts, ranked: Sequence[CellLine], concerned: int) -> str:
     return f"{said} {texts('fleet.look_count' if concerned else 'fleet.look_none', count=concerned)}"
 
 
-def _row(texts: Texts, rank: int, cell: CellLine) -> dict[str, Any]:
+def _row(texts: ReportTexts, rank: int, cell: CellLine) -> dict[str, Any]:
     known = cell.figures
     lost = known.get("lost_share")
     cells = [
@@ -97,7 +97,7 @@ def _row(texts: Texts, rank: int, cell: CellLine) -> dict[str, Any]:
     return {"name": cell.name, "link": cell.link, "cells": cells}
 
 
-def _drift(texts: Texts, known: Mapping[str, Any]) -> str:
+def _drift(texts: ReportTexts, known: Mapping[str, Any]) -> str:
     if known.get("safety_changed") is None:
         return str(known.get("drift") or texts("fleet.unknown"))
     kinds = [kind for kind in ("safety", "habits") if known[f"{kind}_changed"]]
@@ -107,7 +107,7 @@ def _drift(texts: Texts, known: Mapping[str, Any]) -> str:
     return texts("fleet.drift", what=changes, shifts="; ".join(known["shifts"]))
 
 
-def _worries(texts: Texts, cell: CellLine, today: dt.date) -> list[str]:
+def _worries(texts: ReportTexts, cell: CellLine, today: dt.date) -> list[str]:
     """Return why a cell needs a look, one sentence each; none where it does not."""
     known, found = cell.figures, [texts("fleet.failed", why=why) for why in cell.failed]
     if cell.unread:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.atomic import write_text
 from cyclekit.one_thread import one_thread
 from cyclekit.report import answer, helps, trust, where, why
-from cyclekit.report.document import MARK, Found, as_csv, as_json, as_markdown
+from cyclekit.report.document import MARK, ReportInputs, as_csv, as_json, as_markdown
 from cyclekit.report.findings import overview
 from cyclekit.report.template import Template
 from cyclekit.report.verdict import verdict
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.plan import Plan
+    from cyclekit.plan import OrderPlan
     from cyclekit.report.findings import Predicts
     from cyclekit.report.tried import Tried
     from cyclekit.report.trust import Judged
@@ -64,7 +64,7 @@ def write_report(
     evaluation: Judged | None = None,
     check: Check | None = None,
     what_if: Sequence[Tried] = (),
-    planned: Plan | None = None,
+    planned: OrderPlan | None = None,
     takt_s: float | None = None,
     missing: Sequence[str] = (),
     cell_name: str | None = None,
@@ -128,7 +128,7 @@ def write_report(
     say(0.95, "writing the page")
     made = texts("page.made", date=_today(), version=installed("cyclekit"), executions=seen.executions)
     if kind == "json":
-        found = Found(ranked, what_if, planned, evaluation, check, judged)
+        found = ReportInputs(ranked, what_if, planned, evaluation, check, judged)
         content = as_json(name, made, found, dataset, samples, sections)
     elif kind == "md":
         content = as_markdown(texts, name, made, sections)

@@ -20,7 +20,7 @@ MOST_FILES = 12
 
 
 @dataclass(frozen=True)
-class Source:
+class LogSource:
     """Recordings read alike.
 
     Attributes:
@@ -57,7 +57,7 @@ class Provenance:
         versions: What made dataset and model.
     """
 
-    sources: tuple[Source, ...]
+    sources: tuple[LogSource, ...]
     files: tuple[tuple[str, str], ...]
     more_files: int
     set_aside: tuple[tuple[str, int], ...]
@@ -148,10 +148,10 @@ def _frame(frame: Mapping[str, Any]) -> str:
     return ", ".join(parts) or "not stated"
 
 
-def _source(kind: tuple[str, ...], records: Iterable[Mapping[str, Any]]) -> Source:
+def _source(kind: tuple[str, ...], records: Iterable[Mapping[str, Any]]) -> LogSource:
     records = list(records)
     rates = [float(r["rate_hz"]) for r in records if r.get("rate_hz")]
-    return Source(
+    return LogSource(
         adapter=kind[0],
         tables=kind[1],
         recordings=len(records),

@@ -30,7 +30,7 @@ from cyclekit.report.findings import losses
 from cyclekit.report.floor import floor_plan
 from cyclekit.steps import find_staircase, label_in_time
 from cyclekit.train import _enough, train
-from cyclekit.zones.fit import Rows, hysteresis
+from cyclekit.zones.fit import ScalingSamples, hysteresis
 
 RATES = (2.0, 5.0, 10.0, 20.0, 50.0)
 
@@ -94,7 +94,9 @@ def test_hysteresis_is_read_from_speeds_in_metres_per_second(ten, five):
         scaling = (apart > np.where(speed > 0, 1.6, 1.4)).astype(float)
         copies = [np.concatenate([part] * 12) for part in (*place, scaling)]
         numbers = np.concatenate([number + 100 * copy for copy in range(12)])
-        found.append(hysteresis(Rows(*copies, numbers, np.tile(t_s, 12)), (0.0, 1.0), "distance TCP to operator"))
+        found.append(
+            hysteresis(ScalingSamples(*copies, numbers, np.tile(t_s, 12)), (0.0, 1.0), "distance TCP to operator")
+        )
     assert found == [pytest.approx(0.2, abs=0.06)] * 2
 
 

@@ -18,7 +18,7 @@ from rerun.chunk import RrdReader
 
 from cyclekit import schema
 from cyclekit.atomic import write_parquet
-from cyclekit.clock import LogClock, fit_clock
+from cyclekit.clock import ClockStart, fit_clock
 from cyclekit.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError
 from cyclekit.replay import serve, write_replay
@@ -133,7 +133,7 @@ def test_the_time_of_day_is_a_timeline_where_a_log_knows_it(dataset, tmp_path):
 def test_a_clock_that_is_assumed_to_start_together_tells_no_time_of_day(dataset, tmp_path):
     path = copied(dataset, tmp_path / "undated")
     card = json.loads((path / CARD).read_text("utf-8"))
-    fit = fit_clock(LogClock("epoch", 1_750_000_000.0), LogClock("relative", 0.0), None)
+    fit = fit_clock(ClockStart("epoch", 1_750_000_000.0), ClockStart("relative", 0.0), None)
     for record in card["recordings"]:
         record["clock"] = {"kind": "epoch", **fit.to_json()}
     (path / CARD).write_text(json.dumps(card), "utf-8")

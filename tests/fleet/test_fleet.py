@@ -26,7 +26,7 @@ from cyclekit.models.saved import load_model
 from cyclekit.report.fleet_page import CellLine, fleet_page
 
 if TYPE_CHECKING:
-    from cyclekit.fleet import Fleet, Row
+    from cyclekit.fleet import Fleet, StageResult
 
 pytestmark = pytest.mark.usefixtures("words_only")
 
@@ -47,7 +47,7 @@ def fleet_of(folder: Path, logs: Path, *cells: str, more: str = "") -> Path:
     return folder / "fleet.toml"
 
 
-def states(rows: list[Row]) -> dict[str, str]:
+def states(rows: list[StageResult]) -> dict[str, str]:
     return {f"{row.cell} {row.stage}": row.state for row in rows}
 
 

@@ -9,13 +9,13 @@ from report_pages import Page, estimate
 
 from cyclekit.cli.terminal import write_out
 from cyclekit.errors import CyclekitError
-from cyclekit.plan import Plan
+from cyclekit.plan import OrderPlan
 from cyclekit.report import Tried, load_tried, write_report
 from cyclekit.whatif import NO_PROOF, WhatIf
 
 pytestmark = pytest.mark.usefixtures("words_only")
 
-PLANNED = Plan(
+PLANNED = OrderPlan(
     order=("right", "left"), places=("conveyor", "right", "conveyor", "left"), expected_s=28.1, against="logged orders",
     against_s=31.3, saves_s=(3.2, 2.6, 3.8), saves_unseen_s=2.9, searched="all orders", tried=2, executions=40,
 )  # fmt: skip
@@ -100,7 +100,7 @@ def test_the_order_found_is_shown_with_what_it_saves_and_rests_on(dataset, tmp_p
 
 
 def test_an_order_that_saves_nothing_for_sure_is_not_praised(dataset, tmp_path):
-    even = Plan(**{**vars(PLANNED), "saves_s": (0.2, -0.4, 0.8)})
+    even = OrderPlan(**{**vars(PLANNED), "saves_s": (0.2, -0.4, 0.8)})
     text = shown(dataset, tmp_path / "r.html", planned=even)
     assert "No order of the same work was found that is sure to save time" in text
     assert "The best order found" not in text

@@ -11,7 +11,7 @@ from report_pages import Page, estimate
 
 from cyclekit.dataset import Dataset
 from cyclekit.estimate.result import TaskShare
-from cyclekit.plan import Plan
+from cyclekit.plan import OrderPlan
 from cyclekit.report import Tried, write_report
 
 pytestmark = pytest.mark.usefixtures("words_only")
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("words_only")
 ROUTE = ("home", "a", "b", "home")
 TURNED = ("home", "b", "a", "home")
 LONG = ("home", "a", "b", "a", "b", "home")
-PLANNED = Plan(
+PLANNED = OrderPlan(
     order=("b", "a"), places=TURNED, expected_s=25.0, against="logged orders", against_s=31.3, saves_s=(6.3, 5.6, 7.0),
     saves_unseen_s=5.9, searched="all orders", tried=2, executions=40,
 )  # fmt: skip

@@ -34,6 +34,7 @@ from cyclekit.intake.take_over import gather_quarantine
 from cyclekit.one_thread import one_thread
 from cyclekit.plain_json import finite
 from cyclekit.privacy import Names, numbered_logs, take_out
+from cyclekit.results import Result
 from cyclekit.session import WITHOUT_PLACES, group_sessions, unpaired
 from cyclekit.storage import is_url, mirrored, published
 from cyclekit.storage.cache import cached, of_file_url
@@ -45,8 +46,8 @@ if TYPE_CHECKING:
     Progress = Callable[[float, str], None]
 
 
-@dataclass(frozen=True)
-class IngestReport:
+@dataclass(frozen=True, repr=False)
+class IngestReport(Result):
     """What an ingest did.
 
     Attributes:
@@ -69,10 +70,21 @@ class IngestReport:
     warnings: tuple[str, ...]
     unchanged: bool
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the report as plain JSON values."""
         not_read = [{"path": path, "reason": reason} for path, reason in self.not_read]
         return {**vars(self), "dataset": self.place, "not_read": not_read, "warnings": list(self.warnings)}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per file that was not read."""
+        return pl.DataFrame(list(self.not_read), schema={"path": pl.String, "reason": pl.String}, orient="row")
+
+    def _said(self) -> list[str]:
+        counts = f"{self.executions} executions, {self.tasks} tasks, {self.samples} samples"
+        read = (
+            f"{self.recordings_new} recordings read, {self.recordings_kept} kept, {len(self.not_read)} files not read"
+        )
+        return [f"{self.place}: {counts}", read]
 
 
 @one_thread()

@@ -195,7 +195,7 @@ def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: Metrics) -> d
     sizes = {"train": len(found.learn), "validation": len(found.check), "test": len(found.held_out)}
     return {
         **_origin(dataset, fitted.spec),
-        "metrics": metrics.to_json(),
+        "metrics": metrics.to_dict(),
         "levels": [{"value": v, "share": round(float(s), 6)} for v, s in shares],
         "warnings": [
             *found.notes,

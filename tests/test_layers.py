@@ -15,6 +15,7 @@ FLOORS = [
     {"__main__"},
     {"cli"},
     {"fleet"},
+    {"api"},
     {"benchmark", "describe", "replay", "report", "trace"},
     {"plan", "whatif", "zones"},
     {"estimate", "evaluate"},
@@ -51,6 +52,7 @@ FLOORS = [
         "plain_json",
         "rate",
         "rates",
+        "results",
         "table_layout",
         "work",
     },
@@ -74,7 +76,7 @@ ROOMS_OF = {
     "rosbags": set(),
     "mcap": set(),
     "cyclekit_adapters": set(),
-    "cyclekit_sim": {"cli"},
+    "cyclekit_sim": {"api"},
 }
 """The only rooms of cyclekit that may import each of these."""
 

@@ -72,16 +72,16 @@ def _prepared(executions: int, scene: str, seed: int, folder: Path) -> None:
     """Simulate and ingest one scene unless that was done; keep the truth beside the dataset, and drop the logs."""
     import shutil
 
-    from cyclekit.cli.simulate import simulated
-    from cyclekit.ingest import ingest
+    from cyclekit.api.ingest import ingest_logs
+    from cyclekit.api.simulate import simulate_logs
 
     dataset = folder / "dataset"
     if (dataset / "dataset.json").is_file() and (folder / "truth.json").is_file():
         return
     folder.mkdir(parents=True, exist_ok=True)
-    logs = simulated(scene, folder / "logs", executions, seed, {}, lambda _share, _what: None)
+    logs = simulate_logs(scene, folder / "logs", executions=executions, seed=seed).logs
     shutil.copyfile(logs / "truth" / "truth.json", folder / "truth.json")
-    ingest([logs], dataset)
+    ingest_logs(logs, dataset)
     shutil.rmtree(logs)
 
 

@@ -73,34 +73,22 @@ def train(
         msg = "--horizon goes with --problem ahead or average"
         raise typer.BadParameter(msg)
     chosen = None if seeds is None else whole_numbers(seeds)
-    from functools import partial
-
+    from cyclekit.api.train import train_model, train_seeds
     from cyclekit.errors import command_line
-    from cyclekit.guard import check_output
-    from cyclekit.models.saved import check_model_output
     from cyclekit.models.spec import ModelSpec
-    from cyclekit.storage import join
-    from cyclekit.train import Training, need_torch, train_at
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
-    settings: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}
-    spec = partial(ModelSpec.of, problem, network, horizon_s, norm=norm, **settings)
-    todo = [Training(dataset, spec(seed=seed), out)]
-    if chosen is not None:
-        todo = [Training(dataset, spec(seed=one), join(out, f"seed-{one}")) for one in chosen]
-    need_torch()
-    for each in todo:
-        check_output(each.out, "model", [dataset])
-        check_model_output(each.out)
+    inputs: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}
+    spec = ModelSpec.of(problem, network, horizon_s, norm=norm, seed=seed, **inputs)
     with terminal.progress("training") as progress:
-        here = work.stays_here(len(todo)) and len(todo) == 1
-        cards: dict[str, dict[str, Any]] = {}
-        for done in work.map(partial(train_at, progress=progress) if here else train_at, todo):
-            cards[done.item.out] = done.get()
-            progress(len(cards) / len(todo), done.item.out)
+        if chosen is None:
+            models = {out: train_model(dataset, spec, out=out, engine=work, progress=progress)}
+        else:
+            models = train_seeds(dataset, chosen, out, spec, engine=work, progress=progress)
+    cards = {place: model.card for place, model in models.items()}
     terminal.warnings(list(dict.fromkeys(text for card in cards.values() for text in card["warnings"])))
-    documents = [{"model": each.out, "metrics": cards[each.out]["metrics"], "card": cards[each.out]} for each in todo]
-    told = "\n".join(f"{each.out}: {summary(cards[each.out])}" for each in todo)
+    documents = [{"model": place, "metrics": card["metrics"], "card": card} for place, card in cards.items()]
+    told = "\n".join(f"{place}: {summary(card)}" for place, card in cards.items())
     following = command_line("evaluate", out, dataset)
     if chosen is None and problem != "ahead":  # no estimator works with a forecast
         following = command_line("estimate", out, "SEQUENCES.toml", "--dataset", dataset)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cyclekit.cli.options import DatasetPlace, Json, ModelPlace, OtherCell, Quiet
-from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
+from cyclekit.cli.terminal import Terminal, bullet, percent, table
 
 if TYPE_CHECKING:
     from cyclekit.zones import SafetyFunction
@@ -29,19 +29,14 @@ def zones(
 
     Thresholds in metres where a distance explains the slow-down; a map of the floor where it does not. No safety proof.
     """
-    from cyclekit.dataset import Dataset
-    from cyclekit.guard import check_output
-    from cyclekit.models.saved import load_model
-    from cyclekit.zones import read_zones, zones_svg
+    from cyclekit.api.zones import read_safety_function
 
     terminal = Terminal(json=json, quiet=quiet)
-    check_output(out, "picture", [model, dataset], endings=(".svg",))
     with terminal.progress("reading zones"):
-        found = read_zones(load_model(model), Dataset.open(dataset), seed=seed, other_cell=other_cell)
+        found = read_safety_function(model, dataset, out=out, seed=seed, other_cell=other_cell)
     if out is not None:
-        write_out(out, zones_svg(found))
         terminal.remark(f"written: {out}")
-    terminal.answer(found.to_json(), _rule(found), _thresholds(found), _explained(found), bullet(found.notes))
+    terminal.answer(found.to_dict(), _rule(found), _thresholds(found), _explained(found), bullet(found.notes))
 
 
 def _rule(found: SafetyFunction) -> str:

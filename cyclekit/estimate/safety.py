@@ -30,6 +30,7 @@ SURE = 0.99
 """A level of this probability is farther from every other than half the hysteresis."""
 
 
+@runtime_checkable
 class SafetyModel(Protocol):
     """What a rollout asks of a model; a staircase written down in a file has it as well."""
 

@@ -11,25 +11,24 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal
 
+from cyclekit.api.evaluate import evaluate_model
+from cyclekit.api.ingest import ingest_logs
+from cyclekit.api.report import write_report
+from cyclekit.api.train import train_model
 from cyclekit.cards import BadCard, CellLedger, checked, parse_json
 from cyclekit.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, ModelError, StorageError
-from cyclekit.estimate.rollout import estimate
-from cyclekit.evaluate import evaluate
 from cyclekit.fleet.figures import figures_of
 from cyclekit.fleet.months import days_of, since_last_month, since_training
-from cyclekit.ingest import ingest
 from cyclekit.models.cell import fingerprint, other_cell_of
 from cyclekit.models.metrics import large_error
 from cyclekit.models.saved import TrainedModel, load_model
 from cyclekit.models.spec import ModelSpec
-from cyclekit.report import write_report
 from cyclekit.scratch import Scratch
 from cyclekit.sequences import load_sequences
 from cyclekit.storage import join, mirrored, read_text, write_text
-from cyclekit.train import Training, train_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     from cyclekit.evaluate import Evaluation
     from cyclekit.fleet.read import FleetCell
 
-Found = TypeVar("Found")
 LEDGER, REPORT = "cell.json", "report.html"
 State = Literal["done", "unchanged", "failed", "skipped"]
 
@@ -94,7 +92,7 @@ def note(cell: FleetCell, ledger: dict[str, Any], row: StageResult) -> None:
 
 def _ingest(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
     logs = cell.logs()
-    report = ingest(
+    report = ingest_logs(
         logs,
         cell.dataset,
         cell=None if cell.cell_file is None else mirrored(cell.cell_file),
@@ -121,7 +119,7 @@ def _train(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
     if model is not None and (kept := _still_good(model, dataset)) is not None:
         return "unchanged", kept
     spec = ModelSpec.of(seed=cell.seed, epochs=cell.epochs)
-    card = train_at(Training(cell.dataset, spec, cell.model))
+    card = train_model(cell.dataset, spec, out=cell.model).card
     why = "first model" if model is None else "the safety function has changed, or its logs have gone"
     return "done", f"{why}: mean absolute error {card['metrics']['mae']:.4f} held out"
 
@@ -153,28 +151,24 @@ def _report(cell: FleetCell, ledger: dict[str, Any]) -> tuple[State, str]:
     mark = hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
     if ledger.get("reported") == mark:
         return "unchanged", "nothing is new"
-    missing: list[str] = []
-    judged = None if model is None else _or_missing(lambda: evaluate(model, dataset, boosting=False), missing)
+    judged = None if model is None else _judged(model, dataset)
     drift = "there is no model" if model is None else since_last_month(model, dataset, ledger["days"])
     # kept although the estimates may fail: what was asked for and cannot be answered is an error of this stage
     ledger["figures"] = asdict(figures_of(dataset, drift, ledger["days"], _doubt(model, judged)))
-    found = estimate(model, dataset, wanted) if model is not None and wanted else []
-    check = found[0].check if found else None
+    asked_for = wanted if model is not None and wanted else None
     with Scratch() as scratch:
         page = scratch.path / REPORT
-        facts = write_report(
-            dataset, model, page, estimates=found, evaluation=judged, check=check, missing=missing, cell_name=cell.name
-        )
+        facts = write_report(dataset, page, model=model, sequences=asked_for, evaluation=judged, cell_name=cell.name)
         write_text(join(cell.folder, REPORT), page.read_text(encoding="utf-8"))
     ledger["reported"] = mark
     return "done", facts.headline
 
 
-def _or_missing(make: Callable[[], Found], missing: list[str]) -> Found | None:
+def _judged(model: TrainedModel, dataset: Dataset) -> Evaluation | None:
+    """Return the model judged on these logs; None where it cannot be, which the page says."""
     try:
-        return make()
-    except CyclekitError as error:
-        missing.append(f"{error.seen}.")
+        return evaluate_model(model, dataset, boosting=False)
+    except CyclekitError:
         return None
 
 
@@ -182,7 +176,7 @@ def _doubt(model: TrainedModel | None, judged: Evaluation | None) -> str:
     """Say why the error of a cell's model is large, by all that can judge it now, else by what was held out."""
     if model is None:
         return ""
-    metrics = judged.metrics.to_json() if judged else model.card.get("metrics")
+    metrics = judged.metrics.to_dict() if judged else model.card.get("metrics")
     return large_error(metrics, model.levels) if metrics else ""
 
 

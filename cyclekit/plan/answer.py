@@ -17,9 +17,12 @@ from cyclekit.models.cell import refuse_other_cell
 from cyclekit.one_thread import one_thread
 from cyclekit.plan.exact import Walker
 from cyclekit.plan.search import Scorer, best_order, first_order, random_order
+from cyclekit.results import Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    import polars as pl
 
     from cyclekit.dataset import Dataset
     from cyclekit.estimate.check import Check
@@ -35,8 +38,8 @@ RANDOM_BASIS = 200
 """Where none of the logged orders does the same work, so many random ones stand for them."""
 
 
-@dataclass(frozen=True)
-class OrderPlan:
+@dataclass(frozen=True, repr=False)
+class OrderPlan(Result):
     """The order found.
 
     Attributes:
@@ -74,9 +77,20 @@ class OrderPlan:
     unlogged: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain JSON values."""
         return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per visit of the order found."""
+        import polars as pl
+
+        return pl.DataFrame({"visit": range(1, len(self.order) + 1), "place": self.order})
+
+    def _said(self) -> list[str]:
+        saved, low, high = self.saves_s
+        against = f"saves {saved:.1f} s (95% CI {low:.1f} to {high:.1f} s) against {self.against}"
+        return [f"{self.expected_s:.1f} s; {against}", f"order {', '.join(self.order)}"]
 
 
 @one_thread()

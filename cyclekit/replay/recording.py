@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import uuid
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import rerun as rr
 
@@ -23,10 +23,13 @@ from cyclekit.replay.misses import Miss, misses
 from cyclekit.replay.phase import common_order, path_phase
 from cyclekit.replay.scene import log_scene
 from cyclekit.replay.sink import Sink
+from cyclekit.results import Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
+
+    import polars as pl
 
     from cyclekit.dataset import Dataset
     from cyclekit.replay.execution import ReplayedExecution
@@ -38,8 +41,8 @@ MOST = len(HUES)
 """So many executions can be shown side by side."""
 
 
-@dataclass(frozen=True)
-class ReplayFacts:
+@dataclass(frozen=True, repr=False)
+class ReplayFacts(Result):
     """What was written.
 
     Attributes:
@@ -65,6 +68,27 @@ class ReplayFacts:
     notes: tuple[str, ...]
     misses: tuple[Miss, ...]
     first: Opening | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {
+            "replay": str(self.path),
+            "execution": self.execution,
+            "executions": list(self.executions),
+            "duration_s": self.duration_s,
+            "bytes": self.bytes,
+            "notes": list(self.notes),
+            "misses": [dict(vars(miss)) for miss in self.misses],
+        }
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per stretch where prediction and log differ most."""
+        import polars as pl
+
+        return pl.DataFrame([dict(vars(miss)) for miss in self.misses])
+
+    def _said(self) -> list[str]:
+        return [f"{self.path}: execution {', '.join(self.executions)}, {self.duration_s:.1f} s", *self.notes]
 
 
 @one_thread()

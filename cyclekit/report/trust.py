@@ -37,7 +37,7 @@ _GAPS = {"absent": "gap_absent", "occluded": "gap_occluded", "outside": "gap_out
 class Judged(Protocol):
     """What the report needs of an evaluation: its numbers as JSON values."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """`mse` (rows of name, mse, note), `accuracy`, `confusion` (logged x predicted), `levels`; all optional."""
         ...
 
@@ -58,7 +58,7 @@ def section(
     if model is not None:
         versions[texts("trust.made_model")] = f"cyclekit {model.card.get('cyclekit', 'unknown')}"
     origin = provenance(dataset, versions)
-    judged = evaluation.to_json() if evaluation is not None else {}
+    judged = evaluation.to_dict() if evaluation is not None else {}
     unmeasured = bool(ranked) and (check is None or check.coverage is None)
     said = [*_network_and_baselines(texts, judged, check), *([texts("trust.no_coverage")] if unmeasured else [])]
     return {

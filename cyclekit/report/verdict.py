@@ -82,7 +82,7 @@ class TaktVerdict:
             return self.best.expected_s
         return None if self.planned is None else self.planned.expected_s
 
-    def to_json(self, text: str) -> dict[str, Any]:
+    def to_dict(self, text: str) -> dict[str, Any]:
         """Return plain JSON values; `text` is the verdict in words."""
         order, change = self.order, self.change
         best = {"sequence": None if order or not self.best else self.best.name, "expected_s": self.expected_s}

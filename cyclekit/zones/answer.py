@@ -12,6 +12,7 @@ from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.height import HUMAN_Z_IN_PLANE, said_of_height
 from cyclekit.models.cell import refuse_other_cell
 from cyclekit.one_thread import one_thread
+from cyclekit.results import Result
 from cyclekit.zones.fit import (
     DISTANCES,
     FLOOR_M,
@@ -42,8 +43,8 @@ LEAST_SEEN = 5
 """A cell of the floor with fewer samples is left blank."""
 
 
-@dataclass(frozen=True)
-class SafetyFunction:
+@dataclass(frozen=True, repr=False)
+class SafetyFunction(Result):
     """The safety function read back.
 
     Attributes:
@@ -78,7 +79,7 @@ class SafetyFunction:
     executions: int
     notes: tuple[str, ...]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON values."""
         out = dict(vars(self))
         out["explained"] = dict(self.explained)
@@ -86,6 +87,25 @@ class SafetyFunction:
         out["floor_m"], out["floor_scaling"] = self.floor_m.tolist(), self.floor_scaling.tolist()
         out["floor_cell_m"] = FLOOR_M
         return out
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per threshold between two levels; metres."""
+        rows = [
+            {
+                "slower": entry.slower,
+                "faster": entry.faster,
+                "threshold_m": entry.metres,
+                "low_m": entry.low,
+                "high_m": entry.high,
+                "network_m": network,
+            }
+            for entry, network in zip(self.thresholds, self.thresholds_of_network, strict=True)
+        ]
+        return pl.DataFrame(rows)
+
+    def _said(self) -> list[str]:
+        best = self.explained.get(self.rule, float("nan"))
+        return [f"levels {', '.join(f'{level:.2f}' for level in self.levels)}; by {self.rule} (explains {best:.1%})"]
 
 
 @one_thread()

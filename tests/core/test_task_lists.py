@@ -16,7 +16,7 @@ from cyclekit.ingest import IngestReport, ingest
 from cyclekit.models.spec import ModelSpec
 from cyclekit.plausible import examined
 from cyclekit.replay import write_replay
-from cyclekit.report import write_report
+from cyclekit.report import compose_report
 from cyclekit.schema import TASK_LIST, TASKS, conform
 from cyclekit.trace import trace
 from cyclekit.train import train
@@ -97,7 +97,7 @@ def test_what_needs_positions_ends_with_one_sentence(listed, tmp_path: Path, sta
     _, dataset = listed
     asked = {
         "train": lambda: train(dataset, ModelSpec.of("now")),
-        "report": lambda: write_report(dataset, None, tmp_path / "a.html"),
+        "report": lambda: compose_report(dataset, None, tmp_path / "a.html"),
         "replay": lambda: write_replay(dataset, "1", tmp_path / "a.rrd"),
         "trace": lambda: trace(dataset, "1", 1.0),
         "model": lambda: refuse_other_cell({}, dataset, other_cell=True),

@@ -44,7 +44,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory, logs: Path, dataset: Path, mo
     shutil.copyfile(next(logs.glob("**/*robot*.csv")), folder / "robot.csv")
     (folder / "points.csv").write_text(POINTS, encoding="utf-8")
     (folder / "changes.toml").write_text(CHANGE, encoding="utf-8")
-    (folder / "fleet.toml").write_text('out = "fleet"\n[[cell]]\nname = "a"\nsources = ["logs"]\n', encoding="utf-8")
+    (folder / "fleet.toml").write_text('[fleet]\nout = "fleet"\n[[cell]]\nname = "a"\nsources = ["logs"]\n', encoding="utf-8")
     return folder
 
 

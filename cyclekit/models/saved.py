@@ -29,10 +29,12 @@ from cyclekit.models.tensors import parse_weights, sizes_of, to_safetensors
 from cyclekit.one_thread import one_thread
 from cyclekit.outputs import check_writable_folder
 from cyclekit.plain_text import all_in_one_line
+from cyclekit.results import Result
 from cyclekit.samples import GROUPS, INPUTS
 from cyclekit.storage import is_url, local, published
 
 if TYPE_CHECKING:
+    import polars as pl
     from numpy.typing import NDArray
 
     from cyclekit.models.weights import Weights
@@ -42,8 +44,8 @@ CARD, WEIGHTS = MODEL_CARD, "weights.safetensors"
 _MAX_CARD_BYTES = 16 << 20
 
 
-@dataclass(frozen=True)
-class TrainedModel:
+@dataclass(frozen=True, repr=False)
+class TrainedModel(Result):
     """A network with its weights.
 
     Attributes:
@@ -151,6 +153,22 @@ class TrainedModel:
             msg = f"the network gives no number in {bad} of {len(out)} rows: its weights are too large"
             raise ModelError(msg, cure=f"Train it again: {command_line('train', 'DATASET', '--out', 'MODEL')}")
         return out
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {"metrics": self.card.get("metrics"), "card": self.card}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per epoch of the training: errors by which its weights were chosen."""
+        import polars as pl
+
+        return pl.DataFrame(self.card.get("history") or [], infer_schema_length=None)
+
+    def _said(self) -> list[str]:
+        levels = ", ".join(f"{level:.2f}" for level in self.levels) or "none"
+        metrics = self.card.get("metrics") or {}
+        error = f", held out: mean absolute error {metrics['mae']:.4f}" if "mae" in metrics else ""
+        return [f"{self.network} for problem {self.problem}, levels {levels}{error}"]
 
 
 def check_model_output(place: Path | str) -> None:

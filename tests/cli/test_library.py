@@ -31,6 +31,7 @@ FUNCTIONS = sorted(name for name, home in library._HOMES.items() if re.match(r"c
 PAGE = (ROOT / "docs" / "library.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 POINTS = "log_x_m,log_y_m,log_z_m,base_x_m,base_y_m,base_z_m\n0,0,0,1,0,0\n1,0,0,2,0,0\n0,1,0,1,1,0\n0,0,1,1,0,1\n"
+FLEET = '[fleet]\nout = "fleet"\n[[cell]]\nname = "a"\nsources = ["logs"]\n'
 CHANGE = '[[change]]\nname = "small"\nlevels = [0.0, 0.25, 0.5, 0.75, 1.0]\nthresholds_m = [0.6, 0.8, 1.2, 1.6]\n'
 
 
@@ -44,7 +45,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory, logs: Path, dataset: Path, mo
     shutil.copyfile(next(logs.glob("**/*robot*.csv")), folder / "robot.csv")
     (folder / "points.csv").write_text(POINTS, encoding="utf-8")
     (folder / "changes.toml").write_text(CHANGE, encoding="utf-8")
-    (folder / "fleet.toml").write_text('[fleet]\nout = "fleet"\n[[cell]]\nname = "a"\nsources = ["logs"]\n', encoding="utf-8")
+    (folder / "fleet.toml").write_text(FLEET, encoding="utf-8")
     return folder
 
 
@@ -169,6 +170,37 @@ def test_a_result_is_short_in_a_console_and_escaped_in_a_notebook(result: Result
     assert page.count("<tr>") == page.count("</tr>") == 1 + result.to_frame().height
     assert isinstance(result.to_frame(), pl.DataFrame)
     assert json.dumps(result.to_dict())
+
+
+CALLS = {
+    "logs": lambda: library.inspect_logs("logs"),
+    "dataset": lambda: library.inspect_logs("dataset", verify=True),
+    "model": lambda: library.inspect_logs("model"),
+    "draft": lambda: library.draft_cell("logs"),
+    "convert": lambda: library.convert_log("robot.csv", "robot.parquet", rate_hz=1),
+    "levels": lambda: library.find_levels("dataset"),
+    "trace": lambda: library.trace_sample("dataset", "1"),
+    "adapters": library.list_adapters,
+    "calibrate": lambda: library.calibrate_tracker("points.csv"),
+    "zones": lambda: library.read_safety_function("model", "dataset"),
+    "evaluate": lambda: library.evaluate_model("model", "dataset", boosting=False),
+    "models": lambda: library.evaluate_models("model", "dataset", boosting=False),
+    "trained": lambda: library.load_model("model"),
+    "replay": lambda: library.write_replay("dataset", 1, "replay.rrd", model="model"),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_every_result_has_a_short_repr_a_frame_and_a_dict(
+    name: str, cell: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(cell)
+    found = CALLS[name]()
+    assert isinstance(found, Result)
+    assert len(repr(found).splitlines()) <= 8
+    assert len(repr(found)) < 1500
+    assert found._repr_html_().count("<tr>") == 1 + min(found.to_frame().height, 20)
+    assert json.loads(json.dumps(found.to_dict()))
 
 
 def test_what_was_not_answered_is_shown_and_may_be_demanded() -> None:

@@ -84,7 +84,10 @@ def test_a_wrong_type_is_named_with_what_came_and_what_was_expected(name: str) -
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda: library.estimate_cycles("m", dataset=3, sequences="s"), "dataset = 3 is of type int; expected "),
+        (
+            lambda: library.estimate_cycles("m", dataset=3, sequences="s"),
+            "dataset = 3 is of type int; expected Dataset, str or Path",
+        ),
         (
             lambda: library.write_report("d", "r.html", takt_s="105s"),
             "takt_s = '105s' is of type str; expected float or",

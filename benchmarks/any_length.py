@@ -21,10 +21,10 @@ from cells import FRESH_SEED, durations_of, fresh, logged
 from rich.console import Console
 from rich.table import Table
 
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import CyclekitError
 from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.rollout import estimate
-from cyclekit.sequences import TaskSequence
 from cyclekit_sim import SimulationOptions, random_sequence
 
 OUT = Console(width=150)

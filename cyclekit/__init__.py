@@ -35,50 +35,50 @@ if TYPE_CHECKING:
     from cyclekit.api.train import train_model, train_seeds
     from cyclekit.api.whatif import what_if
     from cyclekit.api.zones import read_safety_function
-    from cyclekit.dataset import Dataset
-    from cyclekit.engine import Engine
+    from cyclekit.config.sequences import TaskSequence, load_sequences
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.errors import CyclekitError
     from cyclekit.estimate.answers import CycleEstimates
+    from cyclekit.estimate.plan.answer import OrderPlan
+    from cyclekit.estimate.plan.jobs import Jobs, load_jobs
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.evaluate import Evaluation
+    from cyclekit.estimate.whatif.answer import WhatIf
+    from cyclekit.estimate.whatif.answers import WhatIfAnswers
+    from cyclekit.estimate.whatif.change import Change, load_changes
     from cyclekit.fleet.run import FleetRun, run_fleet
-    from cyclekit.ingest import IngestReport
-    from cyclekit.models.saved import TrainedModel, load_model, save_model
-    from cyclekit.models.spec import ModelSpec
-    from cyclekit.plan.answer import OrderPlan
-    from cyclekit.plan.jobs import Jobs, load_jobs
+    from cyclekit.ingest.ingest import IngestReport
+    from cyclekit.learning.evaluation.evaluate import Evaluation
+    from cyclekit.learning.networks.saved import TrainedModel, load_model, save_model
+    from cyclekit.learning.networks.spec import ModelSpec
+    from cyclekit.learning.safety_function.answer import SafetyFunction
+    from cyclekit.parallel.engine import Engine
     from cyclekit.results import Result
-    from cyclekit.sequences import TaskSequence, load_sequences
-    from cyclekit.whatif.answer import WhatIf
-    from cyclekit.whatif.answers import WhatIfAnswers
-    from cyclekit.whatif.change import Change, load_changes
-    from cyclekit.zones.answer import SafetyFunction
 
     __version__: str
 
 _HOMES = {
     "Adapter": "cyclekit.adapter:Adapter",
-    "Change": "cyclekit.whatif.change:Change",
+    "Change": "cyclekit.estimate.whatif.change:Change",
     "CycleEstimate": "cyclekit.estimate.result:CycleEstimate",
     "CycleEstimates": "cyclekit.estimate.answers:CycleEstimates",
     "CyclekitError": "cyclekit.errors:CyclekitError",
-    "Dataset": "cyclekit.dataset:Dataset",
-    "Engine": "cyclekit.engine:Engine",
-    "Evaluation": "cyclekit.evaluate:Evaluation",
+    "Dataset": "cyclekit.dataset.dataset:Dataset",
+    "Engine": "cyclekit.parallel.engine:Engine",
+    "Evaluation": "cyclekit.learning.evaluation.evaluate:Evaluation",
     "FleetRun": "cyclekit.fleet.run:FleetRun",
-    "IngestReport": "cyclekit.ingest:IngestReport",
-    "Jobs": "cyclekit.plan.jobs:Jobs",
-    "ModelSpec": "cyclekit.models.spec:ModelSpec",
-    "OrderPlan": "cyclekit.plan.answer:OrderPlan",
+    "IngestReport": "cyclekit.ingest.ingest:IngestReport",
+    "Jobs": "cyclekit.estimate.plan.jobs:Jobs",
+    "ModelSpec": "cyclekit.learning.networks.spec:ModelSpec",
+    "OrderPlan": "cyclekit.estimate.plan.answer:OrderPlan",
     "ReadOptions": "cyclekit.adapter:ReadOptions",
     "Recording": "cyclekit.adapter:Recording",
     "Result": "cyclekit.results:Result",
-    "SafetyFunction": "cyclekit.zones.answer:SafetyFunction",
+    "SafetyFunction": "cyclekit.learning.safety_function.answer:SafetyFunction",
     "ScalingLevels": "cyclekit.api.levels:ScalingLevels",
-    "TaskSequence": "cyclekit.sequences:TaskSequence",
-    "TrainedModel": "cyclekit.models.saved:TrainedModel",
-    "WhatIf": "cyclekit.whatif.answer:WhatIf",
-    "WhatIfAnswers": "cyclekit.whatif.answers:WhatIfAnswers",
+    "TaskSequence": "cyclekit.config.sequences:TaskSequence",
+    "TrainedModel": "cyclekit.learning.networks.saved:TrainedModel",
+    "WhatIf": "cyclekit.estimate.whatif.answer:WhatIf",
+    "WhatIfAnswers": "cyclekit.estimate.whatif.answers:WhatIfAnswers",
     "calibrate_tracker": "cyclekit.api.calibrate:calibrate_tracker",
     "convert_log": "cyclekit.api.convert:convert_log",
     "draft_cell": "cyclekit.api.inspect:draft_cell",
@@ -90,14 +90,14 @@ _HOMES = {
     "ingest_logs": "cyclekit.api.ingest:ingest_logs",
     "inspect_logs": "cyclekit.api.inspect:inspect_logs",
     "list_adapters": "cyclekit.api.adapters:list_adapters",
-    "load_changes": "cyclekit.whatif.change:load_changes",
-    "load_jobs": "cyclekit.plan.jobs:load_jobs",
-    "load_model": "cyclekit.models.saved:load_model",
-    "load_sequences": "cyclekit.sequences:load_sequences",
+    "load_changes": "cyclekit.estimate.whatif.change:load_changes",
+    "load_jobs": "cyclekit.estimate.plan.jobs:load_jobs",
+    "load_model": "cyclekit.learning.networks.saved:load_model",
+    "load_sequences": "cyclekit.config.sequences:load_sequences",
     "plan_order": "cyclekit.api.plan:plan_order",
     "read_safety_function": "cyclekit.api.zones:read_safety_function",
     "run_fleet": "cyclekit.fleet.run:run_fleet",
-    "save_model": "cyclekit.models.saved:save_model",
+    "save_model": "cyclekit.learning.networks.saved:save_model",
     "simulate_logs": "cyclekit.api.simulate:simulate_logs",
     "trace_sample": "cyclekit.api.trace:trace_sample",
     "train_model": "cyclekit.api.train:train_model",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.plain_text import one_line
+from cyclekit.text.plain_text import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

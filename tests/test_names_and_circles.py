@@ -9,7 +9,7 @@ from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-from cyclekit.models.spec import ModelSpec, RunSettings
+from cyclekit.learning.networks.spec import ModelSpec, RunSettings
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = {"cyclekit": ROOT / "cyclekit", "cyclekit_adapters": ROOT / "adapters" / "cyclekit_adapters"}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.api.arguments import checked
-from cyclekit.registry import adapters, left_out
+from cyclekit.ingest.registry import adapters, left_out
 from cyclekit.results import Result
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
+from cyclekit.alignment.calibrate import Calibration, calibrate
 from cyclekit.api.arguments import Place, checked
-from cyclekit.calibrate import Calibration, calibrate
 
 
 @checked

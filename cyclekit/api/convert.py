@@ -7,8 +7,8 @@ from pathlib import Path
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.config import Cell, load_cell
-from cyclekit.convert import Converted, convert
-from cyclekit.guard import Kind, check_output
+from cyclekit.dataset.guard import Kind, check_output
+from cyclekit.ingest.convert import Converted, convert
 
 
 @checked

@@ -6,15 +6,15 @@ from collections.abc import Sequence
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import Sequences, dataset_of, model_of, path_of, place_of, sequences_of
-from cyclekit.atomic import write_text
-from cyclekit.dataset import Dataset
-from cyclekit.engine import LOCAL, Engine
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
 from cyclekit.estimate.answers import CycleEstimates, Refusal, refusing, together
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.safety import SafetyModel
-from cyclekit.guard import check_output
-from cyclekit.plain_json import json_text
+from cyclekit.parallel.engine import LOCAL, Engine
+from cyclekit.storage.atomic import write_text
+from cyclekit.text.plain_json import json_text
 
 QUANTILES = (0.05, 0.5, 0.95)
 """Of single cycles, where no others are asked for."""

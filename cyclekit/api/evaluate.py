@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import dataset_of, trained_of
-from cyclekit.dataset import Dataset
-from cyclekit.engine import LOCAL, Engine
-from cyclekit.evaluate import Evaluation, evaluate, evaluate_at
-from cyclekit.evaluate.drift import drift
-from cyclekit.models.saved import TrainedModel, models_in
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.learning.evaluation.drift import drift
+from cyclekit.learning.evaluation.evaluate import Evaluation, evaluate, evaluate_at
+from cyclekit.learning.networks.saved import TrainedModel, models_in
+from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.results import Result
 
 if TYPE_CHECKING:

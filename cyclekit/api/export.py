@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.api.arguments import Place, checked
 from cyclekit.api.given import place_of, trained_of
-from cyclekit.guard import check_output
-from cyclekit.models.onnx_file import write_onnx
-from cyclekit.models.saved import TrainedModel
+from cyclekit.dataset.guard import check_output
+from cyclekit.learning.networks.onnx_file import write_onnx
+from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.results import Result
 
 if TYPE_CHECKING:

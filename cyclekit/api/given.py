@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cyclekit.api.arguments import Place
-from cyclekit.dataset import Dataset
+from cyclekit.config.sequences import TaskSequence, load_sequences
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.plan.jobs import Jobs, load_jobs
 from cyclekit.estimate.safety import SafetyModel
-from cyclekit.models.saved import TrainedModel, load_model
-from cyclekit.plan.jobs import Jobs, load_jobs
-from cyclekit.sequences import TaskSequence, load_sequences
-from cyclekit.whatif.change import Change, load_changes
+from cyclekit.estimate.whatif.change import Change, load_changes
+from cyclekit.learning.networks.saved import TrainedModel, load_model
 
 Sequences = Place | TaskSequence | Sequence[TaskSequence]
 Changes = Place | Change | Sequence[Change]

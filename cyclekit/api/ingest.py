@@ -8,8 +8,8 @@ from typing import Literal
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.config import Cell
-from cyclekit.engine import LOCAL, Engine
-from cyclekit.ingest import IngestReport, ingest
+from cyclekit.ingest.ingest import IngestReport, ingest
+from cyclekit.parallel.engine import LOCAL, Engine
 
 
 @checked

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import path_of
-from cyclekit.atomic import write_text
 from cyclekit.config import cell_to_toml
-from cyclekit.dataset import Dataset
-from cyclekit.describe import DatasetDescription, Description, describe
-from cyclekit.discover import suggest_cell
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import OutputError
-from cyclekit.outputs import check_writable
+from cyclekit.ingest.discover import suggest_cell
+from cyclekit.inspect.describe import DatasetDescription, Description, describe
 from cyclekit.results import Result
-from cyclekit.storage import local
+from cyclekit.storage.atomic import write_text
+from cyclekit.storage.outputs import check_writable
+from cyclekit.storage.remote.folders import local
 
 if TYPE_CHECKING:
     import polars as pl

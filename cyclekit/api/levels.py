@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from cyclekit.api.arguments import Place, checked
 from cyclekit.api.given import dataset_of, path_of, place_of
-from cyclekit.dataset import Dataset
-from cyclekit.guard import check_output
-from cyclekit.labelling import scaling_in_time, staircase_of
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
+from cyclekit.learning.labelling import scaling_in_time, staircase_of
 from cyclekit.results import Result
-from cyclekit.steps import second_opinion
+from cyclekit.scaling.levels import second_opinion
 
 if TYPE_CHECKING:
     import polars as pl
@@ -89,7 +89,7 @@ def find_levels(dataset: Dataset | Place, *, method: Method = "plateau", picture
     values, _ = scaling_in_time(frame, opened.rate_hz)
     other = second_opinion(values, found) if method == "plateau" else None
     if file is not None:
-        from cyclekit.figures.levels import draw_levels  # here, as matplotlib takes long to import
+        from cyclekit.plots.levels import draw_levels  # here, as matplotlib takes long to import
 
         draw_levels(file, values, found, rate_hz=opened.rate_hz)
     means = () if found.means is None else tuple(map(float, found.means))

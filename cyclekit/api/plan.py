@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import dataset_of, jobs_of, model_of, path_of, place_of
-from cyclekit.atomic import write_text
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
 from cyclekit.estimate.check import Check
+from cyclekit.estimate.plan.answer import OrderPlan, plan
+from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.safety import SafetyModel
-from cyclekit.guard import check_output
-from cyclekit.plan.answer import OrderPlan, plan
-from cyclekit.plan.jobs import Jobs
+from cyclekit.storage.atomic import write_text
 
 
 @checked

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import dataset_of, place_of, trained_of
-from cyclekit.dataset import Dataset
-from cyclekit.guard import check_output
-from cyclekit.models.saved import TrainedModel
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
+from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.replay.layout import Focus
 from cyclekit.replay.recording import ReplayFacts
 from cyclekit.replay.recording import write_replay as record

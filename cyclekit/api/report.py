@@ -14,23 +14,23 @@ from cyclekit.api.evaluate import evaluate_model
 from cyclekit.api.given import Sequences, dataset_of, jobs_of, place_of, sequences_of, trained_of
 from cyclekit.api.plan import plan_order
 from cyclekit.api.whatif import what_if as try_changes
-from cyclekit.dataset import Dataset
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
 from cyclekit.errors import ConfigError, CyclekitError
 from cyclekit.estimate.answers import CycleEstimates
-from cyclekit.evaluate import Evaluation
-from cyclekit.guard import check_output
-from cyclekit.models.cell import refuse_other_cell
-from cyclekit.models.saved import TrainedModel
-from cyclekit.plan.jobs import Jobs
+from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.whatif.change import Change, load_changes
+from cyclekit.learning.evaluation.evaluate import Evaluation
+from cyclekit.learning.networks.cell import refuse_other_cell
+from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.report import ReportFacts, Template, Tried, compose_report, load_tried, need_browser, write_pdf
-from cyclekit.sequences import TaskSequence
-from cyclekit.whatif.change import Change, load_changes
 
 if TYPE_CHECKING:
+    from cyclekit.dataset.guard import Kind
     from cyclekit.estimate.check import Check
-    from cyclekit.guard import Kind
-    from cyclekit.plan.answer import OrderPlan
-    from cyclekit.whatif.answers import WhatIfAnswers
+    from cyclekit.estimate.plan.answer import OrderPlan
+    from cyclekit.estimate.whatif.answers import WhatIfAnswers
 
 Format = Literal["html", "json", "csv", "md"]
 ORDER = "order found"

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.dataset.guard import check_output
 from cyclekit.errors import CyclekitError
-from cyclekit.guard import check_output
 from cyclekit.results import Result
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from cyclekit.api.arguments import Place, checked
 from cyclekit.api.given import dataset_of
-from cyclekit.dataset import Dataset
-from cyclekit.trace import Trace, trace
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.trace import Trace, trace
 
 
 @checked

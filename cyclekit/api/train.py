@@ -8,13 +8,13 @@ from functools import partial
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import dataset_of
-from cyclekit.dataset import Dataset
-from cyclekit.engine import LOCAL, Engine
-from cyclekit.guard import check_output
-from cyclekit.models.saved import TrainedModel, check_model_output, load_model
-from cyclekit.models.spec import ModelSpec
-from cyclekit.storage import join
-from cyclekit.train import Training, need_torch, train, train_at
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
+from cyclekit.learning.networks.saved import TrainedModel, check_model_output, load_model
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import Training, need_torch, train, train_at
+from cyclekit.parallel.engine import LOCAL, Engine
+from cyclekit.storage.remote.folders import join
 
 
 @checked

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import Changes, Sequences, changes_of, dataset_of, model_of, path_of, place_of, sequences_of
-from cyclekit.atomic import write_text
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
 from cyclekit.estimate.answers import Refusal, refusing, together
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.safety import SafetyModel
-from cyclekit.guard import check_output
-from cyclekit.plain_json import json_text
-from cyclekit.whatif.answer import what_if as compare
-from cyclekit.whatif.answers import WhatIfAnswers
+from cyclekit.estimate.whatif.answer import what_if as compare
+from cyclekit.estimate.whatif.answers import WhatIfAnswers
+from cyclekit.storage.atomic import write_text
+from cyclekit.text.plain_json import json_text
 
 
 @checked

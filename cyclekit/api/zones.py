@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from cyclekit.api.arguments import Place, checked
 from cyclekit.api.given import dataset_of, path_of, place_of, trained_of
-from cyclekit.atomic import write_text
-from cyclekit.dataset import Dataset
-from cyclekit.guard import check_output
-from cyclekit.models.saved import TrainedModel
-from cyclekit.zones.answer import SafetyFunction, read_zones
-from cyclekit.zones.picture import zones_svg
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
+from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.learning.safety_function.answer import SafetyFunction, read_zones
+from cyclekit.learning.safety_function.picture import zones_svg
+from cyclekit.storage.atomic import write_text
 
 
 @checked

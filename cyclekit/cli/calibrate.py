@@ -11,7 +11,7 @@ from cyclekit.cli.options import Json, Quiet
 from cyclekit.cli.terminal import Terminal, table
 
 if TYPE_CHECKING:
-    from cyclekit.calibrate import Calibration
+    from cyclekit.alignment.calibrate import Calibration
 
 EXAMPLE = "cyclekit calibrate points.csv --up y"
 

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from cyclekit.cli.terminal import Progress
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.answers import CycleEstimates
-    from cyclekit.models.saved import TrainedModel
+    from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.report import ReportFacts
 
 EXAMPLE = "cyclekit demo --out out/"
@@ -98,8 +98,8 @@ class _Run:
 
 def _check(out: Path, operator_log: Path | None) -> None:
     """Refuse before any work what would be refused after half of it."""
-    from cyclekit.guard import Kind, check_output
-    from cyclekit.train import need_torch
+    from cyclekit.dataset.guard import Kind, check_output
+    from cyclekit.learning.training import need_torch
 
     need_torch()
     check_output(out, "folder", [operator_log])
@@ -119,8 +119,8 @@ def _check(out: Path, operator_log: Path | None) -> None:
 def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) -> Dataset:
     from cyclekit.api.ingest import ingest_logs
     from cyclekit.api.simulate import simulate_logs
-    from cyclekit.dataset import Dataset
-    from cyclekit.engine import Engine
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.parallel.engine import Engine
 
     asked: dict[str, Any] = {"executions": executions, "seed": seed, "settings": settings}
     with run.step(f"simulate {executions} executions of {SCENE}") as progress:
@@ -132,7 +132,7 @@ def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) ->
 
 def _model(run: _Run, dataset: Dataset, seed: int) -> TrainedModel:
     from cyclekit.api.train import train_model
-    from cyclekit.models.spec import ModelSpec
+    from cyclekit.learning.networks.spec import ModelSpec
 
     with run.step("train the safety function") as progress:
         model = train_model(dataset, ModelSpec.of(seed=seed), out=run.out / "model", progress=progress)

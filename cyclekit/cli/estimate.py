@@ -133,7 +133,7 @@ def doubted(found: Sequence[CycleEstimate], *, width: int = 80) -> str:
 
 def estimates_table(found: Sequence[CycleEstimate]) -> str:
     """Return a table for each kind of work, the quickest first: expected time, 90 % range, and where the time goes."""
-    from cyclekit.work import by_work
+    from cyclekit.estimate.same_work import by_work
 
     low, high = _range(found)
     heads = ["sequence ", "expected", f"{100 * (high - low):.0f}% of cycles", "motion", "safety", "dwell", "wait"]
@@ -155,7 +155,7 @@ def estimates_table(found: Sequence[CycleEstimate]) -> str:
 
 def ranking(found: Sequence[CycleEstimate]) -> str:
     """Return how sure it is that the first sequence of each work is quicker than each other one that does the same."""
-    from cyclekit.work import by_work
+    from cyclekit.estimate.same_work import by_work
 
     works = by_work(found)
     rows = [

@@ -13,8 +13,8 @@ from cyclekit.cli.terminal import Terminal, bullet, percent, table
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cyclekit.evaluate import Evaluation
-    from cyclekit.evaluate.drift import Drift
+    from cyclekit.learning.evaluation.drift import Drift
+    from cyclekit.learning.evaluation.evaluate import Evaluation
 
 EXAMPLE = "cyclekit evaluate model dataset"
 

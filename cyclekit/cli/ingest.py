@@ -13,7 +13,7 @@ from cyclekit.cli.terminal import Terminal
 from cyclekit.errors import command_line
 
 if TYPE_CHECKING:
-    from cyclekit.ingest import IngestReport
+    from cyclekit.ingest.ingest import IngestReport
 
 EXAMPLE = "cyclekit ingest logs --out dataset"
 
@@ -51,7 +51,7 @@ def ingest(
     """
     from cyclekit.api.ingest import ingest_logs
     from cyclekit.errors import ConfigError, LogError
-    from cyclekit.ingest import left_by
+    from cyclekit.ingest.ingest import left_by
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     try:

@@ -12,7 +12,7 @@ from cyclekit.cli.options import Checked, Json, LoggedPlace, ModelPlace, OtherCe
 from cyclekit.cli.terminal import Terminal, bullet
 
 if TYPE_CHECKING:
-    from cyclekit.plan import OrderPlan
+    from cyclekit.estimate.plan import OrderPlan
 
 EXAMPLE = "cyclekit plan model jobs.toml --dataset dataset"
 
@@ -49,7 +49,7 @@ def plan(
 
 
 def _text(found: OrderPlan) -> str:
-    from cyclekit.plan import some
+    from cyclekit.estimate.plan import some
 
     saved, low, high = found.saves_s
     star = "*" if found.doubts else ""

@@ -11,7 +11,7 @@ from cyclekit.cli.options import DatasetPlace, Json, Quiet, seconds
 from cyclekit.cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from cyclekit.trace import Trace
+    from cyclekit.dataset.trace import Trace
 
 EXAMPLE = "cyclekit trace dataset --execution 1 --at 12.5s --logs logs"
 

@@ -75,7 +75,7 @@ def train(
     chosen = None if seeds is None else whole_numbers(seeds)
     from cyclekit.api.train import train_model, train_seeds
     from cyclekit.errors import command_line
-    from cyclekit.models.spec import ModelSpec
+    from cyclekit.learning.networks.spec import ModelSpec
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     inputs: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}

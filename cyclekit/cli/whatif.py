@@ -14,7 +14,7 @@ from cyclekit.cli.terminal import Terminal, bullet, table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.whatif import WhatIf
+    from cyclekit.estimate.whatif import WhatIf
 
 EXAMPLE = "cyclekit whatif model sequences.toml changes.toml --dataset dataset"
 

@@ -11,7 +11,7 @@ from cyclekit.cli.options import DatasetPlace, Json, ModelPlace, OtherCell, Quie
 from cyclekit.cli.terminal import Terminal, bullet, percent, table
 
 if TYPE_CHECKING:
-    from cyclekit.zones import SafetyFunction
+    from cyclekit.learning.safety_function import SafetyFunction
 
 EXAMPLE = "cyclekit zones model dataset --out zones.svg"
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, overload
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.result import CycleEstimate
-from cyclekit.plain_text import csv_text
 from cyclekit.results import Result
+from cyclekit.text.plain_text import csv_text
 
 if TYPE_CHECKING:
     import polars as pl

@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
-    from cyclekit.engine import Engine
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.program import Program
     from cyclekit.estimate.safety import Dynamics, SafetyModel
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled
-    from cyclekit.sequences import TaskSequence
+    from cyclekit.parallel.engine import Engine
 
 ESTIMATORS: Mapping[str, str] = {
     "rollout": "the learned safety function is walked beside every logged operator track",

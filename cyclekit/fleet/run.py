@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.engine import LOCAL, Engine
+from cyclekit.dataset.guard import check_output
 from cyclekit.errors import CyclekitError
 from cyclekit.fleet.read import Fleet, load_fleet
 from cyclekit.fleet.stages import LEDGER, REPORT, STAGES, StageResult, note, read_ledger, work_on
-from cyclekit.guard import check_output
+from cyclekit.learning.training import need_torch
+from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.report.fleet_page import CellLine, fleet_page
 from cyclekit.results import Result
-from cyclekit.storage import join, write_text
-from cyclekit.train import need_torch
+from cyclekit.storage.remote.folders import join, write_text
 
 if TYPE_CHECKING:
     import polars as pl

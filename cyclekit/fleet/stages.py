@@ -17,24 +17,24 @@ from cyclekit.api.evaluate import evaluate_model
 from cyclekit.api.ingest import ingest_logs
 from cyclekit.api.report import write_report
 from cyclekit.api.train import train_model
-from cyclekit.cards import BadCard, CellLedger, checked, parse_json
-from cyclekit.dataset import Dataset
+from cyclekit.config.sequences import load_sequences
+from cyclekit.dataset.cards import BadCard, CellLedger, checked, parse_json
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, ModelError, StorageError
 from cyclekit.fleet.figures import figures_of
 from cyclekit.fleet.months import days_of, since_last_month, since_training
-from cyclekit.models.cell import fingerprint, other_cell_of
-from cyclekit.models.metrics import large_error
-from cyclekit.models.saved import TrainedModel, load_model
-from cyclekit.models.spec import ModelSpec
-from cyclekit.scratch import Scratch
-from cyclekit.sequences import load_sequences
-from cyclekit.storage import join, mirrored, read_text, write_text
+from cyclekit.learning.networks.cell import fingerprint, other_cell_of
+from cyclekit.learning.networks.metrics import large_error
+from cyclekit.learning.networks.saved import TrainedModel, load_model
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.storage.remote.folders import join, mirrored, read_text, write_text
+from cyclekit.storage.scratch import Scratch
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cyclekit.evaluate import Evaluation
     from cyclekit.fleet.read import FleetCell
+    from cyclekit.learning.evaluation.evaluate import Evaluation
 
 LEDGER, REPORT = "cell.json", "report.html"
 State = Literal["done", "unchanged", "failed", "skipped"]

@@ -233,5 +233,11 @@ def test_a_command_calls_the_library_and_nothing_behind_it(command: str) -> None
 
 def test_the_fleet_calls_the_library_and_nothing_behind_it() -> None:
     used = imported(ROOT / "cyclekit" / "fleet" / "stages.py")
-    answers = {"cyclekit.ingest", "cyclekit.train", "cyclekit.estimate.rollout", "cyclekit.evaluate", "cyclekit.report"}
+    answers = {
+        "cyclekit.ingest.ingest",
+        "cyclekit.learning.training",
+        "cyclekit.estimate.rollout",
+        "cyclekit.learning.evaluation.evaluate",
+        "cyclekit.report",
+    }
     assert used & answers == set()

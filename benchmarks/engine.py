@@ -34,7 +34,7 @@ def measured(what: str, engine: str, jobs: int, address: str | None, folder: str
     if what == "ingest":
         file = Path(folder) / f"{engine}-{jobs}-{os.getpid()}.toml"  # its name is where the results go
         file.write_text((Path(folder) / "cells.toml").read_text(encoding="utf-8"), encoding="utf-8")
-        rows = run_fleet(load_fleet(file), ["ingest"], engine=chosen)
+        rows = run_fleet(load_fleet(file), ["ingest"], engine=chosen).rows
         assert all(row.state == "done" for row in rows)
         return {"s": time.perf_counter() - begin}
     count = int(what)

@@ -31,7 +31,7 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.networks.fitting import one_fast_thread
 from cyclekit.learning.networks.network import Forecasting, Recurrent, build
 from cyclekit.learning.networks.optimiser import Steps
-from cyclekit.learning.networks.rows import Rows, rows_on, standardisation
+from cyclekit.learning.networks.rows import TrainingRows, rows_on, standardisation
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.windows import Samples, build_samples, split_executions
 from cyclekit_sim import simulate
@@ -62,7 +62,7 @@ class Way:
     spec: ModelSpec
     feed: str
 
-    def run(self, network: nn.Module, rows: Rows, part: torch.Tensor) -> torch.Tensor:
+    def run(self, network: nn.Module, rows: TrainingRows, part: torch.Tensor) -> torch.Tensor:
         """Return what the network says about some rows, shape (B, 1)."""
         x = rows.inputs(part, 0.0)
         if self.feed == AS_SEQUENCE and isinstance(network, Recurrent):
@@ -71,7 +71,7 @@ class Way:
             return out
         return network(x)
 
-    def batches(self, rows: Rows, steps: int) -> Iterator[torch.Tensor]:
+    def batches(self, rows: TrainingRows, steps: int) -> Iterator[torch.Tensor]:
         """Yield as many batches as there are steps."""
         done = 0
         while done < steps:
@@ -80,7 +80,9 @@ class Way:
                 done += 1
                 yield part
 
-    def fitted(self, rows: Rows, inputs: int, steps: int, scale: np.ndarray, *, forecast: bool = False) -> nn.Module:
+    def fitted(
+        self, rows: TrainingRows, inputs: int, steps: int, scale: np.ndarray, *, forecast: bool = False
+    ) -> nn.Module:
         """Train on the scaling, or on nothing but the forecast."""
         torch.manual_seed(self.spec.seed)
         network = build(self.spec, inputs, LEVELS, scale=scale)
@@ -100,7 +102,7 @@ class Way:
         return mse(lambda part: self.run(network, judge, part), judge)
 
 
-def mse(predict: Callable[[torch.Tensor], torch.Tensor], judge: Rows) -> float:
+def mse(predict: Callable[[torch.Tensor], torch.Tensor], judge: TrainingRows) -> float:
     """Return the error of what is predicted for parts of the rows."""
     with torch.inference_mode():
         out = torch.cat([predict(part) for part in torch.arange(len(judge)).split(BATCH)])

@@ -12,6 +12,7 @@
     ├── ModelError          the model folder is not one, is foreign, or does not fit the dataset
     ├── EstimateError       the question cannot be answered from these logs
     ├── ShapeError          arrays that do not fit together (a mistake of the caller)
+    ├── WrongType           an argument of a public function is of another type (a TypeError as well)
     ├── OutputError         what is to be written would replace an input, or what cyclekit did not write
     ├── BusyPlace           another process is writing where we were told to write
     ├── StorageError        a URL cannot be read or written
@@ -132,6 +133,16 @@ class EstimateError(CyclekitError):
 
 class ShapeError(CyclekitError):
     """Arrays that do not fit together."""
+
+
+class WrongType(CyclekitError, TypeError):
+    """An argument of a public function is of a type that it does not take."""
+
+    def __init__(self, function: str, argument: str, value: object, expected: str) -> None:
+        """Name the argument, what came and what was expected."""
+        text = repr(value)
+        shown = text if len(text) <= 60 else f"{text[:57]}..."
+        super().__init__(f"{function}(): {argument} = {shown} is of type {type(value).__name__}; expected {expected}")
 
 
 class OutputError(CyclekitError):

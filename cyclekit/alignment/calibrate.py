@@ -17,6 +17,7 @@ import polars as pl
 from cyclekit.alignment.frames import FrameFit, fit_frame
 from cyclekit.errors import DamagedLog, LogError, MissingColumns
 from cyclekit.parallel.one_thread import one_thread
+from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,8 +28,8 @@ SIDES = ("log", "base")
 UNITS = {"m": 1.0, "mm": 0.001}
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False)
+class Calibration(Result):
     """A fitted frame and the points that it rests on.
 
     Attributes:
@@ -47,7 +48,7 @@ class Calibration:
         """The line for the tracker's source in cell.toml."""
         return frame_line(self.fit.frame)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
         frame = self.fit.frame
         residuals = zip(self.points, self.fit.residual_m.tolist(), strict=True)
@@ -61,6 +62,13 @@ class Calibration:
             "scale": self.fit.scale,
             "warnings": list(self.fit.warnings),
         }
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per point: how far it is off, metres."""
+        return pl.DataFrame({"point": list(self.points), "residual_m": self.fit.residual_m.tolist()})
+
+    def _said(self) -> list[str]:
+        return [f"{len(self.points)} points, rms {1000 * self.fit.rms_m:.1f} mm", self.line]
 
 
 @one_thread()

@@ -21,7 +21,7 @@ from cyclekit.alignment.clocks import (
     ASSUMED,
     REACH_S,
     ClockFit,
-    LogClock,
+    ClockStart,
     coarse_fit,
     fit_clock,
     fit_events,
@@ -119,8 +119,8 @@ def _fit(
     tables: _Tables,
     coarse_step_s: float | None,
 ) -> ClockFit:
-    log = LogClock(entry.clock.kind, entry.first_s)
-    main = LogClock(master.clock.kind, master.first_s)
+    log = ClockStart(entry.clock.kind, entry.first_s)
+    main = ClockStart(master.clock.kind, master.first_s)
     if entry is master:
         return replace(fit_clock(log, main, source, same_log=True), method="own")
     found = None
@@ -269,7 +269,7 @@ def _restarts(stamps: pl.DataFrame | None) -> bool:
     return stamps is not None and bool((np.diff(stamps["t_s"].to_numpy()) < -RESTART_S).any())
 
 
-def _by_start(log: LogClock, main: LogClock, start: str, robot: Source | None) -> ClockFit:
+def _by_start(log: ClockStart, main: ClockStart, start: str, robot: Source | None) -> ClockFit:
     if robot is not None and robot.start is not None:
         began_s = datetime.fromisoformat(robot.start).timestamp()
     elif main.kind == "epoch":

@@ -28,12 +28,12 @@ def calibrate(
     base_y_m, base_z_m (robot base); _mm for millimetres. Prints the line for
     cell.toml, and how far each point is off.
     """
-    from cyclekit.alignment.calibrate import calibrate as fit
+    from cyclekit.api.calibrate import calibrate_tracker
 
     terminal = Terminal(json=json, quiet=quiet)
-    found = fit(points, up=up)
+    found = calibrate_tracker(points, up=up)
     terminal.warnings(found.fit.warnings)
-    terminal.answer(found.to_json(), page(found))
+    terminal.answer(found.to_dict(), page(found))
 
 
 def page(found: Calibration) -> str:

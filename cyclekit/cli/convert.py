@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from cyclekit.cli.options import Json, Quiet
 from cyclekit.cli.terminal import Terminal
-
-if TYPE_CHECKING:
-    from cyclekit.dataset.guard import Kind
 
 EXAMPLE = "cyclekit convert logs/robot.csv --out robot.parquet --rate 10"
 
@@ -35,13 +32,9 @@ def convert(
 
     For a look with other tools; `ingest` is what makes a dataset.
     """
-    from cyclekit.config import load_cell
-    from cyclekit.dataset.guard import check_output
-    from cyclekit.ingest.convert import convert as convert_log
+    from cyclekit.api.convert import convert_log
 
     terminal = Terminal(json=json, quiet=quiet)
-    kind: Kind = "table-csv" if out.suffix.lower() == ".csv" else "table-parquet"
-    check_output(out, kind, [log, cell], endings=(".parquet", ".csv"))
     with terminal.progress("converting") as progress:
         done = convert_log(
             log,
@@ -49,9 +42,9 @@ def convert(
             table=table,
             rate_hz=rate,
             columns=[name.strip() for name in columns.split(",") if name.strip()],
-            cell=load_cell(cell) if cell else None,
+            cell=cell,
             progress=progress,
         )
     terminal.warnings(done.warnings)
     aside = f", {done.rows_set_aside} of {done.rows_read} set aside" if done.rows_set_aside else ""
-    terminal.done(done.to_json(), f"{done.out}: {done.rows} rows of {done.table}, read by {done.adapter}{aside}")
+    terminal.done(done.to_dict(), f"{done.out}: {done.rows} rows of {done.table}, read by {done.adapter}{aside}")

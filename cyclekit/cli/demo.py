@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.estimate import CAPTION, doubted, estimates_table, judged, loses_most, rests_on
+from cyclekit.cli.estimate import doubted, starred
 from cyclekit.cli.options import Json, Quiet, vector
-from cyclekit.cli.simulate import simulated
-from cyclekit.cli.terminal import Terminal, duration, write_out
+from cyclekit.cli.terminal import Terminal, bullet, duration, table, write_out
 from cyclekit.cli.train import summary
 from cyclekit.errors import command_line
 
@@ -26,12 +25,15 @@ if TYPE_CHECKING:
 
     from cyclekit.cli.terminal import Progress
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.answers import CycleEstimates
     from cyclekit.learning.networks.saved import TrainedModel
+    from cyclekit.report import ReportFacts
 
 EXAMPLE = "cyclekit demo --out out/"
 SCENE = "box-picking"
 STEPS = 6
+WIDTH = 60
+"""Columns of the last page: half a screen."""
 _LEFT, _RIGHT = ([f"{side}_{number}" for number in range(1, 6)] for side in ("left", "right"))
 SEQUENCES = {
     "left table first": [*_LEFT, *_RIGHT],
@@ -67,14 +69,14 @@ def demo(
     _check(out, operator_log)
     dataset = _dataset(run, executions, seed, settings)
     model = _model(run, dataset, seed)
-    estimates = _estimates(run, dataset, model, seed)
+    estimates = _estimates(run, dataset, model)
     replay, report = _replay(run, dataset, model), _report(run, dataset, model, estimates)
     document = {
-        "sequences": [entry.to_json() for entry in estimates],
-        "files": {"dataset": dataset.path, "model": out / "model", "replay": replay, "report": report},
+        "sequences": [entry.to_dict() for entry in estimates],
+        "files": {"dataset": dataset.path, "model": out / "model", "replay": replay, "report": report.path},
         "seconds": run.spent_s,
     }
-    run.terminal.answer(document, _closing(estimates, run))
+    run.terminal.answer(document, _closing(estimates, report.headline, run))
 
 
 @dataclass
@@ -115,39 +117,36 @@ def _check(out: Path, operator_log: Path | None) -> None:
 
 
 def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) -> Dataset:
+    from cyclekit.api.ingest import ingest_logs
+    from cyclekit.api.simulate import simulate_logs
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.ingest.ingest import ingest
     from cyclekit.parallel.engine import Engine
 
+    asked: dict[str, Any] = {"executions": executions, "seed": seed, "settings": settings}
     with run.step(f"simulate {executions} executions of {SCENE}") as progress:
-        logs = simulated(SCENE, run.out / "logs", executions, seed, settings, progress)
+        logs = simulate_logs(SCENE, run.out / "logs", **asked, progress=progress).logs
     with run.step("ingest the logs") as progress:
-        ingest([logs], run.out / "dataset", engine=Engine(jobs=2), progress=progress)
+        ingest_logs(logs, run.out / "dataset", engine=Engine(jobs=2), progress=progress)
     return Dataset.open(run.out / "dataset")
 
 
 def _model(run: _Run, dataset: Dataset, seed: int) -> TrainedModel:
-    from cyclekit.learning.networks.saved import load_model, save_model
+    from cyclekit.api.train import train_model
     from cyclekit.learning.networks.spec import ModelSpec
-    from cyclekit.learning.training import train
 
     with run.step("train the safety function") as progress:
-        save_model(run.out / "model", train(dataset, ModelSpec.of(seed=seed), progress=progress))
-    model = load_model(run.out / "model")  # as the other commands will find it
+        model = train_model(dataset, ModelSpec.of(seed=seed), out=run.out / "model", progress=progress)
     run.terminal.remark(f"  {summary(model.card)}")
     return model
 
 
-def _estimates(run: _Run, dataset: Dataset, model: TrainedModel, seed: int) -> list[CycleEstimate]:
-    from cyclekit.config.sequences import load_sequences
-    from cyclekit.estimate.rollout import estimate
+def _estimates(run: _Run, dataset: Dataset, model: TrainedModel) -> CycleEstimates:
+    from cyclekit.api.estimate import estimate_cycles
 
     file = run.out / "sequences.toml"
     write_out(file, sequences_toml(set(dataset.tasks()["task"])))
     with run.step(f"estimate {len(SEQUENCES)} sequences") as progress:
-        found = estimate(model, dataset, load_sequences(file), seed=seed, progress=progress)
-    write_out(run.out / "estimates.json", {"sequences": [entry.to_json() for entry in found]})
-    return found
+        return estimate_cycles(model, dataset, file, out=run.out / "estimates.json", progress=progress)
 
 
 def sequences_toml(logged: set[str]) -> str:
@@ -168,40 +167,51 @@ def sequences_toml(logged: set[str]) -> str:
 
 
 def _replay(run: _Run, dataset: Dataset, model: TrainedModel) -> Path:
-    from cyclekit.replay import write_replay
+    from cyclekit.api.replay import write_replay
 
-    file = run.out / "replay.rrd"
     with run.step("write the replay") as progress:
-        write_replay(dataset, dataset.find_execution("1"), file, model=model, progress=progress)
-    return file
+        return write_replay(dataset, 1, run.out / "replay.rrd", model=model, progress=progress).path
 
 
-def _report(run: _Run, dataset: Dataset, model: TrainedModel, estimates: list[CycleEstimate]) -> Path:
-    from cyclekit.learning.evaluation.evaluate import evaluate
-    from cyclekit.report import write_report
+def _report(run: _Run, dataset: Dataset, model: TrainedModel, estimates: CycleEstimates) -> ReportFacts:
+    from cyclekit.api.report import write_report
 
-    file = run.out / "report.html"
     with run.step("evaluate, and write the report") as progress:
-        evaluation = evaluate(model, dataset)
-        check = estimates[0].check
-        write_report(dataset, model, file, estimates=estimates, evaluation=evaluation, check=check, progress=progress)
-    return file
+        return write_report(dataset, run.out / "report.html", model=model, estimates=estimates, progress=progress)
 
 
-def _closing(estimates: list[CycleEstimate], run: _Run) -> str:
-    model, dataset = run.out / "model", run.out / "dataset"
-    lines = ["How long does a cycle take? Three orders of the same ten boxes, quickest first:", ""]
-    lines += [f"{estimates_table(estimates)}\n{CAPTION}\n{doubted(estimates)}".rstrip(), "", loses_most(estimates)]
-    check = estimates[0].check
-    lines += ["", rests_on(estimates), *(["", judged(check)] if check else []), "", "Next"]
-    lines += [
+def _closing(estimates: CycleEstimates, verdict: str, run: _Run) -> str:
+    model, sequences = run.out / "model", run.out / "sequences.toml"
+    lines = [
+        "Cycle time of three orders of the same ten boxes:",
+        "",
+        _table(estimates),
+        doubted(estimates, width=WIDTH),
+        "",
+        bullet([verdict], mark="", width=WIDTH),
+        "",
+        "Next",
         "- the page for the customer, in any browser:",
         f"    {run.out / 'report.html'}",
-        "- the first execution in 3-D, with the model's prediction:",
+        "- the first execution in 3-D, with the prediction:",
         f"    {command_line(run.out / 'replay.rrd', program='rerun')}",
-        f"- your own sequences: change {run.out / 'sequences.toml'}, then",
-        f"    {command_line('estimate', model, run.out / 'sequences.toml', '--dataset', dataset)}",
+        f"- sequences of your own: change {sequences}, then",
+        f"    {command_line('estimate', model, sequences, '--dataset', run.out / 'dataset')}",
         "",
         f"Done in {duration(sum(run.spent_s.values()))}.",
     ]
-    return "\n".join(lines)
+    return "\n".join(line for line, before in zip(lines, ["x", *lines], strict=False) if line or before)
+
+
+def _table(estimates: CycleEstimates) -> str:
+    """Return mean and 95 % interval of each sequence, and how much of it is slow-down; at most 60 columns."""
+    rows = [
+        [
+            f"{rank}. {one.name}",
+            starred(one, f"{one.expected_s:.1f}"),
+            f"{one.expected_low_s:.1f} to {one.expected_high_s:.1f}",
+            f"{one.safety_loss_s:.1f}",
+        ]
+        for rank, one in enumerate(estimates, start=1)
+    ]
+    return table(["order ", "mean, s", "95% CI", "slow-down"], rows)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,20 +22,18 @@ from cyclekit.cli.options import (
     levels,
     seconds,
 )
-from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
+from cyclekit.cli.terminal import Terminal, bullet, percent, table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
-    from cyclekit.dataset.guard import Kind
-    from cyclekit.errors import EstimateError
+    from cyclekit.estimate.answers import Refusal
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
 
 EXAMPLE = "cyclekit estimate model sequences.toml --dataset dataset"
 CAPTION = "seconds: motion at full speed + slow-down for safety + dwell + wait = expected"
 DOUBTED = "* "
-_COLUMNS = ("name", "expected_s", "expected_low_s", "expected_high_s")
 _SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
@@ -69,26 +67,16 @@ def estimate(
     that cannot be answered from these logs is named with the reason, and the others are answered; if none can be, that
     is an error.
     """
-    from cyclekit.config.sequences import load_sequences
-    from cyclekit.dataset.dataset import Dataset
-    from cyclekit.dataset.guard import check_output
-    from cyclekit.errors import EstimateError
-    from cyclekit.estimate.rollout import estimate as estimate_cycles
-    from cyclekit.learning.networks.saved import load_model
+    from cyclekit.api.estimate import estimate_cycles
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
-    as_table = out is not None and out.suffix.lower() == ".csv"
-    kind: Kind = "estimates-csv" if as_table else "estimates-json"
-    check_output(out, kind, [model, sequences, dataset], endings=(".json", ".csv"))
-    wanted = load_sequences(sequences)
     asked, takt_s = levels(quantiles), None if takt is None else seconds(takt)
-    opened, logs = load_model(model), Dataset.open(dataset)
-    refused: dict[str, EstimateError] = {}
     with terminal.progress("estimating") as progress:
         found = estimate_cycles(
-            opened,
-            logs,
-            wanted,
+            model,
+            dataset,
+            sequences,
+            out=out,
             estimator=estimator,
             quantiles=asked,
             takt_s=takt_s,
@@ -97,41 +85,28 @@ def estimate(
             validate=check,
             other_cell=other_cell,
             engine=work,
-            refused=lambda sequence, error: refused.__setitem__(sequence.name, error),
             progress=progress,
         )
-    if not found:
-        raise EstimateError("\n".join(dict.fromkeys(map(str, refused.values()))))
-    checked, alarms = found[0].check, alarms_of(found)
-    document: dict[str, Any] = {"warnings": alarms, "sequences": [entry.to_json() for entry in found]}
-    document["refused"] = [{"sequence": name, "reason": str(error)} for name, error in refused.items()]
-    document["check"] = checked.to_json() if checked else None
     if out is not None:
-        write_out(out, as_csv(found) if as_table else document)
         terminal.remark(f"written: {out}")
     by_task = tasks_table(found[0]) if len(found) == 1 else ""
     numbers = f"{estimates_table(found)}\n{CAPTION}\n{doubted(found)}".rstrip()
     parts = [
-        alarmed(alarms),
+        alarmed(found.alarms),
         numbers,
-        not_answered(refused),
+        not_answered(found.refused),
         ranking(found),
         takt_table(found),
         by_task,
         loses_most(found),
     ]
-    terminal.answer(document, *parts, rests_on(found), judged(checked) if checked else "")
+    terminal.answer(found.to_dict(), *parts, rests_on(found), judged(found.check) if found.check else "")
 
 
-def not_answered(refused: Mapping[str, EstimateError]) -> str:
-    """Return what could not be answered and why, one line each; errors by the name of what was asked for."""
-    texts = [". ".join(part for part in (error.seen, error.cure) if part) for error in refused.values()]
+def not_answered(refused: Sequence[Refusal]) -> str:
+    """Return what could not be answered and why, one line each."""
+    texts = [". ".join(part for part in (one.error.seen, one.error.cure) if part) for one in refused]
     return f"Not answered\n{bullet(texts)}" if texts else ""
-
-
-def alarms_of(found: Sequence[CycleEstimate]) -> list[str]:
-    """Return what belongs above the numbers, one sentence each."""
-    return list(dict.fromkeys(entry.check.alarm for entry in found if entry.check and entry.check.alarm))
 
 
 def alarmed(alarms: Sequence[str]) -> str:
@@ -144,7 +119,7 @@ def starred(entry: CycleEstimate, number: str) -> str:
     return f"{number}*" if entry.doubts else number
 
 
-def doubted(found: Sequence[CycleEstimate]) -> str:
+def doubted(found: Sequence[CycleEstimate], *, width: int = 80) -> str:
     """Return what the asterisks mean: each doubt once, with the sequences that it concerns unless it concerns all."""
     by_text: dict[str, list[str]] = {}
     for entry in found:
@@ -153,7 +128,7 @@ def doubted(found: Sequence[CycleEstimate]) -> str:
     names = {text: list(dict.fromkeys(concerned)) for text, concerned in by_text.items()}
     every = len({entry.name for entry in found})
     lines = [text if len(some) == every else f"{', '.join(some)}: {text}" for text, some in names.items()]
-    return bullet(lines, mark=DOUBTED)
+    return bullet(lines, mark=DOUBTED, width=width)
 
 
 def estimates_table(found: Sequence[CycleEstimate]) -> str:
@@ -284,18 +259,3 @@ def _support(entry: CycleEstimate) -> str:
     return (
         "support not counted" if isnan(entry.support) else f"{percent(entry.support)} of the time near logged positions"
     )
-
-
-def as_csv(found: Sequence[CycleEstimate]) -> str:
-    """Return one CSV row per sequence, quantiles as columns `q0.05_s` and so on."""
-    from cyclekit.text.plain_text import csv_text
-
-    levels = sorted(found[0].quantiles_s) if found else []
-    heads = [*_COLUMNS, *(f"q{level:g}_s" for level in levels), *_SPLIT, "support", "tracks", "warnings"]
-    rows: list[list[Any]] = [heads]
-    for entry in found:
-        row: list[Any] = [getattr(entry, name) for name in _COLUMNS]
-        row += [entry.quantiles_s[level] for level in levels]
-        row += [getattr(entry, name) for name in _SPLIT]
-        rows.append([*row, entry.support, entry.tracks, " | ".join(entry.warnings)])
-    return csv_text(rows)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -36,42 +36,28 @@ def evaluate(
 
     On newer logs with --trained-on: whether safety function or habits changed.
     """
-    from functools import partial
-
-    from cyclekit.learning.evaluation.evaluate import evaluate_at
-    from cyclekit.learning.networks.saved import models_in
+    from cyclekit.api.evaluate import evaluate_models
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
-    models = models_in(model)
-    found: dict[str, tuple[Evaluation, Drift | None]] = {}
     with terminal.progress("evaluating") as progress:
-        tell = progress if len(models) == 1 and work.stays_here(1) else None
-        judge = partial(evaluate_at, dataset=dataset, trained_on=trained_on, other_cell=other_cell, progress=tell)
-        for done in work.map(judge, models):
-            found[done.item] = done.get()
-            progress(len(found) / len(models), done.item)
-    terminal.warnings(list(dict.fromkeys(note for judged, _ in found.values() for note in judged.notes)))
-    if models == [model]:
-        judged, changed = found[model]
-        told = (_head(judged), _errors(judged), _better({model: judged}, dataset), _levels(judged), _drift(changed))
-        terminal.answer(_document(judged, changed), *told)
+        found = evaluate_models(
+            model, dataset, trained_on=trained_on, other_cell=other_cell, engine=work, progress=progress
+        )
+    terminal.warnings(list(dict.fromkeys(note for judged in found.values() for note in judged.notes)))
+    if not found.together:
+        (judged,) = found.values()
+        told = (_head(judged), _errors(judged), _better(found, dataset), _levels(judged), _drift(judged.drift))
+        terminal.answer(found.to_dict(), *told)
         return
-    rows = {Path(each).name: found[each] for each in models}
-    documents = {name: _document(*both) for name, both in rows.items()}
-    changes = [f"{name}\n{_drift(changed)}" for name, (_, changed) in rows.items() if changed is not None]
-    better = _better({each: found[each][0] for each in models}, dataset)
-    terminal.answer({"models": documents}, _beside(rows), better, *changes)
+    changes = [f"{Path(place).name}\n{_drift(judged.drift)}" for place, judged in found.items() if judged.drift]
+    terminal.answer(found.to_dict(), _beside(found), _better(found, dataset), *changes)
 
 
-def _document(found: Evaluation, changed: Drift | None) -> dict[str, Any]:
-    return found.to_json() | ({} if changed is None else {"drift": changed.to_json()})
-
-
-def _beside(found: Mapping[str, tuple[Evaluation, Drift | None]]) -> str:
+def _beside(found: Mapping[str, Evaluation]) -> str:
     """Return one row per model."""
     rows = [
-        [name, judged.network, str(judged.metrics.rows), f"{judged.metrics.mse_mean:.2e}", f"{judged.metrics.mae:.4f}"]
-        for name, (judged, _) in found.items()
+        [Path(place).name, one.network, str(one.metrics.rows), f"{one.metrics.mse_mean:.2e}", f"{one.metrics.mae:.4f}"]
+        for place, one in found.items()
     ]
     return table(["model ", "network ", "samples", "MSE", "mean abs. error"], rows)
 

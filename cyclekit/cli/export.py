@@ -20,12 +20,10 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Write a model as an ONNX file, checked against cyclekit's own prediction where onnxruntime is installed."""
-    from cyclekit.dataset.guard import check_output
-    from cyclekit.learning.networks.onnx_file import write_onnx
-    from cyclekit.learning.networks.saved import load_model
+    from cyclekit.api.export import export_model
 
     terminal = Terminal(json=json, quiet=quiet)
-    check_output(out, "onnx", [model], endings=(".onnx",))
-    off = write_onnx(out, load_model(model))
+    done = export_model(model, out)
+    off = done.difference
     checked = "not checked: onnxruntime is not installed" if off is None else f"within {off:.0e} of cyclekit"
-    terminal.done({"onnx": str(out), "difference": off}, f"{out}: {checked}")
+    terminal.done(done.to_dict(), f"{out}: {checked}")

@@ -11,9 +11,7 @@ from cyclekit.cli.options import EngineName, Jobs, Json, Quiet, RayAddress, engi
 from cyclekit.cli.terminal import Terminal, table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from cyclekit.fleet import Row
+    from cyclekit.fleet import FleetRun
 
 EXAMPLE = "cyclekit fleet all fleet.toml --jobs 4"
 MOST = 20
@@ -35,29 +33,21 @@ def fleet(
 
     WHAT is ingest, train, report or all. What fails in a cell is told and the others go on; then the exit code is 1.
     """
-    from cyclekit.dataset.guard import check_output
-    from cyclekit.fleet import STAGES, load_fleet, run_fleet
-    from cyclekit.learning.training import need_torch
-    from cyclekit.storage.remote.folders import join
+    from cyclekit.fleet import run_fleet
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
-    wanted, stages = load_fleet(file), tuple(STAGES) if what == "all" else (what,)
-    check_output(wanted.out, "folder", [file])
-    if "train" in stages:
-        need_torch()
     with terminal.progress(f"fleet {what}") as progress:
-        rows = run_fleet(wanted, stages, engine=work, progress=progress)
-    failed = [row for row in rows if row.state == "failed"]
-    for row in failed:
+        found = run_fleet(file, what, engine=work, progress=progress)
+    for row in found.failed:
         terminal.remark(f"failed: {row.cell}: {row.stage}: {row.text}")
-    page = join(wanted.out, "index.html") if "report" in stages else None
-    document = {"fleet": wanted.name, "failed": len(failed), "page": page, "rows": [vars(row) for row in rows]}
-    terminal.done(document, summary(rows, stages, page))
-    return 1 if failed else 0
+    terminal.done(found.to_dict(), summary(found))
+    return 1 if found.failed else 0
 
 
-def summary(rows: Sequence[Row], stages: Sequence[str], page: str | None) -> str:
+def summary(found: FleetRun) -> str:
     """Return how many cells went through each stage, and where the page is."""
+    rows, page = found.rows, found.page
+    stages = list(dict.fromkeys(row.stage for row in rows))
     states = ("done", "unchanged", "skipped", "failed")
     counts = [
         [stage, *(str(sum((row.stage, row.state) == (stage, state) for row in rows)) for state in states)]

@@ -49,8 +49,8 @@ def ingest(
 
     The same command again re-reads nothing that has not changed.
     """
+    from cyclekit.api.ingest import ingest_logs
     from cyclekit.errors import ConfigError, LogError
-    from cyclekit.ingest.ingest import ingest as ingest_logs
     from cyclekit.ingest.ingest import left_by
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
@@ -77,7 +77,7 @@ def ingest(
     for line in grouped(report.not_read):
         terminal.remark(f"not read: {line}")
     terminal.warnings(grouped(report.said))
-    terminal.done(report.to_json(), summary(report))
+    terminal.done(report.to_dict(), summary(report))
 
 
 def summary(report: IngestReport) -> str:

@@ -9,7 +9,7 @@ import typer
 
 from cyclekit.cli.options import FollowLinks, Json, Quiet
 from cyclekit.cli.terminal import Terminal
-from cyclekit.errors import OutputError, command_line
+from cyclekit.errors import command_line
 
 EXAMPLE = "cyclekit inspect logs --write-cell"
 
@@ -36,58 +36,32 @@ def inspect(
 
     Adapter, rate, duration, columns, executions, places and tasks found, scaling levels, gaps, warnings.
     """
-    from cyclekit.storage.remote.folders import local
-
     terminal = Terminal(json=json, quiet=quiet)
     if cell_file is not None and not write_cell:
         raise typer.BadParameter("CELL.toml goes with --write-cell")
     if write_cell:
-        _give_cell(local(path), cell_file, terminal, follow_links=follow_links)
+        _give_cell(path, cell_file, terminal, follow_links=follow_links)
         return
-    checked = _verified(path, terminal) if verify else None
+    from cyclekit.api.inspect import inspect_logs
     from cyclekit.cli.facts import page
-    from cyclekit.inspect.describe import describe
+    from cyclekit.inspect.describe import DatasetDescription
 
     with terminal.progress("looking") as progress:
-        found = describe(local(path), cell=cell, progress=progress, follow_links=follow_links)
-    if checked is None:
-        terminal.answer(found.to_json(), page(found))
-    else:
-        terminal.answer({**found.to_json(), "verified": checked}, page(found), f"{checked} files, all as written")
+        found = inspect_logs(path, cell=cell, follow_links=follow_links, verify=verify, progress=progress)
+    checked = found.verified if isinstance(found, DatasetDescription) else None
+    whole = "" if checked is None else f"{checked} files, all as written"
+    terminal.answer(found.to_dict(), page(found), whole)
 
 
-def _give_cell(path: Path, cell_file: Path | None, terminal: Terminal, *, follow_links: bool) -> None:
+def _give_cell(path: str, cell_file: Path | None, terminal: Terminal, *, follow_links: bool) -> None:
     """Print the cell file, or write it where none is, and say what to do next."""
-    from cyclekit.config import cell_to_toml
-    from cyclekit.ingest.discover import suggest_cell
-    from cyclekit.storage.outputs import check_writable
+    from cyclekit.api.inspect import draft_cell
 
-    if cell_file is not None:
-        _require_new(cell_file)
-        check_writable(cell_file)
-    suggested = suggest_cell([path], follow_links=follow_links)
-    text = cell_to_toml(suggested.cell, suggested.drafts)
-    unsure = sum(draft.unsure for draft in suggested.drafts.values())
-    doubt = f'{unsure} lines are not sure: look for "# ?" in it, then type\n  ' if unsure else "to use it, type\n  "
+    draft = draft_cell(path, cell_file, follow_links=follow_links)
+    sure = "to use it, type\n  "
+    doubt = f'{draft.unsure} lines are not sure: look for "# ?" in it, then type\n  ' if draft.unsure else sure
     if cell_file is None:
-        terminal.answer({"cell": text, "unsure": unsure}, text.rstrip("\n"))
+        terminal.answer(draft.to_dict(), draft.cell.rstrip("\n"))
         return
-    from cyclekit.storage.atomic import write_text
-
-    write_text(cell_file, text)
     then = command_line("ingest", path, "--cell", cell_file, "--out", "dataset")
-    terminal.done({"cell": text, "unsure": unsure, "out": str(cell_file)}, f"{cell_file}: written; {doubt}{then}")
-
-
-def _require_new(file: Path) -> None:
-    if file.exists() or file.is_symlink():
-        cure = "Give another name; what is in it may be of a person's hand."
-        raise OutputError(f"{file}: exists, and a cell file is never replaced", cure=cure)
-
-
-def _verified(path: str, terminal: Terminal) -> int:
-    """Check a dataset, and return how many files it has."""
-    from cyclekit.dataset.dataset import Dataset
-
-    with terminal.progress("checking"):
-        return Dataset.open(path).verify()
+    terminal.done(draft.to_dict(), f"{cell_file}: written; {doubt}{then}")

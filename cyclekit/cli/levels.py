@@ -11,7 +11,7 @@ from cyclekit.cli.options import DatasetPlace, Json, Quiet
 from cyclekit.cli.terminal import Terminal, percent, table
 
 if TYPE_CHECKING:
-    from cyclekit.scaling.levels import Staircase
+    from cyclekit.api.levels import ScalingLevels
 
 EXAMPLE = "cyclekit levels dataset --picture levels.svg"
 
@@ -29,45 +29,23 @@ def levels(
 
     Each execution is looked at for itself, never across a gap. Levels fixed in the cell file are only counted.
     """
-    from cyclekit.dataset.cards import texts
-    from cyclekit.dataset.dataset import Dataset
-    from cyclekit.dataset.guard import check_output
-    from cyclekit.learning.labelling import scaling_in_time, staircase_of
-    from cyclekit.scaling.levels import second_opinion
+    from cyclekit.api.levels import find_levels
 
     terminal = Terminal(json=json, quiet=quiet)
-    check_output(picture, "picture", [dataset], option="--picture", endings=(".svg", ".png", ".pdf"))
     with terminal.progress("looking for levels"):
-        opened = Dataset.open(dataset)
-        opened.require_positions()
-        frame = opened.samples(columns=["execution", "t_s", "scaling"])
-        found = staircase_of(opened, frame, method)
-        values, _ = scaling_in_time(frame, opened.rate_hz)
-        other = second_opinion(values, found) if method == "plateau" else None
-        if picture is not None:
-            from cyclekit.plots.levels import draw_levels
-
-            draw_levels(picture, values, found, rate_hz=opened.rate_hz)
-    terminal.warnings(texts([*found.warnings, *([other] if other else [])]))
-    document = {
-        "method": method,
-        "count": int(found.levels.size),
-        "levels": [float(level) for level in found.levels],
-        "means": [] if found.means is None else [float(mean) for mean in found.means],
-        "share": [float(share) for share in found.share],
-        "noise": found.noise,
-        "is_staircase": found.is_staircase,
-        "picture": None if picture is None else str(picture),
-    }
-    terminal.answer(document, _page(found, method))
+        found = find_levels(dataset, method=method, picture=picture)
+    terminal.warnings(found.warnings)
+    terminal.answer(found.to_dict(), _page(found))
 
 
-def _page(found: Staircase, method: str) -> str:
-    means = found.levels if found.means is None else found.means
+def _page(found: ScalingLevels) -> str:
+    means = found.means or found.levels
     rows = [
-        [f"{level:.4g}", f"{mean:.4f}", percent(float(share))]
+        [f"{level:.4g}", f"{mean:.4f}", percent(share)]
         for level, mean, share in zip(found.levels, means, found.share, strict=True)
     ]
-    moving = 1 - float(found.share.sum())
-    head = f"P = {found.levels.size} levels by {method}; {percent(moving)} of the samples in transition or unknown"
+    moving = 1 - sum(found.share)
+    head = (
+        f"P = {len(found.levels)} levels by {found.method}; {percent(moving)} of the samples in transition or unknown"
+    )
     return f"{head}\n\n{table(['level ', 'mean', 'of the time'], rows)}"

@@ -9,10 +9,10 @@ import typer
 
 from cyclekit.cli.estimate import DOUBTED, alarmed
 from cyclekit.cli.options import Checked, Json, LoggedPlace, ModelPlace, OtherCell, Quiet
-from cyclekit.cli.terminal import Terminal, bullet, write_out
+from cyclekit.cli.terminal import Terminal, bullet
 
 if TYPE_CHECKING:
-    from cyclekit.estimate.plan import Plan
+    from cyclekit.estimate.plan import OrderPlan
 
 EXAMPLE = "cyclekit plan model jobs.toml --dataset dataset"
 
@@ -33,36 +33,22 @@ def plan(
     All orders where they are few; else greedy, Monte Carlo and a local search.
     Says what the order saves against the logged ones.
     """
-    from cyclekit.dataset.dataset import Dataset
-    from cyclekit.dataset.guard import check_output
-    from cyclekit.estimate.plan import load_jobs
-    from cyclekit.estimate.plan import plan as search
-    from cyclekit.learning.networks.saved import load_model
+    from cyclekit.api.plan import plan_order
 
     terminal = Terminal(json=json, quiet=quiet)
-    check_output(out, "sequences", [model, jobs, dataset], endings=(".toml",))
-    wanted = load_jobs(jobs)
     with terminal.progress("planning") as progress:
-        found = search(
-            load_model(model),
-            Dataset.open(dataset),
-            wanted,
-            seed=seed,
-            validate=check,
-            other_cell=other_cell,
-            progress=progress,
+        found = plan_order(
+            model, dataset, jobs, out=out, seed=seed, validate=check, other_cell=other_cell, progress=progress
         )
     if out is not None:
-        names = ", ".join(f'"{place}"' for place in found.places)
-        write_out(out, f'# Written by cyclekit plan\n[[sequence]]\nname = "planned"\nplaces = [{names}]\n')
         terminal.remark(f"written: {out}")
     alarms = [found.alarm] if found.alarm else []
     doubts = bullet(found.doubts, mark=DOUBTED)
     terminal.warnings(found.notes)
-    terminal.answer({**found.to_json(), "warnings": alarms}, alarmed(alarms), f"{_text(found)}\n{doubts}".rstrip())
+    terminal.answer({**found.to_dict(), "warnings": alarms}, alarmed(alarms), f"{_text(found)}\n{doubts}".rstrip())
 
 
-def _text(found: Plan) -> str:
+def _text(found: OrderPlan) -> str:
     from cyclekit.estimate.plan import some
 
     saved, low, high = found.saves_s

@@ -50,20 +50,15 @@ def replay(
 
     Robot, operator, places and speed scaling, in 3-D and over time; with the prediction of a model if one is given.
     """
-    from cyclekit.dataset.dataset import Dataset
-    from cyclekit.dataset.guard import check_output
-    from cyclekit.learning.networks.saved import load_model
-    from cyclekit.replay import open_viewer, serve, write_replay
+    from cyclekit.api.replay import write_replay
+    from cyclekit.replay import open_viewer, serve
 
     terminal = Terminal(json=json, quiet=quiet)
     focus = _focus(at)
-    check_output(out, "replay", [dataset, model], endings=(".rrd",))
-    opened = Dataset.open(dataset)
-    trained = load_model(model) if model else None
     with terminal.progress("replaying") as progress:
-        facts = write_replay(opened, execution, out, model=trained, at=focus, other_cell=other_cell, progress=progress)
+        facts = write_replay(dataset, execution, out, model=model, at=focus, other_cell=other_cell, progress=progress)
     terminal.warnings(facts.notes)
-    terminal.done(_document(facts), _said(facts))
+    terminal.done(facts.to_dict(), _said(facts))
     if open_after:
         open_viewer(out, facts.first)
     if serve_after:
@@ -82,18 +77,6 @@ def _focus(at: str) -> Focus:
     except typer.BadParameter as error:
         msg = f"{at!r} is neither slowdown nor error, and {error.message}"
         raise typer.BadParameter(msg, param_hint="--at") from error
-
-
-def _document(facts: ReplayFacts) -> dict[str, object]:
-    return {
-        "replay": str(facts.path),
-        "execution": facts.execution,
-        "executions": list(facts.executions),
-        "duration_s": facts.duration_s,
-        "bytes": facts.bytes,
-        "notes": list(facts.notes),
-        "misses": [vars(miss) for miss in facts.misses],
-    }
 
 
 def _said(facts: ReplayFacts) -> str:

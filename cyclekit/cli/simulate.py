@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from cyclekit.cli.options import Json, Quiet, vector
 from cyclekit.cli.terminal import Terminal
 from cyclekit.errors import command_line
-
-if TYPE_CHECKING:
-    from cyclekit.cli.terminal import Progress
 
 EXAMPLE = "cyclekit simulate box-picking --out logs --executions 20 --seed 1"
 _LOGS, _IMPERFECT, _SAFETY, _WALKER = "Logs", "Imperfections", "Safety system", "Operator"
@@ -66,6 +63,8 @@ def simulate(
     The cell file and the ground truth lie beside the logs. SCENE is box-picking, pick-and-package, laser-zones or
     scanner-visits.
     """
+    from cyclekit.api.simulate import simulate_logs
+
     settings: dict[str, Any] = {
         "logs": logs,
         "robot_rate_hz": robot_rate,
@@ -92,41 +91,6 @@ def simulate(
         settings["operator_xyz_m"] = vector(operator_xyz)
     terminal = Terminal(json=json, quiet=quiet)
     with terminal.progress(f"simulating {scene}") as progress:
-        made = simulated(scene, out, executions, seed, settings, progress)
-    document = {"logs": str(made), "scene": scene, "executions": executions, "seed": seed}
-    following = command_line("ingest", made, "--out", "dataset")
-    terminal.done(document, f"{made}: {executions} executions of {scene}\nnext: {following}")
-
-
-def simulated(scene: str, out: Path, executions: int, seed: int, settings: dict[str, Any], progress: Progress) -> Path:
-    """Run the simulator; what it refuses becomes an error of ours, for the command line knows no other.
-
-    Args:
-        scene: Name of the cell.
-        out: Folder for the logs.
-        executions: How many times the process runs.
-        seed: Same seed, same bytes.
-        settings: Fields of `cyclekit_sim.SimulationOptions`.
-        progress: Called with the fraction done and what is being done.
-
-    Raises:
-        MissingExtra: What the simulator needs is not installed.
-        CyclekitError: The simulator refuses the settings, or the operator's recording.
-    """
-    from cyclekit.dataset.guard import check_output
-    from cyclekit.errors import CyclekitError
-    from cyclekit.extras import need
-
-    need("the simulator", "simulate")
-    from cyclekit_sim import SimulationOptions, simulate
-    from cyclekit_sim.errors import SimulationError
-
-    check_output(out, "logs", [settings.get("operator_log")])
-    try:
-        options = SimulationOptions(**settings)
-        return simulate(scene, out, executions=executions, seed=seed, options=options, progress=progress)
-    except SimulationError as error:
-        raise CyclekitError(str(error)) from error
-    except OSError as error:
-        msg = f"{out}: cannot be written ({error.strerror or error})"
-        raise CyclekitError(msg, cure="Check the folder, its permissions and the free space.") from error
+        made = simulate_logs(scene, out, executions=executions, seed=seed, settings=settings, progress=progress)
+    following = command_line("ingest", made.logs, "--out", "dataset")
+    terminal.done(made.to_dict(), f"{made.logs}: {executions} executions of {scene}\nnext: {following}")

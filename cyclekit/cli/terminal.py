@@ -244,13 +244,13 @@ def percent(fraction: float | None) -> str:
     return "<1%" if whole == 0 and fraction > 0 else f"{whole}%"
 
 
-def bullet(texts: Sequence[str], *, mark: str = "- ") -> str:
-    """Return texts as lines of at most 80 columns, each with its mark."""
+def bullet(texts: Sequence[str], *, mark: str = "- ", width: int = 80) -> str:
+    """Return texts as lines of at most `width` columns, each with its mark."""
     import textwrap
 
     mark = one_line(mark)
     blank = " " * len(mark)
-    return "\n".join(textwrap.fill(text, 80, initial_indent=mark, subsequent_indent=blank) for text in texts)
+    return "\n".join(textwrap.fill(text, width, initial_indent=mark, subsequent_indent=blank) for text in texts)
 
 
 def write_out(file: Path, content: str | Mapping[str, Any]) -> None:

@@ -31,12 +31,11 @@ def trace(
     Robot: the row it stands on. People and events: the rows around it.
     """
     at_s = seconds(at)
-    from cyclekit.dataset.dataset import Dataset
-    from cyclekit.dataset.trace import trace as trace_sample
+    from cyclekit.api.trace import trace_sample
 
     terminal = Terminal(json=json, quiet=quiet)
-    found = trace_sample(Dataset.open(dataset), execution, at_s, logs=logs)
-    terminal.answer(found.to_json(), page(found))
+    found = trace_sample(dataset, execution, at_s, logs=logs)
+    terminal.answer(found.to_dict(), page(found))
 
 
 def page(found: Trace) -> str:

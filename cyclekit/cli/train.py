@@ -22,8 +22,6 @@ from cyclekit.cli.terminal import Terminal
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import TrainingCard
 
-    pass
-
 EXAMPLE = "cyclekit train dataset --out model"
 Problem = Literal["now", "ahead", "average"]
 
@@ -74,36 +72,24 @@ def train(
         msg = "--horizon goes with --problem ahead or average"
         raise typer.BadParameter(msg)
     chosen = None if seeds is None else whole_numbers(seeds)
-    from functools import partial
-
+    from cyclekit.api.train import train_model, train_seeds
     from cyclekit.dataset.cards import texts
-    from cyclekit.dataset.guard import check_output
     from cyclekit.errors import command_line
-    from cyclekit.learning.networks.saved import check_model_output
     from cyclekit.learning.networks.spec import ModelSpec
-    from cyclekit.learning.training import Training, need_torch, train_at
-    from cyclekit.storage.remote.folders import join
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
-    settings: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}
-    spec = partial(ModelSpec.of, problem, network, horizon_s, norm=norm, **settings)
-    todo = [Training(dataset, spec(seed=seed), out)]
-    if chosen is not None:
-        todo = [Training(dataset, spec(seed=one), join(out, f"seed-{one}")) for one in chosen]
-    need_torch()
-    for each in todo:
-        check_output(each.out, "model", [dataset])
-        check_model_output(each.out)
+    inputs: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}
+    spec = ModelSpec.of(problem, network, horizon_s, norm=norm, seed=seed, **inputs)
     with terminal.progress("training") as progress:
-        here = work.stays_here(len(todo)) and len(todo) == 1
-        cards: dict[str, TrainingCard] = {}
-        for done in work.map(partial(train_at, progress=progress) if here else train_at, todo):
-            cards[done.item.out] = done.get()
-            progress(len(cards) / len(todo), done.item.out)
+        if chosen is None:
+            models = {out: train_model(dataset, spec, out=out, engine=work, progress=progress)}
+        else:
+            models = train_seeds(dataset, chosen, out, spec, engine=work, progress=progress)
+    cards = {place: model.card for place, model in models.items()}
     terminal.warnings(list(dict.fromkeys(text for card in cards.values() for text in texts(card.warnings))))
-    shown = {out: card.to_json() for out, card in cards.items()}
-    documents = [{"model": each.out, "metrics": shown[each.out]["metrics"], "card": shown[each.out]} for each in todo]
-    told = "\n".join(f"{each.out}: {summary(cards[each.out])}" for each in todo)
+    shown = {place: card.to_dict() for place, card in cards.items()}
+    documents = [{"model": place, "metrics": card["metrics"], "card": card} for place, card in shown.items()]
+    told = "\n".join(f"{place}: {summary(card)}" for place, card in cards.items())
     following = command_line("evaluate", out, dataset)
     if chosen is None and problem != "ahead":  # no estimator works with a forecast
         following = command_line("estimate", out, "SEQUENCES.toml", "--dataset", dataset)

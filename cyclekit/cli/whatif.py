@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cyclekit.cli.estimate import alarmed, alarms_of, doubted, not_answered, starred
+from cyclekit.cli.estimate import alarmed, doubted, not_answered, starred
 from cyclekit.cli.options import Checked, Extrapolate, Json, LoggedPlace, ModelPlace, OtherCell, Quiet
-from cyclekit.cli.terminal import Terminal, bullet, table, write_out
+from cyclekit.cli.terminal import Terminal, bullet, table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.errors import EstimateError
     from cyclekit.estimate.whatif import WhatIf
 
 EXAMPLE = "cyclekit whatif model sequences.toml changes.toml --dataset dataset"
@@ -40,44 +39,27 @@ def whatif(
     Another staircase or zones, a moved base or place, an operator who comes more or less often. A change that cannot be
     answered from these logs is named with the reason, and the others are answered; if none can be, that is an error.
     """
-    from cyclekit.config.sequences import load_sequences
-    from cyclekit.dataset.dataset import Dataset
-    from cyclekit.dataset.guard import check_output
-    from cyclekit.errors import EstimateError
-    from cyclekit.estimate.whatif import NO_PROOF, load_changes, what_if
-    from cyclekit.learning.networks.saved import load_model
+    from cyclekit.api.whatif import what_if
 
     terminal = Terminal(json=json, quiet=quiet)
-    check_output(out, "what-if", [model, sequences, changes, dataset], endings=(".json",))
-    wanted, changed = load_sequences(sequences), load_changes(changes)
-    refused: dict[str, EstimateError] = {}
     with terminal.progress("estimating") as progress:
         found = what_if(
-            load_model(model),
-            Dataset.open(dataset),
-            wanted,
-            changed,
+            model,
+            dataset,
+            sequences,
+            changes,
+            out=out,
             seed=seed,
             extrapolate=extrapolate,
             validate=check,
             other_cell=other_cell,
-            refused=lambda change, error: refused.__setitem__(change.name, error),
             progress=progress,
         )
-    if not found:
-        raise EstimateError("\n".join(map(str, refused.values())))
-    alarms = alarms_of([entry.before for entry in found])
-    document = {
-        "safety": NO_PROOF,
-        "warnings": alarms,
-        "answers": [entry.to_json() for entry in found],
-        "refused": [{"change": name, "reason": str(error)} for name, error in refused.items()],
-    }
     if out is not None:
-        write_out(out, document)
         terminal.remark(f"written: {out}")
     numbers = f"{_table(found)}\n{doubted([side for entry in found for side in (entry.before, entry.after)])}".rstrip()
-    terminal.answer(document, alarmed(alarms), numbers, not_answered(refused), _limits(found), NO_PROOF)
+    refused, limits = not_answered(found.refused), _limits(found)
+    terminal.answer(found.to_dict(), alarmed(found.alarms), numbers, refused, limits, found.safety)
 
 
 def _table(found: Sequence[WhatIf]) -> str:

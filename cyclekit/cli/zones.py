@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cyclekit.cli.options import DatasetPlace, Json, ModelPlace, OtherCell, Quiet
-from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
+from cyclekit.cli.terminal import Terminal, bullet, percent, table
 
 if TYPE_CHECKING:
-    from cyclekit.learning.safety_function import Zones
+    from cyclekit.learning.safety_function import SafetyFunction
 
 EXAMPLE = "cyclekit zones model dataset --out zones.svg"
 
@@ -29,22 +29,17 @@ def zones(
 
     Thresholds in metres where a distance explains the slow-down; a map of the floor where it does not. No safety proof.
     """
-    from cyclekit.dataset.dataset import Dataset
-    from cyclekit.dataset.guard import check_output
-    from cyclekit.learning.networks.saved import load_model
-    from cyclekit.learning.safety_function import read_zones, zones_svg
+    from cyclekit.api.zones import read_safety_function
 
     terminal = Terminal(json=json, quiet=quiet)
-    check_output(out, "picture", [model, dataset], endings=(".svg",))
     with terminal.progress("reading zones"):
-        found = read_zones(load_model(model), Dataset.open(dataset), seed=seed, other_cell=other_cell)
+        found = read_safety_function(model, dataset, out=out, seed=seed, other_cell=other_cell)
     if out is not None:
-        write_out(out, zones_svg(found))
         terminal.remark(f"written: {out}")
-    terminal.answer(found.to_json(), _rule(found), _thresholds(found), _explained(found), bullet(found.notes))
+    terminal.answer(found.to_dict(), _rule(found), _thresholds(found), _explained(found), bullet(found.notes))
 
 
-def _rule(found: Zones) -> str:
+def _rule(found: SafetyFunction) -> str:
     levels = ", ".join(
         f"{level:.2f} ({percent(share)})" for level, share in zip(found.levels, found.shares, strict=True)
     )
@@ -55,7 +50,7 @@ def _rule(found: Zones) -> str:
     )
 
 
-def _thresholds(found: Zones) -> str:
+def _thresholds(found: SafetyFunction) -> str:
     rows = [
         [
             f"{entry.slower:.2f} -> {entry.faster:.2f}",
@@ -67,6 +62,6 @@ def _thresholds(found: Zones) -> str:
     return table(["level ", "threshold, m", "from", "to (95%)", "of the network"], rows, title=title)
 
 
-def _explained(found: Zones) -> str:
+def _explained(found: SafetyFunction) -> str:
     best = sorted(found.explained.items(), key=lambda entry: -entry[1])
     return table(["explained by ", "of the variance"], [[name, f"{share:.1%}"] for name, share in best])

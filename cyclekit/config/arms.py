@@ -26,7 +26,7 @@ _MOVED_M = 0.1
 _HALF_PI = np.pi / 2
 
 
-class Link(NamedTuple):
+class ArmLink(NamedTuple):
     """One link by its (standard) Denavit-Hartenberg parameters: along z, along x, about x, and what the joint adds."""
 
     d_m: float
@@ -40,28 +40,28 @@ class Arm:
     """An arm as its maker publishes it."""
 
     name: str
-    links: tuple[Link, ...]
+    links: tuple[ArmLink, ...]
 
 
 def _ur(name: str, d1_m: float, a2_m: float, a3_m: float, d4_m: float, d5_m: float, d6_m: float) -> Arm:
-    first, last = Link(d1_m, 0.0, _HALF_PI), Link(d6_m, 0.0, 0.0)
-    upper, lower = Link(0.0, a2_m, 0.0), Link(0.0, a3_m, 0.0)
-    return Arm(name, (first, upper, lower, Link(d4_m, 0.0, _HALF_PI), Link(d5_m, 0.0, -_HALF_PI), last))
+    first, last = ArmLink(d1_m, 0.0, _HALF_PI), ArmLink(d6_m, 0.0, 0.0)
+    upper, lower = ArmLink(0.0, a2_m, 0.0), ArmLink(0.0, a3_m, 0.0)
+    return Arm(name, (first, upper, lower, ArmLink(d4_m, 0.0, _HALF_PI), ArmLink(d5_m, 0.0, -_HALF_PI), last))
 
 
 def _iiwa(name: str, shoulder_m: float, upper_m: float, lower_m: float, wrist_m: float) -> Arm:
     heights, turns = (shoulder_m, 0.0, upper_m, 0.0, lower_m, 0.0, wrist_m), (-1, 1, 1, -1, -1, 1, 0)
-    return Arm(name, tuple(Link(d_m, 0.0, turn * _HALF_PI) for d_m, turn in zip(heights, turns, strict=True)))
+    return Arm(name, tuple(ArmLink(d_m, 0.0, turn * _HALF_PI) for d_m, turn in zip(heights, turns, strict=True)))
 
 
 _PANDA = (
-    Link(0.333, 0.0, -_HALF_PI),
-    Link(0.0, 0.0, _HALF_PI),
-    Link(0.316, 0.0825, _HALF_PI),
-    Link(0.0, -0.0825, -_HALF_PI),
-    Link(0.384, 0.0, _HALF_PI),
-    Link(0.0, 0.088, _HALF_PI),
-    Link(0.107, 0.0, 0.0),
+    ArmLink(0.333, 0.0, -_HALF_PI),
+    ArmLink(0.0, 0.0, _HALF_PI),
+    ArmLink(0.316, 0.0825, _HALF_PI),
+    ArmLink(0.0, -0.0825, -_HALF_PI),
+    ArmLink(0.384, 0.0, _HALF_PI),
+    ArmLink(0.0, 0.088, _HALF_PI),
+    ArmLink(0.107, 0.0, 0.0),
 )
 ARMS = (
     _ur("UR5e", 0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996),

@@ -78,6 +78,10 @@ class Dataset:
         self.is_part = False
         self._files = DatasetFiles(path, card.files)
 
+    def __repr__(self) -> str:
+        """Return where it is and how much is in it."""
+        return f"Dataset: {self.place}, {len(self.card.executions)} executions"
+
     @classmethod
     def open(cls, path: Path | str) -> Dataset:
         """Open the dataset at `path`, a folder or a URL (`storage`).

@@ -18,6 +18,7 @@ import polars as pl
 
 from cyclekit.errors import DatasetError
 from cyclekit.storage.inside import inside
+from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import RecordingCard
@@ -56,17 +57,29 @@ class Origin:
     among: str | None = None
 
 
-@dataclass(frozen=True)
-class Trace:
+@dataclass(frozen=True, repr=False)
+class Trace(Result):
     """A sample and its origins."""
 
     execution: str
     sample: dict[str, Any]
     origins: tuple[Origin, ...]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
         return asdict(self)
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per row of a log behind the sample; seconds of the session."""
+        names = ("table", "recording", "file", "row_is", "source_row", "t_s", "text")
+        return pl.DataFrame([{name: getattr(each, name) for name in names} for each in self.origins])
+
+    def _said(self) -> list[str]:
+        at_s = self.sample["t_s"]
+        return [
+            f"execution {self.execution}, sample at {at_s:.3f} s",
+            *(f"{each.table}: {each.file}, {each.row_is} {each.source_row}" for each in self.origins),
+        ]
 
 
 def trace(dataset: Dataset, execution: str, at_s: float, *, logs: Path | str | None = None) -> Trace:

@@ -20,14 +20,14 @@ from cyclekit import schema
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.session_end import Left, finish
 from cyclekit.derive.session_look import look_at
-from cyclekit.derive.session_samples import Work, samples_of
+from cyclekit.derive.session_samples import SessionToSample, samples_of
 from cyclekit.derive.sharing import in_order, shared_files
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
 from cyclekit.people.silence import absences
 from cyclekit.scaling.levels import Staircase, find_staircase
 from cyclekit.scaling.of_runs import with_scaling
-from cyclekit.scaling.response import MOST, Dynamics, read_dynamics
+from cyclekit.scaling.response import MOST, SafetyResponse, read_dynamics
 from cyclekit.segmentation.arrivals import stands_of
 from cyclekit.segmentation.dwell import usual_dwells
 from cyclekit.segmentation.executions import Execution, find_executions, find_visits
@@ -78,7 +78,7 @@ class Derived:
     human_places: Mapping[str, Place]
     levels: tuple[float, ...]
     origin: str | None
-    dynamics: Dynamics
+    dynamics: SafetyResponse
     warnings: list[Note]
 
 
@@ -227,10 +227,12 @@ def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Ex
     return [Execution(number, (), False) for number in range(len(runs)) if number not in covered]
 
 
-def _with_stands(passes: _Passes, sessions: Sequence[Session], robot: _Robot) -> tuple[list[Work], dict[str, Dwell]]:
+def _with_stands(
+    passes: _Passes, sessions: Sequence[Session], robot: _Robot
+) -> tuple[list[SessionToSample], dict[str, Dwell]]:
     """Return the work that each session is, and the usual dwell at each place."""
     works = [
-        Work(
+        SessionToSample(
             session,
             {number: robot.runs[number] for number in session.runs},
             [found for number in session.runs for found in robot.executions[number]],
@@ -244,7 +246,7 @@ def _with_stands(passes: _Passes, sessions: Sequence[Session], robot: _Robot) ->
     return [replace(work, stands=mine) for work, mine in zip(works, stands, strict=True)], dwells
 
 
-def _stands(work: Work, *, places: Mapping[str, Place]) -> Stands:
+def _stands(work: SessionToSample, *, places: Mapping[str, Place]) -> Stands:
     return stands_of(work.runs, work.executions, places)
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Place
     from cyclekit.people.activity import Stays
     from cyclekit.people.silence import Absence
-    from cyclekit.scaling.response import Change
+    from cyclekit.scaling.response import LevelChange
     from cyclekit.segmentation.motion import Run
 
     Vector = NDArray[np.float64]
@@ -81,7 +81,7 @@ def finish(
     return [Changes.seen(_changes(one, levels), t_s, apart_m, most_changes) for one, t_s, apart_m in each]
 
 
-def _changes(left: Left, levels: Sequence[float]) -> list[Change]:
+def _changes(left: Left, levels: Sequence[float]) -> list[LevelChange]:
     if len(levels) < 2:
         return []  # and nothing is read
     parts = (part for run in left.runs for _, part in pieces(run))

@@ -51,7 +51,7 @@ _MOST_SAMPLES = 10_000_000
 
 
 @dataclass(frozen=True)
-class Work:
+class SessionToSample:
     """One session, and what is known about it when all places are known.
 
     Attributes:
@@ -95,7 +95,7 @@ class Made:
 
 
 def samples_of(
-    works: Sequence[Work],
+    works: Sequence[SessionToSample],
     *,
     places: Mapping[str, Place],
     dwells: Mapping[str, Dwell],
@@ -191,7 +191,9 @@ class _Course:
         return np.full((len(self.t_s), 3), np.nan) if self.robot is None else self.robot.xyz_m
 
 
-def _courses(work: Work, dwells: Mapping[str, Dwell], places: Mapping[str, Place], cell: Cell) -> Iterator[_Course]:
+def _courses(
+    work: SessionToSample, dwells: Mapping[str, Dwell], places: Mapping[str, Place], cell: Cell
+) -> Iterator[_Course]:
     """Yield the executions that last long enough for a sample, one at a time: all of them may be large."""
     session = work.session
     for number, execution in enumerate(work.executions if work.runs else [None], 1):

@@ -164,7 +164,7 @@ class Check:
         off = np.resize(np.array(self.residuals) - np.mean(self.residuals), len(cycles_s))
         return conformal(cycles_s * (1.0 + np.random.default_rng(0).permutation(off)), level)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the check as plain JSON values."""
         out = dict(vars(self))
         out["residuals"] = list(self.residuals)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -19,15 +20,24 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
+    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.program import Program
-    from cyclekit.estimate.rollout import Altered
-    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.safety import Dynamics, SafetyModel
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled
     from cyclekit.parallel.engine import Engine
 
 LEAST_SUPPORT = 0.5
 """Below this part of the cycle in logged cells the question is refused."""
+
+
+@dataclass(frozen=True)
+class Altered:
+    """Another cell than the one that was logged: tasks and tracks made of the logged ones, and how s follows there."""
+
+    tasks: Callable[[Mapping[str, NominalTask]], Mapping[str, NominalTask]]
+    tracks: Callable[[OperatorTracks, Mapping[str, NominalTask]], OperatorTracks]
+    dynamics: Dynamics
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,12 @@ import statistics
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.text.results import Result
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    import polars as pl
 
     from cyclekit.estimate.check import Check
 
@@ -33,8 +37,8 @@ class TaskShare:
     wait_s: float
 
 
-@dataclass(frozen=True)
-class CycleEstimate:
+@dataclass(frozen=True, repr=False)
+class CycleEstimate(Result):
     """Expected cycle time of one sequence.
 
     Attributes:
@@ -118,7 +122,7 @@ class CycleEstimate:
         known = {name: lost for name, lost in self.safety_by_activity_s.items() if name != "unknown"}
         return max(known.items(), key=lambda entry: entry[1]) if known else None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the estimate as plain JSON values, without `check`; quantile levels become keys such as "0.05"."""
         out = {name: value for name, value in vars(self).items() if name != "check"}
         out["places"] = list(self.places)
@@ -133,3 +137,14 @@ class CycleEstimate:
         out["beats"] = dict(self.beats)
         out["operator"] = None if self.operator is None else list(self.operator)
         return out
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per task, mean seconds."""
+        import polars as pl
+
+        return pl.DataFrame([dict(vars(task)) for task in self.tasks])
+
+    def _said(self) -> list[str]:
+        expected = f"{self.expected_s:.1f} s (95% CI {self.expected_low_s:.1f} to {self.expected_high_s:.1f} s)"
+        parts = f"motion {self.nominal_s:.1f}, safety {self.safety_loss_s:.1f}, dwell {self.dwell_s:.1f}"
+        return [f"{self.name!r} {expected}; {parts}, wait {self.wait_s:.1f} s", *(f"* {text}" for text in self.doubts)]

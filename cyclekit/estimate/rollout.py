@@ -8,23 +8,22 @@ nominal   nobody in the cell (`rivals`)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.errors import EstimateError, ModelError, UnknownName
-from cyclekit.estimate.entry import LEAST_SUPPORT, Question, entry_of
+from cyclekit.estimate.entry import LEAST_SUPPORT, Altered, Question, entry_of
 from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.resample import TOGETHER, means_below, resampled
-from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.safety import Dynamics, holds_everywhere
 from cyclekit.estimate.same_work import by_work
 from cyclekit.estimate.spread import Asked, logged_support, roll_spread
-from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
+from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.validate import refuse_biased, validated
 from cyclekit.estimate.walk import Rolled, roll_all, roll_out
@@ -34,7 +33,7 @@ from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.parallel.one_thread import one_thread
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -44,6 +43,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.tracks import OperatorTracks
 
     Vector = NDArray[np.float64]
     _Refuse = Callable[[TaskSequence, EstimateError], None]
@@ -52,15 +52,6 @@ __all__ = ["ESTIMATORS", "estimate", "lay_out", "roll_out"]
 
 MANY = 50
 """More sequences than this are looked up in the table of arrivals; so many of the best are walked."""
-
-
-@dataclass(frozen=True)
-class Altered:
-    """Another cell than the one that was logged: tasks and tracks made of the logged ones, and how s follows there."""
-
-    tasks: Callable[[Mapping[str, NominalTask]], Mapping[str, NominalTask]]
-    tracks: Callable[[OperatorTracks, Mapping[str, NominalTask]], OperatorTracks]
-    dynamics: Dynamics
 
 
 @one_thread()
@@ -278,7 +269,7 @@ def _walked(ask: Question, turn: _Round) -> Iterator[Rolled]:
         some = tuple(ask.dataset.executions["execution"]) if ask.dataset.is_part else None
         asked = Asked(ask.model, ask.dataset.place, some, operator, turn.horizon_s, ask.seed)
         return roll_spread(ask.engine, asked, turn.sequences, len(tracks.executions))
-    support = None if getattr(ask.model, "known_everywhere", False) else logged_support(ask.dataset)
+    support = None if holds_everywhere(ask.model) else logged_support(ask.dataset)
     return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=_dynamics(ask))
 
 

@@ -30,6 +30,7 @@ SURE = 0.99
 """A level of this probability is farther from every other than half the hysteresis."""
 
 
+@runtime_checkable
 class SafetyModel(Protocol):
     """What a rollout asks of a model; a staircase written down in a file has it as well."""
 
@@ -51,6 +52,20 @@ class Written(SafetyModel, Protocol):
 
     def moved_outwards(self, margin_m: float, /) -> SafetyModel:
         """Return it with its thresholds and zones moved outwards by the hysteresis: what s rises by."""
+
+
+@runtime_checkable
+class Everywhere(SafetyModel, Protocol):
+    """A safety function that may hold where nothing was ever logged, as one that is written down does."""
+
+    @property
+    def known_everywhere(self) -> bool:
+        """Whether it holds there."""
+
+
+def holds_everywhere(model: SafetyModel) -> bool:
+    """Return whether the safety function is known in positions that were never logged; a learned one is not."""
+    return isinstance(model, Everywhere) and model.known_everywhere
 
 
 @runtime_checkable

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.safety import Dynamics, SafetyModel
+from cyclekit.estimate.safety import Dynamics, SafetyModel, holds_everywhere
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.walk import ROWS, Rolled, roll_all
@@ -64,9 +64,8 @@ def roll_spread(engine: Engine, asked: Asked, sequences: Sequence[TaskSequence],
 def _walk(asked: Asked, sequences: Sequence[TaskSequence]) -> list[Rolled]:
     logs, nominal, tracks, support = _of_logs(asked.dataset, asked.executions, asked.operator, asked.horizon_s)
     programs = [lay_out(sequence, nominal, logs) for sequence in sequences]
-    known = getattr(asked.model, "known_everywhere", False)
     dynamics = Dynamics.of(logs.card.dynamics)
-    near = None if known else support
+    near = None if holds_everywhere(asked.model) else support
     return list(roll_all(asked.model, programs, tracks, near, seed=asked.seed, dynamics=dynamics))
 
 

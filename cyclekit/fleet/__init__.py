@@ -12,7 +12,7 @@ How a dataset, a model or a report comes about is the business of the rooms belo
 from __future__ import annotations
 
 from cyclekit.fleet.read import Fleet, FleetCell, load_fleet
-from cyclekit.fleet.run import run_fleet
-from cyclekit.fleet.stages import STAGES, Row
+from cyclekit.fleet.run import FleetRun, run_fleet
+from cyclekit.fleet.stages import STAGES, StageResult
 
-__all__ = ["STAGES", "Fleet", "FleetCell", "Row", "load_fleet", "run_fleet"]
+__all__ = ["STAGES", "Fleet", "FleetCell", "FleetRun", "StageResult", "load_fleet", "run_fleet"]

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
+from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.dataset.cards import plain
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import CyclekitError
-from cyclekit.fleet.stages import LEDGER, REPORT, STAGES, Row, noted, read_ledger, work_on
+from cyclekit.fleet.read import Fleet, load_fleet
+from cyclekit.fleet.stages import LEDGER, REPORT, STAGES, StageResult, noted, read_ledger, work_on
+from cyclekit.learning.training import need_torch
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.report.fleet_page import CellLine, fleet_page
 from cyclekit.storage.remote.folders import join, write_text
+from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    import polars as pl
 
     from cyclekit.dataset.cards import CellLedger
     from cyclekit.fleet.read import Fleet, FleetCell
@@ -25,45 +32,91 @@ if TYPE_CHECKING:
 PAGE, SUMMARY = "index.html", "fleet.json"
 
 
+@dataclass(frozen=True, repr=False)
+class FleetRun(Result):
+    """What came of each stage of each cell.
+
+    Attributes:
+        fleet: Its name.
+        rows: Of each cell in order, its stages.
+        page: Where the page of the fleet was written; None where it was not.
+    """
+
+    fleet: str
+    rows: tuple[StageResult, ...]
+    page: str | None
+
+    @property
+    def failed(self) -> tuple[StageResult, ...]:
+        """Those that failed."""
+        return tuple(row for row in self.rows if row.state == "failed")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        rows = [dict(vars(row)) for row in self.rows]
+        return {"fleet": self.fleet, "failed": len(self.failed), "page": self.page, "rows": rows}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per cell and stage."""
+        import polars as pl
+
+        return pl.DataFrame([dict(vars(row)) for row in self.rows])
+
+    def _said(self) -> list[str]:
+        states = ("done", "unchanged", "skipped", "failed")
+        counts = [f"{sum(row.state == state for row in self.rows)} {state}" for state in states]
+        return [f"{self.fleet}: {', '.join(counts)}", *(f"{row.cell}: {row.stage}: {row.text}" for row in self.failed)]
+
+
+@checked
 def run_fleet(
-    fleet: Fleet,
-    stages: Sequence[str],
+    fleet: Fleet | Place,
+    stages: Literal["ingest", "train", "report", "all"] | Sequence[str] = "all",
     *,
     engine: Engine = LOCAL,
     today: dt.date | None = None,
-    progress: Callable[[float, str], None] | None = None,
-) -> list[Row]:
+    progress: Progress | None = None,
+) -> FleetRun:
     """Do stages of every cell, one cell a task, and write the page of the fleet where `report` is among them.
 
     Args:
-        fleet: The cells.
-        stages: Of `STAGES`, in their order.
+        fleet: The cells: a fleet, or the fleet file.
+        stages: One of `STAGES`, several in their order, or `all`.
         engine: Who works. On several machines, sources and results must be where all see them, such as at URLs.
         today: The day by which logs are old; None for the day it is.
         progress: Told the part of the cells done, and what came of the last one.
 
     Returns:
-        What came of each stage, in the order of the cells.
+        What came of each stage, in the order of the cells. What fails in a cell is in it, and the others go on.
 
     Raises:
+        ConfigError: The fleet file cannot be followed.
+        MissingExtra: torch is not installed, and a model is to be trained.
         OutputError: Something that is not the fleet's would be replaced.
         CyclekitError: The engine cannot be reached, or the page cannot be written.
     """
+    stages = tuple(STAGES) if stages == "all" else (stages,) if isinstance(stages, str) else tuple(stages)
+    if not isinstance(fleet, Fleet):
+        file, fleet = Path(fleet), load_fleet(Path(fleet))
+        check_output(fleet.out, "folder", [file])
+    if "train" in stages:
+        need_torch()
     _check(fleet, stages)
-    rows: dict[str, list[Row]] = {}
+    rows: dict[str, list[StageResult]] = {}
     for done in engine.map(partial(work_on, stages=tuple(stages)), fleet.cells):
         cell = done.item
         if done.error is None:
             rows[cell.name] = done.get()
         else:  # its worker died again and again, so it could not note that itself
-            rows[cell.name] = [Row(cell.name, stages[0], "failed", str(done.error))]
+            rows[cell.name] = [StageResult(cell.name, stages[0], "failed", str(done.error))]
             with suppress(CyclekitError):  # where it was the place that failed
                 noted(cell, read_ledger(cell), rows[cell.name][0])
         if progress:
             progress(len(rows) / len(fleet.cells), _said(rows[cell.name][-1]))
     if "report" in stages:
         write_page(fleet, today or dt.datetime.now(tz=dt.UTC).date())
-    return [row for cell in fleet.cells for row in rows[cell.name]]
+    page = join(fleet.out, PAGE) if "report" in stages else None
+    return FleetRun(fleet.name, tuple(row for cell in fleet.cells for row in rows[cell.name]), page)
 
 
 def _check(fleet: Fleet, stages: Sequence[str]) -> None:
@@ -93,5 +146,5 @@ def _line(cell: FleetCell, ledger: CellLedger) -> CellLine:
     return CellLine(cell.name, ledger.figures, failed, ledger.unread, link)
 
 
-def _said(row: Row) -> str:
+def _said(row: StageResult) -> str:
     return f"{row.cell}: {row.stage} {row.state}"

@@ -10,26 +10,25 @@ import datetime as dt
 import hashlib
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeVar
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Literal
 
 from msgspec.structs import replace
 
-import cyclekit
+from cyclekit.api.evaluate import evaluate_model
+from cyclekit.api.ingest import ingest_logs
+from cyclekit.api.report import write_report
+from cyclekit.api.train import train_model
 from cyclekit.config.sequences import load_sequences
 from cyclekit.dataset.cards import BadCard, CellLedger, StageCard, checked, parse_json, plain
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, ModelError, NothingPublished, StorageError
-from cyclekit.estimate.rollout import estimate
 from cyclekit.fleet.figures import figures_of
 from cyclekit.fleet.months import days_of, since_last_month, since_training
-from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.evaluation.evaluate import evaluate
 from cyclekit.learning.networks.cell import fingerprint, other_cell_of
 from cyclekit.learning.networks.metrics import large_error
 from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.networks.spec import ModelSpec
-from cyclekit.learning.training import Training, train_at
-from cyclekit.report import write_report
 from cyclekit.storage.remote.folders import join, mirrored, read_text, write_text
 from cyclekit.storage.scratch import Scratch
 
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
     from cyclekit.fleet.read import FleetCell
     from cyclekit.learning.evaluation.evaluate import Evaluation
 
-Found = TypeVar("Found")
 LEDGER, REPORT = "cell.json", "report.html"
 _SHOWN = 3
 """So many logs that could not be read are named."""
@@ -47,7 +45,7 @@ State = Literal["done", "unchanged", "failed", "skipped"]
 
 
 @dataclass(frozen=True)
-class Row:
+class StageResult:
     """What came of one stage of one cell.
 
     Attributes:
@@ -64,16 +62,16 @@ class Row:
 
 
 @dataclass
-class Work:
+class CellAtWork:
     """A cell at work, and what is known of it; the ledger is replaced as stages find something out."""
 
     cell: FleetCell
     ledger: CellLedger
 
 
-def work_on(cell: FleetCell, *, stages: Sequence[str]) -> list[Row]:
+def work_on(cell: FleetCell, *, stages: Sequence[str]) -> list[StageResult]:
     """Do stages of a cell, in order. What fails is told and ends no other stage that can do without it."""
-    work, rows = Work(cell, read_ledger(cell)), list[Row]()
+    work, rows = CellAtWork(cell, read_ledger(cell)), list[StageResult]()
     for stage in stages:
         try:
             state, text = STAGES[stage](work)
@@ -81,7 +79,7 @@ def work_on(cell: FleetCell, *, stages: Sequence[str]) -> list[Row]:
             state, text = "failed", str(error)
         except Exception as error:  # a fault of ours in one cell must not end the night's work on the others
             state, text = "failed", f"a fault of cyclekit: {type(error).__name__}: {error}"
-        row = Row(cell.name, stage, state, text)
+        row = StageResult(cell.name, stage, state, text)
         work.ledger = noted(cell, work.ledger, row)
         rows.append(row)
     return rows
@@ -96,7 +94,7 @@ def read_ledger(cell: FleetCell) -> CellLedger:
     return replace(found, cell=cell.name)
 
 
-def noted(cell: FleetCell, ledger: CellLedger, row: Row) -> CellLedger:
+def noted(cell: FleetCell, ledger: CellLedger, row: StageResult) -> CellLedger:
     """Write down what came of a stage, and return the ledger with it."""
     now = dt.datetime.now(tz=dt.UTC).isoformat(timespec="seconds")
     done = StageCard(state=row.state, text=row.text, at=now)
@@ -106,10 +104,10 @@ def noted(cell: FleetCell, ledger: CellLedger, row: Row) -> CellLedger:
     return ledger
 
 
-def _ingest(work: Work) -> tuple[State, str]:
+def _ingest(work: CellAtWork) -> tuple[State, str]:
     cell, logs = work.cell, work.cell.logs()
     work.ledger = replace(work.ledger, not_read=(), not_read_more=0)
-    report = ingest(
+    report = ingest_logs(
         logs,
         cell.dataset,
         cell=None if cell.cell_file is None else mirrored(cell.cell_file),
@@ -127,7 +125,7 @@ def _ingest(work: Work) -> tuple[State, str]:
     return ("unchanged" if report.unchanged else "done"), told
 
 
-def _train(work: Work) -> tuple[State, str]:
+def _train(work: CellAtWork) -> tuple[State, str]:
     cell, dataset = work.cell, _dataset(work.cell)
     if dataset is None:
         return "skipped", "there is no dataset"
@@ -135,7 +133,7 @@ def _train(work: Work) -> tuple[State, str]:
     if model is not None and (kept := _still_good(model, dataset)) is not None:
         return "unchanged", kept
     spec = ModelSpec.of(seed=cell.seed, epochs=cell.epochs)
-    card = train_at(Training(cell.dataset, spec, cell.model))
+    card = train_model(cell.dataset, spec, out=cell.model).card
     why = "first model" if model is None else "the safety function has changed, or its logs have gone"
     error = f": mean absolute error {card.metrics.mae:.4f} held out" if card.metrics is not None else ""
     return "done", why + error
@@ -158,7 +156,7 @@ def _still_good(model: TrainedModel, dataset: Dataset) -> str | None:
     return f"{changed.executions[1]} newer executions show the safety function that was learned"
 
 
-def _report(work: Work) -> tuple[State, str]:
+def _report(work: CellAtWork) -> tuple[State, str]:
     cell, days = work.cell, work.ledger.days
     dataset, model = _dataset(cell), _model(cell)
     if dataset is None:
@@ -166,32 +164,28 @@ def _report(work: Work) -> tuple[State, str]:
     wanted = [] if cell.sequences is None else load_sequences(mirrored(cell.sequences))
     asked = [[each.name, each.places, each.operator] for each in wanted]
     dated = {session: day.isoformat() for session, day in days.items()}
-    known = [cyclekit.__version__, fingerprint(dataset), None if model is None else plain(model.card), asked, dated]
+    known = [version("cyclekit"), fingerprint(dataset), None if model is None else plain(model.card), asked, dated]
     mark = hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()
     if work.ledger.reported == mark:
         return "unchanged", "nothing is new"
-    missing: list[str] = []
-    judged = None if model is None else _or_missing(lambda: evaluate(model, dataset, boosting=False), missing)
+    judged = None if model is None else _judged(model, dataset)
     drift = "there is no model" if model is None else since_last_month(model, dataset, days)
     # kept although the estimates may fail: what was asked for and cannot be answered is an error of this stage
     work.ledger = replace(work.ledger, figures=figures_of(dataset, drift, days, _doubt(model, judged)))
-    found = estimate(model, dataset, wanted) if model is not None and wanted else []
-    check = found[0].check if found else None
+    asked_for = wanted if model is not None and wanted else None
     with Scratch() as scratch:
         page = scratch.path / REPORT
-        facts = write_report(
-            dataset, model, page, estimates=found, evaluation=judged, check=check, missing=missing, cell_name=cell.name
-        )
+        facts = write_report(dataset, page, model=model, sequences=asked_for, evaluation=judged, cell_name=cell.name)
         write_text(join(cell.folder, REPORT), page.read_text(encoding="utf-8"))
     work.ledger = replace(work.ledger, reported=mark)
     return "done", facts.headline
 
 
-def _or_missing(make: Callable[[], Found], missing: list[str]) -> Found | None:
+def _judged(model: TrainedModel, dataset: Dataset) -> Evaluation | None:
+    """Return the model judged on these logs; None where it cannot be, which the page says."""
     try:
-        return make()
-    except CyclekitError as error:
-        missing.append(f"{error.seen}.")
+        return evaluate_model(model, dataset, boosting=False)
+    except CyclekitError:
         return None
 
 
@@ -217,7 +211,7 @@ def _model(cell: FleetCell) -> TrainedModel | None:
         return None
 
 
-STAGES: dict[str, Callable[[Work], tuple[State, str]]] = {
+STAGES: dict[str, Callable[[CellAtWork], tuple[State, str]]] = {
     "ingest": _ingest,
     "train": _train,
     "report": _report,

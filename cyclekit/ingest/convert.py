@@ -23,6 +23,7 @@ from cyclekit.ingest.registry import adapter_named
 from cyclekit.ingest.validate.validate import examined_parts
 from cyclekit.storage.atomic import replaced
 from cyclekit.text.plain_text import FORMULA
+from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -47,8 +48,8 @@ GAP_PERIODS, GAP_S = 5.0, 0.25
 """A silence longer than both is a gap: nothing is averaged across it."""
 
 
-@dataclass(frozen=True)
-class Converted:
+@dataclass(frozen=True, repr=False)
+class Converted(Result):
     """What a conversion did."""
 
     out: Path
@@ -59,9 +60,17 @@ class Converted:
     rows_set_aside: int
     warnings: tuple[str, ...]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
         return {**vars(self), "out": str(self.out), "warnings": list(self.warnings)}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row: what was written, and how many rows were set aside."""
+        return pl.DataFrame([{name: value for name, value in self.to_dict().items() if name != "warnings"}])
+
+    def _said(self) -> list[str]:
+        aside = f", {self.rows_set_aside} of {self.rows_read} set aside" if self.rows_set_aside else ""
+        return [f"{self.out}: {self.rows} rows of {self.table}, read by {self.adapter}{aside}"]
 
 
 def convert(

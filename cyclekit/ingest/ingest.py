@@ -53,6 +53,7 @@ from cyclekit.storage.parquet import StoredTable
 from cyclekit.storage.remote.cache import cached, of_file_url
 from cyclekit.storage.remote.folders import is_url, mirrored, published
 from cyclekit.text.plain_json import finite
+from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -63,8 +64,8 @@ if TYPE_CHECKING:
     Progress = Callable[[float, str], None]
 
 
-@dataclass(frozen=True)
-class IngestReport:
+@dataclass(frozen=True, repr=False)
+class IngestReport(Result):
     """What an ingest did.
 
     Attributes:
@@ -94,11 +95,22 @@ class IngestReport:
         """What a person must know before trusting the dataset, one sentence each."""
         return tuple(f"{name}: {text}" if name else text for name, text in self.said)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the report as plain JSON values."""
         not_read = [{"path": path, "reason": reason} for path, reason in self.not_read]
         found = {name: value for name, value in vars(self).items() if name != "said"}
         return {**found, "dataset": self.place, "not_read": not_read, "warnings": list(self.warnings)}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per file that was not read."""
+        return pl.DataFrame(list(self.not_read), schema={"path": pl.String, "reason": pl.String}, orient="row")
+
+    def _said(self) -> list[str]:
+        counts = f"{self.executions} executions, {self.tasks} tasks, {self.samples} samples"
+        read = (
+            f"{self.recordings_new} recordings read, {self.recordings_kept} kept, {len(self.not_read)} files not read"
+        )
+        return [f"{self.place}: {counts}", read]
 
 
 @one_thread()

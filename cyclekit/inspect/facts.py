@@ -6,9 +6,13 @@ import json
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.text.results import Result
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
+
+    import polars as pl
 
     from cyclekit.dataset.cards import TrainingCard
 
@@ -157,8 +161,8 @@ class LogFacts:
     safety: SafetyFacts | None = None
 
 
-@dataclass(frozen=True)
-class LogsDescription:
+@dataclass(frozen=True, repr=False)
+class LogsDescription(Result):
     """Logs, one or a folder of them.
 
     Attributes:
@@ -170,13 +174,31 @@ class LogsDescription:
     not_read: tuple[tuple[Path, str], ...] = ()
     kind: str = "logs"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
         return _plain(asdict(self))
 
+    def to_frame(self) -> pl.DataFrame:
+        """One row per log and table."""
+        import polars as pl
 
-@dataclass(frozen=True)
-class DatasetDescription:
+        names = ("rows", "rate_hz", "duration_s")
+        rows = [
+            {"log": str(log.path), "adapter": log.adapter, "table": table}
+            | {name: getattr(facts, name) for name in names}
+            | {"gaps": len(facts.gaps)}
+            for log in self.logs
+            for table, facts in log.tables.items()
+        ]
+        return pl.DataFrame(rows, infer_schema_length=None)
+
+    def _said(self) -> list[str]:
+        names = [f"{log.path.name}: {log.adapter}, {', '.join(log.tables)}" for log in self.logs]
+        return [f"{self.path}: {len(self.logs)} logs, {len(self.not_read)} files not read", *names]
+
+
+@dataclass(frozen=True, repr=False)
+class DatasetDescription(Result):
     """A dataset.
 
     Attributes:
@@ -229,14 +251,26 @@ class DatasetDescription:
     safety: Mapping[str, SafetyFacts] = field(default_factory=dict)
     positions: tuple[str, ...] = ()
     kind: str = "dataset"
+    verified: int | None = None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return _plain(asdict(self))
+        document = _plain(asdict(self))
+        return document if self.verified is not None else {k: v for k, v in document.items() if k != "verified"}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per task found, mean seconds."""
+        import polars as pl
+
+        return pl.DataFrame([dict(row) for row in self.tasks], infer_schema_length=None)
+
+    def _said(self) -> list[str]:
+        counts = f"{self.executions} executions, {self.samples} samples at {self.rate_hz:g} Hz"
+        return [f"{self.path}: dataset, {counts}", *(f"! {text}" for text in self.warnings)]
 
 
-@dataclass(frozen=True)
-class ModelDescription:
+@dataclass(frozen=True, repr=False)
+class ModelDescription(Result):
     """A model.
 
     Attributes:
@@ -255,9 +289,20 @@ class ModelDescription:
     card: TrainingCard
     kind: str = "model"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return _plain(vars(self) | {"card": self.card.to_json()})
+        return _plain(vars(self) | {"card": self.card.to_dict()})
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row: what the model is."""
+        import polars as pl
+
+        names = ("problem", "network", "horizon_s", "parameters")
+        return pl.DataFrame([{name: getattr(self, name) for name in names} | {"levels": list(self.levels)}])
+
+    def _said(self) -> list[str]:
+        levels = ", ".join(f"{level:.2f}" for level in self.levels) or "none"
+        return [f"{self.path}: {self.network} for problem {self.problem}, levels {levels}"]
 
 
 Description = LogsDescription | DatasetDescription | ModelDescription

@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-import cyclekit
 from cyclekit import schema
 from cyclekit.dataset.cards import (
     EpochCard,
@@ -203,7 +203,7 @@ def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: Metrics, beat
         *beaten,
     ]
     return TrainingCard(
-        cyclekit=cyclekit.__version__,
+        cyclekit=version("cyclekit"),
         schema_version=schema.SCHEMA_VERSION,
         model_version=MODEL_VERSION,
         spec=spec.card(),

@@ -20,7 +20,7 @@ from cyclekit.dataset.dataset import Place
 from cyclekit.people.silence import Silence
 from cyclekit.people.tracks import (
     REASONS,
-    Track,
+    PersonTrack,
     find_spots,
     find_stays,
     gap_reasons,
@@ -60,7 +60,7 @@ class _Log:
     """The tracks that one recording saw, in session time and base frame."""
 
     recording: RecordingCard
-    tracks: list[Track]
+    tracks: list[PersonTrack]
     silence: Silence
     not_believed: int
     warnings: tuple[Note, ...]
@@ -231,12 +231,12 @@ def _log(entry: RecordingCard, read: Read, source: Source | None) -> _Log:
         numbers = link_by_motion(t, xyz)
         names = [f"linked_{number + 1}" for number in range(int(numbers.max(initial=-1)) + 1)]
         warnings.append(note("tracks-linked", ids=ids, frames=frames, tracks=len(names)))
-    tracks: list[Track] = []
+    tracks: list[PersonTrack] = []
     disbelieved = 0
     for rows in _rows_of_each(numbers):
         alone = len(rows) == len(t)  # of many hours a copy is much
         own = (t, xyz) if alone else (t[rows], xyz[rows])
-        parts, dropped = without_jumps(Track(names[numbers[rows[0]]], *own))
+        parts, dropped = without_jumps(PersonTrack(names[numbers[rows[0]]], *own))
         tracks += parts
         disbelieved += dropped
     if disbelieved:
@@ -249,7 +249,7 @@ def _log(entry: RecordingCard, read: Read, source: Source | None) -> _Log:
     return _Log(entry, tracks, silence, disbelieved, tuple(warnings))
 
 
-def _height_range(tracks: Sequence[Track]) -> float:
+def _height_range(tracks: Sequence[PersonTrack]) -> float:
     """Return by how much the height of one track changes at most, without its lowest and highest twentieth, m."""
     heights = [height[np.isfinite(height)] for track in tracks for height in [track.xyz_m[:, 2]]]
     ranges = [float(np.subtract(*np.quantile(height, [0.95, 0.05]))) for height in heights if len(height) >= ENOUGH]

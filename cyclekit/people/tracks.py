@@ -50,7 +50,7 @@ REASONS = ("seen", "occluded", "absent", "outside")
 
 
 @dataclass(frozen=True)
-class Track:
+class PersonTrack:
     """One person's track in session time and base frame: `t_s` (T,), `xyz_m` (T, 3), NaN = not seen."""
 
     person: str
@@ -63,14 +63,14 @@ class Track:
         t = self.t_s[np.isfinite(self.xyz_m[:, :2]).all(axis=1)]
         return float(np.median(np.diff(t))) if len(t) > 1 else np.inf
 
-    def around(self, first_s: float, last_s: float) -> Track:
+    def around(self, first_s: float, last_s: float) -> PersonTrack:
         """Return its rows from the last one before `first_s` to the first one behind `last_s`; views."""
         begin, end = np.searchsorted(self.t_s, first_s) - 1, np.searchsorted(self.t_s, last_s, side="right") + 1
         part = slice(max(int(begin), 0), int(end))
-        return Track(self.person, self.t_s[part], self.xyz_m[part])
+        return PersonTrack(self.person, self.t_s[part], self.xyz_m[part])
 
 
-def at_times(track: Track, t_s: Vector, *, bridge_s: float, width_s: float = 0.0) -> Points:
+def at_times(track: PersonTrack, t_s: Vector, *, bridge_s: float, width_s: float = 0.0) -> Points:
     """Return the track at the times `t_s` (N,), shape (N, 3); NaN where no seen position lies near enough.
 
     Positions are interpolated linearly between seen ones at most `bridge_s` apart (or two frames of the tracker, if
@@ -171,7 +171,7 @@ def _continuations(
     return chosen
 
 
-def without_jumps(track: Track) -> tuple[list[Track], int]:
+def without_jumps(track: PersonTrack) -> tuple[list[PersonTrack], int]:
     """Return the parts of a track between which nobody can have moved, and how many positions are not believed.
 
     A false sighting is taken out and the track goes on; after a lasting jump (the tracker took somebody else for the
@@ -187,10 +187,10 @@ def without_jumps(track: Track) -> tuple[list[Track], int]:
         xyz[dropped] = np.nan
     starts = rows[_jumps(track, rows)].tolist() if len(rows) > 1 else []
     parts = [slice(begin, end) for begin, end in pairwise([0, *starts, len(xyz)])]  # views: of many hours there is much
-    return [Track(track.person, track.t_s[part], xyz[part]) for part in parts], len(dropped)
+    return [PersonTrack(track.person, track.t_s[part], xyz[part]) for part in parts], len(dropped)
 
 
-def _strays(track: Track, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _strays(track: PersonTrack, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Tell which rows belong to a part between jumps that is short, and shorter than the parts beside it."""
     cuts = _jumps(track, rows)
     starts, ends = np.concatenate([[0], cuts]), np.concatenate([cuts, [len(rows)]])
@@ -203,14 +203,14 @@ def _strays(track: Track, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.repeat(stray, ends - starts)
 
 
-def _jumps(track: Track, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def _jumps(track: PersonTrack, rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the indices into `rows` that nobody can have come to from the row before."""
     step = np.linalg.norm(np.diff(track.xyz_m[rows, :2], axis=0), axis=1)
     return np.flatnonzero(step > np.maximum(JUMP_M, JUMP_M_S * np.diff(track.t_s[rows]))) + 1
 
 
 def gap_reasons(
-    tracks: Sequence[Track], t_s: Vector, span_s: tuple[float, float], *, bridge_s: float
+    tracks: Sequence[PersonTrack], t_s: Vector, span_s: tuple[float, float], *, bridge_s: float
 ) -> NDArray[np.int8]:
     """Tell of each time whether somebody is seen, and why nobody is; shape (N,), indices into REASONS.
 
@@ -241,7 +241,7 @@ def gap_reasons(
 
 
 def nearest_person(
-    tracks: Sequence[Track], t_s: Vector, tcp_m: Points, *, bridge_s: float, width_s: float = 0.0
+    tracks: Sequence[PersonTrack], t_s: Vector, tcp_m: Points, *, bridge_s: float, width_s: float = 0.0
 ) -> Points:
     """Return x_h at each time, shape (N, 3): the position of the person nearest to the TCP, NaN = nobody seen.
 

@@ -14,7 +14,7 @@ from cyclekit.extras import need
 
 need("a replay", "replay")
 
-from cyclekit.replay.execution import PredictsNow
+from cyclekit.replay.floor import PredictsNow
 from cyclekit.replay.misses import Miss
 from cyclekit.replay.recording import ReplayFacts, write_replay
 from cyclekit.replay.server import serve

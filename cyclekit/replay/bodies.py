@@ -17,7 +17,7 @@ from cyclekit.replay.shapes import goals, trail
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cyclekit.replay.execution import Execution
+    from cyclekit.replay.execution import ReplayedExecution
     from cyclekit.replay.sink import Sink
 
 BODY_M = 1.75
@@ -29,7 +29,7 @@ _HEAD_RADIUS_M = 0.12
 _TRUNK_M = BODY_M - 2 * _SHOULDER_RADIUS_M - 2 * _HEAD_RADIUS_M
 
 
-def floor_m(run: Execution) -> float:
+def floor_m(run: ReplayedExecution) -> float:
     """Height of the floor under the operator's drawn feet, metres, base frame; 0 where no operator is known.
 
     The tracked point of a person is taken for the waist, unless that would put the floor above the robot's base.

@@ -11,12 +11,12 @@ from cyclekit.text.plain_text import markdown
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.replay.execution import Execution
+    from cyclekit.replay.execution import ReplayedExecution
 
 MOST_ROWS = 8
 
 
-def task_times(run: Execution) -> dict[tuple[str, int], tuple[float, float | None]]:
+def task_times(run: ReplayedExecution) -> dict[tuple[str, int], tuple[float, float | None]]:
     """Return seconds and safety loss (None = unknown) of each task and repetition."""
     rows = run.tasks.iter_rows(named=True)
     return {
@@ -25,7 +25,7 @@ def task_times(run: Execution) -> dict[tuple[str, int], tuple[float, float | Non
     }
 
 
-def most_different(runs: Sequence[Execution]) -> list[tuple[str, int]]:
+def most_different(runs: Sequence[ReplayedExecution]) -> list[tuple[str, int]]:
     """Return the tasks that all executions have, the one whose times differ most first."""
     times = [task_times(run) for run in runs]
     shared = [key for key in common_order(runs) if all(key in each for each in times)]
@@ -37,7 +37,7 @@ def most_different(runs: Sequence[Execution]) -> list[tuple[str, int]]:
     return sorted(shared, key=lambda key: -spread(key))
 
 
-def comparison(runs: Sequence[Execution]) -> str:
+def comparison(runs: Sequence[ReplayedExecution]) -> str:
     """Return the panel's text, Markdown."""
     lost = [float(run.tasks["safety_loss_s"].sum() or 0.0) for run in runs]
     quickest = min(range(len(runs)), key=lambda number: runs[number].duration_s)

@@ -14,14 +14,14 @@ import rerun as rr
 from cyclekit.plots import colours
 from cyclekit.replay.ledger import ACCOUNTS, ledger
 from cyclekit.replay.phase import TASK
-from cyclekit.replay.words import Line, lanes, log_lines, miss_lines, spell, summary
+from cyclekit.replay.words import LogLine, lanes, log_lines, miss_lines, spell, summary
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.replay.execution import Execution
+    from cyclekit.replay.execution import ReplayedExecution
     from cyclekit.replay.sink import Sink
 
 MOST_JOINTS = 8
@@ -141,7 +141,7 @@ def _lanes(sink: Sink) -> None:
 GAP = "gap in the log"
 
 
-def _with_gaps(run: Execution, labels: list[str | None]) -> list[str | None]:
+def _with_gaps(run: ReplayedExecution, labels: list[str | None]) -> list[str | None]:
     inside = np.zeros(len(labels), dtype=np.bool_)
     for start_s, end_s in run.gaps:
         inside |= (run.t_s > start_s) & (run.t_s < end_s)
@@ -161,7 +161,7 @@ def _lane(sink: Sink, path: str, labels: Sequence[str | None], shades: dict[str,
     sink.columns(path, np.array([time_s for time_s, _ in changes]), columns)
 
 
-def _text(sink: Sink, path: str, lines: Sequence[Line]) -> None:
+def _text(sink: Sink, path: str, lines: Sequence[LogLine]) -> None:
     if not lines:
         return
     columns = rr.TextLog.columns(

@@ -7,7 +7,7 @@ so that whatever is drawn from the arrays stops there. How it looks is the busin
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -15,7 +15,7 @@ import polars as pl
 from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.dataset.unknown_height import in_plane, said_of_height
 from cyclekit.replay.crowd import Skeletons, other_people, skeletons
-from cyclekit.replay.floor import Zones, learned_zones
+from cyclekit.replay.floor import FloorZones, learned_zones
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Furniture
     from cyclekit.dataset.dataset import Dataset, Place
+    from cyclekit.replay.floor import PredictsNow
 
 GAP_SAMPLES = 3.5
 """A longer time without a sample is a gap: nothing is drawn across it."""
@@ -32,21 +33,8 @@ FINEST_S = 1 / 30
 _JOINTS = tuple(f"q{axis}_rad" for axis in range(6))
 
 
-class PredictsNow(Protocol):
-    """What the replay needs of a trained model of problem `now`."""
-
-    @property
-    def problem(self) -> str:
-        """Which question the model answers."""
-        ...
-
-    def predict(self, x: NDArray[np.float32], /) -> NDArray[np.floating]:
-        """Speed scaling (N,) for robot and operator positions (N, 6), metres, base frame."""
-        ...
-
-
 @dataclass(frozen=True)
-class Joints:
+class JointAngles:
     """Joint angles, thinned to at most 30 Hz.
 
     Attributes:
@@ -68,7 +56,7 @@ class Joints:
 
 
 @dataclass(frozen=True)
-class Execution:
+class ReplayedExecution:
     """What is known of one execution; T samples plus the edges of gaps.
 
     Attributes:
@@ -115,10 +103,10 @@ class Execution:
     human_places: Mapping[str, Place]
     furniture: Mapping[str, Furniture]
     levels: tuple[float, ...]
-    joints: Joints | None
+    joints: JointAngles | None
     others: tuple[NDArray[np.float64], ...]
     skeletons: Skeletons | None
-    zones: Zones | None
+    zones: FloorZones | None
     epoch_s: float | None
     notes: tuple[str, ...]
 
@@ -128,7 +116,7 @@ class Execution:
         return np.asarray(np.linalg.norm(self.robot_m - in_plane(self.robot_m, self.human_m), axis=1))
 
 
-def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None) -> Execution:
+def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None) -> ReplayedExecution:
     """Read one execution and let the model say what it would expect.
 
     Raises:
@@ -144,7 +132,7 @@ def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None
     joints = _joints(dataset.native_robot(name), start_s)
     usable = model if model is not None and model.problem == "now" else None
     tasks = dataset.tasks().filter(pl.col("execution") == name).sort("index")
-    return Execution(
+    return ReplayedExecution(
         name=name,
         cell=dataset.card.name or dataset.path.name,
         start_s=start_s,
@@ -232,7 +220,7 @@ def _predicted(
     return out
 
 
-def _joints(native: pl.DataFrame | None, start_s: float) -> Joints | None:
+def _joints(native: pl.DataFrame | None, start_s: float) -> JointAngles | None:
     if native is None:
         return None
     names = [c for c in native.columns if c.startswith("q") and c.endswith("_rad") and native[c].count()]
@@ -240,14 +228,14 @@ def _joints(native: pl.DataFrame | None, start_s: float) -> Joints | None:
         return None
     slot = ((pl.col("t_s") - start_s) / FINEST_S).floor()
     thin = native.filter(slot.is_first_distinct()).sort("t_s")
-    return Joints(
+    return JointAngles(
         t_s=thin["t_s"].to_numpy() - start_s,
         angle_rad={name: _floats(thin, name) for name in names},
         tcp_m=np.stack([_floats(thin, f"tcp_{axis}_m") for axis in "xyz"], axis=1),
     )
 
 
-def _notes(rows: pl.DataFrame, joints: Joints | None, model: PredictsNow | None) -> tuple[str, ...]:
+def _notes(rows: pl.DataFrame, joints: JointAngles | None, model: PredictsNow | None) -> tuple[str, ...]:
     """Say what is not in the picture, so that an empty place is not taken for a quiet cell."""
     notes = []
     if not rows["robot_x_m"].count():

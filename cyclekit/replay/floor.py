@@ -8,7 +8,7 @@ system guarantees, and the name of the view says so.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import polars as pl
@@ -19,15 +19,27 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.replay.execution import PredictsNow
 
 SQUARE_M = 0.25
 EVERY_S, MOVED_M = 0.35, 0.03
 """The zones are drawn anew when so much time has passed and the tool has moved so far."""
 
 
+class PredictsNow(Protocol):
+    """What the replay needs of a trained model of problem `now`."""
+
+    @property
+    def problem(self) -> str:
+        """Which question the model answers."""
+        ...
+
+    def predict(self, x: NDArray[np.float32], /) -> NDArray[np.floating]:
+        """Speed scaling (N,) for robot and operator positions (N, 6), metres, base frame."""
+        ...
+
+
 @dataclass(frozen=True)
-class Zones:
+class FloorZones:
     """Learned zones on the floor.
 
     Attributes:
@@ -47,7 +59,7 @@ def learned_zones(
     t_s: NDArray[np.float64],
     robot_m: NDArray[np.float64],
     human_m: NDArray[np.float64],
-) -> Zones | None:
+) -> FloorZones | None:
     """Ask the model for the zones along one execution; None where robot or operator are unknown.
 
     Args:
@@ -69,7 +81,7 @@ def learned_zones(
     x[:, 3:] = np.tile(person, (len(rows), 1))
     x = inputs_in_plane(x)
     scaling = np.asarray(model.predict(x), dtype=np.float64).reshape(len(rows), len(centre))
-    return Zones(centre, t_s[rows], np.round(scaling, 2))
+    return FloorZones(centre, t_s[rows], np.round(scaling, 2))
 
 
 def walked_squares(dataset: Dataset) -> NDArray[np.float64]:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.replay.execution import Execution
+    from cyclekit.replay.execution import ReplayedExecution
     from cyclekit.replay.phase import Order
 
 Focus = Literal["slowdown", "error"] | float
@@ -47,7 +47,7 @@ class Opening(NamedTuple):
     end: int
 
 
-def blueprint(runs: Sequence[Execution], order: Order, first: Opening | None) -> rrb.Blueprint:
+def blueprint(runs: Sequence[ReplayedExecution], order: Order, first: Opening | None) -> rrb.Blueprint:
     """Return the layout for one execution, or for several side by side."""
     return rrb.Blueprint(
         _alone(runs[0]) if len(runs) == 1 else _beside(runs, order),
@@ -59,7 +59,7 @@ def blueprint(runs: Sequence[Execution], order: Order, first: Opening | None) ->
     )
 
 
-def _alone(run: Execution) -> rrb.Vertical:
+def _alone(run: ReplayedExecution) -> rrb.Vertical:
     logs: list[rrb.View] = [rrb.TextLogView(origin="/log", name="What happened", columns=_log_columns())]
     if misses(run):
         name = "Where model and log differ most (click a time to jump there)"
@@ -75,7 +75,7 @@ def _alone(run: Execution) -> rrb.Vertical:
     return rrb.Vertical(*parts, row_shares=[3, 1] if len(parts) == 2 else None)
 
 
-def _beside(runs: Sequence[Execution], order: Order) -> rrb.Vertical:
+def _beside(runs: Sequence[ReplayedExecution], order: Order) -> rrb.Vertical:
     whole = _whole_path(order)
     roots = [f"/{number + 1}" for number in range(len(runs))]
     scenes = [_scene(run, root, run.name) for run, root in zip(runs, roots, strict=True)]
@@ -99,7 +99,7 @@ def _beside(runs: Sequence[Execution], order: Order) -> rrb.Vertical:
     return rrb.Vertical(*[view for _, view in rows], row_shares=[share for share, _ in rows])
 
 
-def opening(runs: Sequence[Execution], order: Order, at: Focus) -> Opening | None:
+def opening(runs: Sequence[ReplayedExecution], order: Order, at: Focus) -> Opening | None:
     """Return what is played first, so that the first thing seen is why the robot was slow; None = nothing stands out.
 
     One execution: the costliest slow-down, or what `at` says. Several run by the phase of the path: the task whose
@@ -115,7 +115,7 @@ def opening(runs: Sequence[Execution], order: Order, at: Focus) -> Opening | Non
     return Opening(EXECUTION, round(start_s * 1e9), round(end_s * 1e9))
 
 
-def _span(run: Execution, at: Focus) -> tuple[float, float] | None:
+def _span(run: ReplayedExecution, at: Focus) -> tuple[float, float] | None:
     if isinstance(at, float | int):
         if at > run.duration_s:
             seen = f"execution {run.name} lasts {run.duration_s:.1f} s, so nothing of it plays at {at:g} s"
@@ -154,7 +154,7 @@ def _log_columns() -> rrb.TextLogColumns:
     )
 
 
-def _right(run: Execution) -> rrb.Vertical | None:
+def _right(run: ReplayedExecution) -> rrb.Vertical | None:
     """Lanes and plots, one above the other on the same seconds."""
     whole = _whole(run)
     views: list[tuple[float, rrb.View | rrb.Container]] = []
@@ -182,7 +182,7 @@ def _right(run: Execution) -> rrb.Vertical | None:
     return rrb.Vertical(*[v for _, v in views], row_shares=[share for share, _ in views]) if views else None
 
 
-def _whole(run: Execution) -> rrb.TimeAxis | None:
+def _whole(run: ReplayedExecution) -> rrb.TimeAxis | None:
     """The whole execution at once; of a long one the viewer's own window, which follows the time."""
     if run.duration_s > LONG_S:
         return None
@@ -197,7 +197,7 @@ def _whole_path(order: Order) -> rrb.TimeAxis | None:
     return rrb.TimeAxis(view_range=rrb.TimeRange(*ends), link="independent")
 
 
-def _scene(run: Execution, root: str = "", who: str = "") -> rrb.Spatial3DView | None:
+def _scene(run: ReplayedExecution, root: str = "", who: str = "") -> rrb.Spatial3DView | None:
     seen = [p[np.isfinite(p).all(axis=1)] for p in (run.robot_m, in_plane(run.robot_m, run.human_m))]
     if not any(len(p) for p in seen):
         return None

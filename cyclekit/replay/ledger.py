@@ -14,12 +14,12 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cyclekit.replay.execution import Execution
+    from cyclekit.replay.execution import ReplayedExecution
 
 ACCOUNTS = ("nominal", "safety", "dwell", "wait", "unknown")
 
 
-def ledger(run: Execution) -> dict[str, NDArray[np.float64]]:
+def ledger(run: ReplayedExecution) -> dict[str, NDArray[np.float64]]:
     """Return the seconds spent so far in each account, each of shape (T,); their sum is the time since `t_s[0]`."""
     count = len(run.t_s)
     step_s = np.diff(run.t_s, append=run.t_s[-1:])
@@ -38,7 +38,7 @@ def ledger(run: Execution) -> dict[str, NDArray[np.float64]]:
     return {name: np.concatenate([[0.0], np.cumsum(share * step_s)[:-1]]) for name, share in part.items()}
 
 
-def _in_gap(run: Execution) -> NDArray[np.bool_]:
+def _in_gap(run: ReplayedExecution) -> NDArray[np.bool_]:
     inside = np.zeros(len(run.t_s), dtype=np.bool_)
     for start_s, end_s in run.gaps:
         inside |= (run.t_s > start_s) & (run.t_s < end_s)

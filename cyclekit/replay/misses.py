@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from cyclekit.replay.execution import Execution
+    from cyclekit.replay.execution import ReplayedExecution
 
 LEAST = 0.05
 """A difference in scaling below this is not looked at."""
@@ -41,7 +41,7 @@ class Miss:
     robot_task: str | None
 
 
-def misses(run: Execution, most: int = 10) -> list[Miss]:
+def misses(run: ReplayedExecution, most: int = 10) -> list[Miss]:
     """Return the stretches in which the moving robot's log and the prediction differ most, the costliest first."""
     if run.predicted is None or not len(run.t_s):
         return []

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.replay.execution import Execution
+    from cyclekit.replay.execution import ReplayedExecution
 
 TASK = 100
 """Phase of one whole task: 425 is a quarter of the way through the fifth."""
@@ -24,7 +24,7 @@ TASK = 100
 Order = dict[tuple[str, int], int]
 
 
-def common_order(runs: Sequence[Execution]) -> Order:
+def common_order(runs: Sequence[ReplayedExecution]) -> Order:
     """Return the place of each task and repetition: the first execution's order, then what only later ones have."""
     order: Order = {}
     for run in runs:
@@ -33,7 +33,7 @@ def common_order(runs: Sequence[Execution]) -> Order:
     return order
 
 
-def path_phase(run: Execution, order: Mapping[tuple[str, int], int]) -> NDArray[np.int64] | None:
+def path_phase(run: ReplayedExecution, order: Mapping[tuple[str, int], int]) -> NDArray[np.int64] | None:
     """Return the phase at `run.t_s`, shape (T,), hundredths of a task; None where no task is known."""
     if run.tasks.is_empty() or not len(run.t_s):
         return None
@@ -49,7 +49,7 @@ def path_phase(run: Execution, order: Mapping[tuple[str, int], int]) -> NDArray[
     return phase[known[np.clip(np.searchsorted(known, np.arange(len(phase)), side="right") - 1, 0, None)]]
 
 
-def repetitions(run: Execution) -> list[tuple[str, int]]:
+def repetitions(run: ReplayedExecution) -> list[tuple[str, int]]:
     """Return each task of the execution with how many times it has come up to then."""
     seen: dict[str, int] = {}
     keys = []
@@ -59,7 +59,7 @@ def repetitions(run: Execution) -> list[tuple[str, int]]:
     return keys
 
 
-def _part_of_the_way(run: Execution, first: int, arrived: int) -> NDArray[np.float64]:
+def _part_of_the_way(run: ReplayedExecution, first: int, arrived: int) -> NDArray[np.float64]:
     """Fraction of the way done at each sample, by length; by time where the robot's position is unknown."""
     if arrived <= first:
         return np.empty(0)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import uuid
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import rerun as rr
 
@@ -24,13 +24,17 @@ from cyclekit.replay.phase import common_order, path_phase
 from cyclekit.replay.scene import log_scene
 from cyclekit.replay.sink import Sink
 from cyclekit.storage.atomic import replaced
+from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    import polars as pl
+
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.replay.execution import Execution, PredictsNow
+    from cyclekit.replay.execution import ReplayedExecution
+    from cyclekit.replay.floor import PredictsNow
     from cyclekit.replay.layout import Focus, Opening
     from cyclekit.replay.phase import Order
 
@@ -38,8 +42,8 @@ MOST = len(HUES)
 """So many executions can be shown side by side."""
 
 
-@dataclass(frozen=True)
-class ReplayFacts:
+@dataclass(frozen=True, repr=False)
+class ReplayFacts(Result):
     """What was written.
 
     Attributes:
@@ -65,6 +69,27 @@ class ReplayFacts:
     notes: tuple[str, ...]
     misses: tuple[Miss, ...]
     first: Opening | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {
+            "replay": str(self.path),
+            "execution": self.execution,
+            "executions": list(self.executions),
+            "duration_s": self.duration_s,
+            "bytes": self.bytes,
+            "notes": list(self.notes),
+            "misses": [dict(vars(miss)) for miss in self.misses],
+        }
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per stretch where prediction and log differ most."""
+        import polars as pl
+
+        return pl.DataFrame([dict(vars(miss)) for miss in self.misses])
+
+    def _said(self) -> list[str]:
+        return [f"{self.path}: execution {', '.join(self.executions)}, {self.duration_s:.1f} s", *self.notes]
 
 
 @one_thread()
@@ -103,7 +128,7 @@ def write_replay(
     if not 1 <= len(set(names)) <= MOST:
         msg = f"{len(names)} executions side by side"
         raise CyclekitError(msg, cure=f"Name 1 to {MOST} of them: more cannot be told apart on a screen.")
-    runs: list[Execution] = []
+    runs: list[ReplayedExecution] = []
     for number, name in enumerate(dict.fromkeys(names)):
         say(0.7 * number / len(names), f"reading {name}")
         runs.append(load_execution(dataset, name, model))
@@ -127,7 +152,11 @@ def write_replay(
 
 
 def _fill(
-    runs: Sequence[Execution], order: Order, first: Opening | None, file: Path, say: Callable[[float, str], None]
+    runs: Sequence[ReplayedExecution],
+    order: Order,
+    first: Opening | None,
+    file: Path,
+    say: Callable[[float, str], None],
 ) -> int:
     """Write the executions into `file` and close it; same executions, same recording id."""
     names = " and ".join(run.name for run in runs)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.replay.execution import Execution
+    from cyclekit.replay.execution import ReplayedExecution
 
 EXECUTION, WALL_CLOCK, SESSION, PHASE = "execution", "wall_clock", "session", "path_phase"
 """Timelines: seconds of the execution; the time of day in UTC, or where no log knows it, seconds of the session; and
@@ -27,7 +27,7 @@ class Sink:
     """Writes rows of one execution by column, on all timelines at once."""
 
     def __init__(
-        self, stream: rr.RecordingStream, run: Execution, phase: NDArray[np.int64] | None, root: str = ""
+        self, stream: rr.RecordingStream, run: ReplayedExecution, phase: NDArray[np.int64] | None, root: str = ""
     ) -> None:
         """Write below `root` ("" or "name/"); `phase` is the path phase at `run.t_s`, None where no task is known."""
         self.stream, self.run, self.phase, self.root = stream, run, phase, root

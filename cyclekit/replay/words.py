@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.replay.execution import Execution
+    from cyclekit.replay.execution import ReplayedExecution
 
 SHORTEST_S = 0.25
 """A change of speed or a lost operator shorter than this is not worth a sentence."""
@@ -33,7 +33,7 @@ FULL = 0.98
 
 
 @dataclass(frozen=True)
-class Line:
+class LogLine:
     """One line of the log: when (seconds of the execution), what, how loud (INFO or WARN), and its colour."""
 
     t_s: float
@@ -68,7 +68,7 @@ def spell(task: str) -> str:
     return task.replace("->", " → ")
 
 
-def slowdowns(run: Execution) -> list[Slowdown]:
+def slowdowns(run: ReplayedExecution) -> list[Slowdown]:
     """Return the stretches in which the moving robot was below full speed, in order of time."""
     slow = (run.scaling < FULL) & np.array([moving is not False for moving in run.moving], dtype=np.bool_)
     found = []
@@ -94,16 +94,16 @@ def slowdowns(run: Execution) -> list[Slowdown]:
     return found
 
 
-def log_lines(run: Execution) -> list[Line]:
+def log_lines(run: ReplayedExecution) -> list[LogLine]:
     """Return everything worth telling, in order of time."""
     lines = [*_task_lines(run), *_operator_lines(run), *_slow_lines(run)]
     for start_s, end_s in run.gaps:
-        lines.append(Line(start_s, f"Gap in the log: nothing is known for {end_s - start_s:.1f} s", "WARN"))
-    lines.extend(Line(0.0, note, "WARN") for note in run.notes)
+        lines.append(LogLine(start_s, f"Gap in the log: nothing is known for {end_s - start_s:.1f} s", "WARN"))
+    lines.extend(LogLine(0.0, note, "WARN") for note in run.notes)
     return sorted(lines, key=lambda line: line.t_s)
 
 
-def miss_lines(run: Execution) -> list[Line]:
+def miss_lines(run: ReplayedExecution) -> list[LogLine]:
     """Return where prediction and log differ most, in order of time; a click on the time jumps there."""
     lines = []
     for rank, miss in enumerate(misses(run), start=1):
@@ -112,11 +112,11 @@ def miss_lines(run: Execution) -> list[Line]:
             f"#{rank}: logged {100 * miss.logged:.0f} %, predicted {100 * miss.predicted:.0f} %{doing}, "
             f"operator {miss.distance_m:.2f} m away; off by {miss.seconds:.1f} s in {miss.end_s - miss.start_s:.1f} s"
         )
-        lines.append(Line(miss.t_s, text, "WARN" if rank <= 3 else "INFO", "#e6a4ff"))
+        lines.append(LogLine(miss.t_s, text, "WARN" if rank <= 3 else "INFO", "#e6a4ff"))
     return sorted(lines, key=lambda line: line.t_s)
 
 
-def summary(run: Execution) -> str:
+def summary(run: ReplayedExecution) -> str:
     """Return the panel's text, Markdown: what happened in three lines, the worst moments, what is not shown."""
     found = slowdowns(run)
     lost_s = float(run.tasks["safety_loss_s"].sum() or 0.0) or sum(each.lost_s for each in found)
@@ -156,34 +156,34 @@ def _why(slow: Slowdown) -> str:
     return f"{speed}{where}{near}{doing}"
 
 
-def _slow_lines(run: Execution) -> Iterator[Line]:
+def _slow_lines(run: ReplayedExecution) -> Iterator[LogLine]:
     for slow in slowdowns(run):
         text = f"SLOWED for {slow.end_s - slow.start_s:.1f} s, {slow.lost_s:.1f} s lost: {_why(slow)}"
-        yield Line(slow.start_s, text, "WARN", colours.scaling_hex(max(slow.lowest, 0.25)))
-        yield Line(slow.end_s, "Full speed again", "INFO", "#5b97d8")
+        yield LogLine(slow.start_s, text, "WARN", colours.scaling_hex(max(slow.lowest, 0.25)))
+        yield LogLine(slow.end_s, "Full speed again", "INFO", "#5b97d8")
 
 
-def _task_lines(run: Execution) -> Iterator[Line]:
+def _task_lines(run: ReplayedExecution) -> Iterator[LogLine]:
     for row in run.tasks.iter_rows(named=True):
-        yield Line(row["start_s"], f"Robot starts {spell(row['task'])}")
+        yield LogLine(row["start_s"], f"Robot starts {spell(row['task'])}")
         took = row["arrival_s"] - row["start_s"]
         loss = row["safety_loss_s"]
         lost = "" if loss is None else f", {loss:.1f} s of it slow-down" if loss >= 0.05 else ", never slowed"
-        yield Line(row["arrival_s"], f"Robot arrives at {row['goal_place']} after {took:.1f} s{lost}")
+        yield LogLine(row["arrival_s"], f"Robot arrives at {row['goal_place']} after {took:.1f} s{lost}")
 
 
-def _operator_lines(run: Execution) -> Iterator[Line]:
+def _operator_lines(run: ReplayedExecution) -> Iterator[LogLine]:
     changes = lanes(run.human_task, run.t_s)[:-1]
     for time_s, task in changes:
         if task is not None:
-            yield Line(time_s, f"Operator: {spell(task)}", colour="#2ba08d")
+            yield LogLine(time_s, f"Operator: {spell(task)}", colour="#2ba08d")
     unseen = np.isnan(run.human_m[:, 0])
     if unseen.all():
         return
     for first, last in _stretches(unseen):
         length_s = float(run.t_s[min(last + 1, len(run.t_s) - 1)] - run.t_s[first])
         if length_s >= SHORTEST_S:
-            yield Line(float(run.t_s[first]), f"Operator absent or not seen for {length_s:.1f} s", "WARN")
+            yield LogLine(float(run.t_s[first]), f"Operator absent or not seen for {length_s:.1f} s", "WARN")
 
 
 def _stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:

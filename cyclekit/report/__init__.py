@@ -1,6 +1,6 @@
 """The report: one page that an integrator hands to the customer, or the same as data.
 
-    facts = write_report(dataset, model, Path("report.html"), estimates=estimates, evaluation=evaluation)
+    facts = compose_report(dataset, model, Path("report.html"), estimates=estimates, evaluation=evaluation)
     write_pdf(facts.path, Path("report.pdf"))
 
 What is missing is said on the page, and is no error. The only room that knows jinja2 and matplotlib.
@@ -8,9 +8,9 @@ What is missing is said on the page, and is no error. The only room that knows j
 
 from __future__ import annotations
 
-from cyclekit.report.page import FORMATS, ReportFacts, write_report
+from cyclekit.report.page import FORMATS, ReportFacts, compose_report
 from cyclekit.report.pdf import need_browser, write_pdf
 from cyclekit.report.template import Template
 from cyclekit.report.tried import Tried, load_tried
 
-__all__ = ["FORMATS", "ReportFacts", "Template", "Tried", "load_tried", "need_browser", "write_pdf", "write_report"]
+__all__ = ["FORMATS", "ReportFacts", "Template", "Tried", "compose_report", "load_tried", "need_browser", "write_pdf"]

@@ -15,7 +15,7 @@ from cyclekit.estimate.same_work import by_work
 from cyclekit.report import verdict
 from cyclekit.report.numbers import UNKNOWN, decimals_for, fixed, given, percent, seconds, with_uncertainty
 from cyclekit.report.pictures import Picture
-from cyclekit.report.tables import Table, spell
+from cyclekit.report.tables import ReportTable, spell
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.same_work import Work
     from cyclekit.report.findings import Overview
-    from cyclekit.report.texts import Texts
-    from cyclekit.report.verdict import Verdict
+    from cyclekit.report.texts import ReportTexts
+    from cyclekit.report.verdict import TaktVerdict
 
 
 def section(
-    texts: Texts,
+    texts: ReportTexts,
     ranked: Sequence[CycleEstimate],
     seen: Overview,
     *,
     has_model: bool,
     takt_s: float | None = None,
     checked: bool = False,
-    found: Verdict | None = None,
+    found: TaktVerdict | None = None,
 ) -> dict[str, Any]:
     """Return what the template needs for section 1.
 
@@ -84,7 +84,7 @@ def section(
     }
 
 
-def _caption(texts: Texts, works: Mapping[Work, Sequence[CycleEstimate]]) -> str:
+def _caption(texts: ReportTexts, works: Mapping[Work, Sequence[CycleEstimate]]) -> str:
     return texts("answer.caption" if len(works) == 1 else "answer.caption_works")
 
 
@@ -94,7 +94,7 @@ def in_time(estimate: CycleEstimate, takt_s: float) -> float | None:
     return float((cycles <= takt_s).mean()) if len(cycles) else None
 
 
-def _best(texts: Texts, best: CycleEstimate, mean: str, interval: str) -> list[str]:
+def _best(texts: ReportTexts, best: CycleEstimate, mean: str, interval: str) -> list[str]:
     parts = [texts("answer.interval", name=best.name, mean=mean, interval=interval)]
     if len(best.quantiles_s) > 1:
         levels = sorted(best.quantiles_s)
@@ -112,7 +112,7 @@ def _best(texts: Texts, best: CycleEstimate, mean: str, interval: str) -> list[s
     return parts
 
 
-def _logged(texts: Texts, seen: Overview, takt_s: float | None, missing: Sequence[str]) -> dict[str, Any]:
+def _logged(texts: ReportTexts, seen: Overview, takt_s: float | None, missing: Sequence[str]) -> dict[str, Any]:
     """The answer without estimates: the executions as they were."""
     found: dict[str, Any] = {"sentences": list(missing), "picture": None, "caption": "", "table": None, "warnings": []}
     durations = seen.duration_s
@@ -134,7 +134,7 @@ def _logged(texts: Texts, seen: Overview, takt_s: float | None, missing: Sequenc
 
 
 def _picture(
-    texts: Texts, ranked: Sequence[CycleEstimate], best: CycleEstimate, mean: str, takt_s: float | None
+    texts: ReportTexts, ranked: Sequence[CycleEstimate], best: CycleEstimate, mean: str, takt_s: float | None
 ) -> object:
     from cyclekit.report import charts
 
@@ -150,7 +150,7 @@ def _picture(
     return Picture("cycle", alt, lambda width_in: charts.cycle_times(width_in, ranked, labels, takt_s))
 
 
-def _table(texts: Texts, works: Mapping[Work, Sequence[CycleEstimate]], takt_s: float | None) -> Table:
+def _table(texts: ReportTexts, works: Mapping[Work, Sequence[CycleEstimate]], takt_s: float | None) -> ReportTable:
     """One row per sequence; ranks count within a work, and where there are several, the time per visit is told."""
     several = len(works) > 1
     levels = sorted(next(iter(works.values()))[0].quantiles_s)
@@ -173,7 +173,7 @@ def _table(texts: Texts, works: Mapping[Work, Sequence[CycleEstimate]], takt_s: 
         visits = [str(len(each.places) - 1), fixed(each.per_visit_s, 2)] if several else []
         loss = fixed(each.safety_loss_s, 1)
         rows.append([each.name, rank, mean, interval, *quantiles, *takt, loss, percent(each.support), *visits])
-    return Table(_caption(texts, works), heads, rows, frozenset(range(1, len(heads))), silent=True)
+    return ReportTable(_caption(texts, works), heads, rows, frozenset(range(1, len(heads))), silent=True)
 
 
 def _rank(place: int, work: Sequence[CycleEstimate], several: bool) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.estimate.same_work import work_of
 from cyclekit.report.findings import losses, safety_function, task_shares
 from cyclekit.report.provenance import provenance
-from cyclekit.report.tables import Table
+from cyclekit.report.tables import ReportTable
 from cyclekit.text.plain_json import json_text
 from cyclekit.text.plain_text import csv_text, markdown
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
-    from cyclekit.estimate.plan import Plan
+    from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.report.texts import Texts
+    from cyclekit.report.texts import ReportTexts
     from cyclekit.report.tried import Tried
     from cyclekit.report.trust import Judged
-    from cyclekit.report.verdict import Verdict
+    from cyclekit.report.verdict import TaktVerdict
 
 PARTS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 MARK = "<!-- written by cyclekit -->"
@@ -36,21 +36,21 @@ ORDER = ("answer", "where", "why", "helps", "trust")
 
 
 @dataclass(frozen=True)
-class Found:
+class ReportInputs:
     """What the page was given beside the logs."""
 
     ranked: Sequence[CycleEstimate]
     what_if: Sequence[Tried]
-    planned: Plan | None
+    planned: OrderPlan | None
     evaluation: Judged | None
     check: Check | None
-    verdict: Verdict | None
+    verdict: TaktVerdict | None
 
 
 def as_json(
     cell: str,
     made: str,
-    given: Found,
+    given: ReportInputs,
     dataset: Dataset,
     samples: pl.DataFrame,
     sections: Mapping[str, Any],
@@ -61,16 +61,16 @@ def as_json(
         "cell": cell,
         "made": made,
         "answer": sections["answer"]["headline"],
-        "verdict": None if given.verdict is None else given.verdict.to_json(sections["answer"]["headline"]),
-        "sequences": [each.to_json() for each in given.ranked],
+        "verdict": None if given.verdict is None else given.verdict.to_dict(sections["answer"]["headline"]),
+        "sequences": [each.to_dict() for each in given.ranked],
         "logged_tasks": [asdict(share) | {"total_s": share.total_s} for share in task_shares(dataset.tasks())],
         "levels": [asdict(band) for band in found.bands] if found else [],
         "distance_explains": found.explained if found else None,
         "losses": [asdict(loss) for loss in losses(samples, dataset.executions.height)],
         "what_if": [asdict(change) for change in given.what_if],
-        "plan": None if given.planned is None else given.planned.to_json(),
-        "evaluation": None if given.evaluation is None else given.evaluation.to_json(),
-        "check": None if given.check is None else given.check.to_json(),
+        "plan": None if given.planned is None else given.planned.to_dict(),
+        "evaluation": None if given.evaluation is None else given.evaluation.to_dict(),
+        "check": None if given.check is None else given.check.to_dict(),
         "provenance": asdict(provenance(dataset, {})),
         "sentences": {key: list(sections[key].get("sentences", ())) for key in ORDER},
     }
@@ -78,7 +78,10 @@ def as_json(
 
 
 def as_csv(
-    ranked: Sequence[CycleEstimate], tasks: pl.DataFrame, what_if: Sequence[Tried] = (), planned: Plan | None = None
+    ranked: Sequence[CycleEstimate],
+    tasks: pl.DataFrame,
+    what_if: Sequence[Tried] = (),
+    planned: OrderPlan | None = None,
 ) -> str:
     """Return one row per sequence (order 0, with its work) and per task of it; without any, one per logged task.
 
@@ -114,7 +117,7 @@ def _tried_rows(ranked: Sequence[CycleEstimate], what_if: Sequence[Tried]) -> It
         yield [each.sequence, 0, "", each.expected_s, each.low_s, each.high_s, *[""] * 5, each.label, *saves, work]
 
 
-def as_markdown(texts: Texts, cell: str, made: str, sections: Mapping[str, Any]) -> str:
+def as_markdown(texts: ReportTexts, cell: str, made: str, sections: Mapping[str, Any]) -> str:
     """Return headings, sentences and tables; pictures are said in words."""
     lines = [f"# {markdown(texts('page.title', cell=cell))}", "", made, ""]
     for number, key in enumerate(ORDER, start=1):
@@ -133,9 +136,9 @@ def as_markdown(texts: Texts, cell: str, made: str, sections: Mapping[str, Any])
     return "\n".join(lines).rstrip() + f"\n\n{MARK}\n"
 
 
-def _tables(value: object) -> Iterator[Table]:
+def _tables(value: object) -> Iterator[ReportTable]:
     """Every table of a section, in its order."""
-    if isinstance(value, Table):
+    if isinstance(value, ReportTable):
         yield value
     elif isinstance(value, dict):
         for entry in value.values():
@@ -145,7 +148,7 @@ def _tables(value: object) -> Iterator[Table]:
             yield from _tables(entry)
 
 
-def _table(table: Table) -> list[str]:
+def _table(table: ReportTable) -> list[str]:
     lines = [f"### {markdown(table.title or table.caption)}", ""]
     if table.text:
         lines += [markdown(table.text), ""]

@@ -105,7 +105,7 @@ class Band:
 
 
 @dataclass(frozen=True)
-class SafetyFunction:
+class LoggedResponse:
     """Scaling against distance, from samples in which the robot was moving and both positions were known.
 
     Attributes:
@@ -180,7 +180,7 @@ def task_shares(tasks: pl.DataFrame) -> list[Share]:
 
 def safety_function(
     samples: pl.DataFrame, levels: Sequence[float], model: Predicts | None, *, seed: int = 0
-) -> SafetyFunction | None:
+) -> LoggedResponse | None:
     """Read the safety function back from the samples; None where scaling or positions are unknown."""
     axes = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
     rows = samples.with_columns(human_z_m=HUMAN_Z_IN_PLANE).filter(pl.col("robot_moving").fill_null(value=True))
@@ -196,7 +196,7 @@ def safety_function(
     means = np.bincount(slot, weights=scaling) / np.maximum(counts, 1)
     spread = float(np.var(scaling))
     explained = 1 - float(np.mean((scaling - means[slot]) ** 2)) / spread if spread > 0 else 0.0
-    return SafetyFunction(
+    return LoggedResponse(
         cells=_histogram(slot, scaling),
         bin_m=np.asarray((filled + 0.5) * DISTANCE_BIN_M, np.float64),
         logged=means[filled],

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.dataset.cards import FiguresCard
-    from cyclekit.report.texts import Texts
+    from cyclekit.report.texts import ReportTexts
 
 FLEET_PAGE = "fleet.html.jinja"
 OLD_DAYS = 7
@@ -73,7 +73,7 @@ def fleet_page(name: str, cells: Sequence[CellLine], today: dt.date) -> str:
 _HEADS = ("cell", "rank", "lost_head", "per_cycle", "cycle", "executions", "newest", "drift_head")
 
 
-def _headline(texts: Texts, ranked: Sequence[CellLine], concerned: int) -> str:
+def _headline(texts: ReportTexts, ranked: Sequence[CellLine], concerned: int) -> str:
     known = [(cell.name, cell.figures.lost_share) for cell in ranked if cell.figures.lost_share is not None]
     said = texts("fleet.nothing_known")
     if known:
@@ -81,7 +81,7 @@ def _headline(texts: Texts, ranked: Sequence[CellLine], concerned: int) -> str:
     return f"{said} {texts('fleet.look_count' if concerned else 'fleet.look_none', count=concerned)}"
 
 
-def _row(texts: Texts, rank: int, cell: CellLine) -> dict[str, object]:
+def _row(texts: ReportTexts, rank: int, cell: CellLine) -> dict[str, object]:
     known = cell.figures
     lost = known.lost_share
     cells = [
@@ -96,7 +96,7 @@ def _row(texts: Texts, rank: int, cell: CellLine) -> dict[str, object]:
     return {"name": cell.name, "link": cell.link, "cells": cells}
 
 
-def _drift(texts: Texts, known: FiguresCard) -> str:
+def _drift(texts: ReportTexts, known: FiguresCard) -> str:
     if known.safety_changed is None:
         return known.drift or texts("fleet.unknown")
     changed = {"safety": known.safety_changed, "habits": known.habits_changed}
@@ -107,7 +107,7 @@ def _drift(texts: Texts, known: FiguresCard) -> str:
     return texts("fleet.drift", what=changes, shifts="; ".join(known.shifts))
 
 
-def _worries(texts: Texts, cell: CellLine, today: dt.date) -> list[str]:
+def _worries(texts: ReportTexts, cell: CellLine, today: dt.date) -> list[str]:
     """Return why a cell needs a look, one sentence each; none where it does not."""
     known, found = cell.figures, [texts("fleet.failed", why=why) for why in cell.failed]
     if cell.unread:

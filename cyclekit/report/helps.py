@@ -11,27 +11,27 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.estimate.same_work import by_work
 from cyclekit.report.findings import losses
 from cyclekit.report.numbers import count, decimals_for, fixed, percent, seconds, with_uncertainty
-from cyclekit.report.tables import Table, spell
+from cyclekit.report.tables import ReportTable, spell
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     import polars as pl
 
-    from cyclekit.estimate.plan import Plan
+    from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.findings import Overview
-    from cyclekit.report.texts import Texts
+    from cyclekit.report.texts import ReportTexts
     from cyclekit.report.tried import Tried
 
 
 def section(
-    texts: Texts,
+    texts: ReportTexts,
     ranked: Sequence[CycleEstimate],
     samples: pl.DataFrame,
     seen: Overview,
     tried: Sequence[Tried],
-    planned: Plan | None = None,
+    planned: OrderPlan | None = None,
 ) -> dict[str, Any]:
     """Return what the template needs for section 4; `ranked` has the fastest sequence first."""
     before = {each.name: each for each in ranked}
@@ -50,7 +50,7 @@ def section(
     return {"sentences": sentences, "tables": [table for table in made if table], "missing": []}
 
 
-def _bound(texts: Texts, ranked: Sequence[CycleEstimate], seen: Overview) -> str:
+def _bound(texts: ReportTexts, ranked: Sequence[CycleEstimate], seen: Overview) -> str:
     """What no change of the safety function can beat: the cycle without any slow-down."""
     if ranked:
         best = ranked[0]
@@ -62,7 +62,7 @@ def _bound(texts: Texts, ranked: Sequence[CycleEstimate], seen: Overview) -> str
     return texts("helps.bound_logged", without=without, lost=seconds(seen.lost_s))
 
 
-def _order(texts: Texts, ranked: Sequence[CycleEstimate]) -> str:
+def _order(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> str:
     """What the order alone is worth among sequences of the same work, the fastest first, if that can be told."""
     if len(ranked) < 2:
         return ""
@@ -75,7 +75,7 @@ def _order(texts: Texts, ranked: Sequence[CycleEstimate]) -> str:
 
 
 def _best(
-    texts: Texts, tried: Sequence[Tried], ranked: Sequence[CycleEstimate], before: Mapping[str, CycleEstimate]
+    texts: ReportTexts, tried: Sequence[Tried], ranked: Sequence[CycleEstimate], before: Mapping[str, CycleEstimate]
 ) -> str:
     """The change that saves most of one sequence, if it is sure to: of the fastest one, where that was tried."""
     names = [each.sequence for each in tried]
@@ -97,7 +97,7 @@ def _saved(saves: tuple[float, float | None, float | None] | None) -> tuple[str,
     return (fixed(mean, 1), "") if low is None or high is None else with_uncertainty(mean, low, high)
 
 
-def _what_if(texts: Texts, tried: Sequence[Tried], before: Mapping[str, CycleEstimate]) -> Table | None:
+def _what_if(texts: ReportTexts, tried: Sequence[Tried], before: Mapping[str, CycleEstimate]) -> ReportTable | None:
     if not tried:
         return None
     rows = []
@@ -112,7 +112,9 @@ def _what_if(texts: Texts, tried: Sequence[Tried], before: Mapping[str, CycleEst
     title = texts("helps.what_if")
     items = _limits(tried)
     numeric = frozenset(range(2, len(used)))
-    return Table(title, heads, rows, numeric, silent=True, title=title, items=items, after=texts("helps.no_proof"))
+    return ReportTable(
+        title, heads, rows, numeric, silent=True, title=title, items=items, after=texts("helps.no_proof")
+    )
 
 
 def _limits(tried: Sequence[Tried]) -> list[str]:
@@ -126,7 +128,7 @@ def _limits(tried: Sequence[Tried]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def _plan_saves(texts: Texts, planned: Plan | None) -> str:
+def _plan_saves(texts: ReportTexts, planned: OrderPlan | None) -> str:
     """What the best order found saves, in a sentence."""
     if planned is None:
         return ""
@@ -138,7 +140,7 @@ def _plan_saves(texts: Texts, planned: Plan | None) -> str:
     return texts("helps.plan_saves", saved=mean, interval=interval, against=against)
 
 
-def _plan(texts: Texts, planned: Plan | None) -> Table | None:
+def _plan(texts: ReportTexts, planned: OrderPlan | None) -> ReportTable | None:
     """The order found, and what its saving rests on."""
     if planned is None:
         return None
@@ -156,10 +158,10 @@ def _plan(texts: Texts, planned: Plan | None) -> Table | None:
     rests = texts("helps.plan_rests", searched=every, tried=count(planned.tried), executions=count(planned.executions))
     heads = [texts("helps.figure"), texts("helps.seconds")]
     said = texts("helps.plan_order", order=order)
-    return Table(title, heads, rows, frozenset({1}), silent=True, title=title, text=said, after=rests)
+    return ReportTable(title, heads, rows, frozenset({1}), silent=True, title=title, text=said, after=rests)
 
 
-def _moments(texts: Texts, samples: pl.DataFrame, seen: Overview) -> Table | None:
+def _moments(texts: ReportTexts, samples: pl.DataFrame, seen: Overview) -> ReportTable | None:
     """What both did while most time was lost: where a change of the operator's or the robot's work pays."""
     found = losses(samples, seen.executions)
     if not found:
@@ -181,4 +183,4 @@ def _moments(texts: Texts, samples: pl.DataFrame, seen: Overview) -> Table | Non
     ]
     heads = [texts(f"helps.{key}") for key in ("operator", "lost_head", "part", "robot")]
     title = texts("helps.moments")
-    return Table(title, heads, rows, frozenset({1, 2}), silent=True, title=title)
+    return ReportTable(title, heads, rows, frozenset({1, 2}), silent=True, title=title)

@@ -26,7 +26,7 @@ MOST = 50_000
 
 
 @dataclass(frozen=True)
-class Calibration:
+class PredictionBins:
     """Predictions in bins, shape (B,) each.
 
     Attributes:
@@ -45,7 +45,7 @@ class Calibration:
         return float(np.abs(self.predicted - self.logged).max())
 
 
-def calibration(samples: pl.DataFrame, executions: Sequence[str], model: Predicts | None) -> Calibration | None:
+def calibration(samples: pl.DataFrame, executions: Sequence[str], model: Predicts | None) -> PredictionBins | None:
     """Bin the predictions on `executions`; None without a model of problem `now` or without samples.
 
     Args:
@@ -69,4 +69,4 @@ def calibration(samples: pl.DataFrame, executions: Sequence[str], model: Predict
     if not len(used):
         return None
     means = [np.bincount(slot, weights=values, minlength=BINS)[used] / count[used] for values in (predicted, logged)]
-    return Calibration(means[0], means[1], count[used])
+    return PredictionBins(means[0], means[1], count[used])

@@ -24,15 +24,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from cyclekit.report.findings import SafetyFunction
+    from cyclekit.report.findings import LoggedResponse
     from cyclekit.report.floor import FloorPlan
-    from cyclekit.report.judged import Calibration
+    from cyclekit.report.judged import PredictionBins
 
 _FAINTEST = 0.02
 """Squares with less than this part of the largest value are left out."""
 
 
-def staircase(width_in: float, found: SafetyFunction, levels: Sequence[float], labels: Mapping[str, str]) -> Figure:
+def staircase(width_in: float, found: LoggedResponse, levels: Sequence[float], labels: Mapping[str, str]) -> Figure:
     """Scaling against distance: samples as squares in the scaling's colour, mean of the log, mean of the model."""
     figure = Figure(figsize=(width_in, 3.5 if width_in == WIDE_IN else 3.2), layout="constrained")
     axes = figure.add_subplot()
@@ -133,7 +133,7 @@ def heatmap(width_in: float, counts: NDArray[np.float64], names: Sequence[str], 
     return figure
 
 
-def calibration(width_in: float, found: Calibration, labels: Mapping[str, str]) -> Figure:
+def calibration(width_in: float, found: PredictionBins, labels: Mapping[str, str]) -> Figure:
     """Mean logged scaling where the model predicted so much, beside the line on which both are equal."""
     side = min(width_in, 4.6)
     figure = Figure(figsize=(width_in, 0.75 * side), layout="constrained")

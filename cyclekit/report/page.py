@@ -14,19 +14,22 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.estimate.same_work import by_work
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.report import answer, helps, trust, where, why
-from cyclekit.report.document import MARK, Found, as_csv, as_json, as_markdown
+from cyclekit.report.document import MARK, ReportInputs, as_csv, as_json, as_markdown
 from cyclekit.report.findings import overview
 from cyclekit.report.template import Template
 from cyclekit.report.verdict import verdict
 from cyclekit.storage.atomic import write_text
+from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    import polars as pl
+
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
-    from cyclekit.estimate.plan import Plan
+    from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.findings import Predicts
     from cyclekit.report.tried import Tried
@@ -35,8 +38,8 @@ if TYPE_CHECKING:
 FORMATS = ("html", "json", "csv", "md")
 
 
-@dataclass(frozen=True)
-class ReportFacts:
+@dataclass(frozen=True, repr=False)
+class ReportFacts(Result):
     """What was written.
 
     Attributes:
@@ -45,6 +48,8 @@ class ReportFacts:
         headline: Its first sentence.
         pictures: How many pictures it shows.
         missing: What the page says it could not show, one sentence each.
+        sequences: How many sequences were estimated for it.
+        pdf: Where it was printed; None where it was not.
     """
 
     path: Path
@@ -52,10 +57,26 @@ class ReportFacts:
     headline: str
     pictures: int
     missing: tuple[str, ...]
+    sequences: int = 0
+    pdf: Path | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        document = {"report": str(self.path), "answer": self.headline, "sequences": self.sequences, "bytes": self.bytes}
+        return {**document, "missing": list(self.missing), **({"pdf": str(self.pdf)} if self.pdf else {})}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row: what was written, and how large it is."""
+        import polars as pl
+
+        return pl.DataFrame([{name: value for name, value in self.to_dict().items() if name != "missing"}])
+
+    def _said(self) -> list[str]:
+        return [f"{self.headline}", f"{self.path}", *(f"missing: {text}" for text in self.missing)]
 
 
 @one_thread()
-def write_report(
+def compose_report(
     dataset: Dataset,
     model: Predicts | None,
     out: Path,
@@ -64,7 +85,7 @@ def write_report(
     evaluation: Judged | None = None,
     check: Check | None = None,
     what_if: Sequence[Tried] = (),
-    planned: Plan | None = None,
+    planned: OrderPlan | None = None,
     takt_s: float | None = None,
     missing: Sequence[str] = (),
     cell_name: str | None = None,
@@ -104,7 +125,7 @@ def write_report(
     name = cell_name or dataset.card.name or dataset.path.name
     if kind == "csv":
         write_text(out, as_csv(ranked, tasks, what_if, planned))
-        return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing))
+        return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing), len(ranked))
     texts = look.texts
     sections: dict[str, Any] = {}
     judged = verdict(dataset, ranked, what_if, planned, takt_s)
@@ -128,7 +149,7 @@ def write_report(
     say(0.95, "writing the page")
     made = texts("page.made", date=_today(), version=installed("cyclekit"), executions=seen.executions)
     if kind == "json":
-        found = Found(ranked, what_if, planned, evaluation, check, judged)
+        found = ReportInputs(ranked, what_if, planned, evaluation, check, judged)
         content = as_json(name, made, found, dataset, samples, sections)
     elif kind == "md":
         content = as_markdown(texts, name, made, sections)
@@ -136,7 +157,8 @@ def write_report(
         content = look.render(cell=name, made=made, version=installed("cyclekit"), **sections) + f"\n{MARK}\n"
     write_text(out, content)
     said = tuple(missing) + tuple(text for section in sections.values() for text in section.get("missing", ()))
-    return ReportFacts(out, out.stat().st_size, sections["answer"]["headline"], content.count("<figure>"), said)
+    headline, size = sections["answer"]["headline"], out.stat().st_size
+    return ReportFacts(out, size, headline, content.count("<figure>"), said, len(ranked))
 
 
 def _today() -> str:

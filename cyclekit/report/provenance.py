@@ -23,7 +23,7 @@ MOST_FILES = 12
 
 
 @dataclass(frozen=True)
-class Source:
+class LogSource:
     """Recordings read alike.
 
     Attributes:
@@ -60,7 +60,7 @@ class Provenance:
         versions: What made dataset and model.
     """
 
-    sources: tuple[Source, ...]
+    sources: tuple[LogSource, ...]
     files: tuple[tuple[str, str], ...]
     more_files: int
     set_aside: tuple[tuple[str, int], ...]
@@ -143,9 +143,9 @@ def _frame(frame: FrameCard) -> str:
     return f"{frame.method}, origin at ({', '.join(f'{value:g}' for value in xyz)}) m"
 
 
-def _source(kind: tuple[str, ...], records: Sequence[RecordingCard]) -> Source:
+def _source(kind: tuple[str, ...], records: Sequence[RecordingCard]) -> LogSource:
     rates = [record.rate_hz for record in records if record.rate_hz is not None]
-    return Source(
+    return LogSource(
         adapter=kind[0],
         tables=kind[1],
         recordings=len(records),

@@ -5,23 +5,23 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from cyclekit.report.numbers import count, fixed, percent
-from cyclekit.report.tables import Table
+from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.report.texts import Texts
+    from cyclekit.report.texts import ReportTexts
 
 
-def tables(texts: Texts, ranked: Sequence[CycleEstimate], check: Check | None) -> list[Table]:
+def tables(texts: ReportTexts, ranked: Sequence[CycleEstimate], check: Check | None) -> list[ReportTable]:
     """Return the tables that there is something for."""
     found = (_rollout(texts, check) if check else None, _support(texts, ranked) if ranked else None)
     return [table for table in found if table is not None]
 
 
-def _rollout(texts: Texts, check: Check) -> Table:
+def _rollout(texts: ReportTexts, check: Check) -> ReportTable:
     wanted = percent(check.levels[1] - check.levels[0])
     unseen = {"rollout_coverage_unseen": check.coverage_held_out} if check.coverage_held_out is not None else {}
     covered = {} if check.coverage is None else {"rollout_coverage": check.coverage, **unseen}
@@ -35,10 +35,10 @@ def _rollout(texts: Texts, check: Check) -> Table:
     ]
     heads, title = [texts("trust.metric"), texts("trust.value")], texts("trust.rollout")
     said = texts("trust.rollout_text")
-    return Table(title, heads, rows, frozenset({1}), silent=True, title=title, text=said, items=check.doubts)
+    return ReportTable(title, heads, rows, frozenset({1}), silent=True, title=title, text=said, items=check.doubts)
 
 
-def _support(texts: Texts, ranked: Sequence[CycleEstimate]) -> Table:
+def _support(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> ReportTable:
     rows = [
         [each.name, percent(each.support), count(each.executions), count(each.tracks), each.estimator]
         for each in ranked
@@ -46,7 +46,9 @@ def _support(texts: Texts, ranked: Sequence[CycleEstimate]) -> Table:
     names = ("answer.sequence", "trust.support_part", "trust.support_executions", "trust.support_tracks")
     title = texts("trust.support")
     heads = [*(texts(name) for name in names), texts("trust.support_how")]
-    return Table(title, heads, rows, frozenset({1, 2, 3}), silent=True, title=title, text=texts("answer.support_note"))
+    return ReportTable(
+        title, heads, rows, frozenset({1, 2, 3}), silent=True, title=title, text=texts("answer.support_note")
+    )
 
 
 def signed(part: float) -> str:

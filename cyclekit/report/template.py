@@ -25,7 +25,7 @@ from cyclekit.text.plain_text import visible
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from cyclekit.report.texts import Texts
+    from cyclekit.report.texts import ReportTexts
 
 PAGE, STYLE, SCRIPT = "page.html.jinja", "page.css", "page.js"
 LOGOS = {"logo.svg": "image/svg+xml", "logo.png": "image/png"}
@@ -108,7 +108,7 @@ class Template:
         file = self._file(*names)
         return file.read_text("utf-8") if file is not None else ""
 
-    def _texts(self) -> Texts:
+    def _texts(self) -> ReportTexts:
         try:
             return load_texts().with_changes(tomllib.loads(self._extra("texts.toml")))
         except (tomllib.TOMLDecodeError, ValueError) as error:

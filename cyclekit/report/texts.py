@@ -22,7 +22,7 @@ _UNIT = re.compile(r"(?<=\d) (?=(?:%|s|m|h|min)(?![\w]))")
 
 
 @dataclass(frozen=True)
-class Texts:
+class ReportTexts:
     """All texts of one language, by section and name."""
 
     sections: dict[str, dict[str, str]]
@@ -37,7 +37,7 @@ class Texts:
         section, _, name = key.partition(".")
         return _UNIT.sub("\N{NO-BREAK SPACE}", self.sections[section][name].format(**values))
 
-    def with_changes(self, changes: Mapping[str, Any]) -> Texts:
+    def with_changes(self, changes: Mapping[str, Any]) -> ReportTexts:
         """Return the texts with some of them replaced; `language` may be among the changes.
 
         Raises:
@@ -57,7 +57,7 @@ class Texts:
                     msg = f"{section}.{name} has no value {', '.join(sorted(strange))}"
                     raise ValueError(msg)
                 sections[section][name] = str(text)
-        return Texts(sections, language)
+        return ReportTexts(sections, language)
 
     def section(self, name: str) -> dict[str, str]:
         """Return all texts of one section, not filled in."""
@@ -69,8 +69,8 @@ def _values(text: str) -> set[str]:
 
 
 @cache
-def load_texts() -> Texts:
+def load_texts() -> ReportTexts:
     """Return the English texts."""
     content: dict[str, Any] = tomllib.loads(files("cyclekit.report").joinpath("texts.toml").read_text("utf-8"))
     language = str(content.pop("language"))
-    return Texts(content, language)
+    return ReportTexts(content, language)

@@ -50,7 +50,7 @@ class Tried:
     @staticmethod
     def of(found: WhatIf) -> Tried:
         """Return what `whatif` found as a row of the page."""
-        return _answer(found.to_json())
+        return _answer(found.to_dict())
 
     def saves(self, before: Mapping[str, CycleEstimate]) -> tuple[float, float | None, float | None] | None:
         """Return the saving in seconds and its interval.

@@ -13,7 +13,7 @@ from cyclekit.report.numbers import count, fixed, percent, significant
 from cyclekit.report.pictures import Picture
 from cyclekit.report.provenance import provenance
 from cyclekit.report.rests import signed
-from cyclekit.report.tables import Table
+from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.findings import Overview, Predicts
     from cyclekit.report.provenance import Provenance
-    from cyclekit.report.texts import Texts
+    from cyclekit.report.texts import ReportTexts
 
 _CARD_METRICS = ("rows", "mse_mean", "mse_argmax", "mae", "bias", "accuracy")
 
@@ -38,13 +38,13 @@ _GAPS = {"absent": "gap_absent", "occluded": "gap_occluded", "outside": "gap_out
 class Judged(Protocol):
     """What the report needs of an evaluation: its numbers as JSON values."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """`mse` (rows of name, mse, note), `accuracy`, `confusion` (logged x predicted), `levels`; all optional."""
         ...
 
 
 def section(
-    texts: Texts,
+    texts: ReportTexts,
     dataset: Dataset,
     samples: pl.DataFrame,
     model: Predicts | None,
@@ -59,7 +59,7 @@ def section(
     if model is not None:
         versions[texts("trust.made_model")] = f"cyclekit {model.card.cyclekit or 'unknown'}"
     origin = provenance(dataset, versions)
-    judged = evaluation.to_json() if evaluation is not None else {}
+    judged = evaluation.to_dict() if evaluation is not None else {}
     unmeasured = bool(ranked) and (check is None or check.coverage is None)
     said = [*_network_and_baselines(texts, judged, check), *([texts("trust.no_coverage")] if unmeasured else [])]
     return {
@@ -72,7 +72,7 @@ def section(
     }
 
 
-def _facts(texts: Texts, dataset: Dataset, seen: Overview, origin: Provenance) -> list[tuple[str, str]]:
+def _facts(texts: ReportTexts, dataset: Dataset, seen: Overview, origin: Provenance) -> list[tuple[str, str]]:
     runs = dataset.executions
     hours = float(runs["duration_s"].sum()) / 3600 if runs.height else 0.0
     length = f"{fixed(hours, 1)} h" if hours >= 1 else f"{fixed(60 * hours, 1)} min"
@@ -87,9 +87,9 @@ def _facts(texts: Texts, dataset: Dataset, seen: Overview, origin: Provenance) -
     return facts + [(name, value) for name, value in origin.versions]
 
 
-def _model(texts: Texts, model: Predicts | None, judged: Mapping[str, Any]) -> Table:
+def _model(texts: ReportTexts, model: Predicts | None, judged: Mapping[str, Any]) -> ReportTable:
     if model is None:
-        return Table(title=texts("trust.model"), text=texts("trust.model_none"))
+        return ReportTable(title=texts("trust.model"), text=texts("trust.model_none"))
     rows = [
         [texts("trust.problem"), str(model.problem), ""],
         [texts("trust.network"), str(model.network), ""],
@@ -109,10 +109,10 @@ def _model(texts: Texts, model: Predicts | None, judged: Mapping[str, Any]) -> T
     held_out = texts("trust.held_out" if judged.get("held_out", True) else "trust.not_held_out")
     notes = [str(note) for note in judged.get("notes") or ()]
     title = texts("trust.model")
-    return Table(title, heads, rows, frozenset({1}), silent=True, title=title, text=held_out, items=notes)
+    return ReportTable(title, heads, rows, frozenset({1}), silent=True, title=title, text=held_out, items=notes)
 
 
-def _judged_rows(texts: Texts, judged: Mapping[str, Any]) -> list[list[str]]:
+def _judged_rows(texts: ReportTexts, judged: Mapping[str, Any]) -> list[list[str]]:
     rows = []
     for entry in judged.get("mse") or ():
         label = f"{texts('trust.mse_mean')}: {entry.get('name', '')}"
@@ -124,7 +124,7 @@ def _judged_rows(texts: Texts, judged: Mapping[str, Any]) -> list[list[str]]:
     return rows
 
 
-def _network_and_baselines(texts: Texts, judged: Mapping[str, Any], check: Check | None) -> list[str]:
+def _network_and_baselines(texts: ReportTexts, judged: Mapping[str, Any], check: Check | None) -> list[str]:
     """Say with which row of the errors the cycle times are made, and what it means if a baseline has a smaller one."""
     errors = {str(entry.get("name")): float(entry["mse"]) for entry in judged.get("mse") or ()}
     model = errors.get(MODEL)
@@ -161,7 +161,7 @@ def _superscript(number: int) -> str:
     return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
-def _confusion(texts: Texts, judged: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _confusion(texts: ReportTexts, judged: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The heatmap of logged against predicted level, with its table."""
     from cyclekit.report import maps
 
@@ -177,7 +177,7 @@ def _confusion(texts: Texts, judged: Mapping[str, Any]) -> list[dict[str, Any]]:
         rows.append([name, *(fixed(100 * value / total, 1) if total else "–" for value in line)])
     caption = texts("trust.confusion")
     name = texts("trust.confusion_title")
-    table = Table(name, [texts("trust.truth"), *names], rows, frozenset(range(len(names) + 1)), silent=True)
+    table = ReportTable(name, [texts("trust.truth"), *names], rows, frozenset(range(len(names) + 1)), silent=True)
     labels = {"logged": texts("trust.truth"), "predicted": texts("trust.predicted")}
     labels["tip"] = texts.section("trust")["tip_confusion"]
     right = percent(float(counts.trace() / counts.sum())) if counts.sum() else percent(None)
@@ -187,7 +187,7 @@ def _confusion(texts: Texts, judged: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _calibration(
-    texts: Texts, samples: pl.DataFrame, judged: Mapping[str, Any], model: Predicts | None
+    texts: ReportTexts, samples: pl.DataFrame, judged: Mapping[str, Any], model: Predicts | None
 ) -> list[dict[str, Any]]:
     """Predicted against logged means, on the executions that the model was judged by."""
     from cyclekit.report import maps
@@ -204,13 +204,13 @@ def _calibration(
         for predicted, logged, number in zip(found.predicted, found.logged, found.count, strict=True)
     ]
     name = texts("trust.calibration_title")
-    table = Table(name, heads, rows, frozenset({0, 1, 2}), silent=True)
+    table = ReportTable(name, heads, rows, frozenset({0, 1, 2}), silent=True)
     alt = texts("trust.calibration_picture", worst=percent(found.worst))
     drawn = Picture("calibration", alt, lambda width_in: maps.calibration(width_in, found, labels))
     return [{"title": name, "picture": drawn, "caption": caption, "table": table}]
 
 
-def _unseen(texts: Texts, samples: pl.DataFrame) -> list[Table]:
+def _unseen(texts: ReportTexts, samples: pl.DataFrame) -> list[ReportTable]:
     """Why the operator is not seen, as parts of all samples."""
     gaps = samples["human_gap"].drop_nulls()
     if not len(gaps):
@@ -218,17 +218,19 @@ def _unseen(texts: Texts, samples: pl.DataFrame) -> list[Table]:
     title = texts("trust.unseen")
     counts = gaps.value_counts(sort=True).iter_rows()
     rows = [[texts(f"trust.{_GAPS[reason]}"), percent(number / samples.height)] for reason, number in counts]
-    return [Table(title, [texts("trust.reason"), texts("trust.part")], rows, frozenset({1}), silent=True, title=title)]
+    return [
+        ReportTable(title, [texts("trust.reason"), texts("trust.part")], rows, frozenset({1}), silent=True, title=title)
+    ]
 
 
-def _data_tables(texts: Texts, origin: Provenance) -> list[Table]:
+def _data_tables(texts: ReportTexts, origin: Provenance) -> list[ReportTable]:
     none = texts("trust.none")
     warnings = [text if n == 1 else texts("trust.times", text=text, count=n) for text, n in origin.warnings]
     after = texts("trust.more_warnings", count=origin.more_warnings) if origin.more_warnings else ""
     tables = [
-        Table(title=texts("trust.warnings"), text="" if warnings else none, items=warnings, after=after),
+        ReportTable(title=texts("trust.warnings"), text="" if warnings else none, items=warnings, after=after),
         _sources(texts, origin),
-        Table(
+        ReportTable(
             texts("trust.aside_title"),
             [texts("trust.reason"), texts("trust.rows")],
             [[reason, count(rows)] for reason, rows in origin.set_aside],
@@ -240,16 +242,18 @@ def _data_tables(texts: Texts, origin: Provenance) -> list[Table]:
     ]
     if origin.not_read:
         title, heads = texts("trust.not_read"), [texts("trust.path"), texts("trust.reason")]
-        tables.append(Table(title, heads, [list(pair) for pair in origin.not_read[:50]], silent=True, title=title))
+        tables.append(
+            ReportTable(title, heads, [list(pair) for pair in origin.not_read[:50]], silent=True, title=title)
+        )
     if origin.files:
         title, heads = texts("trust.files"), [texts("trust.path"), texts("trust.checksum")]
         more = texts("trust.more_files", count=origin.more_files) if origin.more_files else ""
         files = [[path, f"{digest[:23]}…" if digest else "–"] for path, digest in origin.files]
-        tables.append(Table(title, heads, files, silent=True, title=title, after=more))
+        tables.append(ReportTable(title, heads, files, silent=True, title=title, after=more))
     return tables
 
 
-def _sources(texts: Texts, origin: Provenance) -> Table:
+def _sources(texts: ReportTexts, origin: Provenance) -> ReportTable:
     names = ("reader", "tables", "recordings", "rows", "aside", "rate", "length", "clock", "frame")
     heads = [texts(f"trust.{name}") for name in names]
     rows = [
@@ -267,4 +271,4 @@ def _sources(texts: Texts, origin: Provenance) -> Table:
         for s in origin.sources
     ]
     title = texts("trust.sources")
-    return Table(title, heads, rows, frozenset(range(2, 7)), silent=True, title=title)
+    return ReportTable(title, heads, rows, frozenset(range(2, 7)), silent=True, title=title)

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.plan import Plan
+    from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.same_work import Work
-    from cyclekit.report.texts import Texts
+    from cyclekit.report.texts import ReportTexts
     from cyclekit.report.tried import Tried
 
 
@@ -50,7 +50,7 @@ class Today:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class TaktVerdict:
     """What the page says first.
 
     Attributes:
@@ -65,12 +65,12 @@ class Verdict:
     work: Work
     takt_s: float | None
     today: Today | None
-    planned: Plan | None
+    planned: OrderPlan | None
     best: CycleEstimate | None
     change: Tried | None
 
     @property
-    def order(self) -> Plan | None:
+    def order(self) -> OrderPlan | None:
         """The order found, unless a sequence that was given is quicker."""
         given = self.best is not None and self.planned is not None and self.best.places != self.planned.places
         return None if given else self.planned
@@ -82,7 +82,7 @@ class Verdict:
             return self.best.expected_s
         return None if self.planned is None else self.planned.expected_s
 
-    def to_json(self, text: str) -> dict[str, Any]:
+    def to_dict(self, text: str) -> dict[str, Any]:
         """Return plain JSON values; `text` is the verdict in words."""
         order, change = self.order, self.change
         best = {"sequence": None if order or not self.best else self.best.name, "expected_s": self.expected_s}
@@ -101,9 +101,9 @@ def verdict(
     dataset: Dataset,
     ranked: Sequence[CycleEstimate],
     tried: Sequence[Tried],
-    planned: Plan | None,
+    planned: OrderPlan | None,
     takt_s: float | None,
-) -> Verdict | None:
+) -> TaktVerdict | None:
     """Hold what was found against today's cycle; None where nothing was asked for.
 
     What is compared is the work of the order found; else that of the first sequences whose work was logged.
@@ -122,7 +122,7 @@ def verdict(
     logged = {work: today_of(dataset, work, takt_s) for work in works}
     work = next((work for work in works if logged[work] is not None), works[0])
     mine = by_work(ranked).get(work, [])
-    return Verdict(work, takt_s, logged[work], planned, mine[0] if mine else None, best_change(work, ranked, tried))
+    return TaktVerdict(work, takt_s, logged[work], planned, mine[0] if mine else None, best_change(work, ranked, tried))
 
 
 def today_of(dataset: Dataset, work: Work, takt_s: float | None) -> Today | None:
@@ -148,12 +148,12 @@ def best_change(work: Work, ranked: Sequence[CycleEstimate], tried: Sequence[Tri
     return min((each for each in mine if each.surely_saves(before)), key=lambda each: each.expected_s, default=None)
 
 
-def in_words(texts: Texts, found: Verdict) -> str:
+def in_words(texts: ReportTexts, found: TaktVerdict) -> str:
     """Return the verdict as one or two sentences."""
     return " ".join(part for part in (_today(texts, found), _found(texts, found)) if part)
 
 
-def _today(texts: Texts, found: Verdict) -> str:
+def _today(texts: ReportTexts, found: TaktVerdict) -> str:
     today, takt_s = found.today, found.takt_s
     if today is None:
         return ""
@@ -163,7 +163,7 @@ def _today(texts: Texts, found: Verdict) -> str:
     return texts("verdict.today_takt", mean=mean, missed=percent(today.missed_share), takt=given(takt_s))
 
 
-def _found(texts: Texts, found: Verdict) -> str:
+def _found(texts: ReportTexts, found: TaktVerdict) -> str:
     """What was found: the order or the fastest sequence, and the best change, beside today."""
     best, change, said = found.best, found.change, ""
     if found.order is not None:
@@ -186,7 +186,7 @@ def _found(texts: Texts, found: Verdict) -> str:
     return f"{said}; {texts('verdict.with_change_of', name=change.sequence, **values)}."
 
 
-def _mean(found: Verdict) -> str:
+def _mean(found: TaktVerdict) -> str:
     """The mean of the best order, rounded as its interval allows where it has one."""
     if found.best is None:
         return fixed(found.expected_s, 1)
@@ -197,12 +197,12 @@ def _overlap(best: CycleEstimate, today: Today) -> bool:
     return best.expected_low_s <= today.high_s and today.low_s <= best.expected_high_s
 
 
-def _beside(found: Verdict, mean_s: float) -> str:
+def _beside(found: TaktVerdict, mean_s: float) -> str:
     """The difference from today, as ` (-9 %)`; nothing without a cycle of today."""
     return "" if found.today is None else f" ({signed_percent(mean_s / found.today.mean_s - 1)})"
 
 
-def basis(texts: Texts, found: Verdict) -> str:
+def basis(texts: ReportTexts, found: TaktVerdict) -> str:
     """Return the numbers of today, or that no logged execution is known to do this work."""
     today = found.today
     if today is None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.report.findings import Share, task_shares
 from cyclekit.report.numbers import fixed
 from cyclekit.report.pictures import Picture
-from cyclekit.report.tables import Table, spell
+from cyclekit.report.tables import ReportTable, spell
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.report.texts import Texts
+    from cyclekit.report.texts import ReportTexts
 
 MOST_SEQUENCES = 3
 """So many sequences are drawn task by task; the others are in the first picture and in the tables."""
@@ -23,7 +23,7 @@ MOST_SEQUENCES = 3
 MOST_LOGGED, MOST_ROWS = 12, 30
 
 
-def section(texts: Texts, ranked: Sequence[CycleEstimate], tasks: pl.DataFrame) -> dict[str, Any]:
+def section(texts: ReportTexts, ranked: Sequence[CycleEstimate], tasks: pl.DataFrame) -> dict[str, Any]:
     """Return what the template needs for section 2."""
     if ranked:
         return {
@@ -42,7 +42,7 @@ def section(texts: Texts, ranked: Sequence[CycleEstimate], tasks: pl.DataFrame) 
     return {"sentences": sentences, "charts": [chart], "activity": None}
 
 
-def _estimated(texts: Texts, ranked: Sequence[CycleEstimate]) -> list[dict[str, Any]]:
+def _estimated(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> list[dict[str, Any]]:
     whole = [Share(e.name, e.nominal_s, e.safety_loss_s, e.dwell_s, e.wait_s) for e in ranked]
     charts = [_chart(texts, "sequences", texts("where.caption_sequences"), whole)]
     longest_s = max((task.expected_s for each in ranked[:MOST_SEQUENCES] for task in each.tasks), default=None)
@@ -58,7 +58,7 @@ def _estimated(texts: Texts, ranked: Sequence[CycleEstimate]) -> list[dict[str, 
 
 
 def _chart(
-    texts: Texts,
+    texts: ReportTexts,
     name: str,
     caption: str,
     rows: Sequence[Share],
@@ -89,7 +89,7 @@ def _chart(
     }
 
 
-def _table(texts: Texts, caption: str, rows: Sequence[Share], *, seen: bool) -> Table:
+def _table(texts: ReportTexts, caption: str, rows: Sequence[Share], *, seen: bool) -> ReportTable:
     from cyclekit.report.charts import PARTS
 
     words = texts.section("where")
@@ -100,10 +100,10 @@ def _table(texts: Texts, caption: str, rows: Sequence[Share], *, seen: bool) -> 
     if seen:
         heads.append(words["seen"])
         body = [[*line, str(row.seen)] for line, row in zip(body, rows, strict=True)]
-    return Table(caption, heads, body, frozenset(range(1, len(heads))), silent=True)
+    return ReportTable(caption, heads, body, frozenset(range(1, len(heads))), silent=True)
 
 
-def _activity(texts: Texts, ranked: Sequence[CycleEstimate]) -> Table | None:
+def _activity(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> ReportTable | None:
     """Safety loss by what the operator was doing, for the sequences that know it."""
     shown = [each for each in ranked[:MOST_SEQUENCES] if each.safety_by_activity_s]
     if not shown:
@@ -117,4 +117,4 @@ def _activity(texts: Texts, ranked: Sequence[CycleEstimate]) -> Table | None:
         [spell(activity), *(fixed(each.safety_by_activity_s.get(activity), 1) for each in shown)]
         for activity in sorted(total, key=lambda name: -total[name])
     ]
-    return Table(texts("where.activity"), heads, rows, frozenset(range(1, len(heads))), silent=True)
+    return ReportTable(texts("where.activity"), heads, rows, frozenset(range(1, len(heads))), silent=True)

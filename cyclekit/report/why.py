@@ -10,7 +10,7 @@ from cyclekit.report.findings import safety_function
 from cyclekit.report.floor import floor_plan, has_robot
 from cyclekit.report.numbers import UNKNOWN, count, fixed, percent
 from cyclekit.report.pictures import Picture
-from cyclekit.report.tables import Table
+from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.report.findings import Overview, Predicts, SafetyFunction
+    from cyclekit.report.findings import LoggedResponse, Overview, Predicts
     from cyclekit.report.floor import FloorPlan
-    from cyclekit.report.texts import Texts
+    from cyclekit.report.texts import ReportTexts
 
 DATA_M = 0.25
 """Distance per row of the table behind the staircase."""
@@ -30,7 +30,7 @@ EXPLAINS = 0.8
 
 
 def section(
-    texts: Texts, dataset: Dataset, samples: pl.DataFrame, model: Predicts | None, seen: Overview
+    texts: ReportTexts, dataset: Dataset, samples: pl.DataFrame, model: Predicts | None, seen: Overview
 ) -> dict[str, Any]:
     """Return what the template needs for section 3."""
     found = safety_function(samples, dataset.levels, model)
@@ -58,7 +58,7 @@ def section(
     }
 
 
-def _missing(texts: Texts, samples: pl.DataFrame, found: SafetyFunction | None) -> list[str]:
+def _missing(texts: ReportTexts, samples: pl.DataFrame, found: LoggedResponse | None) -> list[str]:
     missing = []
     if not samples["human_x_m"].count():
         missing.append(texts("why.no_operator"))
@@ -75,7 +75,7 @@ def _speed(scaling: float) -> str:
     return f"{100 * scaling:.0f} %"
 
 
-def _staircase(texts: Texts, found: SafetyFunction, levels: Sequence[float]) -> Picture:
+def _staircase(texts: ReportTexts, found: LoggedResponse, levels: Sequence[float]) -> Picture:
     from cyclekit.report import maps
 
     labels = {key: texts(f"why.{key}") for key in ("logged", "predicted", "distance", "speed")}
@@ -87,13 +87,13 @@ def _staircase(texts: Texts, found: SafetyFunction, levels: Sequence[float]) -> 
     return Picture("staircase", alt, lambda width_in: maps.staircase(width_in, found, levels, labels))
 
 
-def _bands(texts: Texts, found: SafetyFunction) -> Table:
+def _bands(texts: ReportTexts, found: LoggedResponse) -> ReportTable:
     heads = [texts("why.level"), texts("why.range"), texts("why.count")]
     rows = [[_speed(b.scaling), f"{fixed(b.low_m, 2)} to {fixed(b.high_m, 2)}", count(b.samples)] for b in found.bands]
-    return Table(texts("why.bands"), heads, rows, frozenset({0, 1, 2}))
+    return ReportTable(texts("why.bands"), heads, rows, frozenset({0, 1, 2}))
 
 
-def _data(texts: Texts, found: SafetyFunction) -> Table:
+def _data(texts: ReportTexts, found: LoggedResponse) -> ReportTable:
     """The numbers behind the staircase: one row per 0.25 m of distance."""
     heads = [texts(f"why.{key}") for key in ("range_head", "logged", "predicted", "count")]
     edges = np.floor(found.bin_m / DATA_M + 1e-9)
@@ -110,15 +110,15 @@ def _data(texts: Texts, found: SafetyFunction) -> Table:
             expected = _speed(float(np.average(found.predicted[mine], weights=weight[mine])))
         name = f"{fixed(edge * DATA_M, 2)} to {fixed((edge + 1) * DATA_M, 2)}"
         rows.append([name, logged, expected, count(int(weight[mine].sum()))])
-    return Table(texts("why.data"), heads, rows, frozenset({0, 1, 2, 3}), silent=True)
+    return ReportTable(texts("why.data"), heads, rows, frozenset({0, 1, 2, 3}), silent=True)
 
 
-def _labels(texts: Texts) -> dict[str, str]:
+def _labels(texts: ReportTexts) -> dict[str, str]:
     words = texts.section("why")
     return {key: words[key] for key in ("base", "x", "y", "tip_seen", "tip_lost", "tip_zone")}
 
 
-def _zones(texts: Texts, plan: FloorPlan) -> dict[str, Any]:
+def _zones(texts: ReportTexts, plan: FloorPlan) -> dict[str, Any]:
     from cyclekit.report import maps
 
     labels = _labels(texts) | {"speed": texts("why.zone_speed")}
@@ -128,7 +128,7 @@ def _zones(texts: Texts, plan: FloorPlan) -> dict[str, Any]:
     return {"picture": drawn, "caption": texts("why.zone_model" if plan.zones_of_model else "why.zone_log")}
 
 
-def _map(texts: Texts, plan: FloorPlan) -> Picture:
+def _map(texts: ReportTexts, plan: FloorPlan) -> Picture:
     from cyclekit.report import maps
 
     labels = _labels(texts) | ({"speed": texts("why.map_speed")} if len(plan.lost) else {})

@@ -11,7 +11,7 @@ from cyclekit.scaling.infer.override import infer_overrides
 from cyclekit.scaling.levels import find_staircase
 from cyclekit.segmentation.arrivals import stands_of
 from cyclekit.segmentation.dwell import usual_dwells
-from cyclekit.segmentation.motion import Part
+from cyclekit.segmentation.motion import InferredScaling
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -87,7 +87,7 @@ def _inferred(silent: int, runs: int, references: Mapping[str, Sequence[Referenc
 
 def halts_at_places(
     runs: Sequence[Run], executions: Sequence[Execution], stands: Stands, slowest: float
-) -> list[list[Part]]:
+) -> list[list[InferredScaling]]:
     """Return where the inferred scaling of each run is 0, since a stand was prolonged by a halt and not by waiting.
 
     Both look alike. But who halted the robot is still near when it may leave, so it leaves at the
@@ -105,7 +105,7 @@ def halts_at_places(
         Of each run, the rows at which it was halted so.
     """
     usual = usual_dwells(executions, stands)
-    halts: list[list[Part]] = [[] for _ in runs]
+    halts: list[list[InferredScaling]] = [[] for _ in runs]
     for execution in executions:
         run = runs[execution.run]
         for visit in execution.visits[1:-1]:
@@ -120,7 +120,7 @@ def halts_at_places(
             known = leaving[np.isfinite(leaving)]
             if len(known) and float(known[0]) < slowest and begin <= left:
                 none = np.zeros(left + 1 - begin)
-                halts[execution.run].append(Part(begin, none, none, none.astype(np.int8)))
+                halts[execution.run].append(InferredScaling(begin, none, none, none.astype(np.int8)))
     return halts
 
 

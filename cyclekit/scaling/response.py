@@ -38,7 +38,7 @@ AGREE_M = 0.04
 """Distances at which the level changes agree if half of them are within this of their median."""
 
 
-class Change(NamedTuple):
+class LevelChange(NamedTuple):
     """One change of level: when it began, the step below the threshold that was crossed, and how fast it went.
 
     Attributes:
@@ -55,7 +55,7 @@ class Change(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Dynamics:
+class SafetyResponse:
     """What is visible of the safety function in time; None = not visible.
 
     Attributes:
@@ -74,7 +74,7 @@ class Dynamics:
     spread_m: float | None
 
 
-def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[Change]:
+def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[LevelChange]:
     """Return the changes of level of one unbroken stretch.
 
     Args:
@@ -101,7 +101,7 @@ def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[Ch
         rises, way = after > before, slice(left + 1, reached)
         ramp = reached - left > RAMP_ROWS and np.isfinite(scaling[way]).all()
         rate = abs(float(np.polyfit(t_s[way] - t_s[left], scaling[way], 1)[0])) if ramp else None
-        found.append(Change(float(t_s[left]), before if rises else before - 1, rises, rate))
+        found.append(LevelChange(float(t_s[left]), before if rises else before - 1, rises, rate))
     return found
 
 
@@ -116,13 +116,13 @@ class Changes:
         samples: How many distances are known in all.
     """
 
-    changes: list[Change]
+    changes: list[LevelChange]
     kind: NDArray[np.int64]
     near_m: NDArray[np.float64]
     samples: int
 
     @classmethod
-    def seen(cls, changes: Sequence[Change], t_s: Vector, distance_m: Vector, most: int = MOST) -> Changes:
+    def seen(cls, changes: Sequence[LevelChange], t_s: Vector, distance_m: Vector, most: int = MOST) -> Changes:
         """Look up the distances before changes of one session; of more than `most`, evenly spread, so many.
 
         Args:
@@ -139,7 +139,7 @@ class Changes:
         return cls(list(changes), kind, near_m, int(known.sum()))
 
 
-def read_dynamics(seen: Sequence[Changes]) -> Dynamics:
+def read_dynamics(seen: Sequence[Changes]) -> SafetyResponse:
     """Return what the changes of level of all sessions tell."""
     changes = [change for mine in seen for change in mine.changes]
     ramps = {
@@ -148,7 +148,7 @@ def read_dynamics(seen: Sequence[Changes]) -> Dynamics:
     down, up = (_usual(ramps[rises]) for rises in (False, True))
     kinds = np.concatenate([np.empty(0, np.int64), *(mine.kind for mine in seen)])
     if len(kinds) < LEAST or sum(mine.samples for mine in seen) < LEAST:
-        return Dynamics(None, down, up, None, len(changes), None)
+        return SafetyResponse(None, down, up, None, len(changes), None)
     near = np.concatenate([mine.near_m for mine in seen]).T
     off = np.full(near.shape, np.nan)
     for kind in np.unique(kinds):
@@ -156,18 +156,18 @@ def read_dynamics(seen: Sequence[Changes]) -> Dynamics:
         if mine.sum() >= 5:
             off[:, mine] = np.abs(near[:, mine] - np.median(near[:, mine], axis=1, keepdims=True))
     if np.isnan(off).all():
-        return Dynamics(None, down, up, None, len(changes), None)
+        return SafetyResponse(None, down, up, None, len(changes), None)
     spread = np.nanmedian(off, axis=1)
     best = int(spread.argmin())
     if spread[best] > AGREE_M or best == len(LATENCIES_S) - 1:
-        return Dynamics(None, down, up, None, len(changes), float(spread[best]))
+        return SafetyResponse(None, down, up, None, len(changes), float(spread[best]))
     lag = [
         float(np.median(near[best][kinds == 2 * step + 1]) - np.median(near[best][kinds == 2 * step]))
         for step in np.unique(kinds // 2).tolist()
         if (kinds == 2 * step).sum() >= 5 and (kinds == 2 * step + 1).sum() >= 5
     ]
     hysteresis = max(0.0, float(np.median(lag))) if lag else None
-    return Dynamics(float(LATENCIES_S[best]), down, up, hysteresis, len(changes), float(spread[best]))
+    return SafetyResponse(float(LATENCIES_S[best]), down, up, hysteresis, len(changes), float(spread[best]))
 
 
 def _usual(rates: Sequence[float | None]) -> float | None:

@@ -36,7 +36,7 @@ STANDING, PAUSED, STOPPED, NOT_LOGGED, NO_REFERENCE, NEVER_FULL, OTHER_PATH, TOO
 """Why a scaling is unknown: indices into `schema.SCALING_GAPS`."""
 
 
-class Part(NamedTuple):
+class InferredScaling(NamedTuple):
     """Scaling of consecutive rows of a run, inferred.
 
     Attributes:
@@ -114,7 +114,7 @@ class Run(Protocol):
         """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None where it was not logged."""
         ...
 
-    def with_scaling(self, parts: Sequence[Part]) -> Run:
+    def with_scaling(self, parts: Sequence[InferredScaling]) -> Run:
         """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
         ...
 
@@ -189,7 +189,7 @@ class RobotRun:
         """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
         return np.clip(np.searchsorted(self.t_s, t_s + 1e-9, side="right") - 1, 0, None)
 
-    def with_scaling(self, parts: Sequence[Part]) -> RobotRun:
+    def with_scaling(self, parts: Sequence[InferredScaling]) -> RobotRun:
         """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
         scaling, deviation, gap = Overlay(parts).rows(0, self.rows - 1)
         return replace(self, scaling=scaling, deviation=deviation, gap=gap, is_inferred=True)
@@ -203,7 +203,7 @@ def moving_slider(slider: Vector | None, rows: int) -> Vector:
 class Overlay:
     """Inferred scaling of a run, in parts, to be read by windows."""
 
-    def __init__(self, parts: Sequence[Part]) -> None:
+    def __init__(self, parts: Sequence[InferredScaling]) -> None:
         """Keep the parts; of two that overlap the one that begins later wins."""
         self._parts = sorted(parts, key=lambda part: part.first)
         self._begins = [part.first for part in self._parts]

@@ -14,8 +14,8 @@ from cyclekit.segmentation.motion import (
     PAUSED,
     STOPPED,
     Halt,
+    InferredScaling,
     Overlay,
-    Part,
     RobotRun,
     half_window,
     moving_slider,
@@ -138,7 +138,7 @@ class StoredRun:
         before = times_there.searchsorted(t_s - self.offset_s + 1e-9, side="right") - 1
         return np.asarray(first + np.maximum(before, 0))
 
-    def with_scaling(self, parts: Sequence[Part]) -> StoredRun:
+    def with_scaling(self, parts: Sequence[InferredScaling]) -> StoredRun:
         """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
         kept = Overlay(parts)
         return replace(self, inferred=kept, knows_scaling=kept.is_known)

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.schema import Column
-    from cyclekit.storage.parquet_layout import Layout
+    from cyclekit.storage.parquet_layout import TableLayout
 
     Columns = Mapping[str, NDArray[np.float64]]
 
@@ -183,7 +183,7 @@ class StoredTable:
         self.groups = [(begin, end) for begin, end in pairwise(layout.starts) if end > begin]
         self._unknown = {name: layout.unknown[name] for name in columns}
 
-    def _layout(self) -> Layout:
+    def _layout(self) -> TableLayout:
         return layout_of(self._key, self._written_ns, self._bytes)
 
     def unknown(self, column: str) -> int:

@@ -13,7 +13,7 @@ SMALL_BYTES, SMALL_VALUES = 1 << 19, 1 << 20
 """Of a small table: a minute of robot rows has some 400,000 and 150,000. A file of few bytes may hold many values."""
 
 
-class Layout(NamedTuple):
+class TableLayout(NamedTuple):
     """What a table is made of.
 
     Attributes:
@@ -30,7 +30,7 @@ class Layout(NamedTuple):
 
 
 @lru_cache(maxsize=8)  # whoever opens a table opens it several times, for other columns
-def layout_of(file: str, _written_ns: int, size: int) -> Layout:
+def layout_of(file: str, _written_ns: int, size: int) -> TableLayout:
     """Return what a table is made of.
 
     Args:
@@ -47,7 +47,7 @@ def layout_of(file: str, _written_ns: int, size: int) -> Layout:
     for group in range(about.num_row_groups):
         starts.append(starts[-1] + about.row_group(group).num_rows)
     unknown = {name: _unknown(about, column) for column, name in enumerate(names)}
-    return Layout(names, starts, unknown, whole)
+    return TableLayout(names, starts, unknown, whole)
 
 
 def _unknown(about: pq.FileMetaData, column: int) -> int:

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from cyclekit.errors import DamagedLog
 from cyclekit_adapters.text import block_table, delimited, row_parser, text_blocks
-from cyclekit_adapters.text.delimited import Layout, header_names, read_blocks, read_rows
+from cyclekit_adapters.text.delimited import TextLayout, header_names, read_blocks, read_rows
 from cyclekit_adapters.text.header_line import layout_below
 from cyclekit_adapters.text.text_blocks import encoding_of
 
-LAYOUT = Layout(("a", "b", "c"), ",", header_lines=1)
+LAYOUT = TextLayout(("a", "b", "c"), ",", header_lines=1)
 
 cells = st.sampled_from(
     ["1", "-2.5", "", " 3", "4e2", "x", "nan", "inf", "0x1", '"5"', '"', "1.2.3", "\0", "é", "1 ", "True"]
@@ -189,7 +189,7 @@ def test_quotes_around_a_text_with_the_delimiter_inside_are_understood():
 
 
 def test_a_decimal_comma_is_a_decimal_mark():
-    layout = Layout(("a", "b"), ";", header_lines=1, decimal_comma=True)
+    layout = TextLayout(("a", "b"), ";", header_lines=1, decimal_comma=True)
     assert plain(rows_of("a;b\n0,5;1,25\n1;x\n", layout, numbers=["a", "b"])).rows() == [(2, 0.5, 1.25)]
 
 

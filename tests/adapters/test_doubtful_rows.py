@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, MissingColumns
 from cyclekit_adapters.formats import mapped_csv, ur_rtde
-from cyclekit_adapters.text.delimited import INDEX, Layout, read_rows
+from cyclekit_adapters.text.delimited import INDEX, TextLayout, read_rows
 from cyclekit_adapters.text.header_line import MOST_COLUMNS, layout_below
 
-COMMA = Layout(("t", "x", "y"), ",", header_lines=1)
+COMMA = TextLayout(("t", "x", "y"), ",", header_lines=1)
 BLANK = replace(COMMA, delimiter=" ")
 QUOTED = replace(COMMA, quotes=True)
 
@@ -47,11 +47,11 @@ def test_two_blanks_in_a_row_of_the_right_length_are_a_field_that_moved():
 
 def test_a_moved_field_is_noticed_also_where_the_columns_beside_it_are_not_read():
     rows = rows_of(
-        "a t x b\n0 1 2 9\n 0 1 2\n0  1 2\n0 3 4 9\n", Layout(("a", "t", "x", "b"), " ", 1), numbers=["t", "x"]
+        "a t x b\n0 1 2 9\n 0 1 2\n0  1 2\n0 3 4 9\n", TextLayout(("a", "t", "x", "b"), " ", 1), numbers=["t", "x"]
     )
     assert values(rows) == [(1, 2), (3, 4)]
     assert aside(rows) == [3, 4]
-    rows = rows_of("a t x b\n0 1 2 9\n 0 1 2\n", Layout(("a", "t", "x", "b"), " ", 1), numbers=["t", "x"])
+    rows = rows_of("a t x b\n0 1 2 9\n 0 1 2\n", TextLayout(("a", "t", "x", "b"), " ", 1), numbers=["t", "x"])
     assert aside(rows) == [3]
 
 
@@ -125,7 +125,7 @@ def test_quotes_are_taken_off_and_nothing_else(cell, text):
 
 
 def test_with_a_decimal_comma_a_point_makes_no_number():
-    layout = Layout(("t", "x", "when"), ";", 1, decimal_comma=True)
+    layout = TextLayout(("t", "x", "when"), ";", 1, decimal_comma=True)
     rows = rows_of("t;x;when\n0,5;1.234;01.02.2025\n0,6;1,5e-1;01.02.2025\n1;2;3\n", layout, numbers=["t", "x"])
     assert values(rows) == [(0.6, 0.15), (1, 2)]
     assert aside(rows) == [2]

@@ -11,7 +11,7 @@ from cyclekit.adapter import ReadOptions, Recording
 from cyclekit.errors import DamagedLog
 from cyclekit_adapters.formats.ur_rtde import ADAPTER
 from cyclekit_adapters.text import in_parts, text_blocks
-from cyclekit_adapters.text.text_rows import INDEX, SET_ASIDE, Rows
+from cyclekit_adapters.text.text_rows import INDEX, SET_ASIDE, TextRows
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -51,9 +51,9 @@ def test_small_tables_are_put_together_until_they_are_a_quarter_of_a_block_of_te
     columns = {"source_row": pl.Int64(), INDEX: pl.Int64(), "t_s": pl.Float64()}  # 24 bytes a row
     aside = pl.DataFrame([(7, "torn")], schema=SET_ASIDE, orient="row")
     tables = [pl.DataFrame([[10 * n + i] * 3 for i in range(10)], schema=columns, orient="row") for n in range(12)]
-    blocks = [Rows(table, 11, aside, 2) for table in tables]
+    blocks = [TextRows(table, 11, aside, 2) for table in tables]
 
-    def make(rows: Rows) -> Recording:
+    def make(rows: TextRows) -> Recording:
         return Recording(robot=rows.frame, rows_read=rows.rows_read, set_aside=rows.set_aside)
 
     parts = list(in_parts.in_parts(tmp_path / "log.csv", blocks, make, lambda last: last))

@@ -12,7 +12,7 @@ from cyclekit.errors import ConfigError, DamagedLog, MissingColumns
 from cyclekit_adapters.formats import ur_rtde
 from cyclekit_adapters.formats.mapped_csv import ADAPTER
 from cyclekit_adapters.text.list_cells import ListCells
-from cyclekit_adapters.text.text_rows import SET_ASIDE, Rows
+from cyclekit_adapters.text.text_rows import SET_ASIDE, TextRows
 
 PLACE = {"time": "t", "x": "x", "y": "y", "z": "z"}
 
@@ -112,7 +112,7 @@ numbers = st.one_of(st.floats(allow_nan=False, allow_infinity=False, width=32), 
 def test_every_way_to_write_a_list_gives_its_numbers(values, between, around):
     cells = [around.replace("|", between.join(map(repr, row))) for row in values]
     frame = pl.DataFrame({"source_row": range(len(cells)), "v": cells})
-    rows = Rows(frame, len(cells), pl.DataFrame(schema=SET_ASIDE))
+    rows = TextRows(frame, len(cells), pl.DataFrame(schema=SET_ASIDE))
     taken = ListCells({"v": {0: "a", 1: "b", 2: "c"}}).rows(rows)
     assert taken.set_aside.is_empty()
     assert [list(row) for row in taken.frame.select("a", "b", "c").rows()] == values

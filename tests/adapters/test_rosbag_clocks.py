@@ -9,7 +9,7 @@ from cyclekit.adapter import ReadOptions
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.schema import STAMPS
 from cyclekit_adapters.rosbag import ADAPTER
-from cyclekit_adapters.rosbag.clocks import Source, choose_times, simulated
+from cyclekit_adapters.rosbag.clocks import StampSource, choose_times, simulated
 from cyclekit_adapters.rosbag.envelope import PARTS, least_delays, line_under
 
 T0 = 1_700_000_000.0
@@ -81,8 +81,8 @@ def test_a_second_computer_that_is_off_or_drifts_is_put_on_the_clock_of_the_reco
 def test_simulated_time_at_a_rate_that_no_clock_has_is_followed_and_said():
     at = T0 + np.arange(2000) / 20.0
     late = np.random.default_rng(1).exponential(0.005, at.size)
-    slow = Source(at + late, 20.0 + (at - T0) / 1.0068)
-    times = choose_times({"/a": slow, "/b": Source(at, at)}, {})
+    slow = StampSource(at + late, 20.0 + (at - T0) / 1.0068)
+    times = choose_times({"/a": slow, "/b": StampSource(at, at)}, {})
     assert np.abs(times.chosen["/a"].times(slow) - at).max() < 0.002
     (said,) = times.warnings
     assert "0.9932 times the recorder's speed" in said
@@ -91,7 +91,7 @@ def test_simulated_time_at_a_rate_that_no_clock_has_is_followed_and_said():
 
 def test_a_clock_that_no_line_follows_is_not_used():
     at = T0 + np.arange(2000) / 20.0
-    wandering = Source(at, 20.0 + (at - T0) / 1.0068 + 0.3 * np.sin((at - T0) / 10.0))
+    wandering = StampSource(at, 20.0 + (at - T0) / 1.0068 + 0.3 * np.sin((at - T0) / 10.0))
     times = choose_times({"/a": wandering}, {})
     assert times.chosen["/a"].how == "receive"
     assert "no line follows them" in times.warnings[0]
@@ -265,7 +265,7 @@ def test_moments_before_and_after_the_simulated_clock_go_on_at_the_recorders_spe
 
 
 def test_sources_without_any_header_are_read_as_received():
-    source = Source(np.arange(3.0), np.full(3, np.nan))
+    source = StampSource(np.arange(3.0), np.full(3, np.nan))
     chosen = choose_times({"/a": source}, {}).chosen["/a"]
     assert (chosen.how, chosen.why) == ("receive", "no header time")
     assert chosen.times(source).tolist() == [0.0, 1.0, 2.0]

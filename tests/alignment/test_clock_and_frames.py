@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
 
-from cyclekit.alignment.clocks import LogClock, fit_clock
+from cyclekit.alignment.clocks import ClockStart, fit_clock
 from cyclekit.alignment.frames import to_base
 from cyclekit.config import Frame, Source
 from cyclekit.dataset.cards import texts
@@ -84,7 +84,7 @@ def test_points_that_are_not_three_wide_are_refused():
         to_base(np.zeros((4, 2)), None)
 
 
-EPOCH, ROBOT = LogClock("epoch", 1.75e9), LogClock("uptime", 152.5)
+EPOCH, ROBOT = ClockStart("epoch", 1.75e9), ClockStart("uptime", 152.5)
 
 
 def session_time(fit: Any, t_log: float) -> float:
@@ -92,13 +92,13 @@ def session_time(fit: Any, t_log: float) -> float:
 
 
 def test_an_offset_of_the_cell_file_maps_onto_the_time_since_the_robot_log_began():
-    fit = fit_clock(LogClock("relative", 0.0), ROBOT, Source("t.csv", clock_offset_s=147.5, clock_rate=1.0001))
+    fit = fit_clock(ClockStart("relative", 0.0), ROBOT, Source("t.csv", clock_offset_s=147.5, clock_rate=1.0001))
     assert (fit.method, fit.warnings) == ("cell-file", ())
     assert session_time(fit, 5.0) == pytest.approx(5.0005 + 147.5 - 152.5)
 
 
 def test_two_clocks_that_count_since_1970_need_nothing_else():
-    fit = fit_clock(LogClock("epoch", 1.75e9 - 3), EPOCH, None)
+    fit = fit_clock(ClockStart("epoch", 1.75e9 - 3), EPOCH, None)
     assert (fit.method, fit.warnings) == ("epoch", ())
     assert session_time(fit, 1.75e9 + 2) == pytest.approx(2.0)
 
@@ -107,8 +107,8 @@ def test_tables_of_one_log_share_its_clock():
     assert session_time(fit_clock(ROBOT, ROBOT, Source("r.csv", clock_offset_s=9.0), same_log=True), 152.5) == 0.0
 
 
-@pytest.mark.parametrize("log", [LogClock("relative", 3.0), LogClock("uptime", 3.0), LogClock("epoch", 3.0)])
-def test_clocks_that_nothing_relates_are_taken_to_start_together_and_that_is_said(log: LogClock):
+@pytest.mark.parametrize("log", [ClockStart("relative", 3.0), ClockStart("uptime", 3.0), ClockStart("epoch", 3.0)])
+def test_clocks_that_nothing_relates_are_taken_to_start_together_and_that_is_said(log: ClockStart):
     fit = fit_clock(log, ROBOT, Source("t.csv"))
     assert fit.method == "assumed-common-start"
     assert session_time(fit, 3.0) == 0.0

@@ -30,10 +30,14 @@ def test_the_demo_goes_the_whole_way_and_ends_with_a_table(
     found = json.loads((out / "estimates.json").read_text(encoding="utf-8"))["sequences"]
     assert {entry["name"] for entry in found} == set(SEQUENCES)
     assert all(entry["expected_s"] > entry["nominal_s"] > 0 for entry in found)
+    wide = [line for line in done.out.splitlines() if len(line) > 60 and str(tmp_path) not in line]
+    assert wide == []
     for name in SEQUENCES:
-        assert name in done.out
-    assert "Basis and limits" in done.out
-    assert max(len(line) for line in done.out.replace(str(tmp_path), "").splitlines()) <= 80
+        assert sum(f". {name} " in line for line in done.out.splitlines()) == 1
+    for entry in found:
+        assert done.out.count(f"{entry['expected_low_s']:.1f} to {entry['expected_high_s']:.1f}") == 1
+    command = next(line.split() for line in done.out.splitlines() if line.strip().startswith("cyclekit estimate"))
+    assert cyclekit(*command[1:], "--json", "--quiet").document["sequences"] == found
     steps = [line for line in done.err.splitlines() if line.startswith("[")]
     assert [line[:5] for line in steps] == [f"[{number}/6]" for number in range(1, 7)]
 

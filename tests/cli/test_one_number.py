@@ -16,6 +16,8 @@ from cyclekit.fleet import stages
 from cyclekit.fleet.read import FleetCell
 
 if TYPE_CHECKING:
+    from cyclekit.estimate.answers import CycleEstimates
+
     from .conftest import Shell
 
 CHANGE = '[[change]]\nname = "small"\nlevels = [0.0, 0.25, 0.5, 0.75, 1.0]\nthresholds_m = [0.6, 0.8, 1.2, 1.6]\n'
@@ -64,7 +66,7 @@ def test_every_command_the_fleet_and_python_say_the_same(
     logs, learned = library.Dataset.open(dataset), library.load_model(slow)
     (python,) = library.estimate_cycles(learned, logs, library.load_sequences(file))
     monkeypatch.setattr(demo, "sequences_toml", lambda _: file.read_text(encoding="utf-8"))
-    (shown,) = demo._estimates(demo._Run(Terminal(json=False, quiet=True), folder), logs, learned, 0)
+    (shown,) = demo._estimates(demo._Run(Terminal(json=False, quiet=True), folder), logs, learned)
     numbers = {
         "plan": plan["expected_s"],
         "what-if": tried["before"]["expected_s"],
@@ -89,12 +91,12 @@ def by_the_fleet(dataset: Path, model: Path, file: Path, monkeypatch: pytest.Mon
     class Enough(Exception):
         """The page itself is the business of other tests."""
 
-    def write_report(*_: object, estimates: list, check: object, **__: object) -> None:
-        assert check is estimates[0].check
+    def compose_report(*_: object, estimates: CycleEstimates, check: object, **__: object) -> None:
+        assert check is estimates.check
         given.extend(each.expected_s for each in estimates)
         raise Enough
 
-    monkeypatch.setattr(stages, "write_report", write_report)
+    monkeypatch.setattr("cyclekit.api.report.compose_report", compose_report)
     with pytest.raises(Enough):
         stages._report(FleetCell("cell", (), str(model.parent), sequences=str(file)), {"days": {}})
     return given[0]

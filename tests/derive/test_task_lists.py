@@ -18,7 +18,7 @@ from cyclekit.ingest.validate.validate import examined
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.training import train
 from cyclekit.replay import write_replay
-from cyclekit.report import write_report
+from cyclekit.report import compose_report
 from cyclekit.schema import TASK_LIST, TASKS, conform
 
 T0 = 1_690_833_425.0
@@ -97,7 +97,7 @@ def test_what_needs_positions_ends_with_one_sentence(listed, tmp_path: Path, sta
     _, dataset = listed
     asked = {
         "train": lambda: train(dataset, ModelSpec.of("now")),
-        "report": lambda: write_report(dataset, None, tmp_path / "a.html"),
+        "report": lambda: compose_report(dataset, None, tmp_path / "a.html"),
         "replay": lambda: write_replay(dataset, "1", tmp_path / "a.rrd"),
         "trace": lambda: trace(dataset, "1", 1.0),
         "model": lambda: refuse_other_cell({}, dataset, other_cell=True),

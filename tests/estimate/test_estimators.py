@@ -159,7 +159,7 @@ def test_logged_executions_come_out_right_beside_their_own_operators(logged: Dat
     assert abs(found.own_bias) < 0.003
     assert found.coverage > 0.6
     assert found.doubts == ()
-    assert found.to_json()["levels"] == [0.05, 0.95]
+    assert found.to_dict()["levels"] == [0.05, 0.95]
 
 
 def test_the_check_of_single_executions_takes_small_steps_whatever_an_estimate_takes(
@@ -354,7 +354,7 @@ def test_the_interval_of_a_mean_is_no_narrower_than_the_bias_that_a_doubt_names(
     (doubt,) = set(found.doubts) - set(plain.doubts)
     assert "react to the robot" in doubt
     assert doubt in found.warnings
-    assert doubt in found.to_json()["doubts"]
+    assert doubt in found.to_dict()["doubts"]
 
 
 def test_of_a_bias_that_was_taken_out_a_part_stays_in_the_interval():

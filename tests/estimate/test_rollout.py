@@ -158,7 +158,7 @@ def test_an_estimate_is_plain_json_with_quantiles_by_name(logged: Dataset, stair
     import json
 
     (found,) = estimate(staircase, logged, [TaskSequence("q", routes[0][:5])], quantiles=(0.05, 0.9))
-    read = json.loads(json.dumps(found.to_json()))
+    read = json.loads(json.dumps(found.to_dict()))
     assert read["quantiles_s"] == {"0.05": found.quantiles_s[0.05], "0.9": found.quantiles_s[0.9]}
     assert [task["task"] for task in read["tasks"]] == list(TaskSequence("q", routes[0][:5]).tasks)
 

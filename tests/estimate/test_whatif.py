@@ -134,7 +134,7 @@ def test_the_same_staircase_changes_nothing_and_a_smaller_one_saves_time(logged:
     assert small.saves_s[0] == pytest.approx(small.before.expected_s - small.after.expected_s)
     for entry in (same, small):
         assert NO_PROOF in entry.after.warnings
-        assert entry.to_json()["safety"] == NO_PROOF
+        assert entry.to_dict()["safety"] == NO_PROOF
 
 
 def test_the_bias_of_the_learned_function_does_not_correct_one_that_is_written_down(logged: Dataset, staircase: Any):
@@ -182,7 +182,7 @@ def test_a_refusal_of_the_estimate_itself_names_the_change_too(logged: Dataset, 
 def test_the_command_answers_what_it_can_and_fails_where_it_can_answer_nothing(
     logged: Dataset, staircase: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr("cyclekit.learning.networks.saved.load_model", lambda _: staircase)
+    monkeypatch.setattr("cyclekit.api.given.load_model", lambda _: staircase)
     often = '[[change]]\nname = "too often"\nfrequency = 50.0\n'
     smaller = f'[[change]]\nname = "small"\nlevels = {list(LEVELS)}\nthresholds_m = [0.6, 0.8, 1.2, 1.6]\n'
     asked, out = tmp_path / "s.toml", tmp_path / "out.json"

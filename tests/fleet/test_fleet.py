@@ -28,7 +28,7 @@ from cyclekit.parallel.engine import Engine
 from cyclekit.report.fleet_page import CellLine, fleet_page
 
 if TYPE_CHECKING:
-    from cyclekit.fleet import Fleet, Row
+    from cyclekit.fleet import Fleet, StageResult
 
 pytestmark = pytest.mark.usefixtures("words_only")
 
@@ -49,7 +49,7 @@ def fleet_of(folder: Path, logs: Path, *cells: str, more: str = "") -> Path:
     return folder / "fleet.toml"
 
 
-def states(rows: list[Row]) -> dict[str, str]:
+def states(rows: list[StageResult]) -> dict[str, str]:
     return {f"{row.cell} {row.stage}": row.state for row in rows}
 
 
@@ -86,15 +86,17 @@ def test_one_command_makes_everything_and_a_broken_cell_does_not_hold_up_the_oth
     known = json.loads((out / "press-1" / "cell.json").read_text(encoding="utf-8"))
     assert known["days"] == {"2026-11-03": "2026-11-03"}
     assert 0.1 < known["figures"]["lost_share"] < 0.9
-    again = fleets.run_fleet(fleets.load_fleet(file), list(fleets.STAGES))
+    again = fleets.run_fleet(fleets.load_fleet(file), list(fleets.STAGES)).rows
     assert [state for name, state in states(again).items() if name.startswith("press")] == ["unchanged"] * 3
 
 
 @pytest.mark.slow
 def test_a_worker_that_is_killed_in_mid_work_costs_a_retry_and_nothing_else(one_day: Path, tmp_path: Path) -> None:
     file = fleet_of(tmp_path, one_day, "a", "b")
-    wanted, rows = fleets.load_fleet(file), list[fleets.Row]()
-    work = threading.Thread(target=lambda: rows.extend(fleets.run_fleet(wanted, ["ingest"], engine=Engine(jobs=2))))
+    wanted, rows = fleets.load_fleet(file), list[fleets.StageResult]()
+    work = threading.Thread(
+        target=lambda: rows.extend(fleets.run_fleet(wanted, ["ingest"], engine=Engine(jobs=2)).rows)
+    )
     work.start()
     killed = None
     while killed is None and work.is_alive():
@@ -124,7 +126,7 @@ def test_new_logs_are_added_and_the_model_is_kept_while_the_cell_is_the_same(
     fleets.run_fleet(wanted, ["ingest", "train"])
     before = (tmp_path / "out" / "press-1" / "model" / "model.json").read_bytes()
     shutil.copytree(small_cell / "logs" / "day_1", tmp_path / "logs" / "press-1" / "2026-11-04")
-    rows = fleets.run_fleet(wanted, ["ingest", "train"])
+    rows = fleets.run_fleet(wanted, ["ingest", "train"]).rows
     assert states(rows) == {"press-1 ingest": "done", "press-1 train": "unchanged"}
     assert rows[0].text.startswith("6 executions, 3 recordings read")
     assert (tmp_path / "out" / "press-1" / "model" / "model.json").read_bytes() == before
@@ -137,7 +139,7 @@ def test_a_fleet_at_a_url_needs_no_folder_that_machines_share(
     monkeypatch.setenv("CYCLEKIT_CACHE", str(tmp_path / "cache"))
     file = fleet_of(tmp_path, one_day, "press-1")
     file.write_text(file.read_text().replace('out = "out"', f'out = "{bucket}/fleet"'))
-    rows = fleets.run_fleet(fleets.load_fleet(file), ["ingest", "report"])
+    rows = fleets.run_fleet(fleets.load_fleet(file), ["ingest", "report"]).rows
     assert states(rows) == {"press-1 ingest": "done", "press-1 report": "done"}
     monkeypatch.setenv("CYCLEKIT_CACHE", str(tmp_path / "another"))
     assert Dataset.open(f"{bucket}/fleet/press-1/dataset").executions.height == 3
@@ -149,7 +151,7 @@ def test_a_fleet_at_a_url_needs_no_folder_that_machines_share(
 
 def test_a_sequence_file_that_is_not_there_fails_the_report_and_nothing_else(one_day: Path, tmp_path: Path) -> None:
     file = fleet_of(tmp_path, one_day, "press-1", more='sequences = "asked.toml"')
-    rows = fleets.run_fleet(fleets.load_fleet(file), ["ingest", "report"])
+    rows = fleets.run_fleet(fleets.load_fleet(file), ["ingest", "report"]).rows
     assert states(rows) == {"press-1 ingest": "done", "press-1 report": "failed"}
     assert "asked.toml: cannot be read" in rows[1].text
 
@@ -163,7 +165,7 @@ def test_a_sequence_that_cannot_be_estimated_fails_the_report_and_keeps_the_figu
     (tmp_path / "asked.toml").write_text('[[sequence]]\nname = "slip"\nplaces = ["home", "conveyer"]')
     shutil.copytree(small_cell / "dataset", tmp_path / "out" / "a" / "dataset")
     shutil.copytree(small_cell / "model", tmp_path / "out" / "a" / "model")
-    (row,) = fleets.run_fleet(fleets.load_fleet(tmp_path / "fleet.toml"), ["report"])
+    (row,) = fleets.run_fleet(fleets.load_fleet(tmp_path / "fleet.toml"), ["report"]).rows
     assert row.state == "failed"
     assert "unknown place 'conveyer'" in row.text
     known = json.loads((tmp_path / "out" / "a" / "cell.json").read_text(encoding="utf-8"))

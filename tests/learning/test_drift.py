@@ -62,7 +62,7 @@ def test_new_habits_are_named_and_the_safety_function_is_not(model: Any, logged:
     named = {shift.what for shift in found.habits if shift.changed}
     assert {"inbound", "rest"} <= named
     assert not found.safety[0].changed
-    assert found.to_json()["habits_changed"]
+    assert found.to_dict()["habits_changed"]
 
 
 def test_without_activities_habits_are_places_on_the_floor(model: Any, logged: Dataset, newer: Any):

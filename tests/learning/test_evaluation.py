@@ -41,7 +41,7 @@ def judged(model, cell):
 def test_a_model_is_judged_on_the_executions_it_never_saw(judged, model):
     assert judged.held_out
     assert judged.executions == model.card.split.test
-    assert judged.metrics.to_json() == pytest.approx(structs.asdict(model.card.metrics))
+    assert judged.metrics.to_dict() == pytest.approx(structs.asdict(model.card.metrics))
 
 
 def test_another_dataset_is_judged_whole_and_without_rivals(model, tmp_path):
@@ -155,7 +155,7 @@ def test_what_beats_a_model_is_said_with_the_command_that_mends_it(cell, tmp_pat
 
 
 def test_an_evaluation_is_one_json_document(judged):
-    document = json.loads(json.dumps(judged.to_json(), allow_nan=False))
+    document = json.loads(json.dumps(judged.to_dict(), allow_nan=False))
     assert document["mse"][0].keys() == {"name", "mse", "note"}
     assert document["accuracy"] == judged.accuracy
 

@@ -22,7 +22,7 @@ from cyclekit.inspect.describe import describe
 from cyclekit.learning.evaluation.evaluate import evaluate
 from cyclekit.learning.labelling import staircase_of
 from cyclekit.learning.networks.spec import ModelSpec
-from cyclekit.learning.safety_function.fit import Rows, hysteresis
+from cyclekit.learning.safety_function.fit import ScalingSamples, hysteresis
 from cyclekit.learning.training import _enough, train
 from cyclekit.plots.levels import draw_levels
 from cyclekit.replay import write_replay
@@ -94,7 +94,9 @@ def test_hysteresis_is_read_from_speeds_in_metres_per_second(ten, five):
         scaling = (apart > np.where(speed > 0, 1.6, 1.4)).astype(float)
         copies = [np.concatenate([part] * 12) for part in (*place, scaling)]
         numbers = np.concatenate([number + 100 * copy for copy in range(12)])
-        found.append(hysteresis(Rows(*copies, numbers, np.tile(t_s, 12)), (0.0, 1.0), "distance TCP to operator"))
+        found.append(
+            hysteresis(ScalingSamples(*copies, numbers, np.tile(t_s, 12)), (0.0, 1.0), "distance TCP to operator")
+        )
     assert found == [pytest.approx(0.2, abs=0.06)] * 2
 
 

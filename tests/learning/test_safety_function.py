@@ -15,7 +15,14 @@ from msgspec import structs
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError
 from cyclekit.learning.safety_function import read_zones, zones_svg
-from cyclekit.learning.safety_function.fit import Rows, by_distance, by_place, crossings, hysteresis, thresholds
+from cyclekit.learning.safety_function.fit import (
+    ScalingSamples,
+    by_distance,
+    by_place,
+    crossings,
+    hysteresis,
+    thresholds,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,13 +30,15 @@ if TYPE_CHECKING:
 NAME = "distance TCP to operator"
 
 
-def rows(scaling: Any, *, count: int = 20_000, noise_m: float = 0.0) -> Rows:
+def rows(scaling: Any, *, count: int = 20_000, noise_m: float = 0.0) -> ScalingSamples:
     """Positions all over a cell; `scaling` of (robot, human)."""
     rng = np.random.default_rng(1)
     robot = rng.uniform((-0.5, -0.6, 0.0), (0.6, 0.6, 0.5), (count, 3))
     human = np.column_stack([rng.uniform(-2, 4, count), rng.uniform(-3, 3, count), np.full(count, 0.2)])
     s = scaling(robot, human)
-    return Rows(robot, human + rng.normal(0, noise_m, human.shape), s, np.arange(count) // 500, np.arange(count) / 10)
+    return ScalingSamples(
+        robot, human + rng.normal(0, noise_m, human.shape), s, np.arange(count) // 500, np.arange(count) / 10
+    )
 
 
 def by_the_paper(robot: np.ndarray, human: np.ndarray) -> np.ndarray:
@@ -44,7 +53,7 @@ def test_thresholds_are_found_with_and_without_noise(noise_m: float, within_m: f
     assert [(entry.slower, entry.faster) for entry in found] == list(pairwise(LEVELS))
 
 
-def passing(noise_m: float, late_s: float = 0.0) -> Rows:
+def passing(noise_m: float, late_s: float = 0.0) -> ScalingSamples:
     """Somebody who comes and goes along a line and is near for most of the time; s has a threshold at 1.2 m."""
     t_s = np.arange(0.0, 3000.0, 0.1)
 
@@ -54,7 +63,7 @@ def passing(noise_m: float, late_s: float = 0.0) -> Rows:
     rng = np.random.default_rng(0)
     human = np.column_stack([apart_m(t_s), 0 * t_s, 0 * t_s]) + rng.normal(0, noise_m, (len(t_s), 3))
     scaling = np.where(apart_m(t_s - late_s) < 1.2, 0.0, 1.0)
-    return Rows(np.zeros((len(t_s), 3)), human, scaling, np.arange(len(t_s)) // 1000, t_s)
+    return ScalingSamples(np.zeros((len(t_s), 3)), human, scaling, np.arange(len(t_s)) // 1000, t_s)
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.08])
@@ -81,7 +90,7 @@ def test_crossings_are_taken_within_one_execution_where_no_sample_is_missing():
     assert len(every.metres) > 900
     at = np.flatnonzero(np.diff(made.scaling) != 0)
     assert len(crossings(made.of(np.delete(np.arange(30_000), at)), (0.0, 1.0), NAME).metres) == 0
-    alone = Rows(made.robot_m, made.human_m, made.scaling, np.arange(30_000), made.t_s)
+    alone = ScalingSamples(made.robot_m, made.human_m, made.scaling, np.arange(30_000), made.t_s)
     assert len(crossings(alone, (0.0, 1.0), NAME).metres) == 0
 
 
@@ -107,9 +116,9 @@ def test_hysteresis_is_the_distance_between_falling_and_rising():
         held = 0.0 if metres < 1.5 else 1.0 if metres > 1.8 else held
         s[i] = held
     human = np.column_stack([x, 0 * x, 0 * x])
-    made = Rows(np.zeros((len(x), 3)), human, s, np.zeros(len(x), dtype=np.int64), t_s)
+    made = ScalingSamples(np.zeros((len(x), 3)), human, s, np.zeros(len(x), dtype=np.int64), t_s)
     assert hysteresis(made, (0.0, 1.0), NAME) == pytest.approx(0.3, abs=0.08)
-    at_once = Rows(made.robot_m, human, np.where(x < 1.5, 0.0, 1.0), made.execution, t_s)
+    at_once = ScalingSamples(made.robot_m, human, np.where(x < 1.5, 0.0, 1.0), made.execution, t_s)
     assert hysteresis(at_once, (0.0, 1.0), NAME) == pytest.approx(0.0, abs=0.08)
 
 

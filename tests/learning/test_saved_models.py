@@ -310,7 +310,7 @@ def test_a_model_whose_warnings_are_sentences_opens_and_shows_them(tmp_path):
     with_card(tmp_path / "model", card={"warnings": ["only one level, 0.50"]})
     assert load_model(tmp_path / "model").card.warnings == (Note("text", {"text": "only one level, 0.50"}),)
     assert "! only one level, 0.50" in page(describe(tmp_path / "model"))
-    assert describe(tmp_path / "model").to_json()["card"]["warnings"] == ["only one level, 0.50"]
+    assert describe(tmp_path / "model").to_dict()["card"]["warnings"] == ["only one level, 0.50"]
 
 
 def test_weights_changed_by_one_bit_are_noticed(tmp_path):

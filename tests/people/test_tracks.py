@@ -16,7 +16,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.people.tracks import (
     REASONS,
-    Track,
+    PersonTrack,
     at_times,
     gap_reasons,
     ids_are_real,
@@ -29,16 +29,16 @@ if TYPE_CHECKING:
     from simulated_cells import Cells
 
 
-def walk(t_s: np.ndarray, y_m: float = 0.0, person: str = "1") -> Track:
+def walk(t_s: np.ndarray, y_m: float = 0.0, person: str = "1") -> PersonTrack:
     """Walk along x at 1 m/s."""
-    return Track(person, t_s, np.column_stack([t_s, np.full_like(t_s, y_m), np.full_like(t_s, 0.2)]))
+    return PersonTrack(person, t_s, np.column_stack([t_s, np.full_like(t_s, y_m), np.full_like(t_s, 0.2)]))
 
 
-def with_holes(track: Track, holes: list[tuple[float, float]]) -> Track:
+def with_holes(track: PersonTrack, holes: list[tuple[float, float]]) -> PersonTrack:
     xyz = track.xyz_m.copy()
     for begin, end in holes:
         xyz[(track.t_s > begin) & (track.t_s < end)] = np.nan
-    return Track(track.person, track.t_s, xyz)
+    return PersonTrack(track.person, track.t_s, xyz)
 
 
 def test_a_short_gap_is_bridged_in_a_straight_line_and_a_long_one_stays_unknown():
@@ -78,7 +78,7 @@ def test_of_two_people_the_one_nearer_to_the_tool_counts_and_the_other_when_that
 
 def test_a_person_of_a_planar_tracker_counts_by_the_distance_on_the_floor():
     t_s = np.arange(0.0, 1.0, 0.1)
-    flat = Track("1", t_s, np.column_stack([t_s * 0 + 1.0, t_s * 0, t_s * np.nan]))
+    flat = PersonTrack("1", t_s, np.column_stack([t_s * 0 + 1.0, t_s * 0, t_s * np.nan]))
     found = nearest_person([flat], t_s, np.zeros((10, 3)), bridge_s=0.3)
     assert found[:, 0] == pytest.approx(1.0)
     assert np.isnan(found[:, 2]).all()
@@ -186,7 +186,7 @@ def test_no_position_of_somebody_who_walks_is_disbelieved(seed: int, speed_m_s: 
     heading = np.cumsum(rng.normal(0.0, 0.1, len(t)))
     step = np.diff(t, prepend=0.0)[:, None] * speed_m_s * np.column_stack([np.cos(heading), np.sin(heading), 0 * t])
     xyz = np.cumsum(step, axis=0) + rng.normal(0.0, 0.01, (len(t), 3))
-    parts, dropped = without_jumps(Track("1", t, xyz))
+    parts, dropped = without_jumps(PersonTrack("1", t, xyz))
     assert (len(parts), dropped) == (1, 0)
 
 
@@ -206,8 +206,8 @@ def test_a_tracker_that_shakes_faster_than_the_samples_makes_no_slow_motion_of_i
     t = np.arange(0.0, 30.0, 1 / 120)
     xyz = np.column_stack([0.5 * t, 0.1 * np.sin(2 * np.pi * shaking_hz * t), 0 * t])
     t_s = np.arange(1.0, 29.0, 0.1)
-    sampled = at_times(Track("1", t, xyz), t_s, bridge_s=0.3)
-    averaged = at_times(Track("1", t, xyz), t_s, bridge_s=0.3, width_s=0.1)
+    sampled = at_times(PersonTrack("1", t, xyz), t_s, bridge_s=0.3)
+    averaged = at_times(PersonTrack("1", t, xyz), t_s, bridge_s=0.3, width_s=0.1)
     assert np.abs(averaged[:, 1]).max() < 0.041  # what is left of a box of a tenth of a second at 7 Hz
     assert np.abs(averaged[:, 1]).max() < 0.5 * max(np.abs(sampled[:, 1]).max(), 0.05)
     assert averaged[:, 0] == pytest.approx(0.5 * t_s)  # and a walk is where it was, not earlier or later
@@ -217,13 +217,13 @@ def test_noise_of_a_fast_tracker_is_averaged_out():
     rng, t = np.random.default_rng(2), np.arange(0.0, 60.0, 1 / 100)
     xyz = np.column_stack([1.0 * t, 0 * t, 0 * t]) + rng.normal(0.0, 0.05, (len(t), 3))
     t_s = np.arange(0.5, 59.5, 0.1)
-    off = at_times(Track("1", t, xyz), t_s, bridge_s=0.3, width_s=0.1)[:, 1]
+    off = at_times(PersonTrack("1", t, xyz), t_s, bridge_s=0.3, width_s=0.1)[:, 1]
     assert off.std() == pytest.approx(0.05 / np.sqrt(10), rel=0.15)
 
 
 def test_an_average_never_looks_across_a_gap_or_beyond_the_log():
     track = with_holes(walk(np.arange(0, 10, 0.02)), [(4.99, 6.01)])
-    jump = Track("1", track.t_s, track.xyz_m + np.where(track.t_s > 5.5, 100.0, 0.0)[:, None])
+    jump = PersonTrack("1", track.t_s, track.xyz_m + np.where(track.t_s > 5.5, 100.0, 0.0)[:, None])
     t_s = np.array([0.0, 0.03, 4.9, 4.96, 4.98, 6.021, 6.05, 6.5, 9.97, 9.98])
     found = at_times(jump, t_s, bridge_s=0.3, width_s=0.1)[:, 0]
     assert found == pytest.approx(t_s + np.where(t_s > 5.5, 100.0, 0.0))
@@ -333,7 +333,7 @@ def test_a_few_times_of_a_long_track_are_told_as_all_of_them_are(seed: int, widt
     t = np.cumsum(random.choice([0.02, 0.02, 0.02, 0.25, 2.0], 300))
     xyz = random.normal(size=(300, 3))
     xyz[random.random(300) < 0.1] = np.nan
-    track, at = Track("1", t, xyz), np.arange(0.0, t[-1] + 1.0, 0.1)
+    track, at = PersonTrack("1", t, xyz), np.arange(0.0, t[-1] + 1.0, 0.1)
     whole = at_times(track, at, bridge_s=0.3, width_s=width_s)
     parts = [at_times(track, some, bridge_s=0.3, width_s=width_s) for some in np.array_split(at, 40)]
     assert np.concatenate(parts) == pytest.approx(whole, abs=1e-9, nan_ok=True)

@@ -182,12 +182,12 @@ def test_a_picture_that_cyclekit_drew_is_drawn_again(ending: str, cell: dict[str
 
 def test_what_estimate_whatif_and_demo_write_is_known_as_theirs(tmp_path: Path):
     from cyclekit.cli.demo import sequences_toml
-    from cyclekit.cli.estimate import as_csv
+    from cyclekit.estimate.answers import CycleEstimates
     from cyclekit.estimate.whatif import NO_PROOF
     from cyclekit.text.plain_json import json_text
 
     written: dict[Any, str] = {
-        "estimates-csv": as_csv([]),
+        "estimates-csv": CycleEstimates(()).to_csv(),
         "estimates-json": json_text({"sequences": [], "check": None}, ascii_only=True),
         "what-if": json_text({"safety": NO_PROOF, "answers": []}, ascii_only=True),
         "sequences": sequences_toml(set()),

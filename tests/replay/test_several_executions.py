@@ -17,7 +17,7 @@ from fabricated import THRESHOLDS_M, fabricate_dataset
 from rerun.chunk import RrdReader
 
 from cyclekit import schema
-from cyclekit.alignment.clocks import LogClock, fit_clock
+from cyclekit.alignment.clocks import ClockStart, fit_clock
 from cyclekit.dataset.cards import plain
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError
@@ -134,7 +134,7 @@ def test_the_time_of_day_is_a_timeline_where_a_log_knows_it(dataset, tmp_path):
 def test_a_clock_that_is_assumed_to_start_together_tells_no_time_of_day(dataset, tmp_path):
     path = copied(dataset, tmp_path / "undated")
     card = json.loads((path / CARD).read_text("utf-8"))
-    fit = fit_clock(LogClock("epoch", 1_750_000_000.0), LogClock("relative", 0.0), None)
+    fit = fit_clock(ClockStart("epoch", 1_750_000_000.0), ClockStart("relative", 0.0), None)
     for record in card["recordings"]:
         record["clock"] = plain(fit.card("epoch"))
     (path / CARD).write_text(json.dumps(card), "utf-8")

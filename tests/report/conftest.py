@@ -4,7 +4,7 @@ import pytest
 from fabricated import fabricate_dataset
 from report_pages import DistanceModel, Judgement, Page, estimate
 
-from cyclekit.report import write_report
+from cyclekit.report import compose_report
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def dataset(tmp_path_factory):
 def written(dataset, tmp_path_factory):
     out = tmp_path_factory.mktemp("page") / "report.html"
     ranked = [estimate("B first", 33.0), estimate("A first", 30.0), estimate("C first", 30.8, warnings=("Thin logs.",))]
-    return write_report(dataset, DistanceModel(), out, estimates=ranked, evaluation=Judgement(), cell_name="Cell 7")
+    return compose_report(dataset, DistanceModel(), out, estimates=ranked, evaluation=Judgement(), cell_name="Cell 7")
 
 
 @pytest.fixture(scope="module")

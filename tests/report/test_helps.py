@@ -9,13 +9,13 @@ from report_pages import Page, estimate
 
 from cyclekit.cli.terminal import write_out
 from cyclekit.errors import CyclekitError
-from cyclekit.estimate.plan import Plan
+from cyclekit.estimate.plan import OrderPlan
 from cyclekit.estimate.whatif import NO_PROOF, WhatIf
-from cyclekit.report import Tried, load_tried, write_report
+from cyclekit.report import Tried, compose_report, load_tried
 
 pytestmark = pytest.mark.usefixtures("words_only")
 
-PLANNED = Plan(
+PLANNED = OrderPlan(
     order=("right", "left"), places=("conveyor", "right", "conveyor", "left"), expected_s=28.1, against="logged orders",
     against_s=31.3, saves_s=(3.2, 2.6, 3.8), saves_unseen_s=2.9, searched="all orders", tried=2, executions=40,
 )  # fmt: skip
@@ -28,16 +28,16 @@ def changed(saves_s=(3.0, 2.4, 3.6), name="A first", **changes):
 
 def shown(dataset, out, **given):
     page = Page(
-        write_report(dataset, None, out, estimates=[estimate("A first", 30.0)], **given).path.read_text("utf-8")
+        compose_report(dataset, None, out, estimates=[estimate("A first", 30.0)], **given).path.read_text("utf-8")
     )
     return page.text.replace("\N{NO-BREAK SPACE}", " ")
 
 
 def test_what_was_tried_is_held_against_todays_estimate(dataset, tmp_path):
     file = tmp_path / "changed.json"
-    file.write_text(json.dumps({"sequences": [estimate("A first", 27.0).to_json()]}), "utf-8")
+    file.write_text(json.dumps({"sequences": [estimate("A first", 27.0).to_dict()]}), "utf-8")
     changes = load_tried(file, "table 0.3 m back")
-    facts = write_report(dataset, None, tmp_path / "r.html", estimates=[estimate("A first", 30.0)], what_if=changes)
+    facts = compose_report(dataset, None, tmp_path / "r.html", estimates=[estimate("A first", 30.0)], what_if=changes)
     text = Page(facts.path.read_text("utf-8")).text
     assert "table 0.3 m back A first 27.0 26.4 to 27.6 3.0" in text
     assert "No change of zones, layout or speeds was estimated" not in text
@@ -54,7 +54,7 @@ def test_a_file_that_holds_no_estimates_is_refused_with_the_cure(tmp_path, conte
 
 def test_what_the_whatif_command_found_keeps_interval_support_and_limits(dataset, tmp_path):
     file = tmp_path / "whatif.json"
-    file.write_text(json.dumps({"safety": NO_PROOF, "answers": [changed().to_json()]}), "utf-8")
+    file.write_text(json.dumps({"safety": NO_PROOF, "answers": [changed().to_dict()]}), "utf-8")
     read = load_tried(file)
     assert read == [Tried.of(changed())]
     assert read[0].limits == ("motions are bent",)
@@ -66,7 +66,7 @@ def test_what_the_whatif_command_found_keeps_interval_support_and_limits(dataset
 
 def test_a_given_safety_function_needs_no_support(dataset, tmp_path):
     file = tmp_path / "whatif.json"
-    write_out(file, {"answers": [changed(support=math.nan).to_json()]})
+    write_out(file, {"answers": [changed(support=math.nan).to_dict()]})
     assert load_tried(file)[0].support is None
     assert load_tried(file) == [Tried.of(changed(support=math.nan))]
 
@@ -100,7 +100,7 @@ def test_the_order_found_is_shown_with_what_it_saves_and_rests_on(dataset, tmp_p
 
 
 def test_an_order_that_saves_nothing_for_sure_is_not_praised(dataset, tmp_path):
-    even = Plan(**{**vars(PLANNED), "saves_s": (0.2, -0.4, 0.8)})
+    even = OrderPlan(**{**vars(PLANNED), "saves_s": (0.2, -0.4, 0.8)})
     text = shown(dataset, tmp_path / "r.html", planned=even)
     assert "No order of the same work was found that is sure to save time" in text
     assert "The best order found" not in text
@@ -109,7 +109,7 @@ def test_an_order_that_saves_nothing_for_sure_is_not_praised(dataset, tmp_path):
 @pytest.mark.parametrize("kind", ["json", "csv", "md"])
 def test_changes_and_order_are_in_the_data_too(dataset, tmp_path, kind):
     out = tmp_path / f"r.{kind}"
-    write_report(
+    compose_report(
         dataset, None, out, estimates=[estimate("A first")], what_if=[Tried.of(changed())], planned=PLANNED, kind=kind
     )
     text = out.read_text("utf-8")

@@ -8,7 +8,7 @@ import pytest
 from report_pages import DistanceModel, Page
 
 from cyclekit.dataset.dataset import CARD, Dataset
-from cyclekit.report import write_report
+from cyclekit.report import compose_report
 from cyclekit.storage.atomic import write_parquet
 
 
@@ -27,7 +27,7 @@ def test_what_the_logs_lack_is_said_on_the_page(dataset, tmp_path, absent, sente
     for file in (path / "samples").glob("*.parquet"):
         rows = pl.read_parquet(file)
         write_parquet(rows.with_columns(pl.lit(None).cast(rows.schema[c]).alias(c) for c in absent), file)
-    facts = write_report(Dataset.open(path), None, tmp_path / "r.html")
+    facts = compose_report(Dataset.open(path), None, tmp_path / "r.html")
     page = Page(facts.path.read_text("utf-8"))
     assert page.faults == []
     assert sentence in page.text
@@ -41,7 +41,7 @@ def test_a_tracker_alone_shows_where_people_were_and_no_robot(dataset, tmp_path)
         rows = pl.read_parquet(file)
         gone = [name for name in rows.columns if name.startswith(("robot_", "scaling"))] + ["step"]
         write_parquet(rows.with_columns(pl.lit(None).cast(rows.schema[c]).alias(c) for c in gone), file)
-    facts = write_report(Dataset.open(path), None, tmp_path / "r.html")
+    facts = compose_report(Dataset.open(path), None, tmp_path / "r.html")
     page = Page(facts.path.read_text("utf-8"))
     assert any("No robot is in these logs" in text for text in facts.missing)
     assert "Where the operator was when" not in page.text
@@ -60,7 +60,7 @@ def test_a_dataset_without_tasks_executions_or_provenance_still_gives_a_page(dat
     write_parquet(pl.read_parquet(path / "tasks.parquet").head(0), path / "tasks.parquet")
     for file in (path / "samples").glob("*.parquet"):
         write_parquet(pl.read_parquet(file).head(0), file)
-    facts = write_report(Dataset.open(path), DistanceModel(), tmp_path / "r.html")
+    facts = compose_report(Dataset.open(path), DistanceModel(), tmp_path / "r.html")
     assert "no complete execution" in facts.headline
     assert facts.pictures == 0
 
@@ -88,7 +88,7 @@ def test_provenance_is_put_together_where_alike_and_counted(dataset, tmp_path):
     card["recordings"] = [{**record, "id": f"r{n}"} for n in range(40)]
     card["not_read"] = [{"path": "notes.txt", "reason": "no adapter recognises this content"}]
     (path / CARD).write_text(json.dumps(card))
-    text = Page(write_report(Dataset.open(path), None, tmp_path / "r.html").path.read_text("utf-8")).text
+    text = Page(compose_report(Dataset.open(path), None, tmp_path / "r.html").path.read_text("utf-8")).text
     assert "time goes back 80" in text
     assert "Scaling is null while the program is paused. (40 recordings)" in text
     assert "28 more are in dataset.json." in text

@@ -12,7 +12,7 @@ import pytest
 from report_pages import Page, estimate
 
 from cyclekit.errors import CyclekitError
-from cyclekit.report import write_report
+from cyclekit.report import compose_report
 
 
 def test_nothing_on_the_page_asks_for_anything_outside_of_it(written):
@@ -66,7 +66,7 @@ def test_sequences_are_ranked_and_the_ones_that_cannot_be_told_apart_are_named(p
 @pytest.mark.usefixtures("words_only")
 def test_the_mean_is_rounded_to_what_its_interval_supports(dataset, tmp_path):
     wide = estimate("A first", 123.456, 17.0)
-    facts = write_report(dataset, None, tmp_path / "r.html", estimates=[wide])
+    facts = compose_report(dataset, None, tmp_path / "r.html", estimates=[wide])
     assert facts.headline.replace("\N{NO-BREAK SPACE}", " ") == "“A first” takes 123 s on average."
 
 
@@ -83,7 +83,7 @@ def test_it_says_that_it_is_no_safety_validation(page):
 
 def test_names_from_the_logs_cannot_become_part_of_the_page(dataset, tmp_path):
     nasty = '<img src=x onerror="alert(1)"> & $\\frac{1}$'
-    facts = write_report(dataset, None, tmp_path / "r.html", estimates=[estimate(nasty)], cell_name=nasty)
+    facts = compose_report(dataset, None, tmp_path / "r.html", estimates=[estimate(nasty)], cell_name=nasty)
     page = Page(facts.path.read_text("utf-8"))
     assert page.all("img") == []
     assert page.faults == []
@@ -93,7 +93,7 @@ def test_names_from_the_logs_cannot_become_part_of_the_page(dataset, tmp_path):
 def test_a_page_that_cannot_be_written_is_one_error_and_leaves_nothing(dataset, tmp_path):
     (tmp_path / "r.html").mkdir()
     with pytest.raises(CyclekitError, match="cannot be written"):
-        write_report(dataset, None, tmp_path / "r.html")
+        compose_report(dataset, None, tmp_path / "r.html")
     assert [file.name for file in tmp_path.iterdir()] == ["r.html"]
 
 
@@ -101,7 +101,7 @@ def test_the_callers_own_matplotlib_style_is_left_alone(dataset, tmp_path):
     import matplotlib as mpl
 
     with mpl.rc_context({"font.size": 31.0, "svg.fonttype": "path"}):
-        write_report(dataset, None, tmp_path / "r.html")
+        compose_report(dataset, None, tmp_path / "r.html")
         assert mpl.rcParams["font.size"] == 31.0
         assert mpl.rcParams["svg.fonttype"] == "path"
 
@@ -120,7 +120,7 @@ def test_every_text_is_asked_for_and_every_text_asked_for_exists():
 
 def test_the_takt_is_held_against_single_cycles(dataset, tmp_path):
     cycles = tuple(float(v) for v in range(25, 35))
-    facts = write_report(
+    facts = compose_report(
         dataset, None, tmp_path / "r.html", estimates=[estimate(durations_s=cycles)], takt_s=27.5
     )  # fmt: skip
     page = Page(facts.path.read_text("utf-8"))

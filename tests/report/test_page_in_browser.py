@@ -16,7 +16,7 @@ from fabricated import THRESHOLDS_M, fabricate_dataset
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.errors import CyclekitError
 from cyclekit.estimate.result import CycleEstimate, TaskShare
-from cyclekit.report import Tried, pdf, write_pdf, write_report
+from cyclekit.report import Tried, compose_report, pdf, write_pdf
 
 pytestmark = [
     pytest.mark.slow,
@@ -39,7 +39,7 @@ class Judgement:
     def __init__(self, executions):
         self.executions = executions
 
-    def to_json(self):
+    def to_dict(self):
         confusion = (np.eye(5) * 90 + 2).astype(int).tolist()
         levels = [{"level": level / 4} for level in range(5)]
         rows = [{"name": "model", "mse": 3e-4, "note": ""}, {"name": "constant mean", "mse": 0.1, "note": "x"}]
@@ -67,7 +67,7 @@ def page(tmp_path_factory):
     dataset = fabricate_dataset(folder / "dataset", executions=4, rounds=1)
     names = dataset.executions["execution"].to_list()
     changed = [Tried("conveyor 0.3 m back", "A first", 90.0, 89.0, 91.0)]
-    facts = write_report(
+    facts = compose_report(
         dataset, Model(), folder / "report.html", estimates=estimates(), evaluation=Judgement(names), takt_s=100.0,
         what_if=changed, cell_name="Cell 7",
     )  # fmt: skip

@@ -4,7 +4,7 @@ import pytest
 from report_pages import Page
 
 from cyclekit.errors import CyclekitError
-from cyclekit.report import write_report
+from cyclekit.report import compose_report
 
 pytestmark = pytest.mark.usefixtures("words_only")
 
@@ -21,7 +21,7 @@ def house(tmp_path):
 
 
 def test_an_integrators_folder_changes_logo_cover_language_and_style(dataset, house, tmp_path):
-    facts = write_report(dataset, None, tmp_path / "r.html", template=house, cell_name="Cell 7")
+    facts = compose_report(dataset, None, tmp_path / "r.html", template=house, cell_name="Cell 7")
     text = facts.path.read_text("utf-8")
     page = Page(text)
     assert page.faults == []
@@ -49,11 +49,11 @@ def test_an_integrators_folder_changes_logo_cover_language_and_style(dataset, ho
 def test_a_template_that_is_wrong_is_named_and_nothing_is_written(dataset, house, tmp_path, name, content, said):
     (house / name).write_text(content, "utf-8")
     with pytest.raises(CyclekitError, match=said):
-        write_report(dataset, None, tmp_path / "out" / "r.html", template=house)
+        compose_report(dataset, None, tmp_path / "out" / "r.html", template=house)
     assert not (tmp_path / "out" / "r.html").exists()
 
 
 def test_a_folder_without_a_template_is_refused(dataset, tmp_path):
     for folder in (tmp_path, tmp_path / "none"):
         with pytest.raises(CyclekitError, match="Put one or more of these files there"):
-            write_report(dataset, None, tmp_path / "r.html", template=folder)
+            compose_report(dataset, None, tmp_path / "r.html", template=folder)

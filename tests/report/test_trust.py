@@ -8,7 +8,7 @@ import pytest
 from report_pages import DistanceModel, Page, estimate
 
 from cyclekit.estimate.check import compare
-from cyclekit.report import write_report
+from cyclekit.report import compose_report
 
 pytestmark = pytest.mark.usefixtures("words_only")
 
@@ -23,7 +23,7 @@ def checked(executions=40):
 
 
 def text_of(dataset, out, **given):
-    facts = write_report(dataset, DistanceModel(), out, estimates=[estimate("A first")], **given)
+    facts = compose_report(dataset, DistanceModel(), out, estimates=[estimate("A first")], **given)
     return Page(facts.path.read_text("utf-8")).text.replace("\N{NO-BREAK SPACE}", " ")
 
 
@@ -53,13 +53,13 @@ def test_too_few_executions_for_a_coverage_are_said_to_be_so(dataset, tmp_path):
 
 def test_what_a_sequence_rests_on_is_said_beside_the_proof(dataset, tmp_path):
     one = dataclasses.replace(estimate("A first"), executions=40, tracks=120)
-    facts = write_report(dataset, None, tmp_path / "r.html", estimates=[one])
+    facts = compose_report(dataset, None, tmp_path / "r.html", estimates=[one])
     assert "A first 97 % 40 120 rollout" in Page(facts.path.read_text("utf-8")).text.replace("\N{NO-BREAK SPACE}", " ")
 
 
 def test_the_check_is_in_the_document(dataset, tmp_path):
     out = tmp_path / "r.json"
-    write_report(dataset, None, out, estimates=[estimate()], check=checked(), kind="json")
+    compose_report(dataset, None, out, estimates=[estimate()], check=checked(), kind="json")
     assert json.loads(out.read_text("utf-8"))["check"]["coverage"] == 0.9
 
 
@@ -70,7 +70,7 @@ class Beaten:
         rows = {"model": 8.0e-4, "model, step named": 1.1e-3, "constant mean": 0.138, best: mse}
         self.rows = [{"name": name, "mse": value, "note": ""} for name, value in rows.items()]
 
-    def to_json(self):
+    def to_dict(self):
         return {"mse": self.rows, "held_out": True}
 
 

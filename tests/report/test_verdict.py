@@ -11,16 +11,16 @@ from msgspec import structs
 from report_pages import Page, estimate
 
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.plan import Plan
+from cyclekit.estimate.plan import OrderPlan
 from cyclekit.estimate.result import TaskShare
-from cyclekit.report import Tried, write_report
+from cyclekit.report import Tried, compose_report
 
 pytestmark = pytest.mark.usefixtures("words_only")
 
 ROUTE = ("home", "a", "b", "home")
 TURNED = ("home", "b", "a", "home")
 LONG = ("home", "a", "b", "a", "b", "home")
-PLANNED = Plan(
+PLANNED = OrderPlan(
     order=("b", "a"), places=TURNED, expected_s=25.0, against="logged orders", against_s=31.3, saves_s=(6.3, 5.6, 7.0),
     saves_unseen_s=5.9, searched="all orders", tried=2, executions=40,
 )  # fmt: skip
@@ -39,7 +39,7 @@ def logged(dataset):
 
 
 def document(dataset, tmp_path, **given):
-    facts = write_report(dataset, None, tmp_path / "r.json", kind="json", **given)
+    facts = compose_report(dataset, None, tmp_path / "r.json", kind="json", **given)
     return json.loads(facts.path.read_text("utf-8").replace("\N{NO-BREAK SPACE}", " "))
 
 
@@ -62,7 +62,7 @@ def test_today_is_the_logged_cycle_and_the_order_and_change_stand_beside_it(logg
     (basis, *_) = found["sentences"]["answer"]
     assert basis.startswith("Today: mean 31.0 s (95 % CI ")
     assert basis.endswith("of the 4 logged executions that do this work; 2 of them (50 %) miss the takt of 30.5 s.")
-    markdown = write_report(logged, None, tmp_path / "r.md", kind="md", takt_s=30.5, **given).path.read_text("utf-8")
+    markdown = compose_report(logged, None, tmp_path / "r.md", kind="md", takt_s=30.5, **given).path.read_text("utf-8")
     assert f"**{said}**" in markdown.replace("\N{NO-BREAK SPACE}", " ")
 
 
@@ -106,7 +106,7 @@ def mixed():
 
 @pytest.mark.parametrize("kind", ["html", "json", "md"])
 def test_different_work_is_neither_ranked_nor_said_to_save_time(logged, tmp_path, kind):
-    facts = write_report(logged, None, tmp_path / f"r.{kind}", kind=kind, estimates=mixed())
+    facts = compose_report(logged, None, tmp_path / f"r.{kind}", kind=kind, estimates=mixed())
     text = facts.path.read_text("utf-8").replace("\N{NO-BREAK SPACE}", " ")
     shown = Page(text).text if kind == "html" else text
     assert "The sequences do 2 different kinds of work." in shown
@@ -123,7 +123,7 @@ def test_different_work_is_neither_ranked_nor_said_to_save_time(logged, tmp_path
 
 def test_within_the_same_work_ranks_and_the_worth_of_the_order_stay(logged, tmp_path):
     alike = [*mixed(), estimate("turned", 22.0, places=TURNED)]
-    text = write_report(logged, None, tmp_path / "r.md", kind="md", estimates=alike).path.read_text("utf-8")
+    text = compose_report(logged, None, tmp_path / "r.md", kind="md", estimates=alike).path.read_text("utf-8")
     text = text.replace("\N{NO-BREAK SPACE}", " ")
     assert "| two | 1/2 |" in text
     assert "| turned | 2/2 |" in text
@@ -132,13 +132,13 @@ def test_within_the_same_work_ranks_and_the_worth_of_the_order_stay(logged, tmp_
 
 def test_the_same_name_for_other_places_saves_nothing(logged, tmp_path):
     changed = [Tried("open", "two", 10.0, 9.5, 10.5, places=LONG)]
-    write_report(logged, None, tmp_path / "r.csv", kind="csv", estimates=mixed()[:1], what_if=changed)
+    compose_report(logged, None, tmp_path / "r.csv", kind="csv", estimates=mixed()[:1], what_if=changed)
     (row,) = [row for row in csv.DictReader((tmp_path / "r.csv").read_text("utf-8").splitlines()) if row["change"]]
     assert (row["expected_s"], row["saves_s"]) == ("10.0", "")
 
 
 def test_the_work_of_each_sequence_is_in_the_table_of_seconds(logged, tmp_path):
-    write_report(logged, None, tmp_path / "r.csv", kind="csv", estimates=mixed())
+    compose_report(logged, None, tmp_path / "r.csv", kind="csv", estimates=mixed())
     rows = [row for row in csv.DictReader((tmp_path / "r.csv").read_text("utf-8").splitlines()) if row["order"] == "0"]
     assert [row["work"] for row in rows] == ["3 visits (a, b, home)", "5 visits (a x2, b x2, home)"]
 

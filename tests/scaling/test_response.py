@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from cyclekit.scaling.response import LATENCIES_S, Change, Changes, changes_of, read_dynamics
+from cyclekit.scaling.response import LATENCIES_S, Changes, LevelChange, changes_of, read_dynamics
 
 if TYPE_CHECKING:
     from simulated_cells import Cells
@@ -45,13 +45,13 @@ def test_few_changes_say_nothing():
     assert (found.changes, found.latency_s, found.hysteresis_m) == (2, None, None)
 
 
-def approaches(session_s: float, count: int = 40) -> tuple[list[Change], np.ndarray, np.ndarray]:
+def approaches(session_s: float, count: int = 40) -> tuple[list[LevelChange], np.ndarray, np.ndarray]:
     """Return changes 0.3 s after an operator comes nearer than 1 m, every 10 s at another speed, and the distances."""
     t_s = session_s + np.arange(0.0, 10.0 * count, 0.1)
     passed_s = t_s - session_s
     distance_m = 1.0 + (0.5 + 0.1 * (passed_s // 10.0 % 7)) * (4.0 - passed_s % 10.0)
     crossed_s = session_s + 10.0 * np.arange(count) + 4.0
-    return [Change(float(t) + 0.3, 0, False, None) for t in crossed_s], t_s, distance_m
+    return [LevelChange(float(t) + 0.3, 0, False, None) for t in crossed_s], t_s, distance_m
 
 
 def test_sessions_tell_together_what_one_is_too_short_for():

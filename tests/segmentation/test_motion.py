@@ -15,7 +15,16 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.schema import ROBOT, conform
 from cyclekit.segmentation import motion, stored_run
-from cyclekit.segmentation.motion import COLUMNS, NEVER_FULL, STANDING, Part, RobotRun, pieces, sampled, tcp_speed
+from cyclekit.segmentation.motion import (
+    COLUMNS,
+    NEVER_FULL,
+    STANDING,
+    InferredScaling,
+    RobotRun,
+    pieces,
+    sampled,
+    tcp_speed,
+)
 from cyclekit.segmentation.stored_run import runs_of
 from cyclekit.storage import parquet as tables
 from cyclekit.storage import parquet_layout as table_layout
@@ -68,7 +77,7 @@ def test_a_short_run_put_together_once_has_the_windows_of_a_long_one(
     more = StoredTable(tmp_path / "robot.parquet", ["slider"]) if slider else None
     (run,) = runs_of(table, -0.5, gap_s=2.0, more=more)
     if inferred:
-        run = run.with_scaling([Part(10, np.full(20, 0.5), np.full(20, 0.1), np.zeros(20, np.int8))])
+        run = run.with_scaling([InferredScaling(10, np.full(20, 0.5), np.full(20, 0.1), np.zeros(20, np.int8))])
     spans = [(0, 119), (0, 0), (119, 119), (3, 40), (25, 26)]
     short = [run.window(*span) for span in spans]
     rows = run.row_at(np.array([-1.0, 0.0, 0.2, 9.0]))
@@ -123,13 +132,13 @@ def test_scaling_put_in_place_of_the_logged_one_is_unknown_elsewhere(tmp_path: P
     assert not run.with_scaling([]).knows_scaling
 
 
-def part(first: int, value: float) -> Part:
-    return Part(first, np.full(20, value), np.full(20, 0.01), np.zeros(20, np.int8))
+def part(first: int, value: float) -> InferredScaling:
+    return InferredScaling(first, np.full(20, value), np.full(20, 0.01), np.zeros(20, np.int8))
 
 
 def test_a_window_is_found_among_parts_of_any_length_and_order():
     none = np.full(300, np.nan)
-    long = Part(0, none, none, np.full(300, NEVER_FULL, np.int8))
+    long = InferredScaling(0, none, none, np.full(300, NEVER_FULL, np.int8))
     t_s = np.arange(400) / 125
     run = RobotRun(t_s, np.zeros((400, 3)), np.zeros(400), np.full(400, np.nan))
     found = run.with_scaling([part(290, 0.5), long, part(350, 0.25)])

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from cyclekit.errors import CyclekitError, StorageError
 from cyclekit.storage.remote import folders as storage
-from cyclekit.storage.remote.manifest import MANIFEST, Entry, check, parsed, part_of
+from cyclekit.storage.remote.manifest import MANIFEST, ManifestEntry, check, parsed, part_of
 
 SHA = "3f9a" * 16
 URL = "s3://user:key@plant/cell"
@@ -93,7 +93,7 @@ def test_a_manifest_that_is_wrong_is_one_message_with_place_and_cure(why: str) -
 
 
 def test_a_manifest_that_is_right_is_taken() -> None:
-    assert parsed(json.dumps(manifest()).encode(), URL).files == {"card": Entry(part_of("card", SHA), 5, SHA)}
+    assert parsed(json.dumps(manifest()).encode(), URL).files == {"card": ManifestEntry(part_of("card", SHA), 5, SHA)}
 
 
 PIECES = ["..", "/", "\\", "C:", "a", "\0", "\ud800", ".", "con", " ", "\x1b"]
@@ -134,7 +134,7 @@ def test_no_manifest_ends_in_a_traceback_or_outside(document: Any) -> None:
 def test_no_name_with_its_own_part_leads_outside(name: str) -> None:
     try:
         part = part_of(name, SHA)
-        check({name: Entry(part, 1, SHA)})
+        check({name: ManifestEntry(part, 1, SHA)})
     except ValueError:
         return
     assert ".." not in Path(name).parts

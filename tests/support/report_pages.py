@@ -27,7 +27,7 @@ class DistanceModel:
 
 
 class Judgement:
-    def to_json(self):
+    def to_dict(self):
         return {
             "mse": [{"name": "classifier", "mse": 3.2e-4, "note": ""}, {"name": "always 1", "mse": 0.21, "note": "x"}],
             "accuracy": 0.98,

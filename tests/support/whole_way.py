@@ -37,13 +37,13 @@ def main(threads: int, cell: Path) -> None:
     answers = {}
     for name, spec in SPECS.items():
         train_at(Training("dataset", spec, name))
-        answers[f"evaluate_{name}"] = evaluate(load_model(name), dataset, boosting=False).to_json()
+        answers[f"evaluate_{name}"] = evaluate(load_model(name), dataset, boosting=False).to_dict()
     model, sequences = load_model("now"), load_sequences(cell / "sequences.toml")
     Path("jobs.toml").write_text(JOBS.format(*(sequence.name for sequence in sequences[:2])), encoding="utf-8")
     check = check_rollout(model, dataset)
-    answers["estimate"] = [cycle.to_json() for cycle in estimate(model, dataset, sequences, check=check)]
-    answers["zones"] = read_zones(model, dataset).to_json()
-    answers["plan"] = plan(model, dataset, load_jobs(Path("jobs.toml"))).to_json()
+    answers["estimate"] = [cycle.to_dict() for cycle in estimate(model, dataset, sequences, check=check)]
+    answers["zones"] = read_zones(model, dataset).to_dict()
+    answers["plan"] = plan(model, dataset, load_jobs(Path("jobs.toml"))).to_dict()
     answers["levels"] = staircase_of(dataset, dataset.samples(), "kmeans-silhouette").levels.tolist()
     for name, answer in answers.items():
         Path(f"{name}.json").write_text(json.dumps(answer, indent=2), encoding="utf-8")

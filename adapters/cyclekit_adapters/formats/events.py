@@ -19,10 +19,10 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import ConfigError, DamagedLog, LogError, UnknownName
 from cyclekit.schema import EVENTS, conform, empty
 from cyclekit_adapters.mapped.source_map import words
-from cyclekit_adapters.tasks.event_table import UNITS, EventTable, Times, counted_in, event_table
+from cyclekit_adapters.tasks.event_table import UNITS, EventTable, TimeColumn, counted_in, event_table
 from cyclekit_adapters.tasks.safety_columns import is_safety_log
 from cyclekit_adapters.tasks.task_columns import is_task_list
-from cyclekit_adapters.text.delimited import Layout, Rows, read_blocks
+from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import file_encoding, head_of
 from cyclekit_adapters.text.written_time import written_seconds
@@ -51,7 +51,7 @@ class _EventCsv:
         times, seen = table.times, _Seen()
         clock = "epoch" if times.clock == "epoch" or (zone and _has_date(times)) else "relative"
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             rows = timed(rows, times, zone)
             events = seen.changes(rows.frame, table.signals) if table.signals else _long(rows.frame, table)
             seen.clock(rows.frame[T_S])
@@ -75,7 +75,7 @@ class _EventCsv:
         texts += [name for name in (table.signal, table.value) if name is not None]
         numbers = [] if times.pattern else list(times.columns)
         required = [*times.columns, *([table.signal] if table.signal else [])]
-        layout = Layout(
+        layout = TextLayout(
             table.names,
             table.delimiter,
             1,
@@ -122,7 +122,7 @@ def _table(path: Path, unit: str | None) -> EventTable:
     return replace(table, times=times)
 
 
-def timed(rows: Rows, times: Times, zone: str | None) -> Rows:
+def timed(rows: TextRows, times: TimeColumn, zone: str | None) -> TextRows:
     """Add the time in seconds (column `T_S`); a row whose time is written otherwise is set aside."""
     frame = rows.frame
     if not times.pattern:
@@ -173,11 +173,11 @@ class _Seen:
         return pl.concat(found).sort("source_row", maintain_order=True)
 
 
-def _has_date(times: Times) -> bool:
+def _has_date(times: TimeColumn) -> bool:
     return "%d" in times.pattern or times.pattern == "iso"
 
 
-def _warnings(times: Times, zone: str | None, seen: _Seen) -> list[str]:
+def _warnings(times: TimeColumn, zone: str | None, seen: _Seen) -> list[str]:
     said = []
     if "fractions" in times.why:
         said.append("the unit of time is not named: taken as seconds, since the numbers have fractions; see time_unit")

@@ -19,7 +19,7 @@ from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.robots.controller_time import Once
 from cyclekit_adapters.robots.panda_arm import JOINTS, flange_position_m
-from cyclekit_adapters.text.delimited import Rows, read_blocks
+from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
 
@@ -51,7 +51,7 @@ class _FrankaLogCsv:
         speeds = [name for name in _SPEEDS if name in names]
         once = Once(_TIME)
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             rows = once.rows(_milliseconds(path, rows))
             return Recording(
                 robot=_robot(rows.frame, speeds),
@@ -80,7 +80,7 @@ class _FrankaLogCsv:
         yield from in_parts(path, blocks, make, finish)
 
 
-def _milliseconds(path: Path, rows: Rows) -> Rows:
+def _milliseconds(path: Path, rows: TextRows) -> TextRows:
     """Return the rows of whole milliseconds; a few others are garbled, many are another logger's seconds.
 
     Raises:

@@ -18,7 +18,7 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import DamagedLog
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.mapped.source_map import words
-from cyclekit_adapters.text.delimited import Layout, Rows, delimiter_of, fields_of, read_blocks
+from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, fields_of, read_blocks
 from cyclekit_adapters.text.header_line import has_decimal_comma
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import file_encoding, head_of
@@ -64,7 +64,7 @@ class _Kinect2Csv:
             people = conform(named.select("t_s", "person", "x_m", "y_m", "z_m", "source_row"), PEOPLE)
             return {"people": people} | ({"skeletons": _skeletons(named)} if options.skeletons else {})
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             named = bodies.named(_placed(rows.frame, len(_JOINTS) if options.skeletons else 1))
             return Recording(
                 **tables(named),  # type: ignore[arg-type]  # the names are those of the fields
@@ -90,7 +90,7 @@ class _Kinect2Csv:
         yield from in_parts(path, read_blocks(path, layout, numbers=numbers, required=["ticks"]), make, finish)
 
 
-def _layout(path: Path) -> Layout:
+def _layout(path: Path) -> TextLayout:
     head = head_of(path)
     first = next((line for line in head.splitlines() if line.strip()), "")
     if not any(_is_row(line) for line in head.splitlines()[:20]):
@@ -98,7 +98,7 @@ def _layout(path: Path) -> Layout:
         raise DamagedLog(path, cause, cure="Check how the file was written or copied.")
     delimiter = delimiter_of(first, ";\t,")
     comma = has_decimal_comma([first], delimiter)
-    return Layout(_NAMES, delimiter, 0, decimal_comma=comma, encoding=file_encoding(path) or "utf-8")
+    return TextLayout(_NAMES, delimiter, 0, decimal_comma=comma, encoding=file_encoding(path) or "utf-8")
 
 
 def _is_row(line: str) -> bool:

@@ -22,7 +22,7 @@ from cyclekit.errors import MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.robots.controller_time import Once, Spread
 from cyclekit_adapters.robots.host_clock import HostClock
-from cyclekit_adapters.text.delimited import Rows, read_blocks
+from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
 
@@ -85,7 +85,7 @@ class _KukaRsiCsv:
         once, late, cycles = Once(time), Spread((_LATE,)), list[float]()
         host = next((HostClock(name, zone) for name in layout.names if name.lower() == _HOST), None)
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             rows = once.rows(rows)
             late.add(rows.frame)
             cycles.append(_number(rows.frame[time].diff().median()))

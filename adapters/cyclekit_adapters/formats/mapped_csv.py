@@ -26,7 +26,7 @@ from cyclekit_adapters.robots.controller_time import Back, Once, Spread
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.list_cells import ListCells, first_width
 from cyclekit_adapters.text.sheets import sheet_table
-from cyclekit_adapters.text.text_rows import Rows, Wanted
+from cyclekit_adapters.text.text_rows import TextRows, Wanted
 from cyclekit_adapters.text.workbook import is_workbook
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class _MappedCsv:
         }[role]
         wanted, lists = _wanted(columns, role)
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             rows = timed(lists.rows(rows), mapping, options.rate_hz, zoned=zoned)
             if clock == "epoch":
                 require_epoch(path, rows.frame, mapping)

@@ -19,7 +19,7 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import DamagedLog, LogError, nearest
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.mapped.source_map import words
-from cyclekit_adapters.text.delimited import Layout, Rows, delimiter_of, fields_of, read_blocks
+from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, fields_of, read_blocks
 from cyclekit_adapters.text.header_line import has_decimal_comma
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import file_encoding, head_of
@@ -61,7 +61,7 @@ class _Header:
     """
 
     about: dict[str, str]
-    layout: Layout
+    layout: TextLayout
     points: dict[tuple[str, str], tuple[str, str, str]]
     clock: FrameClock
 
@@ -82,7 +82,7 @@ class _MotiveCsv:
         bones = _bones(header, options.body) if options.skeletons else {}
         clock, seen = header.clock, Sightings()
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             t_s = clock.seconds(rows.frame)
             frame = rows.frame.with_columns(t_s)
             table = pl.concat([_track(frame, name, points, metres) for name, points in people.items()])
@@ -128,7 +128,7 @@ def _header(path: Path) -> _Header:
     names = (FRAME, time, *(f"#{index}" for index in range(2, _width(above, width))))
     rows = lines[at + 1 :]
     comma = has_decimal_comma(rows[:_LOOKED_AT], mark)
-    layout = Layout(names, mark, at + 1, decimal_comma=comma, encoding=file_encoding(path) or "utf-8")
+    layout = TextLayout(names, mark, at + 1, decimal_comma=comma, encoding=file_encoding(path) or "utf-8")
     clock = _clock(path, about, names)
     clock.decide(rows, mark, decimal_comma=comma)
     return _Header(about, layout, _points(path, above, axes, names), clock)

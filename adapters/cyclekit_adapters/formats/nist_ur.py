@@ -20,7 +20,7 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.robots.controller_time import Once
-from cyclekit_adapters.text.delimited import Layout, Rows, read_blocks
+from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import head_of
@@ -79,7 +79,7 @@ class _NistUr:
         wanted = [_TIME, *(name for group in groups for name in group)]
         once, turning = Once(_TIME), _Turning(_ANGLES in groups and _SPEEDS in groups, units)
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             rows = once.rows(_as_numbers(rows, wanted))
             turning.add(rows.frame)
             return Recording(
@@ -132,10 +132,10 @@ def _is_bare(head: str) -> bool:
         return False
 
 
-def _layout(path: Path) -> Layout:
+def _layout(path: Path) -> TextLayout:
     layout = layout_below(path, _DELIMITERS)
     if _is_bare(head_of(path)):
-        return Layout(_ALL, ",", 0, encoding=layout.encoding)
+        return TextLayout(_ALL, ",", 0, encoding=layout.encoding)
     names = tuple(_as_nist(name) for name in layout.names)
     if len(set(names)) < len(names):
         raise DamagedLog(path, "a column of the header is named twice", cure="Name each column once.")
@@ -147,7 +147,7 @@ def _as_nist(name: str) -> str:
     return f"{found[1]} ({found[2]})" if (found := _COLUMN.fullmatch(name)) else name
 
 
-def _as_numbers(rows: Rows, names: Sequence[str]) -> Rows:
+def _as_numbers(rows: TextRows, names: Sequence[str]) -> TextRows:
     """Take the brackets off; a row with a word where a number is due, or without a time, is set aside."""
     texts = rows.frame.with_columns(pl.col(names).str.strip_chars(_BRACKETS).replace("", None))
     frame = texts.with_columns(pl.col(names).cast(pl.Float64, strict=False))
@@ -163,7 +163,7 @@ def _as_numbers(rows: Rows, names: Sequence[str]) -> Rows:
     frame = frame.with_columns(pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in names)
     timeless = pl.lit(f"no value in column {_TIME!r}").alias("reason")
     aside.append(frame.filter(pl.col(_TIME).is_null()).select("source_row", timeless))
-    return Rows(frame.drop_nulls(_TIME), rows.rows_read, pl.concat(aside).sort("source_row"))
+    return TextRows(frame.drop_nulls(_TIME), rows.rows_read, pl.concat(aside).sort("source_row"))
 
 
 def _robot(frame: pl.DataFrame, groups: Sequence[Sequence[str]], units: Mapping[str, float]) -> pl.DataFrame:

@@ -20,7 +20,7 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import MissingColumns
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.mapped.source_map import words
-from cyclekit_adapters.text.delimited import Layout, Rows, fields_of, read_blocks
+from cyclekit_adapters.text.delimited import TextLayout, TextRows, fields_of, read_blocks
 from cyclekit_adapters.text.header_line import layout_below
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import head_of
@@ -55,7 +55,7 @@ class _NuitrackCsv:
         joints = _joints(layout.names) if options.skeletons else points
         tracks, seen = _Tracks(*_first_rows(path, layout)), Sightings()
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             rows = tracks.once(rows)
             people = _people(rows.frame, points)
             seen.add(people)
@@ -86,7 +86,7 @@ class _NuitrackCsv:
         yield from in_parts(path, blocks, make, finish)
 
 
-def _points(path: Path, layout: Layout) -> list[str]:
+def _points(path: Path, layout: TextLayout) -> list[str]:
     """Return the joints that can stand for the person, best first."""
     names = layout.names
     if missing := {"timestamp", "id"}.difference(names):
@@ -102,7 +102,7 @@ def _joints(names: tuple[str, ...]) -> list[str]:
     return [stem for stem in stems if all(f"{stem}.{axis}" in names for axis in "xyz")]
 
 
-def _first_rows(path: Path, layout: Layout) -> tuple[bool, frozenset[str]]:
+def _first_rows(path: Path, layout: TextLayout) -> tuple[bool, frozenset[str]]:
     """Return whether the first rows count from 1970, and the cameras in them: the clock and names of the whole log."""
     times, cameras = [], set()
     for line in head_of(path).split("\n")[1:-1]:
@@ -131,7 +131,7 @@ class _Tracks:
     cameras: set[str] = field(default_factory=set)
     _last: dict[str, float] = field(default_factory=dict)
 
-    def once(self, rows: Rows) -> Rows:
+    def once(self, rows: TextRows) -> TextRows:
         """Return the rows with `person`, and those that the recorder wrote again set aside."""
         frame = rows.frame
         serial = frame["serial"].fill_null("") if "serial" in frame.columns else pl.Series([""] * frame.height)

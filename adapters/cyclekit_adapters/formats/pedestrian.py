@@ -19,7 +19,7 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import LogError
 from cyclekit.schema import PEOPLE, conform
 from cyclekit_adapters.mapped.source_map import words
-from cyclekit_adapters.text.delimited import Layout, Rows, row_blocks
+from cyclekit_adapters.text.delimited import TextLayout, TextRows, row_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import blocks_of, file_encoding, head_of
 from cyclekit_adapters.tracking.landmark_tables import landmarks_in
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit_adapters.tracking.landmark_tables import landmarks_in
-from cyclekit_adapters.tracking.pedestrian_header import Header
+from cyclekit_adapters.tracking.pedestrian_header import PedestrianHeader
 
 _ORDERS = ("frame id x y", "id frame x y", "frame id x y z", "id frame x y z")
 _SPREAD_M = 500.0
@@ -63,7 +63,7 @@ class _Pedestrians:
         unit = chosen.get("unit") or header.unit or metres_if_they_can_be(path, header, rate_hz)
         seen, reach = Sightings(), _Reach()
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             people = _table(rows.frame, rate_hz, METRES[unit])
             if not header.titled and people.select("t_s", "person").is_duplicated().any():
                 cause = "one id twice in a frame: the nameless columns are in another order, or a row was doubled"
@@ -90,7 +90,7 @@ class _Pedestrians:
             }
             return replace(last, warnings=tuple(_warnings(header, reach.most_m, rate_hz, options)), facts=facts)
 
-        layout = Layout(header.names, "\\s+" if header.delimiter == " " else header.delimiter, 0, quotes=True)
+        layout = TextLayout(header.names, "\\s+" if header.delimiter == " " else header.delimiter, 0, quotes=True)
         numbers = ["frame", *(axis for axis in "xyz" if axis in header.names)]
         lines = _lines(path, header)
         required = ["frame", "id"]
@@ -110,7 +110,7 @@ class _Reach:
         self.most_m = max(self.most_m, *(float(str(people[name].abs().max() or 0.0)) for name in ("x_m", "y_m")))
 
 
-def _lines(path: Path, header: Header) -> Iterator[bytes]:
+def _lines(path: Path, header: PedestrianHeader) -> Iterator[bytes]:
     """Yield the lines below the header, comments as blank lines; runs of blanks are one delimiter."""
     delimiter = "\\s+" if header.delimiter == " " else header.delimiter
     for block in blocks_of(path, file_encoding(path) or "utf-8", skip_lines=header.lines, delimiter=delimiter):
@@ -126,7 +126,7 @@ def _table(frame: pl.DataFrame, rate_hz: float, metres: float) -> pl.DataFrame:
     return frame.select(t_s, person.alias("person"), "source_row", **places)
 
 
-def _warnings(header: Header, reach_m: float, rate_hz: float, options: ReadOptions) -> list[str]:
+def _warnings(header: PedestrianHeader, reach_m: float, rate_hz: float, options: ReadOptions) -> list[str]:
     said = []
     if header.rate_hz and options.rate_hz and abs(header.rate_hz - options.rate_hz) > 1e-9 * rate_hz:
         said.append(f"the header's rate ({header.rate_hz:g} Hz) is used, not the cell file's ({options.rate_hz:g} Hz)")

@@ -17,7 +17,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import ConfigError, DamagedLog, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.text.delimited import INDEX, Rows, read_blocks
+from cyclekit_adapters.text.delimited import INDEX, TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import head_of
@@ -58,7 +58,7 @@ class _PoseCsv:
             name: pl.col(source) * (metres if name.startswith("tcp") else 1.0) for name, source in columns.items()
         }
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             _require_columns_first(path, rows.frame, places, below)
             t_s = pl.Series("t_s", rows.frame[INDEX].to_numpy() / rate_hz)
             robot = rows.frame.select(t_s, "source_row", **values)

@@ -19,7 +19,7 @@ import polars as pl
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.schema import EVENTS, conform, empty
-from cyclekit_adapters.text.delimited import Rows, read_blocks
+from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import head_of
 from cyclekit_adapters.tracking.joints import points_of, without_zeros
@@ -31,7 +31,7 @@ from cyclekit_adapters.tracking.markers import (
     marker_words,
     recording_of,
 )
-from cyclekit_adapters.tracking.qualisys_header import BODIES, KEYS, Header, read_header
+from cyclekit_adapters.tracking.qualisys_header import BODIES, KEYS, QualisysHeader, read_header
 from cyclekit_adapters.tracking.sightings import Sightings
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class _QualisysTsv:
         cells = [cell for index in used for cell in header.cells[index]]
         seen, events = Sightings(), [_events(header)] if header.events else []
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             t_s = header.clock.seconds(rows.frame)
             points = without_zeros(points_of(rows.frame, cells)) * _MM
             which = cast('Literal["y", "z"]', up or "z")
@@ -86,7 +86,7 @@ class _QualisysTsv:
         yield from in_parts(path, blocks, make, finish)
 
 
-def _people(path: Path, header: Header, options: ReadOptions) -> People:
+def _people(path: Path, header: QualisysHeader, options: ReadOptions) -> People:
     if header.kind != BODIES or "markers" in options.map:
         return choose_people(path, header.names, options, "Qualisys")
     tracks = {name: [index] for index, name in enumerate(header.names)}
@@ -97,7 +97,7 @@ def _people(path: Path, header: Header, options: ReadOptions) -> People:
     return People(tracks, "origin of the rigid body")
 
 
-def _events(header: Header) -> pl.DataFrame:
+def _events(header: QualisysHeader) -> pl.DataFrame:
     """Return table EVENTS: one row per event, told apart by its frame."""
     rows = [
         (time if (at := header.clock.at(frame)) is None else at, name, f"frame {frame:.0f}", line)
@@ -108,7 +108,7 @@ def _events(header: Header) -> pl.DataFrame:
     return conform(pl.DataFrame(kept, schema=schema, orient="row").sort("t_s", maintain_order=True), EVENTS)
 
 
-def _filled(header: Header, people: People) -> list[str]:
+def _filled(header: QualisysHeader, people: People) -> list[str]:
     """Say which markers in use were not simply measured: a filled gap is no measurement."""
     kinds = [kind for kind in header.about.get("TRAJECTORY_TYPES", []) if kind]
     used = people.used(skeletons=False)

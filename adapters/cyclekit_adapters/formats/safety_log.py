@@ -18,9 +18,9 @@ from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import ConfigError, LogError, UnknownName
 from cyclekit.schema import SAFETY, conform
 from cyclekit_adapters.formats.events import T_S, timed
-from cyclekit_adapters.tasks.event_table import TIME_NAMES, UNITS, Times, counted_in, stem_of, times_of
+from cyclekit_adapters.tasks.event_table import TIME_NAMES, UNITS, TimeColumn, counted_in, stem_of, times_of
 from cyclekit_adapters.tasks.safety_columns import LENGTHS, WHERE, SafetyColumns, is_safety_log, mapped_columns
-from cyclekit_adapters.text.delimited import Layout, Rows, delimiter_of, fields_of, header_names, read_blocks
+from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, fields_of, header_names, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
 
@@ -89,7 +89,7 @@ class _SafetyCsv:
         zoned = times.clock == "epoch" or (said.zone is not None and times.pattern not in ("", "%H:%M", "%H:%M:%S%.f"))
         seen = _Seen()
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             rows = timed(rows, times, said.zone)
             seen.add(rows.frame[T_S])
             return Recording(
@@ -108,7 +108,7 @@ class _SafetyCsv:
 
         numbers = [*columns.overrides, *(name for name in (columns.distance, columns.deviation) if name)]
         texts = [name for name in (columns.execution, columns.time if times.pattern else None) if name]
-        layout = Layout(
+        layout = TextLayout(
             names,
             delimiter,
             1,
@@ -149,7 +149,7 @@ def _said(options: ReadOptions) -> _Said:
     return _Said(float(str(full)), sure, None if unit is None else str(unit), None if zone is None else str(zone), rest)
 
 
-def _times(path: Path, names: tuple[str, ...], column: str, delimiter: str, said: _Said) -> Times:
+def _times(path: Path, names: tuple[str, ...], column: str, delimiter: str, said: _Said) -> TimeColumn:
     at = names.index(column)
     rows = [fields_of(line, delimiter) for line in head_lines(path, _FIRST)[1:]]
     shown = [text for row in rows if at < len(row) and (text := row[at].strip().strip('"')).lower() not in _UNKNOWN]
@@ -201,7 +201,7 @@ def _check(path: Path, columns: SafetyColumns, said: _Said, seen: _Seen) -> None
         raise LogError(path, cause, cure="Say override_max = 1 (or 100) in [sources.map].")
 
 
-def _warnings(times: Times, seen: _Seen, *, zoned: bool) -> Iterator[str]:
+def _warnings(times: TimeColumn, seen: _Seen, *, zoned: bool) -> Iterator[str]:
     if "fractions" in times.why:
         yield "the unit of time is not named: taken as seconds, since the numbers have fractions; see time_unit"
     if times.pattern and not zoned:
@@ -214,7 +214,7 @@ def _warnings(times: Times, seen: _Seen, *, zoned: bool) -> Iterator[str]:
         yield f"time steps back {seen.back} time(s)"
 
 
-def _facts(columns: SafetyColumns, times: Times, said: _Said) -> dict[str, str]:
+def _facts(columns: SafetyColumns, times: TimeColumn, said: _Said) -> dict[str, str]:
     unit = "percent" if said.full > 1.0 else "fraction"
     facts = {"time": f"{columns.time}: {times.why}"}
     facts |= {"override": f"{' * '.join(columns.overrides)}: {unit}"} if columns.overrides else {}

@@ -19,7 +19,7 @@ from cyclekit_adapters.tasks.task_cells import task_table
 from cyclekit_adapters.tasks.task_columns import is_task_list, require, said_of
 from cyclekit_adapters.tasks.task_json import JsonRecords, json_names, table_of
 from cyclekit_adapters.tasks.xes import FIELDS, NO_START, XesRecords, is_xes
-from cyclekit_adapters.text.delimited import Layout, delimiter_of, header_names, read_rows
+from cyclekit_adapters.text.delimited import TextLayout, delimiter_of, header_names, read_rows
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def _header(line: str) -> tuple[tuple[str, ...], str]:
 def _of_table(path: Path, said: Said) -> _Cells:
     names, delimiter = _header(next(iter(head_lines(path)), ""))
     columns = require(path, names, said.columns)
-    layout = Layout(names, delimiter, 1, encoding=file_encoding(path) or "utf-8", quotes=True)
+    layout = TextLayout(names, delimiter, 1, encoding=file_encoding(path) or "utf-8", quotes=True)
     texts = list(dict.fromkeys(columns.values()))
     rows = read_rows(path, layout, numbers=[], texts=texts)
     frame = rows.frame.select("source_row", *(pl.col(name).alias(key) for key, name in columns.items()))

@@ -17,7 +17,7 @@ import numpy as np
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import LogError
-from cyclekit_adapters.text.delimited import Rows, read_blocks
+from cyclekit_adapters.text.delimited import TextRows, read_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import head_of
 from cyclekit_adapters.tracking.joints import points_of, without_zeros
@@ -31,7 +31,7 @@ from cyclekit_adapters.tracking.markers import (
 )
 from cyclekit_adapters.tracking.sightings import Sightings
 from cyclekit_adapters.tracking.standing import way_up
-from cyclekit_adapters.tracking.trc_header import FIRST, Header, read_header
+from cyclekit_adapters.tracking.trc_header import FIRST, TrcHeader, read_header
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,7 +62,7 @@ class _Trc:
         up, why = (told, "by the cell file") if told else _up(header)
         seen, metres = Sightings(), METRES[header.unit]
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             t_s = header.clock.seconds(rows.frame)
             points = without_zeros(points_of(rows.frame, cells)) * metres
             part = recording_of(here, names, points, t_s, rows, seen, options=options, up=cast('Literal["y", "z"]', up))
@@ -87,7 +87,7 @@ class _Trc:
 _UNCLEAR = "heads are not above feet"
 
 
-def _up(header: Header) -> tuple[str, str]:
+def _up(header: TrcHeader) -> tuple[str, str]:
     """Return the axis that points up and how that is known: by heads above feet, else as OpenSim has it."""
     found = way_up(header.names, _points(header) * METRES[header.unit])
     if found == "neither":
@@ -95,7 +95,7 @@ def _up(header: Header) -> tuple[str, str]:
     return (found, "since heads are above feet") if found else ("y", "as OpenSim has it; not in the file")
 
 
-def _points(header: Header) -> NDArray[np.float64]:
+def _points(header: TrcHeader) -> NDArray[np.float64]:
     """Return the places in the first rows, shape (N, M, 3), in the unit of the file; NaN where a cell is no number."""
     width = 2 + 3 * len(header.names)
     rows = [[_number(cell) for cell in row[2:width]] for row in header.rows if len(row) >= width]
@@ -121,7 +121,7 @@ def _require_a_place(path: Path, people: pl.DataFrame | None) -> None:
         raise LogError(path, cause, cure=cure)
 
 
-def _cut(header: Header, seen: Sightings) -> list[str]:
+def _cut(header: TrcHeader, seen: Sightings) -> list[str]:
     rows = max(seen.rows.values(), default=0)
     missing = header.frames_stated - rows
     return [f"line 3 states {header.frames_stated} frames, {missing} of them are missing"] if missing > 0 else []

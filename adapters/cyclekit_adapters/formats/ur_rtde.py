@@ -24,7 +24,7 @@ from cyclekit.schema import ROBOT, conform
 from cyclekit_adapters.robots.controller_time import Once, Spread
 from cyclekit_adapters.robots.rtde_binary import BinaryLayout, binary_layout, is_binary, read_binary_rows
 from cyclekit_adapters.tasks.input_events import InputEvents
-from cyclekit_adapters.text.delimited import Layout, Rows, read_blocks
+from cyclekit_adapters.text.delimited import TextLayout, TextRows, read_blocks
 from cyclekit_adapters.text.header_line import column_names, layout_below
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.list_cells import ListCells
@@ -71,7 +71,7 @@ class _UrRtdeCsv:
         wanted = _fields(register, joints, options.columns) + [_INPUTS] * (inputs is not None)
         once, seen = Once("timestamp"), _Seen()
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             rows = once.rows(lists.rows(rows))
             seen.add(rows.frame)
             return Recording(
@@ -96,7 +96,9 @@ class _UrRtdeCsv:
         yield from in_parts(path, _blocks(path, layout, wanted, tuple(lists.wanted)), make, finish)
 
 
-def _blocks(path: Path, layout: Layout | BinaryLayout, wanted: Sequence[str], lists: Sequence[str]) -> Iterator[Rows]:
+def _blocks(
+    path: Path, layout: TextLayout | BinaryLayout, wanted: Sequence[str], lists: Sequence[str]
+) -> Iterator[TextRows]:
     present = [name for name in wanted if name in layout.names]
     if isinstance(layout, BinaryLayout):
         return read_binary_rows(path, layout, numbers=present, time="timestamp")
@@ -113,17 +115,17 @@ def _lists(names: Sequence[str]) -> dict[str, dict[int, str]]:
     }
 
 
-def _layout(path: Path) -> Layout | BinaryLayout:
+def _layout(path: Path) -> TextLayout | BinaryLayout:
     return binary_layout(path) if is_binary(head_of(path)) else layout_below(path)
 
 
-def _writer(layout: Layout | BinaryLayout) -> str:
+def _writer(layout: TextLayout | BinaryLayout) -> str:
     if isinstance(layout, BinaryLayout):
         return "record.py --binary"
     return "record.py (space)" if layout.delimiter == " " else f"delimiter {layout.delimiter!r}"
 
 
-def _register(path: Path, layout: Layout | BinaryLayout, options: ReadOptions) -> str:
+def _register(path: Path, layout: TextLayout | BinaryLayout, options: ReadOptions) -> str:
     for key in options.map:
         if key not in ("register", "inputs"):
             raise UnknownName("[sources.map] of a UR RTDE log", "key", key, ["register", "inputs"])
@@ -135,7 +137,7 @@ def _register(path: Path, layout: Layout | BinaryLayout, options: ReadOptions) -
     return register
 
 
-def _inputs(path: Path, layout: Layout | BinaryLayout, options: ReadOptions) -> InputEvents | None:
+def _inputs(path: Path, layout: TextLayout | BinaryLayout, options: ReadOptions) -> InputEvents | None:
     """Return what finds the changes of the digital inputs, where the cell file wants them as events."""
     wanted = options.map.get("inputs", "no")
     if wanted not in ("events", "no"):

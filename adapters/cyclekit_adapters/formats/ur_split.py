@@ -18,7 +18,7 @@ import polars as pl
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
 from cyclekit.errors import DamagedLog, LogError, UnknownName
 from cyclekit.schema import ROBOT, conform
-from cyclekit_adapters.text.delimited import Layout, Rows, delimiter_of, joined, read_blocks
+from cyclekit_adapters.text.delimited import TextLayout, TextRows, delimiter_of, joined, read_blocks
 from cyclekit_adapters.text.text_blocks import file_encoding, head_of
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ class _Signal:
     name: str
     path: Path
     end_s: float | None = None
-    _blocks: Iterator[Rows] = field(init=False)
+    _blocks: Iterator[TextRows] = field(init=False)
     _near_s: float = field(init=False)
     _here: pl.DataFrame = field(init=False)
     _rows: int = 0
@@ -115,7 +115,7 @@ class _Signal:
 
     def __post_init__(self) -> None:
         delimiter = delimiter_of(head_of(self.path).partition("\n")[0])
-        layout = Layout(_LAYOUT, delimiter, 0, encoding=file_encoding(self.path) or "utf-8")
+        layout = TextLayout(_LAYOUT, delimiter, 0, encoding=file_encoding(self.path) or "utf-8")
         self._blocks = read_blocks(self.path, layout, numbers=_LAYOUT, required=["t_s"])
         self._near_s = _NEAR_PERIODS * _period_s(self.path, delimiter)
         self._here = self.empty()

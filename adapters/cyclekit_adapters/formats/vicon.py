@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, cast
 
 from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
-from cyclekit_adapters.text.delimited import Rows, delimiter_of, fields_of, row_blocks
+from cyclekit_adapters.text.delimited import TextRows, delimiter_of, fields_of, row_blocks
 from cyclekit_adapters.text.in_parts import in_parts
 from cyclekit_adapters.text.text_blocks import head_lines, head_of
 from cyclekit_adapters.tracking.frame_clock import FRAME, MOST_HZ, FrameClock, positive
@@ -70,7 +70,7 @@ class _ViconCsv:
         cells = [cell for index in used for cell in places[index]]
         clock, seen = FrameClock((FRAME,), section.rate_hz, 1), Sightings()
 
-        def make(rows: Rows) -> Recording:
+        def make(rows: TextRows) -> Recording:
             t_s = clock.seconds(rows.frame)
             points = points_of(rows.frame, cells) * section.metres
             which = cast('Literal["y", "z"]', up or "z")

@@ -27,7 +27,7 @@ from cyclekit_adapters.text.text_blocks import head_of
 from cyclekit_adapters.tracking.joints import all_joints, joint_rows
 from cyclekit_adapters.tracking.linking import link
 from cyclekit_adapters.tracking.sightings import Sightings, only
-from cyclekit_adapters.tracking.zed_body import JOINTS, Body, body_of, seconds_of
+from cyclekit_adapters.tracking.zed_body import JOINTS, ZedBody, body_of, seconds_of
 from cyclekit_adapters.tracking.zed_frame import AXES, UNITS, axes_of, metres_of
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ _SDK = ('"body_list"', '"is_tracked"')
 class _Dump:
     """What was found in the file, frame by frame."""
 
-    bodies: list[Body] = field(default_factory=list)
+    bodies: list[ZedBody] = field(default_factory=list)
     aside: list[tuple[int, str]] = field(default_factory=list)
     frames: int = 0
     empty: int = 0
@@ -164,13 +164,13 @@ def _refuse_without_bodies(path: Path, dump: _Dump) -> None:
 class _Tracks:
     """The bodies that are rows, whose each is, and what is to be said of their ids."""
 
-    bodies: list[Body]
+    bodies: list[ZedBody]
     people: list[str]
     said: str
     linked: int = 0
 
 
-def _tracks(bodies: list[Body], metres: float) -> _Tracks:
+def _tracks(bodies: list[ZedBody], metres: float) -> _Tracks:
     """Tell whose body is whose: by ids that last, else by motion."""
     if _ids_are_real(bodies):
         kept = [body for body in bodies if body.here is not None or body.hidden]
@@ -219,7 +219,7 @@ def _skeletons(tracks: _Tracks, turn: NDArray[np.float64], body: str | None) -> 
     return all_joints(tables)
 
 
-def _ids_are_real(bodies: list[Body]) -> bool:
+def _ids_are_real(bodies: list[ZedBody]) -> bool:
     """Tell whether an id means the same body later: seen in two frames on average, and never twice in one."""
     ids = {body.name for body in bodies}
     once = len({(body.t_s, body.row, body.name) for body in bodies}) == len(bodies)

@@ -14,7 +14,7 @@ import numpy as np
 
 from cyclekit.adapter import Draft, Proposal
 from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, SECONDS
-from cyclekit_adapters.mapped.draft_columns import Found, joints, person_columns, places, scalings, states
+from cyclekit_adapters.mapped.draft_columns import FoundColumns, joints, person_columns, places, scalings, states
 from cyclekit_adapters.mapped.draft_names import Name, name_of
 from cyclekit_adapters.mapped.draft_times import FoundTime, counts_rows, found_times
 
@@ -183,7 +183,7 @@ def _add_robot(lines: _Lines, table: DraftTable, names: dict[str, Name], found: 
         lines.notes.append(f"a person: {shown}; to read that too, give a copy of the file a source of its own")
 
 
-def _add_scaling(lines: _Lines, names: dict[str, Name], found: list[Found]) -> None:
+def _add_scaling(lines: _Lines, names: dict[str, Name], found: list[FoundColumns]) -> None:
     tops = {scaling.unit for scaling in found}
     sliders = [scaling for scaling in found if names[scaling.columns[0]].says({"slider"})]
     others = [scaling for scaling in found if scaling not in sliders]

@@ -60,7 +60,7 @@ _MOST_STATES = 30
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundColumns:
     """Columns that go together, and how sure that is.
 
     Attributes:
@@ -84,7 +84,7 @@ class Found:
     robot: bool = False
 
 
-def places(table: DraftTable, names: Mapping[str, Name]) -> list[Found]:
+def places(table: DraftTable, names: Mapping[str, Name]) -> list[FoundColumns]:
     """Return triples or pairs of columns that are places, the best first."""
     groups: dict[tuple[str, ...], list[Name]] = {}
     for name in _numeric(table, names):
@@ -113,13 +113,13 @@ def _rank(name: Name) -> float:
     return said - 8.0 * name.is_set_point - 0.1 * len(name.words)
 
 
-def _place(table: DraftTable, first: Name, axes: tuple[Name, ...], others: int) -> Found:
+def _place(table: DraftTable, first: Name, axes: tuple[Name, ...], others: int) -> FoundColumns:
     columns = tuple(name.column for name in axes)
     values = np.concatenate([table.numbers[column] for column in columns])
     unit, why, sure = length_unit(values, {name.unit for name in axes}, person=first.says(PERSON))
     against = "a set point, not what was" if first.is_set_point else f"{others} more could be meant" if others else ""
     known = bool(np.isfinite(values).any()) and not against
-    return Found(columns, unit, why, sure, known, against, first.says(PERSON), first.says(ROBOT))
+    return FoundColumns(columns, unit, why, sure, known, against, first.says(PERSON), first.says(ROBOT))
 
 
 def length_unit(values: np.ndarray, said: set[str | None], *, person: bool) -> tuple[str, str, bool]:
@@ -141,7 +141,7 @@ def length_unit(values: np.ndarray, said: set[str | None], *, person: bool) -> t
     return ("m" if far < metres else "mm"), f"values {shown}: m, cm, mm and in are possible", False
 
 
-def joints(table: DraftTable, names: Mapping[str, Name]) -> list[Found]:
+def joints(table: DraftTable, names: Mapping[str, Name]) -> list[FoundColumns]:
     """Return the joint angles of arms, the best first."""
     groups: dict[tuple[str, ...], list[Name]] = {}
     for name in _numeric(table, names):
@@ -156,7 +156,7 @@ def joints(table: DraftTable, names: Mapping[str, Name]) -> list[Found]:
     return [_joints(table, group, others=len(ranked) - 1) for group in ranked]
 
 
-def _joints(table: DraftTable, group: tuple[Name, ...], others: int) -> Found:
+def _joints(table: DraftTable, group: tuple[Name, ...], others: int) -> FoundColumns:
     columns = tuple(name.column for name in group)
     values = np.concatenate([table.numbers[column] for column in columns])
     unit, why, sure = angle_unit(values, {name.unit for name in group})
@@ -167,7 +167,7 @@ def _joints(table: DraftTable, group: tuple[Name, ...], others: int) -> Found:
         against = "joint angles, or a pose?"
     turned = bool(np.isfinite(values).any()) and float(np.nanmax(np.abs(values))) < 800.0
     against = against or ("" if turned else "no angles by size")
-    return Found(columns, unit, why, sure, not against, against, robot=_says_joints(group))
+    return FoundColumns(columns, unit, why, sure, not against, against, robot=_says_joints(group))
 
 
 def _says_joints(group: Sequence[Name]) -> bool:
@@ -218,7 +218,7 @@ def _consecutive(group: Sequence[Name]) -> tuple[Name, ...]:
     return tuple(by[number] for number in order) if begun and len(by) == len(group) else ()
 
 
-def scalings(table: DraftTable, names: Mapping[str, Name]) -> list[Found]:
+def scalings(table: DraftTable, names: Mapping[str, Name]) -> list[FoundColumns]:
     """Return columns of a speed scaling; the unit is "1" or "100", what full speed is written as."""
     found = []
     for name in _numeric(table, names):
@@ -226,7 +226,7 @@ def scalings(table: DraftTable, names: Mapping[str, Name]) -> list[Found]:
         if not any(part in said for part in _SCALING) or (name.is_set_point and "fraction" not in said):
             continue
         top, why, sure = _full_speed(table.numbers[name.column], name.unit)
-        found.append(Found((name.column,), top, why, sure))
+        found.append(FoundColumns((name.column,), top, why, sure))
     return found
 
 

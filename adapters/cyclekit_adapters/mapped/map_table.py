@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 from cyclekit.errors import ConfigError, DamagedLog
 from cyclekit_adapters.mapped.csv_map import WHERE
 from cyclekit_adapters.mapped.map_columns import unresolved
-from cyclekit_adapters.text.delimited import Layout, delimiter_of, fields_of, header_names, read_blocks, unique
+from cyclekit_adapters.text.delimited import TextLayout, delimiter_of, fields_of, header_names, read_blocks, unique
 from cyclekit_adapters.text.header_line import names_in
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit_adapters.mapped.csv_map import CsvMap
-    from cyclekit_adapters.text.text_rows import Rows, Wanted
+    from cyclekit_adapters.text.text_rows import TextRows, Wanted
 
 _LINES_SEARCHED = 50  # for the header, where it is not in the line that it should be in
 _ROWS_LOOKED_AT = 50
@@ -50,7 +50,7 @@ class MapTable(Protocol):
         """Return what to do where columns that are wanted are not there."""
         ...
 
-    def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[Rows]:
+    def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[TextRows]:
         """Yield its rows; `names` are the columns by the names that they have now."""
         ...
 
@@ -60,7 +60,7 @@ class TextTable:
     """A delimited text table."""
 
     path: Path
-    layout: Layout
+    layout: TextLayout
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -91,7 +91,7 @@ class TextTable:
                     return f"They stand in line {number + 1}: give skip_rows = {number}, delimiter = {mark!r}."
         return f"Columns of line {mapping.skip_rows + 1}: {', '.join(name[:40] for name in layout.names[:60])}."
 
-    def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[Rows]:
+    def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[TextRows]:
         """Yield its rows."""
         return read_blocks(
             self.path,
@@ -135,7 +135,7 @@ def text_table(path: Path, mapping: CsvMap, wanted: Collection[str]) -> TextTabl
     names = unique(mapping.columns) if mapping.columns else names_in(path, line, delimiter)
     skipped = mapping.skip_rows + (not mapping.columns)
     comma = mapping.decimal == ","
-    return TextTable(path, Layout(names, delimiter, skipped, decimal_comma=comma, encoding=encoding, quotes=True))
+    return TextTable(path, TextLayout(names, delimiter, skipped, decimal_comma=comma, encoding=encoding, quotes=True))
 
 
 def _delimiter(line: str, mapping: CsvMap, wanted: Collection[str]) -> str:

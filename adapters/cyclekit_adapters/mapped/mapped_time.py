@@ -14,7 +14,7 @@ import polars as pl
 
 from cyclekit.errors import LogError
 from cyclekit_adapters.mapped.csv_map import FRAME, SECONDS, CsvMap
-from cyclekit_adapters.text.delimited import INDEX, Rows
+from cyclekit_adapters.text.delimited import INDEX, TextRows
 from cyclekit_adapters.text.written_time import written_seconds
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def require_epoch(path: Path, frame: pl.DataFrame, mapping: CsvMap) -> None:
     raise LogError(path, cause, cure=cure)
 
 
-def timed(rows: Rows, mapping: CsvMap, rate_hz: float | None, *, zoned: bool) -> Rows:
+def timed(rows: TextRows, mapping: CsvMap, rate_hz: float | None, *, zoned: bool) -> TextRows:
     """Add the time in seconds as column T_S; a row whose time cannot be read is set aside."""
     frame = rows.frame
     if not mapping.time:
@@ -74,7 +74,7 @@ def timed(rows: Rows, mapping: CsvMap, rate_hz: float | None, *, zoned: bool) ->
     return replace(rows, frame=rows.frame.drop(_JOINED))
 
 
-def _counted(rows: Rows, mapping: CsvMap, rate_hz: float | None) -> Rows:
+def _counted(rows: TextRows, mapping: CsvMap, rate_hz: float | None) -> TextRows:
     """Add the time of numbers: of one column, or the sum of its parts."""
     first, *smaller = [
         (name, 1.0 / cast("float", rate_hz) if unit == FRAME else SECONDS[unit])

@@ -15,7 +15,7 @@ import polars as pl
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cyclekit_adapters.text.delimited import Rows
+    from cyclekit_adapters.text.delimited import TextRows
 
 DAY_S = 86_400.0
 REPEATED = "repeats the controller sample before it"
@@ -43,7 +43,7 @@ class Once:
         ends = self._ends
         return self._back + (len(ends) > 1 and ends[-1] < ends[-2] and not (len(ends) > 2 and ends[-1] > ends[-3]))
 
-    def rows(self, rows: Rows, reason: str = REPEATED) -> Rows:
+    def rows(self, rows: TextRows, reason: str = REPEATED) -> TextRows:
         """Return the rows that go on (or step back: a new run), with the repeats set aside."""
         times = rows.frame[self.time].to_numpy()
         if not len(times):

@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import DamagedLog, LogError
-from cyclekit_adapters.text.delimited import INDEX, Rows, header_names
+from cyclekit_adapters.text.delimited import INDEX, TextRows, header_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -76,7 +76,7 @@ def binary_layout(path: Path) -> BinaryLayout:
     return BinaryLayout(names, row, len(first) + len(second))
 
 
-def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str], time: str) -> Iterator[Rows]:
+def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str], time: str) -> Iterator[TextRows]:
     """Yield the columns `numbers` (Float64) of every whole row, block by block; NaN and infinity become null: unknown.
 
     Args:
@@ -100,7 +100,7 @@ def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str]
         columns = {name: part[place].astype(np.float64) for name, place in fields.items()}
         frame = pl.DataFrame({"source_row": number, INDEX: number, **columns})
         finite = [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in numbers]
-        rows = Rows(frame.with_columns(finite), len(part), pl.DataFrame(schema=_SET_ASIDE))
+        rows = TextRows(frame.with_columns(finite), len(part), pl.DataFrame(schema=_SET_ASIDE))
         wrong = ~rows.frame[time].is_between(0.0, _LONGEST_UPTIME_S).fill_null(value=False)
         yield rows.without(wrong, f"{time} is no time that a controller can have")
     if rest:
@@ -108,7 +108,7 @@ def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str]
         none = pl.DataFrame(
             schema={"source_row": pl.Int64(), INDEX: pl.Int64(), **dict.fromkeys(numbers, pl.Float64())}
         )
-        yield Rows(none, 1, pl.DataFrame([(whole, cut)], schema=_SET_ASIDE, orient="row"))
+        yield TextRows(none, 1, pl.DataFrame([(whole, cut)], schema=_SET_ASIDE, orient="row"))
 
 
 def _mapped(path: Path, layout: BinaryLayout, first: int, count: int) -> NDArray[np.void]:

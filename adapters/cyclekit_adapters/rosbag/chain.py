@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from cyclekit_adapters.rosbag.envelope import middle
-from cyclekit_adapters.rosbag.transforms import Array, Link, Step
+from cyclekit_adapters.rosbag.transforms import Array, FrameTransforms, Step
 
 NEAR_S = 0.5
 """A transform that moves is known this long before and after it was published, or two of its periods."""
 
 
-def leading(way: Sequence[Step]) -> Link:
+def leading(way: Sequence[Step]) -> FrameTransforms:
     """Return the link whose moments tell where the tool is: the one that is written most often."""
     return max((step.link for step in way), key=lambda link: link.times.size)
 
@@ -61,7 +61,7 @@ def brought(way: Sequence[Step], at_s: Array, places: Array) -> Array:
     return place[:, None, :] + flat.reshape(places.shape)
 
 
-def _pose(link: Link, at_s: Array) -> Array:
+def _pose(link: FrameTransforms, at_s: Array) -> Array:
     """Return the pose of a link at some moments, shape (T, 7), the rotation of length one; NaN where unknown."""
     if link.is_still():
         pose: Array = np.repeat(link.pose[:1], at_s.size, axis=0)

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cyclekit.errors import ConfigError
-from cyclekit_adapters.rosbag.envelope import MAX_DRIFT, Array, Line, least_delays, line_under, middle
+from cyclekit_adapters.rosbag.envelope import MAX_DRIFT, Array, ClockLine, least_delays, line_under, middle
 
 How = Literal["header", "receive", "own-clock"]
 HOWS: tuple[How, ...] = ("header", "receive", "own-clock")
@@ -46,7 +46,7 @@ _PARTS = 16
 
 
 @dataclass(frozen=True)
-class Source:
+class StampSource:
     """The times of a topic, or of a link of the transforms: received and stamped (NaN: no header), shape (N,), s."""
 
     receive_s: Array
@@ -64,10 +64,10 @@ class Chosen:
 
     how: How
     why: str
-    line: Line | None = None
+    line: ClockLine | None = None
     least_s: float | None = None
 
-    def times(self, source: Source) -> Array:
+    def times(self, source: StampSource) -> Array:
         """Return the times of a source in the log's clock, shape (N,), s."""
         if self.how == "receive":
             return source.receive_s
@@ -86,7 +86,7 @@ class Chosen:
 
 
 @dataclass
-class Times:
+class BagTimes:
     """The clock of a log.
 
     Attributes:
@@ -100,14 +100,14 @@ class Times:
     warnings: list[str] = field(default_factory=list)
 
 
-def choose_times(sources: Mapping[str, Source], asked: Mapping[str, How]) -> Times:
+def choose_times(sources: Mapping[str, StampSource], asked: Mapping[str, How]) -> BagTimes:
     """Decide for every source which of its times to use.
 
     Args:
         sources: By name; none is empty.
         asked: What the cell file says of some of them.
     """
-    times = Times({name: _choice(source, asked.get(name)) for name, source in sources.items()})
+    times = BagTimes({name: _choice(source, asked.get(name)) for name, source in sources.items()})
     fitted = {name: chosen.line for name, chosen in times.chosen.items() if chosen.line is not None}
     if fitted and len(fitted) == len(times.chosen) and _one_clock(sources, fitted):
         times.own = True
@@ -128,7 +128,7 @@ def choose_times(sources: Mapping[str, Source], asked: Mapping[str, How]) -> Tim
     return times
 
 
-def _choice(source: Source, asked: How | None) -> Chosen:
+def _choice(source: StampSource, asked: How | None) -> Chosen:
     stamped = np.isfinite(source.stamp_s)
     if not stamped.all():
         without = np.count_nonzero(~stamped)
@@ -160,12 +160,12 @@ def _choice(source: Source, asked: How | None) -> Chosen:
     return Chosen("header", "of the recorder's clock", least_s=least)
 
 
-def _long_enough(source: Source) -> bool:
+def _long_enough(source: StampSource) -> bool:
     """Tell whether a rate can be told at all."""
     return _span_s(source) >= _LEAST_S and source.stamp_s.size >= _LEAST_MESSAGES
 
 
-def _span_s(source: Source) -> float:
+def _span_s(source: StampSource) -> float:
     return float(source.receive_s.max() - source.receive_s.min())
 
 
@@ -175,7 +175,7 @@ def _floors(delay: Array) -> Array:
     return np.array([part.min() for part in np.array_split(lowest, min(_PARTS, lowest.size))])
 
 
-def _unsteady(source: Source, delay: Array) -> str:
+def _unsteady(source: StampSource, delay: Array) -> str:
     """Return why the header clock is none that a line can follow: it was set, or runs at another speed; else empty."""
     if not _long_enough(source):
         return ""
@@ -192,7 +192,7 @@ def _unsteady(source: Source, delay: Array) -> str:
     return ""
 
 
-def _drifts(source: Source, delay: Array, line: Line) -> bool:
+def _drifts(source: StampSource, delay: Array, line: ClockLine) -> bool:
     """Tell whether header and receive times move apart steadily, and not by more than clocks do."""
     if not _long_enough(source) or not line.drifts:
         return False
@@ -201,14 +201,14 @@ def _drifts(source: Source, delay: Array, line: Line) -> bool:
     return moved > max(DRIFT_S, 4.0 * middle(above - above.min()))
 
 
-def _one_clock(sources: Mapping[str, Source], lines: Mapping[str, Line]) -> bool:
+def _one_clock(sources: Mapping[str, StampSource], lines: Mapping[str, ClockLine]) -> bool:
     """Tell whether the header clocks of all sources are one: their lines agree wherever either has messages."""
     ends = [float(end) for name in lines for end in (sources[name].stamp_s.min(), sources[name].stamp_s.max())]
     at = np.array([[line.of(np.array([end]))[0] for end in ends] for line in lines.values()])
     return bool(float(np.ptp(at, axis=0).max()) < AGREE_S)
 
 
-def _other_clock(sources: Mapping[str, Source], lines: Mapping[str, Line]) -> str:
+def _other_clock(sources: Mapping[str, StampSource], lines: Mapping[str, ClockLine]) -> str:
     name, line = max(lines.items(), key=lambda item: sources[item[0]].stamp_s.size)
     return (
         f"the header stamps are of another clock than the recorder's ({_off(line, sources[name])}); "
@@ -216,19 +216,19 @@ def _other_clock(sources: Mapping[str, Source], lines: Mapping[str, Line]) -> st
     )
 
 
-def _off(line: Line, source: Source) -> str:
+def _off(line: ClockLine, source: StampSource) -> str:
     first = float(source.stamp_s.min())
     return f"{float(line.of(np.array([first]))[0]) - first:+.3f} s, {(line.rate - 1) * 1e6:+.1f} ppm"
 
 
-def _put(line: Line) -> str:
+def _put(line: ClockLine) -> str:
     return (
         f"put on the recorder's by the line under its delays (rate {line.rate:.6f}, typically {line.delay_s * 1e3:.1f}"
         f" ms above it); the least delay is not known and stays in it{_speed(line)}"
     )
 
 
-def _speed(line: Line) -> str:
+def _speed(line: ClockLine) -> str:
     """Say that a clock runs at a speed that no clock has, if it does."""
     if line.drifts:
         return ""

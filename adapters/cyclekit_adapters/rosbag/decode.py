@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cyclekit_adapters.rosbag.definitions import NoDefinition, Types, types_of
-from cyclekit_adapters.rosbag.layout import Layout, NoLayout, Numbers, TooMany, trace
+from cyclekit_adapters.rosbag.layout import MessageLayout, NoLayout, Numbers, TooMany, trace
 from cyclekit_adapters.rosbag.payloads import Bytes, Channel, Ints, Payloads, distinct
 
 MIN_ROWS = 32
@@ -42,7 +42,7 @@ class Group:
     rows: Ints
     receive_ns: Ints
     message: Message
-    _layout: Layout | None = None
+    _layout: MessageLayout | None = None
     _block: Bytes | None = None
 
     def numbers(self, *path: str | int) -> Numbers:

@@ -25,7 +25,7 @@ _TYPICAL = 20_000  # messages looked at for the typical delay
 
 
 @dataclass(frozen=True)
-class Line:
+class ClockLine:
     """t_receive = rate * t_header + offset_s, for the messages that took no longer than they must.
 
     Attributes:
@@ -63,7 +63,7 @@ def least_delays(delay_s: Array) -> npt.NDArray[np.int64]:
     return rows if whole == delay_s.size else np.append(rows, whole + delay_s[whole:].argmin())
 
 
-def line_under(stamp_s: Array, receive_s: Array, *, drifts: bool = True) -> Line:
+def line_under(stamp_s: Array, receive_s: Array, *, drifts: bool = True) -> ClockLine:
     """Return the line under the cloud of (header, receive) times.
 
     Args:
@@ -81,7 +81,7 @@ def line_under(stamp_s: Array, receive_s: Array, *, drifts: bool = True) -> Line
     late = middle(above[:: max(1, above.size // _TYPICAL)]) - level
     apart = abs(rate - 1.0)
     fits = apart < MAX_DRIFT or (apart < MAX_RATE and late < EXPLAINED * apart * float(np.ptp(x)))
-    return Line(y0 + level - rate * x0, rate, late, stamp_s.size, fits)
+    return ClockLine(y0 + level - rate * x0, rate, late, stamp_s.size, fits)
 
 
 def _slope(x: Array, y: Array) -> float:

@@ -22,11 +22,11 @@ from cyclekit_adapters.rosbag.transforms import BASES, Array, is_named
 if TYPE_CHECKING:
     from cyclekit_adapters.rosbag.roles import Roles
     from cyclekit_adapters.rosbag.tracks import Contents
-    from cyclekit_adapters.rosbag.transforms import Link, Step
+    from cyclekit_adapters.rosbag.transforms import FrameTransforms, Step
 
 
 @dataclass(frozen=True)
-class Body:
+class TransformedBody:
     """A body among the transforms, or a joint of it.
 
     Attributes:
@@ -40,7 +40,7 @@ class Body:
     joint: str = ""
 
     @property
-    def link(self) -> Link:
+    def link(self) -> FrameTransforms:
         """The link that tells the moments at which it was tracked."""
         return self.way[-1].link
 
@@ -65,9 +65,9 @@ class Frames:
     people: dict[str, list[Step]] = field(default_factory=dict)
     adrift: set[str] = field(default_factory=set)
     kept: set[str] = field(default_factory=set)
-    bodies: list[Body] = field(default_factory=list)
+    bodies: list[TransformedBody] = field(default_factory=list)
 
-    def links(self) -> list[Link]:
+    def links(self) -> list[FrameTransforms]:
         """Return the links that move, of all ways, each once."""
         ways = [self.tool, *self.people.values(), *(body.way for body in self.bodies)]
         found = {id(step.link): step.link for way in ways for step in way}
@@ -130,11 +130,11 @@ def _add_bodies(
         if not begin:
             begin = tree.root(body)
             (frames.kept if frame_given else frames.adrift).add(begin)
-        frames.bodies.append(Body(person, tree.way(begin, body) or []))
+        frames.bodies.append(TransformedBody(person, tree.way(begin, body) or []))
         for child in sorted(tree.links) if skeletons else []:
             joint = of_human(child, person)
             if joint and (way := tree.way(begin, child)):
-                frames.bodies.append(Body(person, way, joint))
+                frames.bodies.append(TransformedBody(person, way, joint))
 
 
 def _said(contents: Contents, frames: Frames) -> Iterator[str]:

@@ -64,7 +64,7 @@ class Leaf:
 
 
 @dataclass
-class Layout:
+class MessageLayout:
     """The places of all numbers in messages of one form.
 
     Attributes:
@@ -123,7 +123,7 @@ class TooMany(ValueError):
     """The message has more fields than any that is of use here."""
 
 
-def trace(types: Types, kind: str, raw: bytes, *, cdr: bool) -> tuple[Layout, SimpleNamespace]:
+def trace(types: Types, kind: str, raw: bytes, *, cdr: bool) -> tuple[MessageLayout, SimpleNamespace]:
     """Walk through one message; return where its numbers stand, and what it says.
 
     Args:
@@ -151,7 +151,7 @@ def trace(types: Types, kind: str, raw: bytes, *, cdr: bool) -> tuple[Layout, Si
 class _Walk:
     def __init__(self, types: Types, raw: bytes, *, cdr: bool) -> None:
         self.types, self.raw, self.cdr = types, raw, cdr
-        self.layout = Layout(len(raw))
+        self.layout = MessageLayout(len(raw))
         self.base = self.position = _CDR_HEAD if cdr else 0
         self.order = "<"
         self.steps = 0

@@ -51,7 +51,7 @@ class Unfamiliar(ValueError):
 
 
 @dataclass
-class Texts:
+class TypeTexts:
     """The types that one text defines, by their full names.
 
     Attributes:
@@ -69,7 +69,7 @@ class Texts:
         return hashlib.md5("\n".join(said).encode(), usedforsecurity=False).hexdigest()
 
 
-def read_text(text: str, kind: str, beside: Mapping[str, Fields] = TIMES) -> Texts:
+def read_text(text: str, kind: str, beside: Mapping[str, Fields] = TIMES) -> TypeTexts:
     """Return the types that a text defines.
 
     Args:
@@ -80,7 +80,7 @@ def read_text(text: str, kind: str, beside: Mapping[str, Fields] = TIMES) -> Tex
     Raises:
         Unfamiliar: It is not of the plain form, or speaks of a type that it does not define.
     """
-    found = Texts(dict(beside))
+    found = TypeTexts(dict(beside))
     for number, part in enumerate(_RULE.split(text.replace("\r\n", "\n"))):
         name, body = (kind, part) if number == 0 else _headed(part)
         if not _NAME.fullmatch(name):

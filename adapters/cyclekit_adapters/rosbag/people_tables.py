@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from cyclekit_adapters.rosbag.frames import Frames
     from cyclekit_adapters.rosbag.roles import Roles
-    from cyclekit_adapters.rosbag.tracks import Contents, Part
+    from cyclekit_adapters.rosbag.tracks import Contents, MessagePart
 
 Columns = dict[str, list[npt.NDArray[np.generic]]]
 
@@ -61,7 +61,7 @@ def skeletons_table(contents: Contents, roles: Roles, frames: Frames) -> pl.Data
     return _table(columns, SKELETONS) if columns else None
 
 
-def _named(contents: Contents, topic: str) -> Iterator[tuple[Part, Persons]]:
+def _named(contents: Contents, topic: str) -> Iterator[tuple[MessagePart, Persons]]:
     for part in contents.tracks[topic].parts if topic in contents.tracks else []:
         if isinstance(part.value, Persons):
             yield part, part.value
@@ -123,7 +123,7 @@ def _add_nobody(contents: Contents, topic: str, columns: Columns) -> None:
 
 
 def _add(
-    contents: Contents, frames: Frames, topic: str, prefix: str, part: Part, value: Persons, columns: Columns
+    contents: Contents, frames: Frames, topic: str, prefix: str, part: MessagePart, value: Persons, columns: Columns
 ) -> tuple[int, int]:
     """Add those who are named in one part of a topic; return how many places were unknown, and how many are now."""
     times, index = contents.at(topic), contents.tracks[topic].index

@@ -11,7 +11,7 @@ import polars as pl
 from cyclekit.adapter import ClockKind, ReadOptions, Recording
 from cyclekit.errors import DamagedLog, LogError
 from cyclekit.schema import STAMPS, conform
-from cyclekit_adapters.rosbag.clocks import EPOCH_S, Source, choose_times, simulated
+from cyclekit_adapters.rosbag.clocks import EPOCH_S, StampSource, choose_times, simulated
 from cyclekit_adapters.rosbag.container import Bag, opened
 from cyclekit_adapters.rosbag.envelope import middle
 from cyclekit_adapters.rosbag.facts import facts_of
@@ -107,7 +107,7 @@ def _choose_times(contents: Contents, roles: Roles, frames: Frames) -> bool:
     links = {link.name: link for link in frames.links()}
     asked = dict(roles.time)
     for name, link in links.items():
-        sources[name] = Source(link.receive_s, np.where(link.stamp_s > 0.0, link.stamp_s, np.nan))
+        sources[name] = StampSource(link.receive_s, np.where(link.stamp_s > 0.0, link.stamp_s, np.nan))
         if link.topic in roles.time:
             asked[name] = roles.time[link.topic]
     contents.times = choose_times(sources, asked)
@@ -122,7 +122,7 @@ def _stamps(contents: Contents, frames: Frames) -> pl.DataFrame | None:
     if not contents.times.own:
         return None
     both = [contents.source(topic) for topic in contents.tracks]
-    both += [Source(link.receive_s, link.stamp_s) for link in frames.links()]
+    both += [StampSource(link.receive_s, link.stamp_s) for link in frames.links()]
     t_s, host_s = (np.concatenate(part) for part in zip(*((s.stamp_s, s.receive_s) for s in both), strict=True))
     if float(host_s.min()) < EPOCH_S:
         return None

@@ -21,7 +21,7 @@ from cyclekit_adapters.rosbag.chain import followed, leading
 from cyclekit_adapters.rosbag.envelope import middle
 from cyclekit_adapters.rosbag.frames import unknown
 from cyclekit_adapters.rosbag.modes import ROBOT_MODE, RUNNING
-from cyclekit_adapters.rosbag.tracks import Joints
+from cyclekit_adapters.rosbag.tracks import JointStates
 from cyclekit_adapters.rosbag.transforms import Array
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def in_order(times: Array) -> Ints | slice:
 def _joints(contents: Contents, topic: str) -> _Rows | None:
     """Return joint angles by name; messages of other joints (a gripper on the same topic) are left out."""
     track = contents.tracks[topic]
-    parts = [(part.rows, part.value) for part in track.parts if isinstance(part.value, Joints)]
+    parts = [(part.rows, part.value) for part in track.parts if isinstance(part.value, JointStates)]
     written: Counter[tuple[str, ...]] = Counter()
     for rows, said in parts:
         written[said.names] += rows.size

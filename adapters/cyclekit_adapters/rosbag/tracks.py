@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from cyclekit_adapters.rosbag.clocks import Source, Times
+from cyclekit_adapters.rosbag.clocks import BagTimes, StampSource
 from cyclekit_adapters.rosbag.modes import ROBOT_MODE, SAFETY_MODE, mode_names
 from cyclekit_adapters.rosbag.payloads import Ints
 from cyclekit_adapters.rosbag.people import MARKERS, TRACKERS, Persons, headers, persons
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Joints:
+class JointStates:
     """N messages about the same joints: names (J), angles (N, A) and speeds (N, S); a driver may leave out either.
 
     A controller's state may tell the speed scaling besides, shape (N,); NaN where it does not.
@@ -40,11 +40,11 @@ class Joints:
     scaling: Array | None = None
 
 
-Value = Array | Joints | Persons | list[str] | npt.NDArray[np.bool_]
+Value = Array | JointStates | Persons | list[str] | npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Part:
+class MessagePart:
     """What M messages of one form say.
 
     Attributes:
@@ -59,7 +59,7 @@ class Part:
 
 
 @dataclass
-class Track:
+class TopicMessages:
     """The messages of one topic.
 
     Attributes:
@@ -71,11 +71,11 @@ class Track:
     receive_s: Array = field(default_factory=lambda: np.zeros(0))
     stamp_s: Array = field(default_factory=lambda: np.zeros(0))
     index: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
-    parts: list[Part] = field(default_factory=list)
+    parts: list[MessagePart] = field(default_factory=list)
 
     def joined(self) -> Array:
         """Return places or numbers of all messages in order, shape (N, 3) or (N,); of joints the scaling."""
-        said = [part.value.scaling if isinstance(part.value, Joints) else part.value for part in self.parts]
+        said = [part.value.scaling if isinstance(part.value, JointStates) else part.value for part in self.parts]
         rows = np.concatenate([part.rows for part in self.parts])
         if len(said) == 1 and (rows[1:] > rows[:-1]).all():
             return np.asarray(said[0], dtype=np.float64)
@@ -105,17 +105,17 @@ class Contents:
         rows_of: For each table the topic whose messages its rows are.
     """
 
-    tracks: dict[str, Track]
+    tracks: dict[str, TopicMessages]
     transforms: Transforms
-    times: Times = field(default_factory=Times)
+    times: BagTimes = field(default_factory=BagTimes)
     kinds: dict[str, str] = field(default_factory=dict)
     joint_names: tuple[str, ...] = ()
     rows_of: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
-    def source(self, topic: str) -> Source:
+    def source(self, topic: str) -> StampSource:
         """Return the times of a topic's messages."""
-        return Source(self.tracks[topic].receive_s, self.tracks[topic].stamp_s)
+        return StampSource(self.tracks[topic].receive_s, self.tracks[topic].stamp_s)
 
     def at(self, topic: str) -> Array:
         """Return the times of a topic's messages, shape (N,), s, in the log's clock."""
@@ -168,7 +168,7 @@ def collect(bag: Bag, roles: Roles, *, skeletons: bool = False) -> Contents:
     return contents
 
 
-def _track(pieces: list[_Piece], order: Ints) -> Track:
+def _track(pieces: list[_Piece], order: Ints) -> TopicMessages:
     """Put the pieces of one topic into the order of their index; `order` is the index of each arrival number."""
     index = [order[piece.number] for piece in pieces]
     known = np.concatenate(index)
@@ -176,12 +176,13 @@ def _track(pieces: list[_Piece], order: Ints) -> Track:
     ends = np.cumsum([part.size for part in index])
     row = np.empty(known.size, np.int64)
     row[by_index] = np.arange(known.size)
-    return Track(
+    return TopicMessages(
         receive_s=np.concatenate([piece.receive_ns for piece in pieces])[by_index] * 1e-9,
         stamp_s=np.concatenate([piece.stamp_s for piece in pieces])[by_index],
         index=known[by_index],
         parts=[
-            Part(rows, piece.value, piece.frame) for rows, piece in zip(np.split(row, ends[:-1]), pieces, strict=True)
+            MessagePart(rows, piece.value, piece.frame)
+            for rows, piece in zip(np.split(row, ends[:-1]), pieces, strict=True)
         ],
     )
 
@@ -195,7 +196,7 @@ def _value(kind: str, group: Group, factor: Factor | None, *, skeletons: bool) -
     if kind == JOINTS:
         names = tuple(map(str, group.first("name")))
         angles, speeds = (group.numbers(part).astype(np.float64, copy=False) for part in ("position", "velocity"))
-        return Joints(names, angles, speeds)
+        return JointStates(names, angles, speeds)
     if kind == MARKERS or kind in TRACKERS:
         return persons(kind, group, skeletons=skeletons)
     if kind in (ROBOT_MODE, SAFETY_MODE):
@@ -216,14 +217,14 @@ def _value(kind: str, group: Group, factor: Factor | None, *, skeletons: bool) -
     return None
 
 
-def _controller(group: Group) -> Joints:
+def _controller(group: Group) -> JointStates:
     """Read a controller's state by the fields it has: where the arm is was called `actual`, later `feedback`."""
     measured = [name for name in ("feedback", "actual") if hasattr(group.message, name)]
     name = next((name for name in measured if len(group.first(name, "positions"))), measured[0])
     angles, speeds = (group.numbers(name, part).astype(np.float64, copy=False) for part in ("positions", "velocities"))
     has_scaling = hasattr(group.message, "speed_scaling_factor")
     scaling = _scalars(group, "speed_scaling_factor") if has_scaling else np.full(group.rows.size, np.nan)
-    return Joints(tuple(map(str, group.first("joint_names"))), angles, speeds, scaling)
+    return JointStates(tuple(map(str, group.first("joint_names"))), angles, speeds, scaling)
 
 
 def _scalars(group: Group, *path: str | int) -> Array:

@@ -24,7 +24,7 @@ BASES = ("base", "base_link")
 
 
 @dataclass
-class Link:
+class FrameTransforms:
     """The transforms of one frame in its parent, in the order of their messages.
 
     Attributes:
@@ -58,7 +58,7 @@ class Link:
 class Step:
     """One link of a way; `back`: from the child to its parent."""
 
-    link: Link
+    link: FrameTransforms
     back: bool = False
 
     def __str__(self) -> str:
@@ -69,7 +69,7 @@ class Transforms:
     """All links of a bag, by the name of the child frame; complete once `finish` was called."""
 
     def __init__(self) -> None:
-        self.links: dict[str, Link] = {}
+        self.links: dict[str, FrameTransforms] = {}
         self.rivals: dict[str, list[str]] = {}
         self._parts: dict[tuple[str, str, str], list[tuple[Ints, Array, Array, Array]]] = {}
 
@@ -102,7 +102,9 @@ class Transforms:
             )
             index = order(topic)[number]
             by_index = np.argsort(index, kind="stable")
-            link = Link(parent, child, topic, index[by_index], receive_s[by_index], stamp_s[by_index], pose[by_index])
+            link = FrameTransforms(
+                parent, child, topic, index[by_index], receive_s[by_index], stamp_s[by_index], pose[by_index]
+            )
             link.times = link.receive_s
             self.links[child] = link
         self.rivals = {child: sorted(set(parents)) for child, parents in self.rivals.items() if len(set(parents)) > 1}
@@ -163,9 +165,9 @@ class Transforms:
         above = self._up(_plain(frame))
         return above[-1].parent if above else _plain(frame)
 
-    def _up(self, frame: str) -> list[Link]:
+    def _up(self, frame: str) -> list[FrameTransforms]:
         """Return the links from a frame to the root."""
-        found: list[Link] = []
+        found: list[FrameTransforms] = []
         while frame in self.links and len(found) <= len(self.links):
             found.append(self.links[frame])
             frame = self.links[frame].parent

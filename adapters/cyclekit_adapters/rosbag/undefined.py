@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class TopicFindings:
     """What was found out about a topic without a definition.
 
     Attributes:
@@ -31,7 +31,7 @@ class Verdict:
     said: str
 
 
-def decide(file: BagFile, channel: Channel) -> Verdict:
+def decide(file: BagFile, channel: Channel) -> TopicFindings:
     """Return which of the known layouts the messages of a channel have.
 
     Args:
@@ -52,13 +52,13 @@ def decide(file: BagFile, channel: Channel) -> Verdict:
             left = [one for one, _ in decoded]
             doubt |= any(not _same(decoded[0][1], groups) for _, groups in decoded[1:])
         if not left:
-            return Verdict(None, f"none of the layouts known of {channel.kind} fits its messages")
+            return TopicFindings(None, f"none of the layouts known of {channel.kind} fits its messages")
     names = " and ".join(repr(one.definition) for one in left)
     if len(left) > 1 and doubt:
-        return Verdict(None, f"several layouts of {channel.kind} fit its messages ({names})")
+        return TopicFindings(None, f"several layouts of {channel.kind} fit its messages ({names})")
     if len(left) > 1:
-        return Verdict(left[0], f"{names}: they say the same in all {messages} messages")
-    return Verdict(left[0], f"{names}: the only known layout that fits all {messages} messages")
+        return TopicFindings(left[0], f"{names}: they say the same in all {messages} messages")
+    return TopicFindings(left[0], f"{names}: the only known layout that fits all {messages} messages")
 
 
 def _same(some: list[Group], others: list[Group]) -> bool:

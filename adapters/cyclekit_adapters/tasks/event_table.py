@@ -56,7 +56,7 @@ _LOOKED_AT = 200
 
 
 @dataclass(frozen=True)
-class Times:
+class TimeColumn:
     """How the time column is to be read.
 
     Attributes:
@@ -83,7 +83,7 @@ class EventTable:
     names: tuple[str, ...]
     delimiter: str
     decimal_comma: bool
-    times: Times
+    times: TimeColumn
     signal: str | None
     value: str | None
     signals: tuple[str, ...] = ()
@@ -174,7 +174,9 @@ def stem_of(name: str, times: Container[str]) -> tuple[str, str | None]:
     return _PLAIN.sub("", lower), None
 
 
-def _times(names: Sequence[str], stems: dict[str, str], cells: dict[str, list[str]], delimiter: str) -> Times | None:
+def _times(
+    names: Sequence[str], stems: dict[str, str], cells: dict[str, list[str]], delimiter: str
+) -> TimeColumn | None:
     """Return the best of the time columns: a date with its time, a count since 1970, then any other."""
     dates = [name for name in names if stems[name] in _DATES]
     clocks = [name for name in names if stems[name] in TIME_NAMES]
@@ -187,7 +189,7 @@ def _times(names: Sequence[str], stems: dict[str, str], cells: dict[str, list[st
 
 def _times_of(
     columns: tuple[str, ...], stems: dict[str, str], cells: dict[str, list[str]], delimiter: str
-) -> Times | None:
+) -> TimeColumn | None:
     rows = zip(*(cells[name] for name in columns), strict=True)
     shown = [text for row in rows if (text := " ".join(cell.strip('"') for cell in row).strip())]
     if not shown:
@@ -203,7 +205,7 @@ def times_of(
     *,
     decimal_comma: bool = False,
     only_written: bool = False,
-) -> Times | None:
+) -> TimeColumn | None:
     """Return how times are read, None if they are none.
 
     Args:
@@ -218,43 +220,47 @@ def times_of(
     numbers = [_number(text, decimal_comma=decimal_comma) for text in shown]
     if only_written or any(number is None for number in numbers):
         slashes = any(re.match(r"\d{1,2}/\d{1,2}/\d{2,4}\b", text) for text in shown)
-        return Times(columns, "", None, "relative", "month and day cannot be told apart", shown[0]) if slashes else None
+        return (
+            TimeColumn(columns, "", None, "relative", "month and day cannot be told apart", shown[0])
+            if slashes
+            else None
+        )
     return _counted(columns, unit, shown, [number for number in numbers if number is not None])
 
 
-def _written(columns: tuple[str, ...], shown: Sequence[str], found: list[re.Match[str]]) -> Times | None:
+def _written(columns: tuple[str, ...], shown: Sequence[str], found: list[re.Match[str]]) -> TimeColumn | None:
     if len({match[1] is None for match in found}) > 1:
         return None
     day, clock = found[0][1], found[0][2]
     second = "%H:%M:%S%.f" if clock.count(":") == 2 else "%H:%M"
     if day is None:
-        return Times(columns, second, 1.0, "relative", "time of day, without a date", shown[0])
+        return TimeColumn(columns, second, 1.0, "relative", "time of day, without a date", shown[0])
     zoned = all(match[3] for match in found)
     date = "%Y-%m-%d" if "-" in day else "%Y/%m/%d" if "/" in day else "%d.%m.%Y"
     pattern = "iso" if date == "%Y-%m-%d" and second != "%H:%M" else f"{date} {second}"
     if zoned and pattern != "iso":
         return None  # no known writer does that
     why = "date and time with a zone" if zoned else "date and time without a zone"
-    return Times(columns, pattern, 1.0, "epoch" if zoned else "relative", why, shown[0])
+    return TimeColumn(columns, pattern, 1.0, "epoch" if zoned else "relative", why, shown[0])
 
 
-def _counted(columns: tuple[str, ...], unit: str | None, shown: Sequence[str], numbers: list[float]) -> Times:
+def _counted(columns: tuple[str, ...], unit: str | None, shown: Sequence[str], numbers: list[float]) -> TimeColumn:
     if unit is not None:
         return counted_in(columns, unit, "by the column's name", numbers, shown[0])
     for name, seconds in UNITS.items():
         if all(_EPOCH_S[0] <= number * seconds <= _EPOCH_S[1] for number in numbers):
-            return Times(columns, "", seconds, "epoch", f"{name} since 1970, by its size", shown[0])
+            return TimeColumn(columns, "", seconds, "epoch", f"{name} since 1970, by its size", shown[0])
     if any(number % 1 for number in numbers):
-        return Times(columns, "", 1.0, "relative", "seconds, since it has fractions and names no unit", shown[0])
-    return Times(columns, "", None, "relative", "its unit is not named", shown[0])
+        return TimeColumn(columns, "", 1.0, "relative", "seconds, since it has fractions and names no unit", shown[0])
+    return TimeColumn(columns, "", None, "relative", "its unit is not named", shown[0])
 
 
-def counted_in(columns: tuple[str, ...], unit: str, why: str, numbers: Sequence[float], shown: str) -> Times:
+def counted_in(columns: tuple[str, ...], unit: str, why: str, numbers: Sequence[float], shown: str) -> TimeColumn:
     """Return how a number of a known unit is read."""
     seconds = UNITS[unit]
     since_1970 = bool(numbers) and all(_EPOCH_S[0] <= number * seconds <= _EPOCH_S[1] for number in numbers)
     said = f"{unit}, {why}{'; since 1970, by its size' if since_1970 else ''}"
-    return Times(columns, "", seconds, "epoch" if since_1970 else "relative", said, shown)
+    return TimeColumn(columns, "", seconds, "epoch" if since_1970 else "relative", said, shown)
 
 
 def _number(text: str, *, decimal_comma: bool) -> float | None:
@@ -265,5 +271,5 @@ def _number(text: str, *, decimal_comma: bool) -> float | None:
     return value if abs(value) < 1e19 else None
 
 
-def _has_comma(times: Times, cells: dict[str, list[str]], delimiter: str) -> bool:
+def _has_comma(times: TimeColumn, cells: dict[str, list[str]], delimiter: str) -> bool:
     return delimiter != "," and any("," in cell for cell in cells[times.columns[0]])

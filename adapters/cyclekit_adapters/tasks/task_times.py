@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import LogError
-from cyclekit_adapters.tasks.event_table import Times, counted_in, times_of
+from cyclekit_adapters.tasks.event_table import TimeColumn, counted_in, times_of
 from cyclekit_adapters.tasks.task_columns import TIMES, unit_of
 from cyclekit_adapters.text.written_time import written_seconds
 
@@ -99,10 +99,10 @@ def _times(
     key: str,
     columns: Mapping[str, str],
     said: Said,
-    start: Times | None,
+    start: TimeColumn | None,
     *,
     decimal_comma: bool,
-) -> Times:
+) -> TimeColumn:
     """Return how the times of a field are read.
 
     Raises:
@@ -139,20 +139,20 @@ def _times(
     return times
 
 
-def _zone_named(times: Times) -> bool | None:
+def _zone_named(times: TimeColumn) -> bool | None:
     """Tell whether dates name their zone; None for other times."""
     return times.clock == "epoch" if times.pattern and _dated(times) else None
 
 
-def _dated(times: Times) -> bool:
+def _dated(times: TimeColumn) -> bool:
     return "%d" in times.pattern or times.pattern == "iso"
 
 
-def _epoch(times: Times, said: Said) -> bool:
+def _epoch(times: TimeColumn, said: Said) -> bool:
     return times.clock == "epoch" or (said.zone is not None and _dated(times))
 
 
-def _seconds(key: str, times: Times, zone: str | None, decimal_comma: bool) -> pl.Expr:
+def _seconds(key: str, times: TimeColumn, zone: str | None, decimal_comma: bool) -> pl.Expr:
     text = pl.col(key)
     if times.pattern:
         plain = text.str.replace(r"([+-]\d{2})(\d{2})$", "$1:$2").str.replace(",", ".", literal=True)

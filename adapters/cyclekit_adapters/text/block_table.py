@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit_adapters.text.text_layout import Layout
+    from cyclekit_adapters.text.text_layout import TextLayout
 
 _BEYOND, _DOUBT, _SUM = "\x1fbeyond", "\x1fdoubt", "\x1fsum"  # names that no column of a log has
 _LOOKED_AT = 1 << 17
@@ -34,13 +34,13 @@ _OF_NUMBERS = b"0123456789.eE+-\n"
 _AS_IT_IS = pl.QueryOptFlags.none()
 
 
-def mark_between(layout: Layout) -> str:
+def mark_between(layout: TextLayout) -> str:
     """Return what stands between the fields of a block: `text_blocks` has replaced what is not one character."""
     return layout.delimiter if len(layout.delimiter) == 1 else CELL
 
 
 @dataclass(frozen=True)
-class Table:
+class BlockTable:
     """Rows of consecutive lines.
 
     Attributes:
@@ -63,7 +63,7 @@ class Table:
         return pl.DataFrame([*places, *self.frame.get_columns()])
 
 
-def table_of(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
+def table_of(block: bytes, layout: TextLayout, wanted: Wanted) -> BlockTable | None:
     """Return the rows of whole lines; None if any row may be short, long or garbled.
 
     Args:
@@ -83,7 +83,7 @@ def table_of(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
     return replace(found, lines=block.count(b"\n"), numbers=numbers)
 
 
-def _may_be_garbled(block: bytes, layout: Layout, wanted: Wanted) -> bool:
+def _may_be_garbled(block: bytes, layout: TextLayout, wanted: Wanted) -> bool:
     if wanted.texts and UNDECODED.encode() in block:
         return True
     if _has_nul_or_two_blanks(block) if layout.delimiter == " " else b"\0" in block:
@@ -113,7 +113,7 @@ def _has_blank_lines(block: bytes) -> bool:
     return block.startswith((b"\n", b"\r\n")) or b"\n\n" in block or b"\n\r\n" in block
 
 
-def _quotes_close(block: bytes, layout: Layout) -> bool:
+def _quotes_close(block: bytes, layout: TextLayout) -> bool:
     """Tell whether each quote opens at the begin of a cell and closes at its end, or is doubled inside one."""
     raw = np.frombuffer(block, np.uint8)
     quotes = np.flatnonzero(raw == _QUOTE)
@@ -133,7 +133,7 @@ def _without_blank_lines(block: bytes) -> tuple[bytes, NDArray[np.int64]]:
     return b"".join(block[begin : end + 1] for begin, end in spans), numbers
 
 
-def short_lines(block: bytes, layout: Layout) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+def short_lines(block: bytes, layout: TextLayout) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
     """Return which lines are not blank, from 0, and how many fields each has, where none has enough; else None.
 
     A garbled log may have millions of such lines, too many to look at one by one.
@@ -165,7 +165,7 @@ def _is_told(block: bytes, begins: NDArray[np.int64], ends: NDArray[np.int64]) -
     return np.asarray((ends > begins + 1) | ((ends == begins + 1) & (first != _RETURN)))
 
 
-def _has_too_many_lines(block: bytes, layout: Layout) -> bool:
+def _has_too_many_lines(block: bytes, layout: TextLayout) -> bool:
     """Tell from a few places of a block whether its lines are too short for the rows of this log.
 
     Polars would fill up each of them, and need many times the memory of the block.
@@ -175,7 +175,7 @@ def _has_too_many_lines(block: bytes, layout: Layout) -> bool:
     return sum(part.count(b"\n") for part in seen) * len(layout.names) > sum(map(len, seen))
 
 
-def _plain(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
+def _plain(block: bytes, layout: TextLayout, wanted: Wanted) -> BlockTable | None:
     """Return the rows of a small block that holds nothing but finite numbers, as many in each line as there are names.
 
     The same as `_parsed`, which is asked where this returns None. There are logs of few rows by the ten thousand.
@@ -197,10 +197,10 @@ def _plain(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
     except pl.exceptions.PolarsError:
         return None
     sure = table.height == block.count(b"\n") and math.isfinite(sum(float(one.sum()) for one in columns))
-    return Table(frame, table.height, 0) if sure else None
+    return BlockTable(frame, table.height, 0) if sure else None
 
 
-def _is_of_numbers(block: bytes, layout: Layout) -> bool:
+def _is_of_numbers(block: bytes, layout: TextLayout) -> bool:
     """Tell whether a block holds numbers alone, each line has its first and last one, and as many marks as it must."""
     mark = mark_between(layout).encode()
     if mark in _OF_NUMBERS or block.translate(None, _OF_NUMBERS + mark) or not _is_even(block, layout):
@@ -211,7 +211,7 @@ def _is_of_numbers(block: bytes, layout: Layout) -> bool:
     return bool(((beside != mark[0]) & (beside != _NEWLINE)).all())
 
 
-def _parsed(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
+def _parsed(block: bytes, layout: TextLayout, wanted: Wanted) -> BlockTable | None:
     first, last = layout.names[0], layout.names[-1]
     quoted = layout.quotes and b'"' in block
     as_text = {last, *(wanted.numbers if layout.decimal_comma and b"." in block else ())}
@@ -242,9 +242,9 @@ def _parsed(block: bytes, layout: Layout, wanted: Wanted) -> Table | None:
         return None  # a quote that was never closed spans lines
     frame = pl.DataFrame(table.get_columns()[:-2])
     if table.height == 0 or math.isfinite(table[_SUM][0]):
-        return Table(frame, table.height, 0)
+        return BlockTable(frame, table.height, 0)
     unknown = int(frame.select(not_finite(wanted)).item())
-    return Table(frame.with_columns(finite(wanted)) if unknown else frame, table.height, unknown)
+    return BlockTable(frame.with_columns(finite(wanted)) if unknown else frame, table.height, unknown)
 
 
 def _sum_of(numbers: Sequence[str]) -> pl.Expr:
@@ -252,7 +252,7 @@ def _sum_of(numbers: Sequence[str]) -> pl.Expr:
     return pl.sum_horizontal(pl.lit(0.0), *(pl.col(name).sum() for name in numbers), ignore_nulls=False)
 
 
-def _scanned(block: bytes, layout: Layout, types: dict[str, pl.DataType], *, quoted: bool) -> pl.LazyFrame:
+def _scanned(block: bytes, layout: TextLayout, types: dict[str, pl.DataType], *, quoted: bool) -> pl.LazyFrame:
     return pl.scan_csv(
         block,
         separator=mark_between(layout),
@@ -267,7 +267,7 @@ def _scanned(block: bytes, layout: Layout, types: dict[str, pl.DataType], *, quo
     )
 
 
-def _is_even(block: bytes, layout: Layout) -> bool:
+def _is_even(block: bytes, layout: TextLayout) -> bool:
     """Tell whether every line has exactly as many fields as there are names: an empty cell is no missing one."""
     _, _, fields = _lines_of(block, mark_between(layout).encode())
     return bool((fields == len(layout.names)).all())

@@ -17,8 +17,8 @@ import polars as pl
 from cyclekit.errors import DamagedLog, LogError
 from cyclekit_adapters.text.row_parser import RowParser
 from cyclekit_adapters.text.text_blocks import blocks_of
-from cyclekit_adapters.text.text_layout import Layout, delimiter_of, fields_of, header_names, unique
-from cyclekit_adapters.text.text_rows import INDEX, SET_ASIDE, Rows, Wanted, nothing_usable
+from cyclekit_adapters.text.text_layout import TextLayout, delimiter_of, fields_of, header_names, unique
+from cyclekit_adapters.text.text_rows import INDEX, SET_ASIDE, TextRows, Wanted, nothing_usable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "INDEX",
-    "Layout",
-    "Rows",
+    "TextLayout",
+    "TextRows",
     "delimiter_of",
     "fields_of",
     "header_names",
@@ -43,13 +43,13 @@ __all__ = [
 
 def read_rows(
     path: Path,
-    layout: Layout,
+    layout: TextLayout,
     *,
     numbers: Sequence[str],
     texts: Sequence[str] = (),
     required: Sequence[str] = (),
     any_of: Sequence[str] = (),
-) -> Rows:
+) -> TextRows:
     """Read the columns `numbers` (Float64) and `texts` (String) of every trustworthy row, the whole log at once.
 
     Args:
@@ -70,13 +70,13 @@ def read_rows(
 
 def read_blocks(
     path: Path,
-    layout: Layout,
+    layout: TextLayout,
     *,
     numbers: Sequence[str],
     texts: Sequence[str] = (),
     required: Sequence[str] = (),
     any_of: Sequence[str] = (),
-) -> Iterator[Rows]:
+) -> Iterator[TextRows]:
     """Yield what `read_rows` returns, some tens of thousands of rows at a time, for logs of any size.
 
     Raises:
@@ -98,13 +98,13 @@ def read_blocks(
 
 def rows_of(
     blocks: Iterable[bytes],
-    layout: Layout,
+    layout: TextLayout,
     *,
     numbers: Sequence[str],
     texts: Sequence[str] = (),
     required: Sequence[str] = (),
     first_line: int = 1,
-) -> Rows:
+) -> TextRows:
     """Read rows as `read_rows` does, out of lines with their line ends: a section of a file of several tables.
 
     Args:
@@ -121,27 +121,27 @@ def rows_of(
 
 def row_blocks(
     blocks: Iterable[bytes],
-    layout: Layout,
+    layout: TextLayout,
     *,
     numbers: Sequence[str],
     texts: Sequence[str] = (),
     required: Sequence[str] = (),
     first_line: int = 1,
-) -> Iterator[Rows]:
+) -> Iterator[TextRows]:
     """Yield what `rows_of` returns, piece by piece."""
     parser = RowParser(layout, Wanted(numbers, texts, required), line=first_line, skip=layout.header_lines)
     yield from parser.rows(blocks)
 
 
-def joined(parts: Iterable[Rows], numbers: Sequence[str] = (), texts: Sequence[str] = ()) -> Rows:
+def joined(parts: Iterable[TextRows], numbers: Sequence[str] = (), texts: Sequence[str] = ()) -> TextRows:
     """Put blocks of rows together; the columns are given for the case that there is none."""
     every = list(parts)
     if not every:
         columns = {"source_row": pl.Int64(), INDEX: pl.Int64()}
         schema = columns | dict.fromkeys(numbers, pl.Float64()) | dict.fromkeys(texts, pl.String())
-        return Rows(pl.DataFrame(schema=schema), 0, pl.DataFrame(schema=SET_ASIDE))
+        return TextRows(pl.DataFrame(schema=schema), 0, pl.DataFrame(schema=SET_ASIDE))
     if len(every) == 1:
         return every[0]
     frame = pl.concat([rows.frame for rows in every])
     aside = pl.concat([rows.set_aside for rows in every])
-    return Rows(frame, sum(rows.rows_read for rows in every), aside, sum(rows.not_finite for rows in every))
+    return TextRows(frame, sum(rows.rows_read for rows in every), aside, sum(rows.not_finite for rows in every))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
-from cyclekit_adapters.text.text_layout import Layout, delimiter_of, fields_of, header_names, strict_fields_of
+from cyclekit_adapters.text.text_layout import TextLayout, delimiter_of, fields_of, header_names, strict_fields_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -63,7 +63,7 @@ def has_decimal_comma(rows: Iterable[str], delimiter: str) -> bool:
     return sum(map(bool, map(_COMMA.fullmatch, cells))) > sum(map(bool, map(_POINT.fullmatch, cells)))
 
 
-def layout_below(path: Path, delimiters: str = ",;\t ") -> Layout:
+def layout_below(path: Path, delimiters: str = ",;\t ") -> TextLayout:
     """Return how the rows below the first line are written; where names or cells stand in quotes, all may.
 
     Args:
@@ -81,7 +81,7 @@ def layout_below(path: Path, delimiters: str = ",;\t ") -> Layout:
     delimiter = delimiter_of(line, delimiters)
     names, comma = names_in(path, line, delimiter), has_decimal_comma(rows, delimiter)
     quotes = '"' in line or any(_is_quoted(row, delimiter, len(names)) for row in rows)
-    return Layout(names, delimiter, 1, decimal_comma=comma, encoding=encoding, quotes=quotes)
+    return TextLayout(names, delimiter, 1, decimal_comma=comma, encoding=encoding, quotes=quotes)
 
 
 def _is_quoted(row: str, delimiter: str, width: int) -> bool:

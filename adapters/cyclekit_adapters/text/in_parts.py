@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.adapter import Recording
-    from cyclekit_adapters.text.delimited import Rows
+    from cyclekit_adapters.text.delimited import TextRows
 
 MANY, HARDLY_ANY = 1_000_000, 0.01
 """A log of which less than this share of so many rows can be used is something else, however long one goes on."""
@@ -30,8 +30,8 @@ _PARTS_IN_A_BLOCK = 4
 
 def in_parts(
     path: Path,
-    blocks: Iterable[Rows],
-    make: Callable[[Rows], Recording],
+    blocks: Iterable[TextRows],
+    make: Callable[[TextRows], Recording],
     finish: Callable[[Recording], Recording],
 ) -> Iterator[Recording]:
     """Yield the parts of a log.
@@ -70,12 +70,12 @@ def in_parts(
     yield done
 
 
-def _together(blocks: Iterable[Rows]) -> Iterator[Rows]:
+def _together(blocks: Iterable[TextRows]) -> Iterator[TextRows]:
     """Put consecutive blocks together until their tables are a quarter as large as a block of text.
 
     To check a part of few rows takes about as long as one of many, and few columns make small tables of large blocks.
     """
-    waiting: list[Rows] = []
+    waiting: list[TextRows] = []
     size = 0.0
     for rows in blocks:
         waiting.append(rows)

@@ -18,7 +18,7 @@ from cyclekit_adapters.text.text_rows import CELL, UNKNOWN
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from cyclekit_adapters.text.text_rows import Rows
+    from cyclekit_adapters.text.text_rows import TextRows
 
 _SHAPE = r"^\s*(?:[A-Za-z_.]+\(|p)?\s*[\[({]([^\[\](){}]*)[\])}](?:\s*,\s*\w+\s*=[^()]*)?\s*\)?\s*$"
 _BETWEEN = r"\s*[,;]\s*|\s+"
@@ -50,7 +50,7 @@ class ListCells:
     required: tuple[str, ...] = ()
     _widths: dict[str, int] = field(default_factory=dict)
 
-    def rows(self, rows: Rows) -> Rows:
+    def rows(self, rows: TextRows) -> TextRows:
         """Return the rows with the numbers wanted as columns beside the lists; those in doubt are set aside."""
         for column, made in self.wanted.items():
             rows = self._taken_apart(rows, column, made)
@@ -58,7 +58,7 @@ class ListCells:
             rows = rows.without(rows.frame[name].is_null(), f"no value in column {name!r}")
         return rows
 
-    def _taken_apart(self, rows: Rows, column: str, made: Mapping[int, str]) -> Rows:
+    def _taken_apart(self, rows: TextRows, column: str, made: Mapping[int, str]) -> TextRows:
         inner = pl.col(column).str.extract(_SHAPE, 1).str.strip_chars()
         parts = inner.str.replace_all(_BETWEEN, CELL).str.split(CELL)
         rows = replace(rows, frame=rows.frame.with_columns(inner.alias(_LIST), parts.alias(_PARTS)))
@@ -77,7 +77,7 @@ class ListCells:
         return replace(rows, frame=rows.frame.drop(_LIST, _PARTS))
 
 
-def _with_number(rows: Rows, column: str, place: int, name: str) -> Rows:
+def _with_number(rows: TextRows, column: str, place: int, name: str) -> TextRows:
     text = pl.col(_PARTS).list.get(place, null_on_oob=True).str.strip_chars("'\" ")
     known = pl.when(~text.str.to_lowercase().is_in(UNKNOWN)).then(text)
     number = known.cast(pl.Float64, strict=False)

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit_adapters.text.block_table import Table, short_lines, table_of
+from cyclekit_adapters.text.block_table import BlockTable, short_lines, table_of
 from cyclekit_adapters.text.made_ahead import made_ahead
 from cyclekit_adapters.text.single_lines import as_texts, cells_of, is_name_line, is_torn, miscounted
 from cyclekit_adapters.text.text_rows import (
     CELL,
     INDEX,
     SET_ASIDE,
-    Rows,
+    TextRows,
     Wanted,
     as_numbers,
     finite,
@@ -33,7 +33,7 @@ from cyclekit_adapters.text.text_rows import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from cyclekit_adapters.text.text_layout import Layout
+    from cyclekit_adapters.text.text_layout import TextLayout
 
 ONE_BY_ONE = 1 << 17
 """Bytes; a block in trouble is halved down to here, then read line by line."""
@@ -71,7 +71,7 @@ class RowParser:
         torn: The line before was a piece of a row, so the next one may be its rest.
     """
 
-    layout: Layout
+    layout: TextLayout
     wanted: Wanted
     line: int = 1
     skip: int = 0
@@ -80,7 +80,7 @@ class RowParser:
     below_names: bool = field(default=True, init=False)
     torn: bool = field(default=False, init=False)
 
-    def rows(self, blocks: Iterable[bytes]) -> Iterator[Rows]:
+    def rows(self, blocks: Iterable[bytes]) -> Iterator[TextRows]:
         """Yield the rows of consecutive blocks of lines; only the very last line of all may lack its end."""
         for block, table in made_ahead(self._pieces(blocks), self._table_of):
             yield from self._parsed(block, table)
@@ -104,10 +104,10 @@ class RowParser:
             self.skip, self.line = self.skip - 1, self.line + 1
         return block
 
-    def _table_of(self, block: bytes) -> Table | None:
+    def _table_of(self, block: bytes) -> BlockTable | None:
         return table_of(block[: block.rfind(b"\n") + 1], self.layout, self.wanted)
 
-    def _parsed(self, block: bytes, table: Table | None) -> Iterator[Rows]:
+    def _parsed(self, block: bytes, table: BlockTable | None) -> Iterator[TextRows]:
         """Yield the rows of a block, given them as a table if all is well with it alone."""
         whole = block.rfind(b"\n") + 1
         if whole:
@@ -118,7 +118,7 @@ class RowParser:
                 self.row += 1
             self.line += 1
 
-    def _halved(self, block: bytes, table: Table | None) -> Iterator[Rows]:
+    def _halved(self, block: bytes, table: BlockTable | None) -> Iterator[TextRows]:
         """Yield the rows of whole lines: at once where all is well, else half by half."""
         if block.isspace():
             self.line += block.count(b"\n")
@@ -142,13 +142,13 @@ class RowParser:
     def _is_torn(self, line: bytes) -> bool:
         return is_torn(line.decode("utf-8", "replace"), self.layout)
 
-    def _at_once(self, table: Table) -> Rows:
+    def _at_once(self, table: BlockTable) -> TextRows:
         frame = table.placed(self.line, self.row)
         self.line, self.row = self.line + table.lines, self.row + frame.height
         self.below_names = self.below_names and not frame.height
         return trusted(frame, [], frame.height, self.wanted, table.not_finite)
 
-    def _all_aside(self, block: bytes) -> Rows | None:
+    def _all_aside(self, block: bytes) -> TextRows | None:
         """Set all lines of a block aside at once, where none can be a row or the names once more."""
         if (found := short_lines(block, self.layout)) is None:
             return None
@@ -162,7 +162,7 @@ class RowParser:
         self.line, self.row = self.line + block.count(b"\n"), self.row + len(lines)
         return replace(none, set_aside=aside)
 
-    def _one_by_one(self, block: bytes) -> Rows:
+    def _one_by_one(self, block: bytes) -> TextRows:
         found, begin = _Sorted(), self.row
         for content in block.split(b"\n")[:-1]:
             for piece in content.rstrip(b"\r").split(b"\r"):  # a CR alone ends the lines of old machines and bars
@@ -208,7 +208,7 @@ class RowParser:
         self.ended = f"another table begins in line {self.line} ({shown}): cut the file there to read it"
         return self.ended
 
-    def _rows(self, found: _Sorted, rows_read: int) -> Rows:
+    def _rows(self, found: _Sorted, rows_read: int) -> TextRows:
         table = as_texts(found.kept, self.layout).select(self.wanted.columns)
         where = pl.DataFrame(found.places, schema={"source_row": pl.Int64(), INDEX: pl.Int64()}, orient="row")
         table, garbled = as_numbers(pl.concat([where, table], how="horizontal"), self.layout, self.wanted)

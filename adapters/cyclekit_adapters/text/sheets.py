@@ -15,8 +15,17 @@ import polars as pl
 
 from cyclekit.errors import CyclekitError, DamagedLog, MissingExtra, UnknownName
 from cyclekit_adapters.mapped.csv_map import WHERE
-from cyclekit_adapters.text.text_layout import Layout, unique
-from cyclekit_adapters.text.text_rows import INDEX, Rows, Wanted, as_numbers, finite, not_finite, stripped, trusted
+from cyclekit_adapters.text.text_layout import TextLayout, unique
+from cyclekit_adapters.text.text_rows import (
+    INDEX,
+    TextRows,
+    Wanted,
+    as_numbers,
+    finite,
+    not_finite,
+    stripped,
+    trusted,
+)
 from cyclekit_adapters.text.workbook import safe_copy
 
 if TYPE_CHECKING:
@@ -120,7 +129,7 @@ class SheetTable:
         others = ", ".join(name[:40] for name in self.workbook.sheets[:20])
         return f"Columns of sheet {self.sheet!r}: {', '.join(n[:40] for n in self.names[:60])}. Sheets: {others}."
 
-    def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[Rows]:
+    def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[TextRows]:
         """Yield its rows that hold anything; `source_row` is that of the spreadsheet."""
         places = {name: at for at, name in enumerate(names)}
         there = {name: at for name in wanted.columns if (at := places[name]) in self._head}
@@ -136,7 +145,7 @@ class SheetTable:
         told = pl.any_horizontal(pl.col(wanted.columns).str.strip_chars() != "").fill_null(value=False)
         table = table.with_row_index("source_row", offset=1).slice(self.skip).filter(told)
         table = table.with_row_index(INDEX).with_columns(pl.col("source_row", INDEX).cast(pl.Int64))
-        layout = Layout(names, ";", 0, decimal_comma=self.comma)
+        layout = TextLayout(names, ";", 0, decimal_comma=self.comma)
         for block in table.iter_slices(_BLOCK):
             yield _block(block, layout, wanted)
 
@@ -145,7 +154,7 @@ class SheetTable:
         return str(cells[row] or "") if cells is not None and row < len(cells) else ""
 
 
-def _block(table: pl.DataFrame, layout: Layout, wanted: Wanted) -> Rows:
+def _block(table: pl.DataFrame, layout: TextLayout, wanted: Wanted) -> TextRows:
     """Return rows of texts as numbers and texts; a number that the sheet holds as one is taken as it is."""
     rows_read = table.height
     table, garbled = as_numbers(table, layout, wanted)

@@ -17,14 +17,14 @@ from cyclekit_adapters.text.text_rows import CELL, UNDECODED, UNKNOWN
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit_adapters.text.text_layout import Layout
+    from cyclekit_adapters.text.text_layout import TextLayout
 
 _FAR_TOO_MANY = 50
 _NUMBERISH = re.compile(r"[-+.,:0-9eE]+")
 _BEGINS_NUMBER = re.compile(r"[-+.,]*\d")
 
 
-def cells_of(text: str, layout: Layout) -> tuple[str | None, str]:
+def cells_of(text: str, layout: TextLayout) -> tuple[str | None, str]:
     """Return the cells of one line joined by `CELL`, None where their number is wrong, and why it is no row."""
     delimiter, width = mark_between(layout), len(layout.names)
     if "\0" in text:
@@ -54,7 +54,7 @@ def miscounted(found: int, width: int) -> str:
     return f"{found} field{'' if found == 1 else 's'} where the header has {width}"
 
 
-def is_name_line(fields: Sequence[str], layout: Layout, numbers: Sequence[str]) -> bool:
+def is_name_line(fields: Sequence[str], layout: TextLayout, numbers: Sequence[str]) -> bool:
     """Tell whether a line has words in place of all its numbers, as the names of another table or a row of units."""
     told = [cell for cell in fields if cell.lower() not in UNKNOWN]
     if len(fields) != len(layout.names) or len(told) < max(2, len(fields) // 2) or len(set(told)) < 2:
@@ -65,12 +65,12 @@ def is_name_line(fields: Sequence[str], layout: Layout, numbers: Sequence[str]) 
     return any(cell.lower() not in UNKNOWN for cell in due)
 
 
-def is_torn(text: str, layout: Layout) -> bool:
+def is_torn(text: str, layout: TextLayout) -> bool:
     """Tell whether a line is a number alone: the begin or the end of a row that was torn inside its outermost cell."""
     return len(layout.names) > 1 and bool(_NUMBERISH.fullmatch(text.strip())) and mark_between(layout) not in text
 
 
-def as_texts(kept: list[str], layout: Layout) -> pl.DataFrame:
+def as_texts(kept: list[str], layout: TextLayout) -> pl.DataFrame:
     """Return lines from `cells_of` as a table of texts."""
     schema = dict.fromkeys(layout.names, pl.String())
     if not kept:
@@ -81,7 +81,7 @@ def as_texts(kept: list[str], layout: Layout) -> pl.DataFrame:
     )
 
 
-def _is_number(cell: str, layout: Layout) -> bool:
+def _is_number(cell: str, layout: TextLayout) -> bool:
     try:
         float(cell.replace(",", ".", 1) if layout.decimal_comma else cell)
     except ValueError:

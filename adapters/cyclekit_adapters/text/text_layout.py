@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Layout:
+class TextLayout:
     r"""How the rows of one text log are written.
 
     Attributes:

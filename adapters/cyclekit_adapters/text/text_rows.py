@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from cyclekit_adapters.text.text_layout import Layout
+    from cyclekit_adapters.text.text_layout import TextLayout
 
 INDEX = "\x1findex"
 """Column of `Rows.frame`: number of the data row, from 0, blank lines and headers not counted."""
@@ -53,7 +53,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Rows:
+class TextRows:
     """The usable rows.
 
     Attributes:
@@ -68,7 +68,7 @@ class Rows:
     set_aside: pl.DataFrame
     not_finite: int = 0
 
-    def or_refuse(self, path: Path) -> Rows:
+    def or_refuse(self, path: Path) -> TextRows:
         """Return these rows, or refuse the log if none of them can be used.
 
         Raises:
@@ -78,7 +78,7 @@ class Rows:
             raise nothing_usable(path, self.rows_read, self.set_aside)
         return self
 
-    def without(self, bad: pl.Series, reason: str) -> Rows:
+    def without(self, bad: pl.Series, reason: str) -> TextRows:
         """Return the rows with those for which `bad`, shape (N,), is true set aside."""
         if not bad.any():
             return self
@@ -99,7 +99,7 @@ def nothing_usable(path: Path, rows_read: int, set_aside: pl.DataFrame) -> Damag
     return DamagedLog(path, cause, cure=cure or "Check how the file was written or copied.")
 
 
-def number_in(name: str, layout: Layout) -> pl.Expr:
+def number_in(name: str, layout: TextLayout) -> pl.Expr:
     """Return the cells of a column ready to be cast: trimmed, null where unknown, with a decimal point.
 
     Where the comma is the decimal mark, a point is none: 1.234 may mean 1234 there, so it is no number at all.
@@ -112,7 +112,7 @@ def number_in(name: str, layout: Layout) -> pl.Expr:
     return pl.when(pointed).then(text + "?").otherwise(text.str.replace(",", ".", literal=True))
 
 
-def as_numbers(table: pl.DataFrame, layout: Layout, wanted: Wanted) -> tuple[pl.DataFrame, list[tuple[int, str]]]:
+def as_numbers(table: pl.DataFrame, layout: TextLayout, wanted: Wanted) -> tuple[pl.DataFrame, list[tuple[int, str]]]:
     """Return a table of texts with its numbers as numbers, without the rows that are garbled; those with the reason."""
     garbled: dict[int, str] = {}
     for name in wanted.numbers:
@@ -151,7 +151,7 @@ def stripped(wanted: Wanted) -> list[pl.Expr]:
 
 def trusted(
     table: pl.DataFrame, aside: Sequence[tuple[int, str]], rows_read: int, wanted: Wanted, not_finite: int
-) -> Rows:
+) -> TextRows:
     """Return the rows of a table that have the values they need; the others are set aside as well.
 
     Args:
@@ -162,7 +162,7 @@ def trusted(
         not_finite: How many values were NaN or infinite.
     """
     set_aside = pl.DataFrame(aside, schema=SET_ASIDE, orient="row") if aside else pl.DataFrame(schema=SET_ASIDE)
-    rows = Rows(table, rows_read, set_aside, not_finite)
+    rows = TextRows(table, rows_read, set_aside, not_finite)
     for name in wanted.required:
         if rows.frame[name].null_count():
             rows = rows.without(rows.frame[name].is_null(), f"no value in column {name!r}")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.adapter import ReadOptions
-    from cyclekit_adapters.text.delimited import Rows
+    from cyclekit_adapters.text.delimited import TextRows
     from cyclekit_adapters.tracking.sightings import Sightings
 
 _SIDE = "(?:l|r|left|right)"
@@ -197,7 +197,7 @@ def recording_of(
     names: Sequence[str],
     points_m: NDArray[np.float64],
     t_s: pl.Series,
-    rows: Rows,
+    rows: TextRows,
     seen: Sightings,
     *,
     options: ReadOptions,

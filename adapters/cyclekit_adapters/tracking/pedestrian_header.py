@@ -37,7 +37,7 @@ _FARTHER = 5.0  # a stranger's place is metres away, one's own in the next frame
 
 
 @dataclass(frozen=True)
-class Header:
+class PedestrianHeader:
     """Lines above the data, column names (`frame`, `id`, `x`, `y`, `z` or #n), unit and rate where stated."""
 
     lines: int
@@ -48,7 +48,7 @@ class Header:
     titled: bool
 
 
-def read_header(path: Path, columns: str | None) -> Header:
+def read_header(path: Path, columns: str | None) -> PedestrianHeader:
     """Return the header, its columns in the order that the file or the cell file states.
 
     Raises:
@@ -90,7 +90,7 @@ def _step(rows: list[list[float]], names: tuple[str, ...]) -> float:
     return median(steps) if steps else 0.0
 
 
-def metres_if_they_can_be(path: Path, header: Header, rate_hz: float) -> str:
+def metres_if_they_can_be(path: Path, header: PedestrianHeader, rate_hz: float) -> str:
     """Return "m" for a table that states no unit, unless its people would be giants or run too fast for it.
 
     Raises:
@@ -111,7 +111,7 @@ def metres_if_they_can_be(path: Path, header: Header, rate_hz: float) -> str:
     return "m"
 
 
-def header_of(head: str, columns: str | None = None) -> Header | None:
+def header_of(head: str, columns: str | None = None) -> PedestrianHeader | None:
     """Take apart comments, a line of column names if there is one, and the first data row; None if it is no table.
 
     Nameless rows have four fields, or as many as `columns` names.
@@ -133,7 +133,7 @@ def header_of(head: str, columns: str | None = None) -> Header | None:
     names = (*names, *(f"#{index}" for index in range(len(names), width)))
     rate = next((match for line in comments if (match := _RATE.search(line))), None)
     rate_hz = float(rate[1][:12]) if rate else None
-    return Header(at, names, delimiter, unit or _unit_of(comments), rate_hz, named is not None)
+    return PedestrianHeader(at, names, delimiter, unit or _unit_of(comments), rate_hz, named is not None)
 
 
 def _is_comment(line: str) -> bool:
@@ -170,7 +170,7 @@ def _names(line: str) -> tuple[tuple[str, ...], str | None] | None:
     return tuple(names), units.pop() if len(units) == 1 else None
 
 
-def _rows(head: str, header: Header) -> list[list[float]]:
+def _rows(head: str, header: PedestrianHeader) -> list[list[float]]:
     """Return the numbers of the first data rows, an empty list for what is no row of numbers."""
     whole = head.split("\n")[:-1] if len(head) >= HEAD_BYTES else head.split("\n")
     begin = whole[header.lines : header.lines + 2 * _LINES_LOOKED_AT]
@@ -178,7 +178,7 @@ def _rows(head: str, header: Header) -> list[list[float]]:
     return [_floats(_cells(line, header.delimiter)) for line in lines]
 
 
-def looks_like_frames(head: str, header: Header) -> bool:
+def looks_like_frames(head: str, header: PedestrianHeader) -> bool:
     """Tell whether nameless rows can be frame, id, x, y: whole numbers that are counted, then two places."""
     rows = _rows(head, header)
     if len(rows) < 2 or any(len(row) != 4 for row in rows):

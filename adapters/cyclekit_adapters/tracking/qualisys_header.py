@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog, LogError
-from cyclekit_adapters.text.delimited import Layout
+from cyclekit_adapters.text.delimited import TextLayout
 from cyclekit_adapters.text.header_line import has_decimal_comma
 from cyclekit_adapters.text.text_blocks import file_encoding, head_of
 from cyclekit_adapters.tracking.frame_clock import FRAME, TIME, FrameClock
@@ -37,7 +37,7 @@ Cells = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
-class Header:
+class QualisysHeader:
     """What stands above the rows.
 
     Attributes:
@@ -54,7 +54,7 @@ class Header:
     kind: str
     names: tuple[str, ...]
     cells: tuple[Cells, ...]
-    layout: Layout
+    layout: TextLayout
     clock: FrameClock
     events: tuple[tuple[int, str, float, float], ...] = ()
 
@@ -65,7 +65,7 @@ class Header:
         return {key: value[:200] for key, value in told.items() if value}
 
 
-def read_header(path: Path, rate_hz: float | None) -> Header:
+def read_header(path: Path, rate_hz: float | None) -> QualisysHeader:
     """Take the header apart; `rate_hz` is used where the file states no frequency.
 
     Raises:
@@ -96,10 +96,10 @@ def read_header(path: Path, rate_hz: float | None) -> Header:
     rows = lines[at + bool(titles) :]
     columns, cells = _columns(path, kind, names, titles, rows[0].split("\t") if rows else [])
     comma = has_decimal_comma(rows[:_LOOKED_AT], "\t")
-    layout = Layout(columns, "\t", at + bool(titles), decimal_comma=comma, encoding=file_encoding(path) or "utf-8")
+    layout = TextLayout(columns, "\t", at + bool(titles), decimal_comma=comma, encoding=file_encoding(path) or "utf-8")
     clock = _clock(path, about, columns, rate_hz)
     clock.decide(rows, "\t", decimal_comma=comma)
-    return Header(about, kind, names, cells, layout, clock, tuple(events))
+    return QualisysHeader(about, kind, names, cells, layout, clock, tuple(events))
 
 
 def _columns(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog, nearest
-from cyclekit_adapters.text.delimited import Layout, delimiter_of, fields_of
+from cyclekit_adapters.text.delimited import TextLayout, delimiter_of, fields_of
 from cyclekit_adapters.text.header_line import MOST_COLUMNS, has_decimal_comma
 from cyclekit_adapters.text.text_blocks import file_encoding, head_lines
 from cyclekit_adapters.tracking.frame_clock import FRAME, MOST_HZ, TIME, FrameClock, positive
@@ -31,7 +31,7 @@ _WHOLE_FRAME = 0.1
 
 
 @dataclass(frozen=True)
-class Header:
+class TrcHeader:
     """What stands above the rows.
 
     Attributes:
@@ -45,7 +45,7 @@ class Header:
 
     about: dict[str, str]
     names: tuple[str, ...]
-    layout: Layout
+    layout: TextLayout
     clock: FrameClock
     unit: str
     rows: tuple[tuple[str, ...], ...]
@@ -60,7 +60,7 @@ class Header:
         return int(positive(self.about.get("NumFrames", ""), below=1e9) or 0)
 
 
-def read_header(path: Path, rate_hz: float | None) -> Header:
+def read_header(path: Path, rate_hz: float | None) -> TrcHeader:
     """Take the header apart; `rate_hz` is used where the file states no rate.
 
     Raises:
@@ -83,10 +83,10 @@ def read_header(path: Path, rate_hz: float | None) -> Header:
     _require_counts(path, about, names, lines, cells[0] if cells else (), begin)
     comma = has_decimal_comma(rows, delimiter)
     columns = (FRAME, TIME, *(f"#{i}" for i in range(3 * len(names))))
-    layout = Layout(columns, delimiter, begin, decimal_comma=comma, encoding=encoding)
+    layout = TextLayout(columns, delimiter, begin, decimal_comma=comma, encoding=encoding)
     rate = positive(about.get("DataRate", ""), below=MOST_HZ) or rate_hz
     points = [tuple(cell.replace(",", ".") if comma else cell for cell in row) for row in cells]
-    return Header(about, names, layout, _clock(points, rate), unit, tuple(points))
+    return TrcHeader(about, names, layout, _clock(points, rate), unit, tuple(points))
 
 
 def _about(path: Path, lines: list[str]) -> dict[str, str]:

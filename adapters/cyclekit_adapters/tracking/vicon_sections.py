@@ -14,7 +14,7 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import DamagedLog, LogError, nearest
-from cyclekit_adapters.text.delimited import Layout, delimiter_of, fields_of
+from cyclekit_adapters.text.delimited import TextLayout, delimiter_of, fields_of
 from cyclekit_adapters.text.header_line import has_decimal_comma
 from cyclekit_adapters.text.text_blocks import blocks_of, file_encoding
 from cyclekit_adapters.tracking.frame_clock import MOST_HZ, positive
@@ -44,7 +44,7 @@ class Section:
     """A section of positions: its five header lines taken apart; places by the names of the markers or segments."""
 
     rate_hz: float
-    layout: Layout
+    layout: TextLayout
     places: dict[str, Triple]
     metres: float
 
@@ -167,7 +167,7 @@ def _section(log: Sections, begin: list[bytes]) -> Section:
         raise DamagedLog(log.path, cause, nearest=nearest(unit, METRES), cure=f"{EXPORT} in mm.")
     places = {name: (f"#{at}", f"#{at + 1}", f"#{at + 2}") for name, at in found.items()}
     columns = ("Frame", "Sub Frame", *(f"#{at}" for at in range(2, width)))
-    layout = Layout(columns, delimiter, HEADER_LINES, decimal_comma=has_decimal_comma(first_rows, delimiter))
+    layout = TextLayout(columns, delimiter, HEADER_LINES, decimal_comma=has_decimal_comma(first_rows, delimiter))
     return Section(rate_hz, layout, places, METRES[unit])
 
 

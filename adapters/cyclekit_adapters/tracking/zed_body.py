@@ -57,7 +57,7 @@ _HIDDEN = ("SEARCHING", "TERMINATE", "2", "3")
 
 
 @dataclass(frozen=True)
-class Body:
+class ZedBody:
     """One body of one frame, in the file's unit and axes.
 
     Attributes:
@@ -104,7 +104,7 @@ def seconds_of(stamp: object) -> tuple[float, ClockKind] | None:
 
 def body_of(
     path: Path, body: dict[str, object], time: tuple[float, ClockKind], row: int, *, skeletons: bool
-) -> Body | None:
+) -> ZedBody | None:
     """Return a body, None if it has neither keypoints nor a position.
 
     Raises:
@@ -128,7 +128,7 @@ def body_of(
     upward = (neck[0] - pelvis[0], neck[1] - pelvis[1], neck[2] - pelvis[2]) if neck and pelvis else None
     name = str(body.get("id", ""))[:80]
     hidden = str(body.get("tracking_state", "")).rpartition(".")[2].upper() in _HIDDEN
-    return Body(
+    return ZedBody(
         *time,
         row,
         name,

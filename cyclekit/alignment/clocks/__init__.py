@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from cyclekit.alignment.clocks.coarse import REACH_S, coarse_fit
 from cyclekit.alignment.clocks.envelope import follow, lower_envelope
-from cyclekit.alignment.clocks.fit import ASSUMED, ClockFit, LogClock, Method, fit_clock
+from cyclekit.alignment.clocks.fit import ASSUMED, ClockFit, ClockStart, Method, fit_clock
 from cyclekit.alignment.clocks.motion import fit_motion
 from cyclekit.alignment.clocks.pairs import fit_events, fit_pairs
 
@@ -17,7 +17,7 @@ __all__ = [
     "ASSUMED",
     "REACH_S",
     "ClockFit",
-    "LogClock",
+    "ClockStart",
     "Method",
     "coarse_fit",
     "fit_clock",

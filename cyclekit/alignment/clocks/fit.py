@@ -20,7 +20,7 @@ Method = ClockMethod
 
 
 @dataclass(frozen=True)
-class LogClock:
+class ClockStart:
     """What is known of one log's clock: its kind and the time of its first row, seconds."""
 
     kind: ClockKind
@@ -70,7 +70,7 @@ class ClockFit:
         return cls(**{one.name: getattr(card, one.name) for one in fields(cls)})
 
 
-def fit_clock(log: LogClock, master: LogClock, source: Source | None, *, same_log: bool = False) -> ClockFit:
+def fit_clock(log: ClockStart, master: ClockStart, source: Source | None, *, same_log: bool = False) -> ClockFit:
     """Map the time of `log` to the time of its session, whose clock is `master`'s, without looking into the logs.
 
     Args:

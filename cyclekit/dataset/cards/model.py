@@ -185,7 +185,7 @@ class TrainingCard(Card, frozen=True, kw_only=True):
         """Names of the executions that served for judging; none where the card does not say."""
         return self.split.test if self.split is not None else ()
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return JSON values for people: with sentences in place of the codes of warnings."""
         return {**plain(self, nulls=True), "warnings": texts(self.warnings)}
 

@@ -6,8 +6,8 @@ exact   orders as `estimate` gives them
 answer  the order found, what it saves against the logged ones, and how much of that is luck of the logs
 """
 
-from cyclekit.estimate.plan.answer import Plan, plan
+from cyclekit.estimate.plan.answer import OrderPlan, plan
 from cyclekit.estimate.plan.jobs import Jobs, load_jobs
 from cyclekit.estimate.plan.search import some
 
-__all__ = ["Jobs", "Plan", "load_jobs", "plan", "some"]
+__all__ = ["Jobs", "OrderPlan", "load_jobs", "plan", "some"]

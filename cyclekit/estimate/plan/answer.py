@@ -17,9 +17,12 @@ from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.parallel.one_thread import one_thread
+from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    import polars as pl
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
@@ -35,8 +38,8 @@ RANDOM_BASIS = 200
 """Where none of the logged orders does the same work, so many random ones stand for them."""
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class OrderPlan(Result):
     """The order found.
 
     Attributes:
@@ -74,9 +77,20 @@ class Plan:
     unlogged: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain JSON values."""
         return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per visit of the order found."""
+        import polars as pl
+
+        return pl.DataFrame({"visit": range(1, len(self.order) + 1), "place": self.order})
+
+    def _said(self) -> list[str]:
+        saved, low, high = self.saves_s
+        against = f"saves {saved:.1f} s (95% CI {low:.1f} to {high:.1f} s) against {self.against}"
+        return [f"{self.expected_s:.1f} s; {against}", f"order {', '.join(self.order)}"]
 
 
 @one_thread()
@@ -90,7 +104,7 @@ def plan(
     check: Check | None = None,
     other_cell: bool = False,
     progress: Callable[[float, str], None] | None = None,
-) -> Plan:
+) -> OrderPlan:
     """Search the order of `jobs` with the least expected cycle time, the surer one where they are alike.
 
     Args:
@@ -135,7 +149,7 @@ def plan(
     saved = walker.mean_of(basis, every, found.check) - np.array(found.durations_s)
     low, high = np.quantile(resampled(tracks.executions, seed) @ saved, (0.025, 0.975)).tolist()
     doubt_s = _doubt_s(found, float(saved.mean()))
-    return Plan(
+    return OrderPlan(
         order=order,
         places=jobs.places(order),
         expected_s=found.expected_s,

@@ -8,14 +8,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.entry import Altered
 from cyclekit.estimate.resample import resampled
-from cyclekit.estimate.rollout import Altered, estimate
+from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.whatif.alter import altered_safety, altered_tasks, altered_tracks
 from cyclekit.parallel.one_thread import one_thread
+from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+
+    import polars as pl
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
@@ -29,8 +33,8 @@ if TYPE_CHECKING:
 NO_PROOF = "This is a forecast of cycle times from logs. It is no safety proof."
 
 
-@dataclass(frozen=True)
-class WhatIf:
+@dataclass(frozen=True, repr=False)
+class WhatIf(Result):
     """One sequence under one change.
 
     Attributes:
@@ -46,15 +50,31 @@ class WhatIf:
     saves_s: tuple[float, float, float]
     safety: str = NO_PROOF
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
         return {
             "change": self.change,
-            "before": self.before.to_json(),
-            "after": self.after.to_json(),
+            "before": self.before.to_dict(),
+            "after": self.after.to_dict(),
             "saves_s": list(self.saves_s),
             "safety": self.safety,
         }
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per changed sequence, seconds."""
+        import polars as pl
+
+        saved, low, high = self.saves_s
+        row = {"change": self.change, "sequence": self.after.name}
+        times = {"before_s": self.before.expected_s, "after_s": self.after.expected_s}
+        return pl.DataFrame([row | times | {"saves_s": saved, "saves_low_s": low, "saves_high_s": high}])
+
+    def _said(self) -> list[str]:
+        saved, low, high = self.saves_s
+        times = f"{self.before.expected_s:.1f} -> {self.after.expected_s:.1f} s"
+        return [
+            f"{self.change!r}, {self.after.name!r}: {times}, saves {saved:.1f} s (95% CI {low:.1f} to {high:.1f} s)"
+        ]
 
 
 @one_thread()

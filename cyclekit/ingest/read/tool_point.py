@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.config.arms import MODELS, Arm, Link, joint_order, joint_points
+from cyclekit.config.arms import MODELS, Arm, ArmLink, joint_order, joint_points
 from cyclekit.schema import is_joint
 
 if TYPE_CHECKING:
@@ -56,5 +56,5 @@ def _computed(part: Recording, robot: Robot) -> Recording:
 def _arm(robot: Robot) -> Arm:
     if robot.model is not None:
         return MODELS[robot.model]
-    links = (Link(d, a, float(np.deg2rad(alpha)), float(np.deg2rad(theta))) for d, a, alpha, theta in robot.dh)
+    links = (ArmLink(d, a, float(np.deg2rad(alpha)), float(np.deg2rad(theta))) for d, a, alpha, theta in robot.dh)
     return Arm("dh of the cell file", tuple(links))

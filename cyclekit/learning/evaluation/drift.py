@@ -76,7 +76,7 @@ class Drift:
         """Whether the operator's habits are no longer those of the training."""
         return any(shift.changed for shift in self.habits)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
         return {
             "safety_changed": self.safety_changed,

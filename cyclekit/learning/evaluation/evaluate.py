@@ -7,7 +7,7 @@ a model is trained is the business of `train`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,17 +25,20 @@ from cyclekit.learning.networks.saved import load_model
 from cyclekit.learning.out_of_core import memory_rows, some_executions
 from cyclekit.learning.windows import Samples, build_samples
 from cyclekit.parallel.one_thread import one_thread
+from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    import polars as pl
+
     from cyclekit.learning.networks.saved import TrainedModel
 
-__all__ = ["Evaluation", "LevelRow", "Row", "evaluate", "evaluate_at"]
+__all__ = ["ErrorRow", "Evaluation", "LevelRow", "evaluate", "evaluate_at"]
 
 
 @dataclass(frozen=True)
-class Row:
+class ErrorRow:
     """One line of the comparison: mean squared error of the scaling, and what was done."""
 
     name: str
@@ -62,8 +65,8 @@ class LevelRow:
     bias: float | None
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, repr=False)
+class Evaluation(Result):
     """A model judged on a dataset.
 
     Attributes:
@@ -78,6 +81,7 @@ class Evaluation:
         dropped: Rows left out, by reason.
         notes: What limits the comparison, one sentence each.
         better: The rival that is better than the model beyond chance; None where none is.
+        drift: What has changed since the training; None where that was not asked for.
     """
 
     problem: str
@@ -85,33 +89,46 @@ class Evaluation:
     held_out: bool
     executions: tuple[str, ...]
     metrics: Metrics
-    mse: tuple[Row, ...]
+    mse: tuple[ErrorRow, ...]
     confusion: tuple[tuple[int, ...], ...] | None
     levels: tuple[LevelRow, ...]
     dropped: Mapping[str, int]
     notes: tuple[str, ...] = ()
     better: Better | None = None
+    drift: Drift | None = None
 
     @property
     def accuracy(self) -> float | None:
         """Part of the rows on a level whose step is named rightly."""
         return self.metrics.accuracy
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return everything as JSON values."""
         return {
             "problem": self.problem,
             "network": self.network,
             "held_out": self.held_out,
             "executions": list(self.executions),
-            **self.metrics.to_json(),
+            **self.metrics.to_dict(),
             "mse": [vars(row) for row in self.mse],
             "confusion": None if self.confusion is None else [list(row) for row in self.confusion],
             "levels": [vars(row) for row in self.levels],
             "dropped": dict(self.dropped),
             "notes": list(self.notes),
             "better": None if self.better is None else vars(self.better),
+            **({} if self.drift is None else {"drift": self.drift.to_dict()}),
         }
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per predictor: the model, then the baselines."""
+        import polars as pl
+
+        return pl.DataFrame([dict(vars(row)) for row in self.mse])
+
+    def _said(self) -> list[str]:
+        named = "" if self.accuracy is None else f", {self.accuracy:.1%} of levels named rightly"
+        about = f"{self.network} for problem {self.problem}, {len(self.executions)} executions"
+        return [f"{about}; mean absolute error {self.metrics.mae:.4f}, MSE {self.metrics.mse_mean:.2e}{named}"]
 
 
 @one_thread()
@@ -164,7 +181,7 @@ def evaluate(
         learned = _rows(model, dataset, some_executions(dataset, _learned_from(model), memory_rows()))
         tell(0.6, f"fitting the rivals to {len(learned)} samples")
         others = rivals(learned, rows, model.levels, boosting=boosting)
-        table += [Row(other.name, float(other.squared.mean()), other.note) for other in others]
+        table += [ErrorRow(other.name, float(other.squared.mean()), other.note) for other in others]
         squared = (model.predict(rows.model_inputs) - rows.scaling) ** 2
         better = better_rival(model.card.spec, squared, {other.name: other.squared for other in others}, rows.execution)
     else:
@@ -192,8 +209,9 @@ def evaluate_at(
     dataset: str,
     trained_on: str | None = None,
     other_cell: bool = False,
+    boosting: bool = True,
     progress: Callable[[float, str], None] | None = None,
-) -> tuple[Evaluation, Drift | None]:
+) -> Evaluation:
     """Judge the model of one place, as a task of an engine; where `trained_on` is given, also what has changed since.
 
     With `trained_on` the two datasets are to be compared, so the cell may have changed in any way between them.
@@ -204,7 +222,9 @@ def evaluate_at(
     """
     opened, judged = load_model(model), Dataset.open(dataset)
     changed = None if trained_on is None else drift(opened, Dataset.open(trained_on), judged)
-    return evaluate(opened, judged, other_cell=other_cell or trained_on is not None, progress=progress), changed
+    other_cell = other_cell or trained_on is not None
+    found = evaluate(opened, judged, boosting=boosting, other_cell=other_cell, progress=progress)
+    return replace(found, drift=changed)
 
 
 def _held_out(model: TrainedModel) -> tuple[str, ...]:
@@ -230,10 +250,12 @@ def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) ->
     )
 
 
-def _read_outs(metrics: Metrics) -> list[Row]:
-    rows = [Row("model", metrics.mse_mean, "best estimate: mean of the levels under their probabilities, or the value")]
+def _read_outs(metrics: Metrics) -> list[ErrorRow]:
+    rows = [
+        ErrorRow("model", metrics.mse_mean, "best estimate: mean of the levels under their probabilities, or the value")
+    ]
     if metrics.mse_argmax is not None:
-        rows.append(Row("model, step named", metrics.mse_argmax, "the level of the likeliest step"))
+        rows.append(ErrorRow("model, step named", metrics.mse_argmax, "the level of the likeliest step"))
     return rows
 
 

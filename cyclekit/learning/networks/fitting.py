@@ -22,7 +22,7 @@ from cyclekit.learning.networks.calibration import best_temperature
 from cyclekit.learning.networks.folding import fold
 from cyclekit.learning.networks.network import Forecasting, build
 from cyclekit.learning.networks.optimiser import Steps
-from cyclekit.learning.networks.rows import DISTANCE_1_M, DISTANCE_M, Rows, rows_on, standardisation
+from cyclekit.learning.networks.rows import DISTANCE_1_M, DISTANCE_M, TrainingRows, rows_on, standardisation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -160,8 +160,8 @@ def one_fast_thread() -> Iterator[None]:
 def _run(
     network: nn.Module,
     spec: ModelSpec,
-    learn: Rows,
-    check: Rows,
+    learn: TrainingRows,
+    check: TrainingRows,
     levels: torch.Tensor,
     progress: Progress | None,
 ) -> tuple[Epoch, ...]:
@@ -203,7 +203,7 @@ def _run(
 
 
 def _loss(
-    network: nn.Module, spec: ModelSpec, learn: Rows, part: torch.Tensor, balance: torch.Tensor | None
+    network: nn.Module, spec: ModelSpec, learn: TrainingRows, part: torch.Tensor, balance: torch.Tensor | None
 ) -> torch.Tensor:
     """Return the weighted mean loss of a batch."""
     x = learn.inputs(part, spec.noise_m)
@@ -221,7 +221,7 @@ def _loss(
     return (each * weight).sum() / weight.sum()
 
 
-def _balance(learn: Rows, count: int) -> torch.Tensor:
+def _balance(learn: TrainingRows, count: int) -> torch.Tensor:
     """Return the weight of every level with which all count alike, shape (P,); mean over the rows 1."""
     rows = torch.bincount(learn.step, minlength=count).clamp(min=1).to(torch.float32)
     return float(len(learn)) / (count * rows)
@@ -234,7 +234,7 @@ def freeze_norm(network: nn.Module) -> None:
             module.eval()
 
 
-def _centre(network: nn.Module, spec: ModelSpec, learn: Rows) -> None:
+def _centre(network: nn.Module, spec: ModelSpec, learn: TrainingRows) -> None:
     """Shift the output so that its mean error over (some of) the rows it learned from is zero.
 
     One Newton step: rows that are cut to 0 or 1 do not move.
@@ -253,27 +253,27 @@ def _centre(network: nn.Module, spec: ModelSpec, learn: Rows) -> None:
             last.bias.sub_(off / moved)
 
 
-def _cut_off(network: nn.Module, check: Rows) -> float | None:
+def _cut_off(network: nn.Module, check: TrainingRows) -> float | None:
     """Return the bound that all outputs on the validation part are at or beyond, None if they are not."""
     out = _outputs(network, check)
     return 1.0 if bool((out >= 1.0).all()) else 0.0 if bool((out <= 0.0).all()) else None
 
 
-def _spread(check: Rows) -> float:
+def _spread(check: TrainingRows) -> float:
     """Return the weighted variance of the scaling in the validation part: the error of its mean."""
     weight = check.weight / check.weight.sum()
     off = check.scaling[:, 0] - (check.scaling[:, 0] * weight).sum()
     return float((off**2 * weight).sum())
 
 
-def _outputs(network: nn.Module, rows: Rows) -> torch.Tensor:
+def _outputs(network: nn.Module, rows: TrainingRows) -> torch.Tensor:
     network.eval()
     with torch.inference_mode():
         every = torch.arange(len(rows), device=rows.scaling.device)
         return torch.cat([network(rows.inputs(part, 0.0)) for part in torch.split(every, _BLOCK)])
 
 
-def _validation_mse(network: nn.Module, check: Rows, levels: torch.Tensor | None) -> float:
+def _validation_mse(network: nn.Module, check: TrainingRows, levels: torch.Tensor | None) -> float:
     out = _outputs(network, check)
     values = torch.softmax(out, dim=1) @ levels[:, None] if levels is not None else out.clamp(0.0, 1.0)
     return float(((values - check.scaling)[:, 0] ** 2 * check.weight).sum() / check.weight.sum())

@@ -24,7 +24,7 @@ class NotAModel(Exception):
 
 
 @dataclass(frozen=True)
-class Layout:
+class NetworkLayout:
     """What `model.json` says about the network, checked."""
 
     problem: str
@@ -45,7 +45,7 @@ class Layout:
         return len(self.layers) - len(kind.outputs(len(self.levels))) if kind.needs_levels else None
 
     @classmethod
-    def of(cls, about: ModelCard) -> Layout:
+    def of(cls, about: ModelCard) -> NetworkLayout:
         """Check that the parts of the stated network fit each other.
 
         Raises:

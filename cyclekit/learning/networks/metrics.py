@@ -45,7 +45,7 @@ class Metrics:
     calibration_error: float | None = None
     mse_constant: float | None = None
 
-    def to_json(self) -> dict[str, float | int | None]:
+    def to_dict(self) -> dict[str, float | int | None]:
         """Return the numbers as JSON values."""
         return asdict(self)
 

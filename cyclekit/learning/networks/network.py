@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from cyclekit.learning.networks.kinds.kind import Widths
     from cyclekit.learning.networks.spec import ModelSpec
 
 _HUMAN = GROUPS["human"]
@@ -64,7 +65,7 @@ def build(
 class Recurrent(nn.Module):
     """LSTM-1: the first two layers of the regression network are LSTM layers; the last state goes on."""
 
-    def __init__(self, inputs: int, spec: ModelSpec, head: list[nn.Module]) -> None:
+    def __init__(self, inputs: int, spec: Widths, head: list[nn.Module]) -> None:
         """Build it for that many inputs."""
         super().__init__()
         width = spec.hidden[0]
@@ -87,9 +88,7 @@ class Forecasting(nn.Module):
 
     varies: torch.Tensor
 
-    def __init__(
-        self, inputs: int, spec: ModelSpec, head: list[nn.Module], presence: int, varies: torch.Tensor
-    ) -> None:
+    def __init__(self, inputs: int, spec: Widths, head: list[nn.Module], presence: int, varies: torch.Tensor) -> None:
         """Build it for that many inputs.
 
         Args:

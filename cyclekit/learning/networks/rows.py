@@ -37,7 +37,7 @@ _STILL_M = 1e-6
 
 
 @dataclass(frozen=True)
-class Rows:
+class TrainingRows:
     """N rows on the device.
 
     Attributes:
@@ -114,7 +114,9 @@ def standardisation(X: NDArray[np.float32]) -> Standard:
     return mean, np.where(varies, 1 / np.where(varies, deviation, 1.0), 0.0)
 
 
-def rows_on(device: torch.device, rows: Samples, spec: ModelSpec, standard: Standard, known: Sequence[str]) -> Rows:
+def rows_on(
+    device: torch.device, rows: Samples, spec: ModelSpec, standard: Standard, known: Sequence[str]
+) -> TrainingRows:
     """Put rows on the device."""
     raw = rows.X if rows.table is None else rows.table
     if rows.in_files:
@@ -127,7 +129,7 @@ def rows_on(device: torch.device, rows: Samples, spec: ModelSpec, standard: Stan
     if spec.kind.forecasts and rows.table is not None and rows.ahead is not None:
         ahead = torch.from_numpy(table[rows.ahead][:, _HUMAN]).to(device)
         seen = np.asarray(np.isfinite(rows.table[rows.ahead][:, _HUMAN]).all(axis=1))
-    return Rows(
+    return TrainingRows(
         torch.from_numpy(table).to(device),
         None if rows.before is None else torch.from_numpy(rows.before).to(device),
         torch.from_numpy(rows.scaling.astype(np.float32, copy=False))[:, None].to(device),

@@ -23,7 +23,7 @@ from cyclekit.dataset.cards import BadCard, TrainingCard, model_card, plain, rea
 from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.learning.networks.kinds import names_levels
-from cyclekit.learning.networks.layout import Layout, NotAModel
+from cyclekit.learning.networks.layout import NetworkLayout, NotAModel
 from cyclekit.learning.networks.tensors import parse_weights, sizes_of, to_safetensors
 from cyclekit.learning.windows import GROUPS, INPUTS
 from cyclekit.parallel.one_thread import one_thread
@@ -32,8 +32,10 @@ from cyclekit.storage.mistaken import MODEL_CARD, toml_for, what_is
 from cyclekit.storage.outputs import check_writable_folder
 from cyclekit.storage.remote.folders import is_url, local, published
 from cyclekit.text.plain_text import all_in_one_line
+from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
+    import polars as pl
     from numpy.typing import NDArray
 
     from cyclekit.learning.networks.weights import Weights
@@ -43,8 +45,8 @@ CARD, WEIGHTS = MODEL_CARD, "weights.safetensors"
 _MAX_CARD_BYTES = 16 << 20
 
 
-@dataclass(frozen=True)
-class TrainedModel:
+@dataclass(frozen=True, repr=False)
+class TrainedModel(Result):
     """A network with its weights.
 
     Attributes:
@@ -153,6 +155,23 @@ class TrainedModel:
             raise ModelError(msg, cure=f"Train it again: {command_line('train', 'DATASET', '--out', 'MODEL')}")
         return out
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        card = self.card.to_dict()
+        return {"metrics": card["metrics"], "card": card}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per epoch of the training: errors by which its weights were chosen."""
+        import polars as pl
+
+        return pl.DataFrame(self.card.to_dict()["history"] or [], infer_schema_length=None)
+
+    def _said(self) -> list[str]:
+        levels = ", ".join(f"{level:.2f}" for level in self.levels) or "none"
+        metrics = self.card.metrics
+        error = "" if metrics is None else f", held out: mean absolute error {metrics.mae:.4f}"
+        return [f"{self.network} for problem {self.problem}, levels {levels}{error}"]
+
 
 def check_model_output(place: Path | str) -> None:
     """Refuse a place at which `save_model` could not put a model, before one is trained.
@@ -223,7 +242,7 @@ def load_model(place: Path | str) -> TrainedModel:
         about = read_json(file, most_bytes=_MAX_CARD_BYTES)
         _check_versions(about)
         card = model_card(all_in_one_line(about))
-        layout = Layout.of(card)
+        layout = NetworkLayout.of(card)
         file = path / WEIGHTS
         weights = parse_weights(file, layout, card.weights_sha256)
     except (BadCard, NotAModel) as cause:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, TypedDict, Unpack, get_args
 
 from cyclekit.dataset.cards import SpecCard
 from cyclekit.dataset.time_grid import samples_in
@@ -35,6 +35,27 @@ with AdamW and 2.2 with Muon on 700 000 rows, 3.3 and 2.1 on 140 000, but 5.5 an
 of which is the operator's luck, Muon is 1 % worse."""
 FREEZE_NORM_AFTER: Mapping[str, float] = {"muon": 0.1, "adamw": 0.25}
 """Where no part of the run is given, by optimiser."""
+
+
+class RunSettings(TypedDict, total=False):
+    """Numbers of a training run that `ModelSpec.of` takes; what they mean stands with the attributes of `ModelSpec`."""
+
+    seed: int
+    epochs: int | None
+    batch: int
+    learning_rate: float
+    test_fraction: float
+    validation_fraction: float
+    freeze_norm_after: float | None
+    weight_decay: float | None
+    patience: int | None
+    noise_m: float
+    optimiser: Optimiser
+    features: Features
+    balance: Balance
+    history: tuple[int, int] | None
+    forecast_weight: float
+    centre: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,19 +182,25 @@ class ModelSpec:
         *,
         hidden: tuple[int, ...] | None = None,
         norm: Norm = "batch",
-        **settings: float | str | tuple[int, int] | None,
+        **settings: Unpack[RunSettings],
     ) -> ModelSpec:
         """Return a spec with the paper's network, widths and horizon where none are given.
 
         `settings` are the numbers of the training run (seed, epochs, batch, ...), as the attributes of this class.
+
+        Raises:
+            UnknownName: There is no such problem, network or setting.
+            ConfigError: They do not go together, or a number is out of its range.
         """
         if problem not in PROBLEMS:
             raise UnknownName("the model", "problem", problem, PROBLEMS)
         network = network or networks_for(problem)[0]
         check_network(problem, network)
         horizon_s = HORIZON_S[problem] if horizon_s is None else horizon_s
-        fields = {"hidden": hidden or NETWORKS[network].hidden, "norm": norm, **settings}
-        return cls(problem=problem, network=network, horizon_s=horizon_s, **fields)  # type: ignore[arg-type]
+        if unknown := sorted(set(settings) - set(RunSettings.__annotations__)):
+            raise UnknownName("ModelSpec.of", "setting", unknown[0], RunSettings.__annotations__)
+        widths = hidden or NETWORKS[network].hidden
+        return cls(problem=problem, network=network, horizon_s=horizon_s, hidden=widths, norm=norm, **settings)
 
     def card(self) -> SpecCard:
         """Return what a model's card says of it."""

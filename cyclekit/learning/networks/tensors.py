@@ -13,7 +13,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from cyclekit.learning.networks.layout import Layout, NotAModel
+from cyclekit.learning.networks.layout import NetworkLayout, NotAModel
 from cyclekit.learning.networks.weights import Weights
 from cyclekit.learning.windows import INPUTS
 from cyclekit.storage.files import regular
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _MAX_HEADER_BYTES = 64 * 2**10
 
 
-def parse_weights(file: Path, layout: Layout, sha256: str) -> Weights:
+def parse_weights(file: Path, layout: NetworkLayout, sha256: str) -> Weights:
     """Return the weights of `layout`.
 
     Raises:
@@ -83,7 +83,7 @@ def sizes_of(weights: Weights) -> dict[str, Any]:
     }
 
 
-def _shapes(layout: Layout) -> dict[str, tuple[int, ...]]:
+def _shapes(layout: NetworkLayout) -> dict[str, tuple[int, ...]]:
     shapes: dict[str, tuple[int, ...]] = {}
     for i, (inputs, outputs) in enumerate(layout.layers):
         shapes |= {f"layer{i}.weight": (inputs, outputs), f"layer{i}.bias": (outputs,)}
@@ -97,7 +97,7 @@ def _shapes(layout: Layout) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
-def _weights(layout: Layout, found: Mapping[str, NDArray[np.float32]]) -> Weights:
+def _weights(layout: NetworkLayout, found: Mapping[str, NDArray[np.float32]]) -> Weights:
     return Weights(
         tuple((found[f"layer{i}.weight"], found[f"layer{i}.bias"]) for i in range(len(layout.layers))),
         layout.softmax_after,

@@ -5,7 +5,7 @@ answer  what `cyclekit zones` says
 picture the same as SVG
 """
 
-from cyclekit.learning.safety_function.answer import Zones, read_zones
+from cyclekit.learning.safety_function.answer import SafetyFunction, read_zones
 from cyclekit.learning.safety_function.picture import zones_svg
 
-__all__ = ["Zones", "read_zones", "zones_svg"]
+__all__ = ["SafetyFunction", "read_zones", "zones_svg"]

@@ -14,7 +14,7 @@ from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.learning.safety_function.fit import (
     DISTANCES,
     FLOOR_M,
-    Rows,
+    ScalingSamples,
     Threshold,
     by_distance,
     by_place,
@@ -24,6 +24,7 @@ from cyclekit.learning.safety_function.fit import (
     thresholds,
 )
 from cyclekit.parallel.one_thread import one_thread
+from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -42,8 +43,8 @@ LEAST_SEEN = 5
 """A cell of the floor with fewer samples is left blank."""
 
 
-@dataclass(frozen=True)
-class Zones:
+@dataclass(frozen=True, repr=False)
+class SafetyFunction(Result):
     """The safety function read back.
 
     Attributes:
@@ -78,7 +79,7 @@ class Zones:
     executions: int
     notes: tuple[str, ...]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON values."""
         out = dict(vars(self))
         out["explained"] = dict(self.explained)
@@ -87,9 +88,28 @@ class Zones:
         out["floor_cell_m"] = FLOOR_M
         return out
 
+    def to_frame(self) -> pl.DataFrame:
+        """One row per threshold between two levels; metres."""
+        rows = [
+            {
+                "slower": entry.slower,
+                "faster": entry.faster,
+                "threshold_m": entry.metres,
+                "low_m": entry.low,
+                "high_m": entry.high,
+                "network_m": network,
+            }
+            for entry, network in zip(self.thresholds, self.thresholds_of_network, strict=True)
+        ]
+        return pl.DataFrame(rows)
+
+    def _said(self) -> list[str]:
+        best = self.explained.get(self.rule, float("nan"))
+        return [f"levels {', '.join(f'{level:.2f}' for level in self.levels)}; by {self.rule} (explains {best:.1%})"]
+
 
 @one_thread()
-def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_cell: bool = False) -> Zones:
+def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_cell: bool = False) -> SafetyFunction:
     """Read the safety function back from logged samples and a network trained on them.
 
     Args:
@@ -119,11 +139,12 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
     parts = {**fits, "place on the floor": by_place(rows), "network": explained(rows.scaling, predicted)}
     is_distance = fits[nearest] >= max(parts["network"], parts["place on the floor"]) - BY_DISTANCE
     rule = nearest if is_distance or fits[nearest] >= parts["place on the floor"] else "place on the floor"
-    network = by_distance(Rows(rows.robot_m, rows.human_m, predicted, rows.execution, rows.t_s), levels, nearest)[0]
+    asked = ScalingSamples(rows.robot_m, rows.human_m, predicted, rows.execution, rows.t_s)
+    network = by_distance(asked, levels, nearest)[0]
     said = dataset.card.dynamics.hysteresis_m
     corner, scaling = _floor(rows)
     share = np.bincount(np.abs(rows.scaling[:, None] - np.array(levels)).argmin(axis=1), minlength=len(levels))
-    return Zones(
+    return SafetyFunction(
         levels=levels,
         shares=tuple((share / share.sum()).tolist()),
         rule=rule,
@@ -141,7 +162,7 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
     )
 
 
-def _rows(dataset: Dataset) -> tuple[Rows, list[str]]:
+def _rows(dataset: Dataset) -> tuple[ScalingSamples, list[str]]:
     """Return the samples, and what is to be said of heights that are unknown."""
     robots, humans = ([f"{who}_{axis}_m" for axis in "xyz"] for who in ("robot", "human"))
     rows = dataset.samples(columns=["execution", "t_s", "scaling", *robots, *humans])
@@ -150,16 +171,16 @@ def _rows(dataset: Dataset) -> tuple[Rows, list[str]]:
     known = rows.drop_nulls(["robot_x_m", *humans, "scaling"])
     robot, human = (known.select(names).to_numpy() for names in (robots, humans))
     code = known["execution"].rle_id().cast(pl.Int64).to_numpy()
-    return Rows(robot, human, known["scaling"].to_numpy(), code, known["t_s"].to_numpy()), told
+    return ScalingSamples(robot, human, known["scaling"].to_numpy(), code, known["t_s"].to_numpy()), told
 
 
-def _predicted(model: TrainedModel, rows: Rows) -> NDArray[np.float64]:
+def _predicted(model: TrainedModel, rows: ScalingSamples) -> NDArray[np.float64]:
     inputs = np.concatenate([rows.robot_m, rows.human_m], axis=1).astype(np.float32)
     parts = [model.predict(inputs[first : first + 2048]) for first in range(0, len(inputs), 2048)]
     return np.concatenate(parts)
 
 
-def _floor(rows: Rows) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _floor(rows: ScalingSamples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     cell, code = np.unique(floor_cells(rows.human_m), axis=0, return_inverse=True)
     code = code.ravel()
     order = np.argsort(code, kind="stable")

@@ -49,7 +49,7 @@ DISTANCES: Mapping[str, Callable[[NDArray[np.float64], NDArray[np.float64]], Vec
 
 
 @dataclass(frozen=True)
-class Rows:
+class ScalingSamples:
     """Logged samples: x_r and x_h (N, 3), m; s (N,); execution number (N,); session time (N,)."""
 
     robot_m: NDArray[np.float64]
@@ -58,9 +58,9 @@ class Rows:
     execution: NDArray[np.int64]
     t_s: Vector
 
-    def of(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Rows:
+    def of(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> ScalingSamples:
         """Return some rows."""
-        return Rows(*(part[rows] for part in vars(self).values()))
+        return ScalingSamples(*(part[rows] for part in vars(self).values()))
 
 
 @dataclass(frozen=True)
@@ -80,14 +80,14 @@ def explained(scaling: Vector, predicted: Vector) -> float:
     return 1.0 - float(np.mean((scaling - predicted) ** 2)) / around if around > 0 else 0.0
 
 
-def by_distance(rows: Rows, levels: Sequence[float], distance: str) -> tuple[Vector, float]:
+def by_distance(rows: ScalingSamples, levels: Sequence[float], distance: str) -> tuple[Vector, float]:
     """Return the best thresholds on a distance, shape (P - 1,), m, and what their staircase explains."""
     gamma = DISTANCES[distance](rows.robot_m, rows.human_m)
     cuts = fit_thresholds(gamma, rows.scaling, levels)
     return cuts, explained(rows.scaling, np.array(levels)[np.searchsorted(cuts, gamma, side="right")])
 
 
-def by_place(rows: Rows) -> float:
+def by_place(rows: ScalingSamples) -> float:
     """Return what the operator's place on the floor explains: the mean of each cell, judged by other executions."""
     cell = floor_cells(rows.human_m)
     _, code = np.unique(cell, axis=0, return_inverse=True)
@@ -107,7 +107,7 @@ def floor_cells(human_m: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.asarray(np.floor(human_m[:, :2] / FLOOR_M).astype(np.int64))
 
 
-def thresholds(rows: Rows, levels: Sequence[float], distance: str, *, seed: int = 0) -> list[Threshold]:
+def thresholds(rows: ScalingSamples, levels: Sequence[float], distance: str, *, seed: int = 0) -> list[Threshold]:
     """Return the thresholds on a distance with their intervals, from executions drawn again.
 
     They are those of the staircase with the least error, or those of the crossings if one of these speaks against it.
@@ -174,7 +174,7 @@ class Crossings:
         return float(at_rest)
 
 
-def crossings(rows: Rows, levels: Sequence[float], distance: str) -> Crossings:
+def crossings(rows: ScalingSamples, levels: Sequence[float], distance: str) -> Crossings:
     """Return where the level changed by one between two samples of one execution that follow each other at once."""
     gamma = DISTANCES[distance](rows.robot_m, rows.human_m)
     step = np.abs(rows.scaling[:, None] - np.array(levels)).argmin(axis=1)
@@ -213,7 +213,7 @@ def _by_crossings(fitted: Threshold, crossed: Crossings, picks: Sequence[NDArray
     return replace(fitted, metres=metres, low=min(low, metres) - slack, high=max(high, metres) + slack)
 
 
-def hysteresis(rows: Rows, levels: Sequence[float], distance: str) -> float | None:
+def hysteresis(rows: ScalingSamples, levels: Sequence[float], distance: str) -> float | None:
     """Return how much farther out the level rises than it falls, median over the thresholds, m.
 
     From thresholds fitted to samples where the distance grows and where it shrinks. A latency looks the same: it adds

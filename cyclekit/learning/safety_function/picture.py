@@ -12,13 +12,13 @@ from cyclekit.learning.safety_function.fit import FLOOR_M
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from cyclekit.learning.safety_function.answer import Zones
+    from cyclekit.learning.safety_function.answer import SafetyFunction
 
 WIDTH, HEIGHT, EDGE = 420, 320, 44
 _SLOW, _FAST = (178, 24, 43), (247, 247, 247)
 
 
-def zones_svg(zones: Zones) -> str:
+def zones_svg(zones: SafetyFunction) -> str:
     """Return an SVG document: left the staircase with the intervals of its thresholds, right the floor."""
     body = [*_staircase(zones), *_floor(zones)]
     size = f'width="{2 * WIDTH}" height="{HEIGHT + 40}" viewBox="0 0 {2 * WIDTH} {HEIGHT + 40}"'
@@ -37,7 +37,7 @@ def zones_svg(zones: Zones) -> str:
     return "\n".join(parts) + "\n"
 
 
-def _staircase(zones: Zones) -> Iterator[str]:
+def _staircase(zones: SafetyFunction) -> Iterator[str]:
     known = [entry for entry in zones.thresholds if np.isfinite(entry.metres)]
     far = 1.25 * max([entry.metres for entry in known], default=1.0)
 
@@ -64,7 +64,7 @@ def _staircase(zones: Zones) -> Iterator[str]:
     yield f'<text x="{EDGE}" y="{EDGE - 16}">{escape(title)}</text>'
 
 
-def _floor(zones: Zones) -> Iterator[str]:
+def _floor(zones: SafetyFunction) -> Iterator[str]:
     corner = zones.floor_m
     if not len(corner):
         return

@@ -29,7 +29,7 @@ from cyclekit.scaling.infer.reference import (
     takes_another,
     with_dynamics,
 )
-from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, TOO_SLOW, Part
+from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, TOO_SLOW, InferredScaling
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -80,7 +80,7 @@ def infer_overrides(
     alone: Sequence[int] = (),
     progress: Callable[[float], None] = lambda _: None,
     engine: Engine = LOCAL,
-) -> tuple[list[list[Part]], dict[str, list[Reference]]]:
+) -> tuple[list[list[InferredScaling]], dict[str, list[Reference]]]:
     """Return the scaling of each run that does not know it, where the robot was on its way.
 
     Args:
@@ -96,12 +96,12 @@ def infer_overrides(
     left = _legs(runs, executions)
     noise = _noise(runs, left)
     found: dict[str, list[Reference]] = {leg.task: [] for leg in left}
-    parts: list[tuple[_Leg, Part, int]] = []
+    parts: list[tuple[_Leg, InferredScaling, int]] = []
     asked = set(found)
     for attempt in range(PATHS):
         tried = _references(runs, [leg for leg in left if leg.task in asked], set(alone), noise)
         todo = _chunks(runs, [leg for leg in left if leg.task in tried])
-        results: dict[_Leg, Part | None] = {}
+        results: dict[_Leg, InferredScaling | None] = {}
         for done in engine.map(partial(_matched, references=tried, noise=noise), todo):
             results |= zip(done.item.legs, done.get(), strict=True)
             progress((attempt + len(results) / len(left)) / PATHS)
@@ -145,7 +145,9 @@ def _chunks(runs: Sequence[Run], legs: Sequence[_Leg]) -> list[_Chunk]:
     return found
 
 
-def _matched(chunk: _Chunk, *, references: Mapping[str, Reference], noise: Mapping[int, Vector]) -> list[Part | None]:
+def _matched(
+    chunk: _Chunk, *, references: Mapping[str, Reference], noise: Mapping[int, Vector]
+) -> list[InferredScaling | None]:
     return [_inferred(chunk.run, leg, references[leg.task], noise) for leg in chunk.legs]
 
 
@@ -202,12 +204,12 @@ def _with_shares(found: Mapping[str, Sequence[Reference]]) -> dict[str, list[Ref
 
 def _told(
     runs: Sequence[Run],
-    parts: Sequence[tuple[_Leg, Part, int]],
+    parts: Sequence[tuple[_Leg, InferredScaling, int]],
     left: Sequence[_Leg],
     found: Mapping[str, Sequence[Reference]],
-) -> list[list[Part]]:
+) -> list[list[InferredScaling]]:
     """Return the parts of each run that does not know its scaling; of motions without a reference only the reason."""
-    told: list[list[Part]] = [[] for _ in runs]
+    told: list[list[InferredScaling]] = [[] for _ in runs]
     for leg, part, number in parts:
         never_full = found[leg.task][number].slowed < 1.0
         told[leg.run].append(_unknown(leg, NEVER_FULL) if never_full else part)
@@ -216,12 +218,12 @@ def _told(
     return [[] if run.knows_scaling else mine for run, mine in zip(runs, told, strict=True)]
 
 
-def _unknown(leg: _Leg, why: int) -> Part:
+def _unknown(leg: _Leg, why: int) -> InferredScaling:
     nothing = np.full(leg.last + 1 - leg.first, np.nan, np.float32)
-    return Part(leg.first, nothing, nothing, np.full(len(nothing), why, np.int8))
+    return InferredScaling(leg.first, nothing, nothing, np.full(len(nothing), why, np.int8))
 
 
-def _inferred(run: Run, leg: _Leg, reference: Reference, noise: Mapping[int, Vector]) -> Part | None:
+def _inferred(run: Run, leg: _Leg, reference: Reference, noise: Mapping[int, Vector]) -> InferredScaling | None:
     """Return the scaling of one repetition, unknown with its reason where it cannot be known.
 
     None where it takes another path, or cannot be seen. Of a run that knows its scaling nothing is inferred.
@@ -230,7 +232,7 @@ def _inferred(run: Run, leg: _Leg, reference: Reference, noise: Mapping[int, Vec
     if repetition is None or repetition.points.shape[1] != reference.path.points.shape[1]:
         return None
     if run.knows_scaling:
-        return None if takes_another(reference.path, repetition) else Part(leg.first, _NONE, _NONE, _NO_GAPS)
+        return None if takes_another(reference.path, repetition) else InferredScaling(leg.first, _NONE, _NONE, _NO_GAPS)
     place = along(reference.path, repetition.t_s, repetition.points)
     if is_elsewhere(reference.path, place.off):
         return None
@@ -244,7 +246,7 @@ def _inferred(run: Run, leg: _Leg, reference: Reference, noise: Mapping[int, Vec
     gap[~reference.confirmed[row] | is_common_stop(reference, repetition.t_s, rate, place.own_s)] = NO_REFERENCE
     gap[(rate < HALTED) & _goes(run.window(leg.first, leg.last).speed_m_s)] = NO_REFERENCE
     known = np.where(gap == 0, np.array([np.clip(rate, 0.0, 1.0), deviation]), np.nan).astype(np.float32)
-    return Part(leg.first, known[0], known[1], gap)
+    return InferredScaling(leg.first, known[0], known[1], gap)
 
 
 def _goes(speed_m_s: Vector) -> NDArray[np.bool_]:

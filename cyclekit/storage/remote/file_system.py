@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from pyarrow import fs
 
-    from cyclekit.storage.remote.manifest import Entry
+    from cyclekit.storage.remote.manifest import ManifestEntry
 
 URL = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)  # two letters at least: C:\\ is a drive
 AT_ONCE = 8
@@ -105,7 +105,7 @@ def files_below(system: fs.FileSystem, path: str) -> list[fs.FileInfo]:
     return [info for info in found if info.is_file]
 
 
-def fetch(system: fs.FileSystem, key: str, target: Path, wanted: Entry | None) -> None:
+def fetch(system: fs.FileSystem, key: str, target: Path, wanted: ManifestEntry | None) -> None:
     """Read an object into a file; one that must be of a certain size and checksum is refused if it is another.
 
     Raises:

@@ -20,7 +20,7 @@ MAX_BYTES = 64 << 20
 """A manifest of a hundred thousand files has 30 MB; a larger one is not read."""
 
 
-class Entry(msgspec.Struct, frozen=True):
+class ManifestEntry(msgspec.Struct, frozen=True):
     """One file: where its part is, its size in bytes, its SHA-256 in hexadecimal digits."""
 
     part: str
@@ -28,7 +28,7 @@ class Entry(msgspec.Struct, frozen=True):
     sha256: Annotated[str, msgspec.Meta(pattern="^[0-9a-f]{64}$", max_length=64)]
 
 
-Files = dict[str, Entry]
+Files = dict[str, ManifestEntry]
 """The files of a folder by name, `/` between the folders on the way."""
 
 

@@ -21,9 +21,9 @@ from cyclekit.storage.remote.manifest import (
     MANIFEST,
     MAX_BYTES,
     VERSION,
-    Entry,
     Files,
     Manifest,
+    ManifestEntry,
     check,
     parsed,
     part_of,
@@ -128,10 +128,10 @@ def _check(entries: Files, folder: Path) -> None:
         raise CyclekitError(f"{folder}: cannot be published ({error})", cure="Rename what is named.") from error
 
 
-def _entry(name: str, file: Path) -> Entry:
+def _entry(name: str, file: Path) -> ManifestEntry:
     with file.open("rb") as handle:
         digest = hashlib.file_digest(handle, "sha256").hexdigest()
-    return Entry(part_of(name, digest), file.stat().st_size, digest)
+    return ManifestEntry(part_of(name, digest), file.stat().st_size, digest)
 
 
 def _sweep(system: FileSystem, base: str, used: set[str]) -> None:

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from torch import nn
 
-    from cyclekit.learning.networks.spec import ModelSpec
+
+class Widths(Protocol):
+    """What a network is built by, of all that a `ModelSpec` says: its hidden layers and their normalisation."""
+
+    @property
+    def hidden(self) -> tuple[int, ...]:
+        """Widths of the hidden layers."""
+
+    @property
+    def norm(self) -> str:
+        """`batch` or `none`."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +57,7 @@ class Network:
     name: str
     problems: tuple[str, ...]
     hidden: tuple[int, ...]
-    build: Callable[[ModelSpec, Inputs, Sequence[float]], nn.Module]
+    build: Callable[[Widths, Inputs, Sequence[float]], nn.Module]
     names_levels: bool = False
     through_levels: bool = False
     lstm_layers: int = 0

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cyclekit.learning.networks.kinds.kind import Inputs, Network
+from cyclekit.learning.networks.kinds.kind import Inputs, Network, Widths
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from torch import nn
 
-    from cyclekit.learning.networks.spec import ModelSpec
 
-
-def _build(spec: ModelSpec, inputs: Inputs, levels: Sequence[float]) -> nn.Module:
+def _build(spec: Widths, inputs: Inputs, levels: Sequence[float]) -> nn.Module:
     import torch
 
     from cyclekit.learning.networks.network import Forecasting, bounded_value

@@ -1,0 +1,49 @@
+"""`list_adapters`: which formats can be read, and from which package."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.api.arguments import checked
+from cyclekit.ingest.registry import adapters, left_out
+from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+@dataclass(frozen=True, repr=False)
+class AdapterList(Result):
+    """The log formats that can be read.
+
+    Attributes:
+        adapters: Of each: name, package, version, and what it reads.
+        left_out: Those that could not be used, with the reason.
+    """
+
+    adapters: tuple[dict[str, str], ...]
+    left_out: tuple[dict[str, Any], ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {"adapters": list(self.adapters), "left_out": list(self.left_out)}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per adapter."""
+        import polars as pl
+
+        return pl.DataFrame(list(self.adapters))
+
+    def _said(self) -> list[str]:
+        return [f"{len(self.adapters)} log formats", ", ".join(one["name"] for one in self.adapters)]
+
+
+@checked
+def list_adapters() -> AdapterList:
+    """List the log formats that can be read."""
+    found = [
+        {"name": one.name, "package": one.package, "version": one.version, "reads": one.summary}
+        for one in adapters().values()
+    ]
+    return AdapterList(tuple(found), tuple(dict(vars(one)) for one in left_out()))

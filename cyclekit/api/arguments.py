@@ -1,0 +1,91 @@
+"""Arguments of public functions are checked by their annotations, so that a wrong one is named where it was given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from inspect import signature
+from numbers import Integral, Real
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from cyclekit.errors import UnknownName, WrongType
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+Place = str | Path
+Progress = Callable[[float, str], None]
+"""Told the fraction done, 0 to 1, and what is being done."""
+
+
+def checked(function: Callable[P, R]) -> Callable[P, R]:
+    """Have the arguments of a function checked when it is called.
+
+    Raises:
+        WrongType: An argument is not of the annotated type.
+        UnknownName: A text is none of those of a `Literal`.
+    """
+    known = signature(function)
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        hints = get_type_hints(function)
+        for name, value in known.bind(*args, **kwargs).arguments.items():
+            _check(function.__name__, name, value, hints[name])
+        return function(*args, **kwargs)
+
+    return call
+
+
+def _check(function: str, name: str, value: object, kind: Any) -> None:  # noqa: ANN401 - an annotation is any object
+    if fits(value, kind):
+        return
+    names = [text for one in _members(kind) if get_origin(one) is Literal for text in get_args(one)]
+    if isinstance(value, str) and names:
+        raise UnknownName(f"{function}(): {name}", "name", value, names)
+    raise WrongType(function, name, value, expected(kind))
+
+
+def fits(value: object, kind: Any) -> bool:  # noqa: ANN401
+    """Tell whether a value is of an annotated type; items of sequences are looked at too."""
+    origin = get_origin(kind)
+    if origin in (Union, UnionType):
+        return any(fits(value, one) for one in get_args(kind))
+    if origin is Literal:
+        return value in get_args(kind) if isinstance(value, str | int) else False
+    if origin is Callable:
+        return callable(value)
+    if origin in (Sequence, list, tuple):
+        if not isinstance(value, Sequence) or isinstance(value, str | bytes):
+            return False
+        return all(fits(item, get_args(kind)[0]) for item in value)
+    if origin is Mapping:
+        return isinstance(value, Mapping)
+    if kind in (int, float):
+        return isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
+    return isinstance(value, NoneType if kind is None else kind)
+
+
+def expected(kind: Any) -> str:  # noqa: ANN401
+    """Return an annotated type as a person reads it: `str, Path or Dataset`."""
+    names = list(dict.fromkeys(_named(one) for one in _members(kind)))
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+def _members(kind: Any) -> tuple[Any, ...]:  # noqa: ANN401
+    return get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
+
+
+def _named(kind: Any) -> str:  # noqa: ANN401
+    origin = get_origin(kind)
+    if kind in (None, NoneType):
+        return "None"
+    if origin is Literal:
+        return " or ".join(repr(one) for one in get_args(kind))
+    if origin is Callable:
+        return "a function"
+    if origin in (Sequence, list, tuple):
+        return f"a list of {expected(get_args(kind)[0])}"
+    return str(getattr(origin or kind, "__name__", kind))

@@ -1,0 +1,95 @@
+"""`estimate_cycles`: the expected cycle time of task sequences, ranked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.api.given import Sequences, dataset_of, model_of, path_of, place_of, sequences_of
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
+from cyclekit.estimate.answers import CycleEstimates, Refusal, refusing, together
+from cyclekit.estimate.check import Check
+from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.safety import SafetyModel
+from cyclekit.parallel.engine import LOCAL, Engine
+from cyclekit.storage.atomic import write_text
+from cyclekit.text.plain_json import json_text
+
+QUANTILES = (0.05, 0.5, 0.95)
+"""Of single cycles, where no others are asked for."""
+
+
+@checked
+def estimate_cycles(
+    model: SafetyModel | Place,
+    dataset: Dataset | Place,
+    sequences: Sequences,
+    *,
+    out: Place | None = None,
+    estimator: str | None = None,
+    quantiles: Sequence[float] = QUANTILES,
+    takt_s: float | None = None,
+    seed: int = 0,
+    extrapolate: bool = False,
+    validate: bool = True,
+    check: Check | None = None,
+    other_cell: bool = False,
+    engine: Engine = LOCAL,
+    progress: Progress | None = None,
+) -> CycleEstimates:
+    """Estimate the expected cycle time of each sequence: those of the same work together, shortest first.
+
+    Args:
+        model: A model, its folder or its URL.
+        dataset: Logs that hold the tasks and the operator's tracks; a dataset, its folder or its URL.
+        sequences: What is asked for: sequences, or the sequence file.
+        out: Also write the result here, `.json` or `.csv`.
+        estimator: `rollout`, `average`, `history` or `nominal`; None: what suits the model.
+        quantiles: Levels in (0, 1) of single cycles.
+        takt_s: Also tell the probability that a cycle takes no longer, s.
+        seed: Of the resampling behind the intervals.
+        extrapolate: Answer although most of it was never logged; the number is marked.
+        validate: Validate on logged executions, and correct the bias.
+        check: That validation, if it was made before (`CycleEstimates.check`).
+        other_cell: Answer by a model of another cell too, or one that is far off on these logs.
+        engine: Where sequences are walked; same numbers from each.
+        progress: Told fraction and text.
+
+    Returns:
+        The estimates. A sequence that cannot be answered from these logs is in `refused`, with the reason.
+
+    Raises:
+        EstimateError: None of the sequences can be answered.
+        ModelError: The model does not predict what the estimator needs, or is of another cell.
+        UnknownName: A place or the estimator does not exist.
+        CyclekitError: Something that was given cannot be read, or the result cannot be written.
+    """
+    file = path_of(out)
+    as_table = file is not None and file.suffix.lower() == ".csv"
+    inputs = [place_of(model), place_of(sequences), place_of(dataset)]
+    check_output(file, "estimates-csv" if as_table else "estimates-json", inputs, endings=(".json", ".csv"))
+    wanted = sequences_of(sequences)
+    refused: list[Refusal] = []
+    found = estimate(
+        model_of(model),
+        dataset_of(dataset),
+        wanted,
+        estimator=estimator,
+        quantiles=quantiles,
+        takt_s=takt_s,
+        seed=seed,
+        extrapolate=extrapolate,
+        validate=validate,
+        check=check,
+        other_cell=other_cell,
+        engine=engine,
+        refused=lambda sequence, error: refusing(refused, sequence.name, error),
+        progress=progress,
+    )
+    if not found and wanted:
+        raise together(refused)
+    answer = CycleEstimates(tuple(found), tuple(refused))
+    if file is not None:
+        write_text(file, answer.to_csv() if as_table else json_text(answer.to_dict(), ascii_only=True) + "\n")
+    return answer

@@ -1,0 +1,134 @@
+"""`evaluate_model`: how well a model predicts executions it never saw; `evaluate_models`: several, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.api.given import dataset_of, trained_of
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.learning.evaluation.drift import drift
+from cyclekit.learning.evaluation.evaluate import Evaluation, evaluate, evaluate_at
+from cyclekit.learning.networks.saved import TrainedModel, models_in
+from cyclekit.parallel.engine import LOCAL, Engine
+from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+@checked
+def evaluate_model(
+    model: TrainedModel | Place,
+    dataset: Dataset | Place,
+    *,
+    trained_on: Dataset | Place | None = None,
+    boosting: bool = True,
+    other_cell: bool = False,
+    progress: Progress | None = None,
+) -> Evaluation:
+    """Judge a model on executions that it never saw, beside baselines.
+
+    Args:
+        model: A model, its folder or its URL.
+        dataset: With the scaling known: a dataset, its folder or its URL.
+        trained_on: Dataset of the training, where `dataset` is newer: then `drift` says what has changed since.
+        boosting: Also fit scikit-learn's gradient boosting, which takes a few seconds.
+        other_cell: Judge a model of another cell too.
+        progress: Told fraction and text.
+
+    Raises:
+        DatasetError: No sample can be judged.
+        ModelError: The model is of another cell, or its card does not say what was held out.
+    """
+    opened, judged = trained_of(model), dataset_of(dataset)
+    changed = None if trained_on is None else drift(opened, dataset_of(trained_on), judged)
+    foreign = other_cell or trained_on is not None
+    return replace(evaluate(opened, judged, boosting=boosting, other_cell=foreign, progress=progress), drift=changed)
+
+
+@dataclass(frozen=True, repr=False)
+class ModelComparison(Result, Mapping[str, Evaluation]):
+    """The evaluations of several models on one dataset, by the models' places.
+
+    Attributes:
+        evaluations: One for each model.
+        together: Whether a folder of models was asked for, be there one in it.
+    """
+
+    evaluations: Mapping[str, Evaluation]
+    together: bool
+
+    def __getitem__(self, place: str) -> Evaluation:
+        """Return the evaluation of a model, by its place."""
+        return self.evaluations[place]
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the models' places."""
+        return iter(self.evaluations)
+
+    def __len__(self) -> int:
+        """Return how many models there are."""
+        return len(self.evaluations)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain JSON values; of one model its evaluation alone."""
+        if not self.together:
+            return next(iter(self.evaluations.values())).to_dict()
+        return {"models": {Path(place).name: one.to_dict() for place, one in self.evaluations.items()}}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per model: errors of the scaling over its samples."""
+        import polars as pl
+
+        return pl.DataFrame(
+            [
+                {"model": place, "network": one.network, "samples": one.metrics.rows}
+                | {"mse": one.metrics.mse_mean, "mean_absolute_error": one.metrics.mae}
+                for place, one in self.evaluations.items()
+            ]
+        )
+
+    def _said(self) -> list[str]:
+        return [f"{place}: {repr(one).partition(': ')[2]}" for place, one in self.evaluations.items()]
+
+
+@checked
+def evaluate_models(
+    model: Place,
+    dataset: Place,
+    *,
+    trained_on: Place | None = None,
+    boosting: bool = True,
+    other_cell: bool = False,
+    engine: Engine = LOCAL,
+    progress: Progress | None = None,
+) -> ModelComparison:
+    """Judge the model, or every model of a folder of several, as `evaluate_model` does.
+
+    Args:
+        model: A model or a folder of several, by path or URL.
+        dataset: Folder or URL of the dataset.
+        trained_on: Dataset of the training.
+        boosting: Also fit gradient boosting.
+        other_cell: Judge models of another cell too.
+        engine: Where they are judged, and how many at the same time.
+        progress: Told fraction and text.
+
+    Raises:
+        CyclekitError: As of `evaluate_model`.
+    """
+    models = models_in(str(model))
+    tell = progress or (lambda _fraction, _text: None)
+    inner = tell if len(models) == 1 and engine.stays_here(1) else None
+    newer = None if trained_on is None else str(trained_on)
+    asked: dict[str, Any] = {"trained_on": newer, "other_cell": other_cell, "boosting": boosting, "progress": inner}
+    found: dict[str, Evaluation] = {}
+    for done in engine.map(partial(evaluate_at, dataset=str(dataset), **asked), models):
+        found[done.item] = done.get()
+        tell(len(found) / len(models), done.item)
+    return ModelComparison({place: found[place] for place in models}, together=models != [str(model)])

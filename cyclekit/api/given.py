@@ -1,0 +1,63 @@
+"""What was given, opened: a place is read, and what is open already is taken as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from cyclekit.api.arguments import Place
+from cyclekit.config.sequences import TaskSequence, load_sequences
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.plan.jobs import Jobs, load_jobs
+from cyclekit.estimate.safety import SafetyModel
+from cyclekit.estimate.whatif.change import Change, load_changes
+from cyclekit.learning.networks.saved import TrainedModel, load_model
+
+Sequences = Place | TaskSequence | Sequence[TaskSequence]
+Changes = Place | Change | Sequence[Change]
+
+
+def dataset_of(given: Dataset | Place) -> Dataset:
+    """Return a dataset, opened."""
+    return given if isinstance(given, Dataset) else Dataset.open(given)
+
+
+def model_of(given: SafetyModel | Place) -> SafetyModel:
+    """Return a safety function; a trained model where a place is given."""
+    return load_model(given) if isinstance(given, str | Path) else given
+
+
+def trained_of(given: TrainedModel | Place) -> TrainedModel:
+    """Return a trained model, opened."""
+    return given if isinstance(given, TrainedModel) else load_model(given)
+
+
+def sequences_of(given: Sequences) -> list[TaskSequence]:
+    """Return sequences; those of a file where a path is given."""
+    if isinstance(given, str | Path):
+        return load_sequences(Path(given))
+    return [given] if isinstance(given, TaskSequence) else list(given)
+
+
+def changes_of(given: Changes) -> list[Change]:
+    """Return changes; those of a file where a path is given."""
+    if isinstance(given, str | Path):
+        return load_changes(Path(given))
+    return [given] if isinstance(given, Change) else list(given)
+
+
+def jobs_of(given: Jobs | Place) -> Jobs:
+    """Return what is to be visited; that of a file where a path is given."""
+    return given if isinstance(given, Jobs) else load_jobs(Path(given))
+
+
+def place_of(given: object) -> Path | str | None:
+    """Return where something lies that an output must not replace; None where it lies nowhere."""
+    if isinstance(given, str | Path):
+        return given
+    return given.place if isinstance(given, Dataset) else None
+
+
+def path_of(given: Place | None) -> Path | None:
+    """Return a path as one; None stays None."""
+    return None if given is None else Path(given)

@@ -1,0 +1,107 @@
+"""`inspect_logs`: what a log, a folder of logs, a dataset or a model is; `draft_cell`: the cell file that fits logs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.api.given import path_of
+from cyclekit.config import cell_to_toml
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import OutputError
+from cyclekit.ingest.discover import suggest_cell
+from cyclekit.inspect.describe import DatasetDescription, Description, describe
+from cyclekit.storage.atomic import write_text
+from cyclekit.storage.outputs import check_writable
+from cyclekit.storage.remote.folders import local
+from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+@dataclass(frozen=True, repr=False)
+class CellDraft(Result):
+    """The cell file that fits some logs.
+
+    Attributes:
+        cell: Its text (TOML).
+        unsure: How many of its lines are guesses, marked `# ?`.
+        out: Where it was written; None where it was not.
+    """
+
+    cell: str
+    unsure: int
+    out: Path | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {"cell": self.cell, "unsure": self.unsure, **({"out": str(self.out)} if self.out else {})}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per line of the file, and whether it is a guess."""
+        import polars as pl
+
+        lines = self.cell.splitlines()
+        return pl.DataFrame({"line": lines, "unsure": ["# ?" in line for line in lines]})
+
+    def _said(self) -> list[str]:
+        return [f"{len(self.cell.splitlines())} lines, {self.unsure} of them not sure"]
+
+
+@checked
+def inspect_logs(
+    path: Place,
+    *,
+    cell: Place | None = None,
+    follow_links: bool = False,
+    verify: bool = False,
+    progress: Progress | None = None,
+) -> Description:
+    """Say what is at `path`: logs, a dataset or a model, told apart by content.
+
+    Args:
+        path: A file, a folder, or the URL of a dataset or model.
+        cell: Cell file that says how logs are read; by default the one beside them.
+        follow_links: Look at what links in a folder of logs lead to outside of it.
+        verify: Also check that every file of a dataset is as it was written.
+        progress: Told the fraction done and what is being looked at.
+
+    Raises:
+        LogError: There is nothing there, or nothing that can be read.
+        ConfigError: The cell file cannot be followed.
+        DatasetError: The dataset is of another schema version, or a file of it is not as it was written.
+        ModelError: The model is of another schema version, or damaged.
+    """
+    count = Dataset.open(path).verify() if verify else None
+    found = describe(local(path), cell=path_of(cell), progress=progress, follow_links=follow_links)
+    return replace(found, verified=count) if isinstance(found, DatasetDescription) else found
+
+
+@checked
+def draft_cell(logs: Place, out: Place | None = None, *, follow_links: bool = False) -> CellDraft:
+    """Return the cell file that fits logs; a draft where a table is unknown.
+
+    Args:
+        logs: A log or a folder of logs.
+        out: Also write it here; a file that is there is never replaced.
+        follow_links: Look at what links in the folder lead to outside of it.
+
+    Raises:
+        LogError: There is nothing there, or nothing that can be read.
+        OutputError: `out` exists.
+        CyclekitError: It cannot be written.
+    """
+    file = path_of(out)
+    if file is not None:
+        if file.exists() or file.is_symlink():
+            cure = "Give another name; what is in it may be of a person's hand."
+            raise OutputError(f"{file}: exists, and a cell file is never replaced", cure=cure)
+        check_writable(file)
+    suggested = suggest_cell([local(logs)], follow_links=follow_links)
+    text = cell_to_toml(suggested.cell, suggested.drafts)
+    if file is not None:
+        write_text(file, text)
+    return CellDraft(text, sum(draft.unsure for draft in suggested.drafts.values()), file)

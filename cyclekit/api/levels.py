@@ -1,0 +1,97 @@
+"""`find_levels`: the staircase in a dataset's speed scaling."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.api.arguments import Place, checked
+from cyclekit.api.given import dataset_of, path_of, place_of
+from cyclekit.dataset.cards import texts
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
+from cyclekit.learning.labelling import scaling_in_time, staircase_of
+from cyclekit.scaling.levels import second_opinion
+from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+@dataclass(frozen=True, repr=False)
+class ScalingLevels(Result):
+    """The levels of the speed scaling.
+
+    Attributes:
+        method: How they were found.
+        levels: Ascending; rounded where that is no further than their error.
+        means: Mean of the samples on each; empty where it is not known.
+        share: Part of the samples on each.
+        noise: Standard deviation of a sample on a level; None where it is not known.
+        is_staircase: Whether the scaling is a staircase at all.
+        picture: Where they were drawn; None where they were not.
+        warnings: What limits the answer, one sentence each.
+    """
+
+    method: str
+    levels: tuple[float, ...]
+    means: tuple[float, ...]
+    share: tuple[float, ...]
+    noise: float | None
+    is_staircase: bool
+    picture: Path | None = None
+    warnings: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {
+            "method": self.method,
+            "count": len(self.levels),
+            "levels": list(self.levels),
+            "means": list(self.means),
+            "share": list(self.share),
+            "noise": self.noise,
+            "is_staircase": self.is_staircase,
+            "picture": None if self.picture is None else str(self.picture),
+        }
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per level, ascending."""
+        import polars as pl
+
+        return pl.DataFrame({"level": self.levels, "mean": self.means or self.levels, "share": self.share})
+
+    def _said(self) -> list[str]:
+        return [f"{len(self.levels)} levels by {self.method}: {', '.join(f'{level:.4g}' for level in self.levels)}"]
+
+
+@checked
+def find_levels(dataset: Dataset | Place, *, method: str = "plateau", picture: Place | None = None) -> ScalingLevels:
+    """Find the levels of the speed scaling: how many, at which values. Levels that the cell file fixes are counted.
+
+    Args:
+        dataset: A dataset, its folder or its URL.
+        method: How levels are found, by its name in `scaling.levels.FINDERS`; `plateau` looks at the order in time.
+        picture: Also draw them: a .svg, .png or .pdf file.
+
+    Raises:
+        DatasetError: There is no dataset, or it has no positions.
+        OutputError: The picture would replace the dataset, or what is no picture of cyclekit's.
+    """
+    file = path_of(picture)
+    check_output(file, "picture", [place_of(dataset)], option="--picture", endings=(".svg", ".png", ".pdf"))
+    opened = dataset_of(dataset)
+    opened.require_positions()
+    frame = opened.samples(columns=["execution", "t_s", "scaling"])
+    found = staircase_of(opened, frame, method)
+    values, _ = scaling_in_time(frame, opened.rate_hz)
+    other = second_opinion(values, found) if method == "plateau" else None
+    if file is not None:
+        from cyclekit.plots.levels import draw_levels  # here, as matplotlib takes long to import
+
+        draw_levels(file, values, found, rate_hz=opened.rate_hz)
+    means = () if found.means is None else tuple(map(float, found.means))
+    warnings = tuple(texts([*found.warnings, *([other] if other else [])]))
+    levels, share = tuple(map(float, found.levels)), tuple(map(float, found.share))
+    return ScalingLevels(method, levels, means, share, found.noise, found.is_staircase, file, warnings)

@@ -1,0 +1,55 @@
+"""`plan_order`: the order of the same work that takes least time."""
+
+from __future__ import annotations
+
+from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.api.given import dataset_of, jobs_of, model_of, path_of, place_of
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
+from cyclekit.estimate.check import Check
+from cyclekit.estimate.plan.answer import OrderPlan, plan
+from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.safety import SafetyModel
+from cyclekit.storage.atomic import write_text
+
+
+@checked
+def plan_order(
+    model: SafetyModel | Place,
+    dataset: Dataset | Place,
+    jobs: Jobs | Place,
+    *,
+    out: Place | None = None,
+    seed: int = 0,
+    validate: bool = True,
+    check: Check | None = None,
+    other_cell: bool = False,
+    progress: Progress | None = None,
+) -> OrderPlan:
+    """Search the order of the jobs with the least expected cycle time.
+
+    Args:
+        model: A model of problem `now`, its folder or its URL.
+        dataset: Logs that hold the tasks of at least one allowed order, and the operator's tracks.
+        jobs: What is to be visited, and what comes first: jobs, or the jobs file.
+        out: Also write the order here, as a sequence file (`.toml`).
+        seed: Of the search and the resampling.
+        validate: As of `estimate_cycles`.
+        check: As of `estimate_cycles`.
+        other_cell: As of `estimate_cycles`.
+        progress: Told fraction and text.
+
+    Raises:
+        ModelError: The model predicts something else than the present scaling, or is of another cell.
+        UnknownName: A place does not exist.
+        EstimateError: Every allowed order needs a task that was never logged, or there is no operator track.
+    """
+    file = path_of(out)
+    check_output(file, "sequences", [place_of(model), place_of(jobs), place_of(dataset)], endings=(".toml",))
+    wanted = jobs_of(jobs)
+    asked = {"validate": validate, "other_cell": other_cell}
+    found = plan(model_of(model), dataset_of(dataset), wanted, seed=seed, check=check, progress=progress, **asked)
+    if file is not None:
+        names = ", ".join(f'"{place}"' for place in found.places)
+        write_text(file, f'# Written by cyclekit plan\n[[sequence]]\nname = "planned"\nplaces = [{names}]\n')
+    return found

@@ -1,0 +1,215 @@
+"""`write_report`: the page that an integrator hands to the customer, with all that is asked for computed for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.api.estimate import estimate_cycles
+from cyclekit.api.evaluate import evaluate_model
+from cyclekit.api.given import Sequences, dataset_of, jobs_of, place_of, sequences_of, trained_of
+from cyclekit.api.plan import plan_order
+from cyclekit.api.whatif import what_if as try_changes
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
+from cyclekit.errors import ConfigError, CyclekitError
+from cyclekit.estimate.answers import CycleEstimates
+from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.whatif.change import Change, load_changes
+from cyclekit.learning.evaluation.evaluate import Evaluation
+from cyclekit.learning.networks.cell import refuse_other_cell
+from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.report import ReportFacts, Template, Tried, compose_report, load_tried, need_browser, write_pdf
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.guard import Kind
+    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.plan.answer import OrderPlan
+    from cyclekit.estimate.whatif.answers import WhatIfAnswers
+
+Format = Literal["html", "json", "csv", "md"]
+ORDER = "order found"
+"""How the order that was found is named among the sequences."""
+_WRITTEN_AS: dict[Format, Kind] = {"html": "page", "md": "words", "json": "report-json", "csv": "report-csv"}
+_ENDINGS: dict[str, Format] = {".htm": "html", ".md": "md", ".markdown": "md", ".json": "json", ".csv": "csv"}
+
+
+@checked
+def write_report(
+    dataset: Dataset | Place,
+    out: Place,
+    *,
+    model: TrainedModel | Place | None = None,
+    sequences: Sequences | None = None,
+    what_if: Sequence[Place | Change | Tried] = (),
+    jobs: Jobs | Place | None = None,
+    takt_s: float | None = None,
+    kind: Format | None = None,
+    pdf: Place | None = None,
+    template: Place | None = None,
+    cell_name: str | None = None,
+    validate: bool = True,
+    extrapolate: bool = False,
+    other_cell: bool = False,
+    estimates: CycleEstimates | None = None,
+    evaluation: Evaluation | None = None,
+    progress: Progress | None = None,
+) -> ReportFacts:
+    """Write one self-contained file: the cycle times, where they go, why, what would help, and how sure that is.
+
+    Args:
+        dataset: The logs: a dataset, its folder or its URL.
+        out: The file; an existing one is replaced when the new one is complete.
+        model: Trained model; without it the page is about the logs alone.
+        sequences: Whose estimates go into the page: sequences, or the sequence file.
+        what_if: Tried on the sequences: changes, or files of them (`CHANGES.toml`). Or what was computed before:
+            `FILE.json` of `what_if`, `LABEL=FILE.json` of `estimate_cycles`.
+        jobs: Work whose quickest order is searched, estimated and changed with the sequences.
+        takt_s: Takt time that the cycles are held against, s.
+        kind: `html`, `json`, `csv` or `md`; by default by the ending of `out`.
+        pdf: Also print the page here, by an installed browser.
+        template: Folder whose files take the place of the page's own.
+        cell_name: Title of the page; the dataset's name where not given.
+        validate: Validate on logged executions, and correct the bias.
+        extrapolate: Answer although most of it was never logged.
+        other_cell: The model may be of another cell.
+        estimates: Of `sequences`, if they were asked for before: they are not computed again.
+        evaluation: Of the model, if it was judged before.
+        progress: Told fraction and text.
+
+    Raises:
+        ConfigError: Estimates are asked for without a model, or changes without sequences.
+        CyclekitError: Something that was asked for cannot be computed or read, or the file cannot be written.
+    """
+    file, printed = Path(out), None if pdf is None else Path(pdf)
+    chosen: Format = kind or _ENDINGS.get(file.suffix.lower(), "html")
+    given = [place_of(each) for each in (dataset, model, sequences, jobs, template)]
+    read = [*given, *(str(each).rpartition("=")[2] for each in what_if if isinstance(each, str | Path))]
+    check_output(file, _WRITTEN_AS[chosen], read)
+    check_output(printed, "pdf", [*read, file], option="--pdf", endings=(".pdf",))
+    changes, tried = _tried(what_if)
+    if model is None and (sequences or jobs or changes):
+        raise ConfigError("estimates need a model", cure="Give a model, or leave the sequences out.")
+    if printed is not None:
+        need_browser()
+    folder = None if template is None else Path(template)
+    Template(folder)
+    tell = progress or (lambda _fraction, _text: None)
+    data = dataset_of(dataset)
+    page: dict[str, Any] = {"estimates": estimates or (), "check": estimates.check if estimates else None}
+    page["what_if"] = tried
+    trained = None if model is None else trained_of(model)
+    if trained is not None:
+        asked = _Asked(trained, data, validate, extrapolate, other_cell, tell)
+        page = asked.found(sequences, changes, tried, jobs, estimates, evaluation)
+    looks: dict[str, Any] = {"takt_s": takt_s, "kind": chosen, "template": folder, "cell_name": cell_name}
+    facts = compose_report(data, trained, file, **page, **looks, progress=_part(tell, 0.7, 1.0))
+    if printed is not None:
+        tell(1.0, "printing")
+        write_pdf(file, printed)
+    return replace(facts, pdf=printed)
+
+
+class _Asked:
+    """What the parts of one page are asked with."""
+
+    def __init__(
+        self, model: TrainedModel, data: Dataset, validate: bool, extrapolate: bool, other_cell: bool, tell: Progress
+    ) -> None:
+        refuse_other_cell(model.card, data, other_cell=other_cell)
+        self.model, self.data, self.extrapolate, self.tell = model, data, extrapolate, tell
+        self.given: dict[str, Any] = {"validate": validate, "other_cell": other_cell}
+
+    def found(
+        self,
+        sequences: Sequences | None,
+        changes: list[Change],
+        tried: list[Tried],
+        jobs: Jobs | Place | None,
+        estimates: CycleEstimates | None,
+        evaluation: Evaluation | None,
+    ) -> dict[str, Any]:
+        """Return what the page shows beside the logs, by the names of `compose_report`.
+
+        Raises:
+            CyclekitError: Something that was asked for cannot be computed.
+        """
+        planned = None if jobs is None else self._planned(jobs)
+        wanted = _with_order([] if sequences is None else sequences_of(sequences), planned)
+        if wanted and estimates is None:
+            estimates = self._estimated(wanted)
+        check = estimates.check if estimates else None
+        if changes:
+            if not wanted:
+                raise ConfigError("changes are tried on sequences, and none are given", cure="Give sequences or jobs.")
+            tried += [Tried.of(each) for each in self._changed(wanted, changes, check)]
+        missing: list[str] = []
+        if evaluation is None:
+            try:
+                evaluation = self._evaluated()
+            except CyclekitError as error:  # nobody asked for it
+                missing.append(f"The model could not be judged: {error.seen}.")
+        return {
+            "estimates": estimates or (),
+            "evaluation": evaluation,
+            "check": check,
+            "what_if": tried,
+            "planned": planned,
+            "missing": missing,
+        }
+
+    def _planned(self, jobs: Jobs | Place) -> OrderPlan:
+        return plan_order(self.model, self.data, jobs_of(jobs), progress=_part(self.tell, 0.0, 0.2), **self.given)
+
+    def _estimated(self, wanted: list[TaskSequence]) -> CycleEstimates:
+        asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.2, 0.4), **self.given}
+        return estimate_cycles(self.model, self.data, wanted, **asked).require_all()
+
+    def _changed(self, wanted: list[TaskSequence], changes: list[Change], check: Check | None) -> WhatIfAnswers:
+        asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.4, 0.6), "check": check, **self.given}
+        return try_changes(self.model, self.data, wanted, changes, **asked).require_all()
+
+    def _evaluated(self) -> Evaluation:
+        foreign, tell = self.given["other_cell"], _part(self.tell, 0.6, 0.7)
+        return evaluate_model(self.model, self.data, boosting=False, other_cell=foreign, progress=tell)
+
+
+def _tried(what_if: Sequence[Place | Change | Tried]) -> tuple[list[Change], list[Tried]]:
+    """Return the changes that are to be tried, and what was tried before.
+
+    Raises:
+        ConfigError: A place is neither a file of changes nor answers.
+    """
+    changes = [each for each in what_if if isinstance(each, Change)]
+    tried = [each for each in what_if if isinstance(each, Tried)]
+    for each in what_if:
+        if not isinstance(each, str | Path):
+            continue
+        label, _, file = str(each).rpartition("=")
+        if file.lower().endswith(".toml") and not label:
+            changes += load_changes(Path(file))
+        elif file.lower().endswith(".json"):
+            tried += load_tried(Path(file), label.strip() or None)
+        else:
+            seen = f"{each}: neither a file of changes (.toml) nor answers (.json)"
+            raise ConfigError(seen, cure="Give CHANGES.toml, FILE.json, or LABEL=FILE.json of estimates.")
+    return changes, tried
+
+
+def _part(tell: Progress, begin: float, end: float) -> Callable[[float, str], None]:
+    """Return a progress that fills a part of another."""
+    return lambda fraction, text: tell(begin + (end - begin) * min(fraction, 1.0), text)
+
+
+def _with_order(sequences: list[TaskSequence], planned: OrderPlan | None) -> list[TaskSequence]:
+    """Return the sequences and the order found, unless it is one of them: it is estimated, and changed, as they are."""
+    if planned is None or any(each.places == planned.places and each.operator is None for each in sequences):
+        return sequences
+    names = {each.name for each in sequences}
+    name = next(name for n in count(1) if (name := ORDER if n == 1 else f"{ORDER} {n}") not in names)
+    return [*sequences, TaskSequence(name, planned.places)]

@@ -1,0 +1,84 @@
+"""`simulate_logs`: vendor-format logs of a simulated cell, with the truth beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.dataset.guard import check_output
+from cyclekit.errors import CyclekitError
+from cyclekit.extras import need
+from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+@dataclass(frozen=True, repr=False)
+class SimulatedLogs(Result):
+    """Logs of a simulated cell; the truth lies in `logs`/truth."""
+
+    logs: Path
+    scene: str
+    executions: int
+    seed: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {**vars(self), "logs": str(self.logs)}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per file of the logs: its name and its size in bytes."""
+        import polars as pl
+
+        files = sorted(file for file in self.logs.rglob("*") if file.is_file())
+        rows = [{"file": file.relative_to(self.logs).as_posix(), "bytes": file.stat().st_size} for file in files]
+        return pl.DataFrame(rows)
+
+    def _said(self) -> list[str]:
+        return [f"{self.logs}: {self.executions} executions of {self.scene}, seed {self.seed}"]
+
+
+@checked
+def simulate_logs(
+    scene: str,
+    out: Place,
+    *,
+    executions: int = 20,
+    seed: int = 0,
+    settings: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> SimulatedLogs:
+    """Simulate a cell and log it in vendor formats; same seed, same bytes.
+
+    Args:
+        scene: Which cell: box-picking, pick-and-package, laser-zones or scanner-visits.
+        out: Folder for the logs.
+        executions: How many times the process runs.
+        seed: Of everything that is drawn.
+        settings: Fields of `cyclekit_sim.SimulationOptions`, such as `delta_m` (tracker noise) or `robot_rate_hz`.
+        progress: Told fraction and text.
+
+    Raises:
+        MissingExtra: What the simulator needs is not installed.
+        CyclekitError: The simulator refuses the settings, or the logs cannot be written.
+        OutputError: The folder holds what is no simulation.
+    """
+    need("the simulator", "simulate")
+    from cyclekit_sim import SimulationOptions, simulate
+    from cyclekit_sim.errors import SimulationError
+
+    asked, folder = dict(settings or {}), Path(out)
+    check_output(folder, "logs", [asked.get("operator_log")])
+    try:
+        options = SimulationOptions(**asked)
+        logs = simulate(scene, folder, executions=executions, seed=seed, options=options, progress=progress)
+    except SimulationError as error:
+        raise CyclekitError(str(error)) from error
+    except OSError as error:
+        msg = f"{folder}: cannot be written ({error.strerror or error})"
+        raise CyclekitError(msg, cure="Check the folder, its permissions and the free space.") from error
+    return SimulatedLogs(logs, scene, executions, seed)

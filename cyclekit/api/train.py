@@ -1,0 +1,95 @@
+"""`train_model`: the safety function of the cell, learned from a dataset; `train_seeds`: one model for each seed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.api.given import dataset_of
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
+from cyclekit.learning.networks.saved import TrainedModel, check_model_output, load_model
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import Training, need_torch, train, train_at
+from cyclekit.parallel.engine import LOCAL, Engine
+from cyclekit.storage.remote.folders import join
+
+
+@checked
+def train_model(
+    dataset: Dataset | Place,
+    spec: ModelSpec | None = None,
+    *,
+    out: Place | None = None,
+    engine: Engine = LOCAL,
+    progress: Progress | None = None,
+) -> TrainedModel:
+    """Learn from a dataset when the robot slows down.
+
+    Args:
+        dataset: With a speed scaling, logged or inferred, and positions of robot and operator.
+        spec: What to train; None: `ModelSpec.of()`.
+        out: Also put it there: a folder or a URL.
+        engine: Where it is trained, if `out` is given; else in this process.
+        progress: Told the fraction done and the validation error after every epoch.
+
+    Raises:
+        DatasetError: The dataset lacks what training needs; the message says what.
+        MissingExtra: torch is not installed.
+        OutputError: The model would replace what is no model, or lie in the dataset.
+        CyclekitError: The model cannot be written.
+    """
+    wanted = spec or ModelSpec.of()
+    if out is None:
+        return train(dataset_of(dataset), wanted, progress=progress)
+    (model,) = _put([Training(_place(dataset), wanted, str(out))], engine, progress)
+    return model
+
+
+@checked
+def train_seeds(
+    dataset: Dataset | Place,
+    seeds: Sequence[int],
+    out: Place,
+    spec: ModelSpec | None = None,
+    *,
+    engine: Engine = LOCAL,
+    progress: Progress | None = None,
+) -> dict[str, TrainedModel]:
+    """Train one model for each seed, and put each into `out`/seed-N; by that place, in the order of the seeds.
+
+    Args:
+        dataset: As of `train_model`.
+        seeds: Of the splits and the trainings.
+        out: A folder or a URL for all of them.
+        spec: What to train; its seed does not count.
+        engine: Where they are trained, and how many at the same time.
+        progress: Told the fraction done.
+
+    Raises:
+        CyclekitError: As of `train_model`.
+    """
+    wanted = spec or ModelSpec.of()
+    todo = [Training(_place(dataset), replace(wanted, seed=seed), join(str(out), f"seed-{seed}")) for seed in seeds]
+    return dict(zip([each.out for each in todo], _put(todo, engine, progress), strict=True))
+
+
+def _place(dataset: Dataset | Place) -> str:
+    return dataset.place if isinstance(dataset, Dataset) else str(dataset)
+
+
+def _put(todo: Sequence[Training], engine: Engine, progress: Progress | None) -> list[TrainedModel]:
+    """Train every model and put it in its place; all that can be refused is refused before the first."""
+    need_torch()
+    for each in todo:
+        check_output(each.out, "model", [each.dataset])
+        check_model_output(each.out)
+    here = len(todo) == 1 and engine.stays_here(1)
+    tell = progress or (lambda _fraction, _text: None)
+    work = partial(train_at, progress=tell) if here else train_at
+    for count, done in enumerate(engine.map(work, todo), start=1):
+        done.get()
+        tell(count / len(todo), done.item.out)
+    return [load_model(each.out) for each in todo]

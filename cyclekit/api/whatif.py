@@ -1,0 +1,79 @@
+"""`what_if`: cycle times of the same logs in a changed cell."""
+
+from __future__ import annotations
+
+from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.api.given import Changes, Sequences, changes_of, dataset_of, model_of, path_of, place_of, sequences_of
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
+from cyclekit.estimate.answers import Refusal, refusing, together
+from cyclekit.estimate.check import Check
+from cyclekit.estimate.safety import SafetyModel
+from cyclekit.estimate.whatif.answer import what_if as compare
+from cyclekit.estimate.whatif.answers import WhatIfAnswers
+from cyclekit.storage.atomic import write_text
+from cyclekit.text.plain_json import json_text
+
+
+@checked
+def what_if(
+    model: SafetyModel | Place,
+    dataset: Dataset | Place,
+    sequences: Sequences,
+    changes: Changes,
+    *,
+    out: Place | None = None,
+    seed: int = 0,
+    extrapolate: bool = False,
+    validate: bool = True,
+    check: Check | None = None,
+    other_cell: bool = False,
+    progress: Progress | None = None,
+) -> WhatIfAnswers:
+    """Estimate every sequence as it is and under every change. No safety proof.
+
+    Args:
+        model: A model of problem `now`, its folder or its URL.
+        dataset: The logs.
+        sequences: What is asked for: sequences, or the sequence file.
+        changes: Each by itself: changes, or the file of changes.
+        out: Also write the result here, `.json`.
+        seed: As of `estimate_cycles`; so are `extrapolate`, `validate`, `check` and `other_cell`.
+        extrapolate: Answer although most of it was never logged.
+        validate: Validate on logged executions; what it finds corrects all that rests on the learned safety function.
+        check: That validation, if it was made before.
+        other_cell: Answer by a model of another cell too.
+        progress: Told fraction and text.
+
+    Returns:
+        The answers. A change that cannot be answered from these logs is in `refused`, with the reason.
+
+    Raises:
+        EstimateError: A sequence as it is, or none of the changes, can be answered.
+        ModelError: As of `estimate_cycles`.
+        UnknownName: A place does not exist; a change that names it is named.
+    """
+    file = path_of(out)
+    inputs = [place_of(given) for given in (model, sequences, changes, dataset)]
+    check_output(file, "what-if", inputs, endings=(".json",))
+    wanted, changed = sequences_of(sequences), changes_of(changes)
+    refused: list[Refusal] = []
+    found = compare(
+        model_of(model),
+        dataset_of(dataset),
+        wanted,
+        changed,
+        seed=seed,
+        extrapolate=extrapolate,
+        validate=validate,
+        check=check,
+        other_cell=other_cell,
+        refused=lambda change, error: refusing(refused, change.name, error),
+        progress=progress,
+    )
+    if not found and changed:
+        raise together(refused)
+    answer = WhatIfAnswers(tuple(found), tuple(refused))
+    if file is not None:
+        write_text(file, json_text(answer.to_dict(), ascii_only=True) + "\n")
+    return answer

@@ -1,0 +1,128 @@
+"""What one question about several sequences is answered with: estimates, and what could not be answered."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, overload
+
+from cyclekit.errors import EstimateError
+from cyclekit.estimate.result import CycleEstimate
+from cyclekit.text.plain_text import csv_text
+from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from cyclekit.estimate.check import Check
+
+_MEAN = ("name", "expected_s", "expected_low_s", "expected_high_s")
+_SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """What cannot be answered from these logs: the name of a sequence or change, and why."""
+
+    name: str
+    error: EstimateError
+
+
+@dataclass(frozen=True, repr=False)
+class CycleEstimates(Result, Sequence[CycleEstimate]):
+    """The estimates of several sequences: those of the same work together, shortest first.
+
+    Attributes:
+        estimates: One for each sequence that can be answered.
+        refused: The others.
+    """
+
+    estimates: tuple[CycleEstimate, ...]
+    refused: tuple[Refusal, ...] = ()
+
+    @overload
+    def __getitem__(self, index: int) -> CycleEstimate: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[CycleEstimate, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> CycleEstimate | tuple[CycleEstimate, ...]:
+        """Return one estimate, or some."""
+        return self.estimates[index]
+
+    def __len__(self) -> int:
+        """Return how many sequences were answered."""
+        return len(self.estimates)
+
+    @property
+    def check(self) -> Check | None:
+        """The validation on logged executions that corrected them; None where there was none."""
+        return self.estimates[0].check if self.estimates else None
+
+    @property
+    def alarms(self) -> tuple[str, ...]:
+        """What belongs above the numbers, one sentence each."""
+        return tuple(dict.fromkeys(one.check.alarm for one in self if one.check and one.check.alarm))
+
+    def require_all(self) -> CycleEstimates:
+        """Return these, if every sequence was answered.
+
+        Raises:
+            EstimateError: Of the first that was not.
+        """
+        for refusal in self.refused:
+            raise refusal.error
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain JSON values."""
+        return {
+            "warnings": list(self.alarms),
+            "sequences": [one.to_dict() for one in self],
+            "refused": [{"sequence": one.name, "reason": str(one.error)} for one in self.refused],
+            "check": self.check.to_dict() if self.check else None,
+        }
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per sequence: mean, 95 % interval, quantiles of single cycles (`q0.05_s`), split; seconds."""
+        import polars as pl
+
+        heads, rows = self._rows()
+        return pl.DataFrame(rows, schema=heads, orient="row", infer_schema_length=None)
+
+    def to_csv(self) -> str:
+        """Return the frame as CSV."""
+        heads, rows = self._rows()
+        return csv_text([heads, *rows])
+
+    def _rows(self) -> tuple[list[str], list[list[Any]]]:
+        levels = sorted(self[0].quantiles_s) if self.estimates else []
+        heads = [*_MEAN, *(f"q{level:g}_s" for level in levels), *_SPLIT, "support", "tracks", "warnings"]
+        rows = [
+            [
+                *(getattr(one, name) for name in _MEAN),
+                *(one.quantiles_s[level] for level in levels),
+                *(getattr(one, name) for name in _SPLIT),
+                *(one.support, one.tracks, " | ".join(one.warnings)),
+            ]
+            for one in self
+        ]
+        return heads, rows
+
+    def _said(self) -> list[str]:
+        means = [
+            f"{one.name!r} {one.expected_s:.1f} s (95% CI {one.expected_low_s:.1f} to {one.expected_high_s:.1f} s)"
+            for one in self
+        ]
+        return [f"{len(self)} sequences", *means, *(f"not answered: {one.error.seen}" for one in self.refused)]
+
+
+def together(refused: Sequence[Refusal]) -> EstimateError:
+    """Return one error for all that cannot be answered."""
+    return EstimateError("\n".join(dict.fromkeys(str(one.error) for one in refused)))
+
+
+def refusing(refused: list[Refusal], name: str, error: EstimateError) -> None:
+    """Keep what cannot be answered, once."""
+    if name not in {one.name for one in refused}:
+        refused.append(Refusal(name, error))

@@ -1,0 +1,78 @@
+"""What one question about several changes is answered with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, overload
+
+from cyclekit.estimate.answers import Refusal
+from cyclekit.estimate.whatif.answer import NO_PROOF, WhatIf
+from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    import polars as pl
+
+
+@dataclass(frozen=True, repr=False)
+class WhatIfAnswers(Result, Sequence[WhatIf]):
+    """Every sequence under every change.
+
+    Attributes:
+        answers: One for each change and sequence, in the order of the changes.
+        refused: Changes that cannot be answered from these logs.
+        safety: That this is no safety proof.
+    """
+
+    answers: tuple[WhatIf, ...]
+    refused: tuple[Refusal, ...] = ()
+    safety: str = NO_PROOF
+
+    @overload
+    def __getitem__(self, index: int) -> WhatIf: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[WhatIf, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> WhatIf | tuple[WhatIf, ...]:
+        """Return one answer, or some."""
+        return self.answers[index]
+
+    def __len__(self) -> int:
+        """Return how many answers there are."""
+        return len(self.answers)
+
+    @property
+    def alarms(self) -> tuple[str, ...]:
+        """What belongs above the numbers, one sentence each."""
+        checks = (one.before.check for one in self)
+        return tuple(dict.fromkeys(check.alarm for check in checks if check and check.alarm))
+
+    def require_all(self) -> WhatIfAnswers:
+        """Return these, if every change was answered.
+
+        Raises:
+            EstimateError: Of the first that was not.
+        """
+        for refusal in self.refused:
+            raise refusal.error
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain JSON values."""
+        return {
+            "safety": self.safety,
+            "warnings": list(self.alarms),
+            "answers": [one.to_dict() for one in self],
+            "refused": [{"change": one.name, "reason": str(one.error)} for one in self.refused],
+        }
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per change and sequence, seconds."""
+        import polars as pl
+
+        return pl.concat([one.to_frame() for one in self]) if self.answers else pl.DataFrame()
+
+    def _said(self) -> list[str]:
+        lines = [repr(one).partition(": ")[2] for one in self]
+        return [self.safety, *lines, *(f"not answered: {one.error.seen}" for one in self.refused)]

@@ -1,0 +1,58 @@
+"""What results of the library have in common: a short repr, a table in a notebook, a polars frame, values for JSON.
+
+A result is a frozen dataclass. Its class says what it is in a line or a few (`_said`) and as a frame (`to_frame`); the
+command line's `--json` prints `to_dict`.
+"""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.text.plain_text import one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import polars as pl
+
+SHOWN_ROWS, SHOWN_LINES = 20, 8
+"""So many rows a notebook shows, and so many lines a terminal; the frame has all."""
+
+
+class Result:
+    """What a call of the library gives back."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain JSON values, as `--json` prints it."""
+        raise NotImplementedError
+
+    def to_frame(self) -> pl.DataFrame:
+        """Return the result as a table, units in the names of its columns."""
+        raise NotImplementedError
+
+    def _said(self) -> Sequence[str]:
+        """Return the result in a line or a few."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        """Return the result in a line or a few: what a console shows."""
+        lines = [one_line(line) for line in self._said()]
+        kept = lines if len(lines) <= SHOWN_LINES else [*lines[: SHOWN_LINES - 1], f"... and {len(lines) - 7} more"]
+        return f"{type(self).__name__}: " + "\n  ".join(kept)
+
+    def _repr_html_(self) -> str:
+        """Return the result as a small table for a notebook; names out of logs are escaped."""
+        frame = self.to_frame()
+        head = "".join(f"<th>{escape(name)}</th>" for name in frame.columns)
+        rows = ["".join(f"<td>{escape(_cell(value))}</td>" for value in row) for row in frame.head(SHOWN_ROWS).rows()]
+        more = f"<p>{frame.height - SHOWN_ROWS} more rows</p>" if frame.height > SHOWN_ROWS else ""
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        title = escape(self.__repr__().partition("\n")[0])
+        return f"<p>{title}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -9,7 +9,7 @@ nominal   nobody in the cell (`rivals`)
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,10 +17,12 @@ import numpy as np
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate.entry import ESTIMATORS, LEAST_SUPPORT, Question, entry_of
+from cyclekit.estimate.history import TaskTimes
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs
+from cyclekit.estimate.means import History, means_of
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
-from cyclekit.estimate.resample import TOGETHER, means_below, resampled
+from cyclekit.estimate.resample import TOGETHER, means_below, resampled, resampled_alike
 from cyclekit.estimate.rivals import by_average, by_history, by_nominal
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.spread import Asked, logged_support, roll_spread
@@ -61,6 +63,8 @@ class Altered:
     tasks: Callable[[Mapping[str, NominalTask]], Mapping[str, NominalTask]]
     tracks: Callable[[OperatorTracks, Mapping[str, NominalTask]], OperatorTracks]
     dynamics: Dynamics
+    moved: Mapping[str, float] = field(default_factory=dict)
+    """What logged durations moved the number of each sequence by in the cell that was logged, as a factor, by name."""
 
 
 @one_thread()
@@ -143,11 +147,13 @@ def estimate(
         if not mine:
             continue
         weights = _weights(ask, rolled[0], tracks)
+        history = _history(ask, tracks) if operator is None else None
         for sequence, cycles in zip(mine, rolled, strict=True):
-            entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights)
+            mean = means_of(ask, sequence, cycles, weights, history)
+            entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights, mean)
             doubts = (*doubts_of(cycles, entry, check), *unknown)
             found.append(replace(entry, doubts=doubts, warnings=(*doubts, *limits_of_cycles(cycles, entry), *limits)))
-            means.append(cycles.resampled_means(weights))
+            means.append(mean.resampled_s)
             looked_up.append(not cycles.looked_closely)
     tell(1.0, "done")
     # what was only looked up comes behind what was walked: its number is not exact enough to rank before it
@@ -306,6 +312,17 @@ def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> ND
     if tracks is None:  # cycles put together of tasks: each draw is one
         return resampled([str(k) for k in range(len(cycles.duration_s))], ask.seed)
     return resampled(tracks.executions, ask.seed, together=TOGETHER if tracks.runs_on else 1)
+
+
+def _history(ask: Question, tracks: OperatorTracks | None) -> History | None:
+    """Return what tasks took in the logs and in each resample of them; None where it says nothing of what is asked."""
+    if tracks is None or ask.estimator != "rollout" or ask.altered is not None:
+        return None
+    if ask.check is None or ask.check.order_error is None:
+        return None
+    times = TaskTimes(ask.dataset)
+    together = TOGETHER if tracks.runs_on else 1
+    return History(times, resampled_alike(tracks.executions, times.executions, ask.seed, together=together))
 
 
 def _ranked(found: list[CycleEstimate], mean_of: Mapping[str, Vector]) -> list[CycleEstimate]:

@@ -18,14 +18,14 @@ import time
 from pathlib import Path
 
 import numpy as np
-from cells import FRESH_SEED, Logged, durations_of, fresh, logged
+from cells import FRESH_SEED, durations_of, fresh, logged
 from order_rivals import markov_s
 from rich.console import Console
 from rich.table import Table
 
-from cyclekit.errors import CyclekitError
-from cyclekit.estimate.check import Check, check_rollout
+from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.history import Combined
+from cyclekit.estimate.result import CycleEstimate
 from cyclekit.estimate.rollout import estimate
 from cyclekit.sequences import TaskSequence
 from cyclekit_sim import SimulationOptions, random_sequence
@@ -71,17 +71,13 @@ class Row:
     took_s: float
 
 
-def ask(cell: Logged, check: Check, sequence: TaskSequence, true_s: np.ndarray) -> Row:
+def row_of(found: CycleEstimate, history: CycleEstimate, markov: float, true_s: np.ndarray, took_s: float) -> Row:
     """Return how far the answers to one order are off its fresh executions, shape (executions,), s."""
-    began, mean = time.perf_counter(), float(true_s.mean())
-    found = estimate(cell.model, cell.dataset, [sequence], check=check)[0]
-    took_s = time.perf_counter() - began
-    history_s = estimate(cell.model, cell.dataset, [sequence], estimator="history")[0].expected_s
-    both = found.combined or Combined(found.expected_s, history_s, 0.0)
+    mean = float(true_s.mean())
+    both = found.combined or Combined(found.expected_s, history.expected_s, 0.0)
     inside = (true_s >= found.quantiles_s[0.05]) & (true_s <= found.quantiles_s[0.95])
     return Row(
-        *(value / mean - 1 for value in (found.expected_s, both.rollout_s, history_s)),
-        markov=markov_s(cell.dataset, [sequence])[0] / mean - 1,
+        *(value / mean - 1 for value in (found.expected_s, both.rollout_s, history.expected_s, markov)),
         share=both.history_share,
         held=found.expected_low_s <= mean <= found.expected_high_s,
         inside=float(inside.mean()),
@@ -93,14 +89,28 @@ def of_set(work: Path, executions: int, seed: int, count: int, many: int) -> dic
     """Return what one set of logs gives, by the length of the order; print a line."""
     cell = logged(work, SCENE, executions, seed=seed, options=HARD, kind="visits")
     check = check_rollout(cell.model, cell.dataset)
-    rows: dict[str, list[Row]] = {name: [] for name in LENGTHS}
-    for name, some in orders(set(cell.dataset.tasks()["task"]), count).items():
-        for sequence in some:
-            true_s = durations_of(fresh(work, SCENE, sequence.places, many, kind="visits", options=TRUE))
-            try:
-                rows[name].append(ask(cell, check, sequence, true_s))
-            except CyclekitError as error:
-                OUT.print(f"seed {seed} {sequence.name}: refused: {error}")
+    asked = orders(set(cell.dataset.tasks()["task"]), count)
+    every = [sequence for some in asked.values() for sequence in some]
+    began = time.perf_counter()
+    answers = estimate(cell.model, cell.dataset, every, check=check, refused=lambda s, e: OUT.print(f"{s.name}: {e}"))
+    took_s = (time.perf_counter() - began) / len(every)
+    found = {entry.name: entry for entry in answers}
+    history = {entry.name: entry for entry in estimate(cell.model, cell.dataset, every, estimator="history")}
+    chain = dict(zip((s.name for s in every), markov_s(cell.dataset, every), strict=True))
+    rows = {
+        length: [
+            row_of(
+                found[s.name],
+                history[s.name],
+                chain[s.name],
+                durations_of(fresh(work, SCENE, s.places, many, kind="visits", options=TRUE)),
+                took_s,
+            )
+            for s in some
+            if s.name in found
+        ]
+        for length, some in asked.items()
+    }
     shown = ", ".join(f"{n} {100 * np.mean([r.error for r in rs]):+.2f}" for n, rs in rows.items() if rs)
     off = f"backtest {100 * check.own_bias:+.2f} +- {100 * check.own_within:.2f} %"
     OUT.print(f"{executions} executions, seed {seed}: {off}, {shown}", soft_wrap=True)

@@ -88,8 +88,6 @@ def test_the_number_lies_between_both_and_says_so(logged: Dataset, staircase: An
     assert found.to_json()["combined"]["history_share"] == both.history_share
     told = " ".join(rests_on([found]).split())
     assert f"{both.history_share:.0%} of the number is what the same tasks took in the logs" in told
-        rests_on([found]).split()
-    )
 
 
 def test_a_model_in_doubt_leaves_more_to_history(logged: Dataset, staircase: Any, check: Check, order: TaskSequence):

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.conformal import conformal, holds
 from cyclekit.estimate.history import TaskTimes, order_error
 from cyclekit.estimate.judges import judge, within
 from cyclekit.estimate.logged import beside_own, logged_durations, logged_sequences, only_tracks
@@ -282,7 +283,7 @@ def compare(
     z = float(reacts.mean() / max(reacts.std(ddof=1) / np.sqrt(count), 1e-9)) if count > 2 else 0.0
     outer = min(min(levels), 1 - max(levels))
     enough = count >= FEW_EXECUTIONS
-    inside = np.array([_inside(y, row[np.isfinite(row)], outer) for y, row in zip(logged_s, crossed_s, strict=True)])
+    inside = np.array([holds(y, row[np.isfinite(row)], outer) for y, row in zip(logged_s, crossed_s, strict=True)])
     return Check(
         executions=count,
         held_out=int(held_out.sum()),
@@ -295,15 +296,3 @@ def compare(
         coverage_held_out=float(inside[held_out].mean()) if enough and held_out.any() else None,
         levels=(outer, 1 - outer),
     )
-
-
-def conformal(values: Vector, level: float) -> float:
-    """Return the value that one more is at or below with probability `level`: rank (K + 1) level of K, interpolated.
-
-    Rounding the ranks outwards instead would never cover too little, and at 45 executions far too much.
-    """
-    return float(np.quantile(values, level, method="weibull"))
-
-
-def _inside(logged_s: float, cycles_s: Vector, outer: float) -> bool:
-    return conformal(cycles_s, outer) <= logged_s <= conformal(cycles_s, 1 - outer)

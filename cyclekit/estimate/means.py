@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.estimate.history import Combined, history_share
-from cyclekit.estimate.resample import interval_of_mean
+from cyclekit.estimate.history import Combined, TaskTimes, history_share
+from cyclekit.estimate.resample import TOGETHER, interval_of_mean, resampled_alike
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.entry import Question
-    from cyclekit.estimate.history import TaskTimes
+    from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled
     from cyclekit.sequences import TaskSequence
 
@@ -51,6 +51,17 @@ class Means:
     def interval(self, *, bias_s: float, seed: int) -> tuple[float, float]:
         """Return the 95 % interval of the mean, s; `bias_s` as of `interval_of_mean`."""
         return interval_of_mean(self.resampled_s, model_error=self.error, judged=self.judged, bias_s=bias_s, seed=seed)
+
+
+def history_of(ask: Question, tracks: OperatorTracks | None) -> History | None:
+    """Return what tasks took in the logs and in each resample of them; None where it says nothing of what is asked."""
+    if tracks is None or ask.estimator != "rollout" or ask.altered is not None:
+        return None
+    if ask.check is None or ask.check.order_error is None:
+        return None
+    times = TaskTimes(ask.dataset)
+    together = TOGETHER if tracks.runs_on else 1
+    return History(times, resampled_alike(tracks.executions, times.executions, ask.seed, together=together))
 
 
 def means_of(

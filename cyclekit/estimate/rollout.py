@@ -16,27 +16,24 @@ import numpy as np
 
 from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import EstimateError, ModelError, UnknownName
+from cyclekit.estimate.cycles import MANY, cycles_of
 from cyclekit.estimate.entry import ESTIMATORS, LEAST_SUPPORT, Question, entry_of
-from cyclekit.estimate.history import TaskTimes
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs
-from cyclekit.estimate.means import History, means_of
+from cyclekit.estimate.means import history_of, means_of
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
-from cyclekit.estimate.resample import TOGETHER, means_below, resampled, resampled_alike
-from cyclekit.estimate.rivals import by_average, by_history, by_nominal
+from cyclekit.estimate.resample import TOGETHER, means_below, resampled
 from cyclekit.estimate.safety import Dynamics
-from cyclekit.estimate.spread import Asked, logged_support, roll_spread
-from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
-from cyclekit.estimate.transit import transit_table
+from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.validate import refuse_biased, validated
-from cyclekit.estimate.walk import Rolled, roll_all, roll_out
+from cyclekit.estimate.walk import Rolled, roll_out
 from cyclekit.models.cell import refuse_other_cell
 from cyclekit.one_thread import one_thread
 from cyclekit.out_of_core import in_memory
 from cyclekit.work import by_work
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -51,9 +48,6 @@ if TYPE_CHECKING:
     _Refuse = Callable[[TaskSequence, EstimateError], None]
 
 __all__ = ["ESTIMATORS", "estimate", "lay_out", "roll_out"]
-
-MANY = 50
-"""More sequences than this are looked up in the table of arrivals; so many of the best are walked."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +141,7 @@ def estimate(
         if not mine:
             continue
         weights = _weights(ask, rolled[0], tracks)
-        history = _history(ask, tracks) if operator is None else None
+        history = history_of(ask, tracks) if operator is None else None
         for sequence, cycles in zip(mine, rolled, strict=True):
             mean = means_of(ask, sequence, cycles, weights, history)
             entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights, mean)
@@ -200,7 +194,7 @@ def _answered(
     """
     while programs:
         try:
-            rolled, tracks, until_s = _cycles(ask, list(programs), list(programs.values()), tell)
+            rolled, tracks, until_s = cycles_of(ask, list(programs), list(programs.values()), tell)
         except EstimateError as error:  # there are no tracks for any of them
             for sequence in programs:
                 refuse(sequence, error)
@@ -229,100 +223,11 @@ def _problem(ask: Question, sequence: TaskSequence, cycles: Rolled, until_s: flo
     return None
 
 
-def _cycles(
-    ask: Question, sequences: Sequence[TaskSequence], programs: Sequence[Program], tell: Callable[[float, str], None]
-) -> tuple[list[Rolled], OperatorTracks | None, float]:
-    """Return the cycles of every sequence, the tracks they rest on (None: on none), and how long these are at most, s.
-
-    A cycle that does not end within them has duration inf.
-    """
-    if ask.estimator == "history":
-        return [by_history(ask.dataset, program, seed=ask.seed) for program in programs], None, np.inf
-    if ask.estimator == "nominal":
-        return [by_nominal(program) for program in programs], None, np.inf
-    horizon = 2.5 * max(program.length_s for program in programs)
-    rolled: list[Rolled] = []
-    for last in (False, False, False, True):  # tracks must be long enough for the slowest cycle; halts take longer
-        operator, goals = sequences[0].operator, ask.estimator == "average"
-        tracks = operator_tracks(ask.dataset, horizon_s=horizon, operator=operator, goals=goals)
-        if ask.altered is not None:
-            tracks = ask.altered.tracks(tracks, {task.task: task for program in programs for task in program.tasks})
-        rolled = []
-        for number, cycles in enumerate(_rolled(ask, _Round(sequences, programs, tracks, horizon))):
-            rolled.append(cycles)
-            tell(number / len(programs), f"rolling out {sequences[number].name}")
-            if not last and not np.isfinite(cycles.duration_s).all():
-                break
-        else:
-            break
-        horizon *= 2.0
-    return rolled, tracks, horizon
-
-
-@dataclass(frozen=True)
-class _Round:
-    """What is walked at once: sequences with their programs, beside tracks of one length."""
-
-    sequences: Sequence[TaskSequence]
-    programs: Sequence[Program]
-    tracks: OperatorTracks
-    horizon_s: float
-
-
-def _rolled(ask: Question, turn: _Round) -> Iterator[Rolled]:
-    programs, tracks = turn.programs, turn.tracks
-    if ask.estimator == "average":
-        return (by_average(ask.model, program, tracks, seed=ask.seed) for program in programs)  # type: ignore[arg-type]
-    if len(programs) <= MANY or not _dynamics(ask).none:
-        return _walked(ask, turn)
-    return _looked_up(ask, turn)
-
-
-def _walked(ask: Question, turn: _Round) -> Iterator[Rolled]:
-    programs, tracks = turn.programs, turn.tracks
-    if ask.altered is None and not ask.engine.stays_here(len(programs)):
-        operator = turn.sequences[0].operator
-        some = tuple(ask.dataset.executions["execution"]) if ask.dataset.is_part else None
-        asked = Asked(ask.model, ask.dataset.place, some, operator, turn.horizon_s, ask.seed)
-        return roll_spread(ask.engine, asked, turn.sequences, len(tracks.executions))
-    support = None if getattr(ask.model, "known_everywhere", False) else logged_support(ask.dataset)
-    return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=_dynamics(ask))
-
-
-def _dynamics(ask: Question) -> Dynamics:
-    return ask.altered.dynamics if ask.altered is not None else Dynamics.of(ask.dataset.card)
-
-
-def _looked_up(ask: Question, turn: _Round) -> Iterator[Rolled]:
-    """Look very many sequences up in the table of arrivals, and walk the best of them."""
-    programs, tracks = turn.programs, turn.tracks
-    tasks = {task.task: task for program in programs for task in program.tasks}
-    table = transit_table(ask.model, tasks, tracks)
-    found = [table.rolled([task.task for task in program.tasks], seed=ask.seed) for program in programs]
-    best = np.argsort([float(cycles.duration_s.mean()) for cycles in found])[:MANY].tolist()
-    some = replace(turn, sequences=[turn.sequences[i] for i in best], programs=[programs[i] for i in best])
-    walked = _walked(ask, some)
-    for i, cycles in zip(best, walked, strict=True):
-        found[i] = cycles
-    return iter(found)
-
-
 def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> NDArray[np.float64]:
     """Weights of the cycles in each resample of the logs, shape (resamples, K)."""
     if tracks is None:  # cycles put together of tasks: each draw is one
         return resampled([str(k) for k in range(len(cycles.duration_s))], ask.seed)
     return resampled(tracks.executions, ask.seed, together=TOGETHER if tracks.runs_on else 1)
-
-
-def _history(ask: Question, tracks: OperatorTracks | None) -> History | None:
-    """Return what tasks took in the logs and in each resample of them; None where it says nothing of what is asked."""
-    if tracks is None or ask.estimator != "rollout" or ask.altered is not None:
-        return None
-    if ask.check is None or ask.check.order_error is None:
-        return None
-    times = TaskTimes(ask.dataset)
-    together = TOGETHER if tracks.runs_on else 1
-    return History(times, resampled_alike(tracks.executions, times.executions, ask.seed, together=together))
 
 
 def _ranked(found: list[CycleEstimate], mean_of: Mapping[str, Vector]) -> list[CycleEstimate]:

@@ -17,7 +17,8 @@ from scipy import stats
 from cyclekit.errors import UnknownName
 from cyclekit.estimate import rollout
 from cyclekit.estimate import walk as walking
-from cyclekit.estimate.check import Check, check_rollout, compare, conformal
+from cyclekit.estimate.check import Check, check_rollout, compare
+from cyclekit.estimate.conformal import conformal
 from cyclekit.estimate.judges import judge, within
 from cyclekit.estimate.limits import doubts_of
 from cyclekit.estimate.nominal import nominal_tasks
@@ -130,7 +131,7 @@ def test_very_many_sequences_are_looked_up_and_the_best_of_them_walked(
 ):
     asked = [TaskSequence(f"{n} places", routes[0][:n]) for n in (5, 7, 9, 11, 13)]
     walked = estimate(staircase, logged, asked)
-    monkeypatch.setattr("cyclekit.estimate.rollout.MANY", 2)
+    monkeypatch.setattr("cyclekit.estimate.cycles.MANY", 2)
     found = estimate(staircase, logged, asked)
     assert [entry.name for entry in found] == [entry.name for entry in walked]
     for table, walk in zip(found, walked, strict=True):

@@ -42,16 +42,16 @@ from rich.table import Table
 from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.logged import beside_own, logged_durations, logged_sequences
 from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.plan import Jobs, plan
+from cyclekit.estimate.plan.search import every_order, random_order, tasks_of
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import roll_out
-from cyclekit.evaluate.drift import drift
-from cyclekit.plan import Jobs, plan
-from cyclekit.plan.search import every_order, random_order, tasks_of
-from cyclekit.whatif import Change, what_if
-from cyclekit.zones import read_zones
+from cyclekit.estimate.whatif import Change, what_if
+from cyclekit.learning.evaluation.drift import drift
+from cyclekit.learning.safety_function import read_zones
 from cyclekit_sim import SimulationOptions
 from cyclekit_sim.scenes import BUILT_IN
 

@@ -23,11 +23,11 @@ from order_rivals import markov_s
 from rich.console import Console
 from rich.table import Table
 
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.estimate.check import check_rollout
 from cyclekit.estimate.history import Combined
 from cyclekit.estimate.result import CycleEstimate
 from cyclekit.estimate.rollout import estimate
-from cyclekit.sequences import TaskSequence
 from cyclekit_sim import SimulationOptions, random_sequence
 
 OUT = Console(width=200)

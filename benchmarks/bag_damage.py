@@ -38,7 +38,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from cyclekit.adapter import ReadOptions, Recording
 from cyclekit.errors import LogError
-from cyclekit.plausible import examined
+from cyclekit.ingest.validate.validate import examined
 from cyclekit_adapters.rosbag import ADAPTER
 from cyclekit_adapters.rosbag.chunks import moment
 from cyclekit_adapters.rosbag.container import opened

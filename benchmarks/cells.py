@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
-from cyclekit.models.saved import TrainedModel, load_model, save_model
-from cyclekit.models.spec import ModelSpec
-from cyclekit.sequences import TaskSequence
-from cyclekit.train import train
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.networks.saved import TrainedModel, load_model, save_model
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import train
 from cyclekit_sim import SimulationOptions, random_sequence, simulate
 from cyclekit_sim.plan import prepare, run_alone
 from cyclekit_sim.scenes import BUILT_IN

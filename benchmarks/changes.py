@@ -21,8 +21,8 @@ from cells import JUDGED_SEED, durations_of, logged, unseen_sequences
 from rich.console import Console
 from rich.table import Table
 
-from cyclekit.whatif import Change, what_if
-from cyclekit.whatif.change import Zone
+from cyclekit.estimate.whatif import Change, what_if
+from cyclekit.estimate.whatif.change import Zone
 from cyclekit_sim.plan import prepare, run_alone
 from cyclekit_sim.safety import DistanceStaircase, FloorZone, FloorZones, SlowestOf
 from cyclekit_sim.scenes import BUILT_IN

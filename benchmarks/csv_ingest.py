@@ -40,8 +40,8 @@ POLARS_IMPORTS = "import polars as pl"
 CYCLEKIT_IMPORTS = """
 import sys, numpy.ma, pyarrow.parquet, typer._adapters
 from cyclekit.cli import app, run
-import cyclekit.convert, cyclekit.ingest, cyclekit.tables
-from cyclekit.registry import adapters
+import cyclekit.ingest.convert, cyclekit.ingest.ingest, cyclekit.storage.parquet
+from cyclekit.ingest.registry import adapters
 adapters(), app()
 """
 """All that the commands import on their way, which is what a program that calls them a second time has there."""

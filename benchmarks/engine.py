@@ -23,8 +23,8 @@ from rich.console import Console
 from rich.table import Table
 
 from cyclekit.cli import run
-from cyclekit.engine import Engine
 from cyclekit.fleet import load_fleet, run_fleet
+from cyclekit.parallel.engine import Engine
 
 
 def measured(what: str, engine: str, jobs: int, address: str | None, folder: str) -> dict[str, float]:

@@ -35,20 +35,21 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
-from cyclekit.atomic import write_text
 from cyclekit.cli.facts import page
 from cyclekit.cli.terminal import Terminal, say_failure
 from cyclekit.config import load_cell
-from cyclekit.dataset import Dataset
-from cyclekit.describe import describe
-from cyclekit.discover import find_all
+from cyclekit.config.sequences import load_sequences
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError
-from cyclekit.models.saved import TrainedModel, save_model
-from cyclekit.sequences import load_sequences
-from cyclekit.storage import local
-from cyclekit.storage.cache import cached
-from cyclekit.storage.manifest import MANIFEST, part_of
+from cyclekit.ingest.discover import find_all
+from cyclekit.inspect.describe import describe
+from cyclekit.learning.networks.saved import TrainedModel, save_model
+from cyclekit.storage.atomic import write_text
+from cyclekit.storage.remote.cache import cached
+from cyclekit.storage.remote.folders import local
+from cyclekit.storage.remote.manifest import MANIFEST, part_of
 
 RAW = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]|^FORGED", re.MULTILINE)
 """Steers a terminal, turns text around, or is a line of its own that nobody printed."""
@@ -317,7 +318,7 @@ def _cell_beside(folder: Path) -> Path:
 def _model() -> TrainedModel:
     import numpy as np
 
-    from cyclekit.models.weights import Weights
+    from cyclekit.learning.networks.weights import Weights
 
     layers = [(np.ones((a, b), np.float32), np.zeros(b, np.float32)) for a, b in ((6, 4), (4, 3))]
     split = {"train": ["a"], "validation": ["b"], "test": ["c"]}

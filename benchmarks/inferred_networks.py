@@ -17,13 +17,13 @@ from pathlib import Path
 import numpy as np
 from cells import Logged, logged, unseen_sequences
 
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.rollout import estimate
-from cyclekit.evaluate import evaluate
-from cyclekit.models.saved import TrainedModel
-from cyclekit.models.spec import ModelSpec
-from cyclekit.sequences import TaskSequence
-from cyclekit.train import train
+from cyclekit.learning.evaluation.evaluate import evaluate
+from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import train
 from cyclekit_sim import SCENES, SimulationOptions
 
 REAL = SimulationOptions(ramp_down_per_s=2.5, ramp_up_per_s=2.5, latency_s=0.1, encoder_noise_rad=2e-5)

@@ -24,8 +24,8 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-PRELOAD = ["cyclekit.ingest", "cyclekit.train", "cyclekit.estimate.rollout", "cyclekit.replay", "cyclekit.report",
-           "cyclekit.evaluate", "cyclekit.convert", "cyclekit.cli", "cyclekit_sim"]  # fmt: skip
+PRELOAD = ["cyclekit.ingest.ingest", "cyclekit.learning.training", "cyclekit.estimate.rollout", "cyclekit.replay", "cyclekit.report",
+           "cyclekit.learning.evaluation.evaluate", "cyclekit.ingest.convert", "cyclekit.cli", "cyclekit_sim"]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def victims(root: Path, terminal: Terminal, *, executions: int = 3, few: bool = 
         executions: Of the cell.
         few: Leave out the commands that need a second model or dataset.
     """
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
     logs, others, data, elsewhere = (root / name for name in ("logs", "others", "dataset", "elsewhere"))
     model, another = root / "model", root / "another"
@@ -266,7 +266,7 @@ def main() -> None:
     parser.add_argument("--times", type=int, default=20, help="kills per command")
     parser.add_argument("--only", nargs="*", help="these commands")
     times, only = parser.parse_args().times, parser.parse_args().only
-    from cyclekit.atomic import recover
+    from cyclekit.storage.atomic import recover
 
     terminal = Terminal()
     table = Table("command", "runs for", "killed", "ended before", "old", "new", "readings left", "broken")

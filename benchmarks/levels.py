@@ -24,7 +24,7 @@ from rich.table import Table
 from sklearn.cluster import HDBSCAN  # noqa: F401 - importing it is no part of finding levels
 from sklearn.mixture import GaussianMixture  # noqa: F401
 
-from cyclekit.steps import METHODS, find_staircase
+from cyclekit.scaling.levels import METHODS, find_staircase
 
 LEVELS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 NOISE, RAMP_S = (0.002, 0.005, 0.01, 0.02, 0.05), (0.0, 0.5, 2.0, 5.0)

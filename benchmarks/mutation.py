@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 OUTCOMES = ("read", "read, rows set aside", "refused", "foreign exception")
 Found = tuple[str, str, str, float, str, int]
 
@@ -57,7 +58,7 @@ def tasks(folder: Path, each: int) -> list[tuple[str, str, dict[str, bytes], obj
     from reliability.own_logs import own_logs
 
     from cyclekit.adapter import ReadOptions
-    from cyclekit.registry import find_logs
+    from cyclekit.ingest.registry import find_logs
 
     found = [(log.name, log.adapter, log.files, log.options, each) for log in own_logs(folder)]
     samples = os.environ.get("CYCLEKIT_SAMPLES")

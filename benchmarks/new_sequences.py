@@ -19,13 +19,13 @@ from cells import FRESH_SEED, unseen_sequences
 from rich.console import Console
 from rich.table import Table
 
-from cyclekit.dataset import Dataset
-from cyclekit.engine import Engine
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.rollout import estimate
-from cyclekit.ingest import ingest
-from cyclekit.models.spec import ModelSpec
-from cyclekit.sequences import TaskSequence
-from cyclekit.train import train
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import train
+from cyclekit.parallel.engine import Engine
 from cyclekit_sim import SimulationOptions, simulate, simulate_sequence
 
 

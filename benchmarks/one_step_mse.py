@@ -17,11 +17,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from cyclekit.dataset import Dataset
-from cyclekit.evaluate import Evaluation, evaluate
-from cyclekit.ingest import ingest
-from cyclekit.models.spec import ModelSpec
-from cyclekit.train import train
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.evaluation.evaluate import Evaluation, evaluate
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import train
 from cyclekit_sim import SimulationOptions, simulate
 
 PAPER = {0.0: {"classifier": 3.32, "regressor": 2.59}, 0.02: {"classifier": 8.23, "regressor": 7.01}}

@@ -15,21 +15,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.plan.search import tasks_of
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.rivals import by_average
 from cyclekit.estimate.tracks import operator_tracks
-from cyclekit.plan.search import tasks_of
-from cyclekit.sequences import TaskSequence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.plan import Jobs
     from cyclekit.estimate.tracks import OperatorTracks
-    from cyclekit.models.saved import TrainedModel
-    from cyclekit.plan import Jobs
+    from cyclekit.learning.networks.saved import TrainedModel
 
 STATES = 4
 _NOMINAL: dict[str, dict[str, NominalTask]] = {}
@@ -95,7 +95,7 @@ def monte_carlo_by_average(
     model: TrainedModel, dataset: Dataset, jobs: Jobs, *, draws: int = 10, seed: int = 0
 ) -> tuple[str, ...]:
     """Return the order of the Monte Carlo rule: of random continuations the best one's first visit is taken."""
-    from cyclekit.plan.search import random_order
+    from cyclekit.estimate.plan.search import random_order
 
     rng = np.random.default_rng(seed)
     tracks, done, left = _tracks(dataset, jobs), (), list(jobs.visit)

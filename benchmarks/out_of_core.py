@@ -25,8 +25,8 @@ from rich.console import Console
 from rich.table import Table
 
 from cyclekit.cli import run
-from cyclekit.models.spec import ModelSpec
-from cyclekit.train import Training, train_at
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import Training, train_at
 
 UNDER_A_LIMIT = """
 import resource, sys
@@ -37,9 +37,9 @@ if limit:
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
 if sys.argv[2] != "train":
     main(sys.argv[2:])
-from cyclekit.dataset import Dataset
-from cyclekit.models.spec import ModelSpec
-from cyclekit.train import train
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import train
 
 train(Dataset.open(sys.argv[3]), ModelSpec.of(epochs=1))
 """

@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
 from cyclekit_sim import SCENES, SimulationOptions, simulate
 
 SEED = 11

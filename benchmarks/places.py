@@ -20,8 +20,8 @@ from any_length import HARD, SCENE
 from rich.console import Console
 from rich.table import Table
 
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
 from cyclekit_sim import simulate
 from cyclekit_sim.scenes import BUILT_IN
 

@@ -21,6 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 OUTCOMES = ("right", "right, rows set aside", "refused", "wrong, and said so", "silently wrong", "foreign exception")
 _LOCATED = re.compile(r"\bline \d|\bcolumns? |\bheader\b")
 

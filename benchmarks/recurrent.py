@@ -26,14 +26,14 @@ from rich.console import Console
 from rich.table import Table
 from torch import nn
 
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
-from cyclekit.models.fitting import one_fast_thread
-from cyclekit.models.network import Forecasting, Recurrent, build
-from cyclekit.models.optimiser import Steps
-from cyclekit.models.rows import Rows, rows_on, standardisation
-from cyclekit.models.spec import ModelSpec
-from cyclekit.samples import Samples, build_samples, split_executions
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.networks.fitting import one_fast_thread
+from cyclekit.learning.networks.network import Forecasting, Recurrent, build
+from cyclekit.learning.networks.optimiser import Steps
+from cyclekit.learning.networks.rows import Rows, rows_on, standardisation
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.windows import Samples, build_samples, split_executions
 from cyclekit_sim import simulate
 
 if TYPE_CHECKING:

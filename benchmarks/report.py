@@ -20,7 +20,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 
 GOAL_S, GOAL_BYTES = 20.0, 5_000_000
 OUT = Console(width=120)

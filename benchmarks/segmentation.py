@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
 from cyclekit_sim import SCENES, SimulationOptions, simulate
 
 if TYPE_CHECKING:

@@ -30,11 +30,11 @@ from threadpoolctl import threadpool_limits
 from torch import nn
 from torch.utils.data import DataLoader, TensorDataset
 
-from cyclekit.models.fitting import freeze_norm, one_fast_thread
-from cyclekit.models.network import build
-from cyclekit.models.optimiser import Steps
-from cyclekit.models.spec import ModelSpec
-from cyclekit.models.weights import Weights
+from cyclekit.learning.networks.fitting import freeze_norm, one_fast_thread
+from cyclekit.learning.networks.network import build
+from cyclekit.learning.networks.optimiser import Steps
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.networks.weights import Weights
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -18,20 +18,20 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from cyclekit.adapter import Adapter, ReadOptions, Recording
-    from cyclekit.dataset import Dataset
-    from cyclekit.describe import describe as describe_path
-    from cyclekit.engine import Engine
+    from cyclekit.config.sequences import TaskSequence, load_sequences
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.errors import CyclekitError
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.rollout import estimate as estimate_cycles
-    from cyclekit.evaluate import evaluate as evaluate_model
-    from cyclekit.ingest import ingest as ingest_logs
-    from cyclekit.models.saved import load_model, save_model
-    from cyclekit.models.spec import ModelSpec
+    from cyclekit.ingest.ingest import ingest as ingest_logs
+    from cyclekit.inspect.describe import describe as describe_path
+    from cyclekit.learning.evaluation.evaluate import evaluate as evaluate_model
+    from cyclekit.learning.networks.saved import load_model, save_model
+    from cyclekit.learning.networks.spec import ModelSpec
+    from cyclekit.learning.training import train as train_model
+    from cyclekit.parallel.engine import Engine
     from cyclekit.replay import write_replay
     from cyclekit.report import write_report
-    from cyclekit.sequences import TaskSequence, load_sequences
-    from cyclekit.train import train as train_model
 
     __version__: str
 
@@ -39,20 +39,20 @@ _HOMES = {
     "Adapter": "cyclekit.adapter:Adapter",
     "CycleEstimate": "cyclekit.estimate.result:CycleEstimate",
     "CyclekitError": "cyclekit.errors:CyclekitError",
-    "Dataset": "cyclekit.dataset:Dataset",
-    "Engine": "cyclekit.engine:Engine",
-    "ModelSpec": "cyclekit.models.spec:ModelSpec",
+    "Dataset": "cyclekit.dataset.dataset:Dataset",
+    "Engine": "cyclekit.parallel.engine:Engine",
+    "ModelSpec": "cyclekit.learning.networks.spec:ModelSpec",
     "ReadOptions": "cyclekit.adapter:ReadOptions",
     "Recording": "cyclekit.adapter:Recording",
-    "TaskSequence": "cyclekit.sequences:TaskSequence",
-    "describe_path": "cyclekit.describe:describe",
+    "TaskSequence": "cyclekit.config.sequences:TaskSequence",
+    "describe_path": "cyclekit.inspect.describe:describe",
     "estimate_cycles": "cyclekit.estimate.rollout:estimate",
-    "evaluate_model": "cyclekit.evaluate:evaluate",
-    "ingest_logs": "cyclekit.ingest:ingest",
-    "load_model": "cyclekit.models.saved:load_model",
-    "load_sequences": "cyclekit.sequences:load_sequences",
-    "save_model": "cyclekit.models.saved:save_model",
-    "train_model": "cyclekit.train:train",
+    "evaluate_model": "cyclekit.learning.evaluation.evaluate:evaluate",
+    "ingest_logs": "cyclekit.ingest.ingest:ingest",
+    "load_model": "cyclekit.learning.networks.saved:load_model",
+    "load_sequences": "cyclekit.config.sequences:load_sequences",
+    "save_model": "cyclekit.learning.networks.saved:save_model",
+    "train_model": "cyclekit.learning.training:train",
     "write_replay": "cyclekit.replay:write_replay",
     "write_report": "cyclekit.report:write_report",
 }

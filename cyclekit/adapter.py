@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, Protocol, runtime_checkable
 
-from cyclekit.scratch import Scratch as Scratch  # for adapters that need a copy of a log
+from cyclekit.storage.scratch import Scratch as Scratch  # for adapters that need a copy of a log
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -32,7 +32,7 @@ import subprocess
 from collections.abc import Iterable
 from pathlib import Path
 
-from cyclekit.plain_text import one_line
+from cyclekit.text.plain_text import one_line
 
 
 class CyclekitError(Exception):

@@ -13,10 +13,10 @@ import typer.main
 
 from cyclekit.cli import app
 from cyclekit.config import load_cell
+from cyclekit.config.sequences import load_sequences
+from cyclekit.estimate.plan import load_jobs
+from cyclekit.estimate.whatif import load_changes
 from cyclekit.fleet import load_fleet
-from cyclekit.plan import load_jobs
-from cyclekit.sequences import load_sequences
-from cyclekit.whatif import load_changes
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *ROOT.glob("*/README.md")])

@@ -78,7 +78,7 @@ ROOMS_OF = {
 }
 """The only rooms of cyclekit that may import each of these."""
 
-OF_ADAPTERS = {"cyclekit.adapter", "cyclekit.errors", "cyclekit.inside", "cyclekit.schema"}
+OF_ADAPTERS = {"cyclekit.adapter", "cyclekit.errors", "cyclekit.storage.inside", "cyclekit.schema"}
 
 
 @dataclass(frozen=True)

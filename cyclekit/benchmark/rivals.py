@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cyclekit.models.beaten import distance_of, fit_thresholds
+from cyclekit.learning.networks.beaten import distance_of, fit_thresholds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.samples import Samples
+    from cyclekit.learning.windows import Samples
 
     Vector = NDArray[np.float64]
 

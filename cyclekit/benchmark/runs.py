@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from cyclekit.atomic import write_text
 from cyclekit.benchmark.floors import bayes, plug_in
 from cyclekit.benchmark.plan import FLOORS, SCENES, Entry, entries
 from cyclekit.benchmark.rivals import predict_by
-from cyclekit.dataset import Dataset
-from cyclekit.engine import LOCAL, Engine
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, DatasetError, ShapeError
-from cyclekit.models.calibration import reliability
-from cyclekit.models.spec import ModelSpec
-from cyclekit.one_thread import one_thread
-from cyclekit.samples import Samples, build_samples
-from cyclekit.train import train
+from cyclekit.learning.networks.calibration import reliability
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import train
+from cyclekit.learning.windows import Samples, build_samples
+from cyclekit.parallel.engine import LOCAL, Engine
+from cyclekit.parallel.one_thread import one_thread
+from cyclekit.storage.atomic import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.models.saved import TrainedModel
+    from cyclekit.learning.networks.saved import TrainedModel
 
     Prepare = Callable[[str, int, Path], object]
     Progress = Callable[[float, str], None]
@@ -199,7 +199,7 @@ class _Cell:
 
     def _split(self) -> tuple[list[str], list[str]]:
         """Return the executions that networks learn from (validation included), and those that all are judged by."""
-        from cyclekit.samples import split_executions
+        from cyclekit.learning.windows import split_executions
 
         learn, test = split_executions(self.dataset.executions["execution"].to_list(), seed=self.seed)
         return list(learn), list(test)

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.atomic import write_text
 from cyclekit.benchmark.plan import AHEAD_S, AVERAGES_S, DELTAS_M, PAPER, Entry, entries
 from cyclekit.errors import ConfigError
-from cyclekit.figures.accuracy import draw_heatmap, draw_reliability, draw_staircase
+from cyclekit.plots.accuracy import draw_heatmap, draw_reliability, draw_staircase
+from cyclekit.storage.atomic import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -109,7 +109,7 @@ def _run(words: list[str]) -> int:
 
 def _say_left_out() -> None:
     """Name the adapters that could not be used, once, whatever command looked for adapters and however it ended."""
-    if (registry := sys.modules.get("cyclekit.registry")) is None:
+    if (registry := sys.modules.get("cyclekit.ingest.registry")) is None:
         return
     from cyclekit.cli.terminal import Terminal
 

@@ -10,8 +10,8 @@ EXAMPLE = "cyclekit adapters"
 
 def adapters(json: Json = False, quiet: Quiet = False) -> None:
     """List the log formats that can be read."""
-    from cyclekit.registry import adapters as registered
-    from cyclekit.registry import left_out
+    from cyclekit.ingest.registry import adapters as registered
+    from cyclekit.ingest.registry import left_out
 
     terminal = Terminal(json=json, quiet=quiet)
     found = list(registered().values())

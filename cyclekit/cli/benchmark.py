@@ -39,13 +39,13 @@ def benchmark(
 
     WHAT is paper. What was done before is kept: the command goes on where it stopped.
     """
-    from cyclekit.atomic import write_text
     from cyclekit.benchmark import Settings, benchmark_paper
     from cyclekit.benchmark.tables import markdown, put_into, write_figures
+    from cyclekit.dataset.guard import check_output
     from cyclekit.errors import ConfigError
-    from cyclekit.guard import check_output
-    from cyclekit.outputs import check_writable
-    from cyclekit.train import need_torch
+    from cyclekit.learning.training import need_torch
+    from cyclekit.storage.atomic import write_text
+    from cyclekit.storage.outputs import check_writable
 
     del what
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
@@ -73,7 +73,7 @@ def _prepared(executions: int, scene: str, seed: int, folder: Path) -> None:
     import shutil
 
     from cyclekit.cli.simulate import simulated
-    from cyclekit.ingest import ingest
+    from cyclekit.ingest.ingest import ingest
 
     dataset = folder / "dataset"
     if (dataset / "dataset.json").is_file() and (folder / "truth.json").is_file():

@@ -11,7 +11,7 @@ from cyclekit.cli.options import Json, Quiet
 from cyclekit.cli.terminal import Terminal, table
 
 if TYPE_CHECKING:
-    from cyclekit.calibrate import Calibration
+    from cyclekit.alignment.calibrate import Calibration
 
 EXAMPLE = "cyclekit calibrate points.csv --up y"
 
@@ -28,7 +28,7 @@ def calibrate(
     base_y_m, base_z_m (robot base); _mm for millimetres. Prints the line for
     cell.toml, and how far each point is off.
     """
-    from cyclekit.calibrate import calibrate as fit
+    from cyclekit.alignment.calibrate import calibrate as fit
 
     terminal = Terminal(json=json, quiet=quiet)
     found = fit(points, up=up)

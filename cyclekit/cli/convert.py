@@ -11,7 +11,7 @@ from cyclekit.cli.options import Json, Quiet
 from cyclekit.cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from cyclekit.guard import Kind
+    from cyclekit.dataset.guard import Kind
 
 EXAMPLE = "cyclekit convert logs/robot.csv --out robot.parquet --rate 10"
 
@@ -36,8 +36,8 @@ def convert(
     For a look with other tools; `ingest` is what makes a dataset.
     """
     from cyclekit.config import load_cell
-    from cyclekit.convert import convert as convert_log
-    from cyclekit.guard import check_output
+    from cyclekit.dataset.guard import check_output
+    from cyclekit.ingest.convert import convert as convert_log
 
     terminal = Terminal(json=json, quiet=quiet)
     kind: Kind = "table-csv" if out.suffix.lower() == ".csv" else "table-parquet"

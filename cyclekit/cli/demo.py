@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from cyclekit.cli.terminal import Progress
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.models.saved import TrainedModel
+    from cyclekit.learning.networks.saved import TrainedModel
 
 EXAMPLE = "cyclekit demo --out out/"
 SCENE = "box-picking"
@@ -96,8 +96,8 @@ class _Run:
 
 def _check(out: Path, operator_log: Path | None) -> None:
     """Refuse before any work what would be refused after half of it."""
-    from cyclekit.guard import Kind, check_output
-    from cyclekit.train import need_torch
+    from cyclekit.dataset.guard import Kind, check_output
+    from cyclekit.learning.training import need_torch
 
     need_torch()
     check_output(out, "folder", [operator_log])
@@ -115,9 +115,9 @@ def _check(out: Path, operator_log: Path | None) -> None:
 
 
 def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) -> Dataset:
-    from cyclekit.dataset import Dataset
-    from cyclekit.engine import Engine
-    from cyclekit.ingest import ingest
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.ingest.ingest import ingest
+    from cyclekit.parallel.engine import Engine
 
     with run.step(f"simulate {executions} executions of {SCENE}") as progress:
         logs = simulated(SCENE, run.out / "logs", executions, seed, settings, progress)
@@ -127,9 +127,9 @@ def _dataset(run: _Run, executions: int, seed: int, settings: dict[str, Any]) ->
 
 
 def _model(run: _Run, dataset: Dataset, seed: int) -> TrainedModel:
-    from cyclekit.models.saved import load_model, save_model
-    from cyclekit.models.spec import ModelSpec
-    from cyclekit.train import train
+    from cyclekit.learning.networks.saved import load_model, save_model
+    from cyclekit.learning.networks.spec import ModelSpec
+    from cyclekit.learning.training import train
 
     with run.step("train the safety function") as progress:
         save_model(run.out / "model", train(dataset, ModelSpec.of(seed=seed), progress=progress))
@@ -139,8 +139,8 @@ def _model(run: _Run, dataset: Dataset, seed: int) -> TrainedModel:
 
 
 def _estimates(run: _Run, dataset: Dataset, model: TrainedModel, seed: int) -> list[CycleEstimate]:
+    from cyclekit.config.sequences import load_sequences
     from cyclekit.estimate.rollout import estimate
-    from cyclekit.sequences import load_sequences
 
     file = run.out / "sequences.toml"
     write_out(file, sequences_toml(set(dataset.tasks()["task"])))
@@ -177,7 +177,7 @@ def _replay(run: _Run, dataset: Dataset, model: TrainedModel) -> Path:
 
 
 def _report(run: _Run, dataset: Dataset, model: TrainedModel, estimates: list[CycleEstimate]) -> Path:
-    from cyclekit.evaluate import evaluate
+    from cyclekit.learning.evaluation.evaluate import evaluate
     from cyclekit.report import write_report
 
     file = run.out / "report.html"

@@ -27,10 +27,10 @@ from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from cyclekit.dataset.guard import Kind
     from cyclekit.errors import EstimateError
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.guard import Kind
 
 EXAMPLE = "cyclekit estimate model sequences.toml --dataset dataset"
 CAPTION = "seconds: motion at full speed + slow-down for safety + dwell + wait = expected"
@@ -69,12 +69,12 @@ def estimate(
     that cannot be answered from these logs is named with the reason, and the others are answered; if none can be, that
     is an error.
     """
-    from cyclekit.dataset import Dataset
+    from cyclekit.config.sequences import load_sequences
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.dataset.guard import check_output
     from cyclekit.errors import EstimateError
     from cyclekit.estimate.rollout import estimate as estimate_cycles
-    from cyclekit.guard import check_output
-    from cyclekit.models.saved import load_model
-    from cyclekit.sequences import load_sequences
+    from cyclekit.learning.networks.saved import load_model
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     as_table = out is not None and out.suffix.lower() == ".csv"
@@ -158,7 +158,7 @@ def doubted(found: Sequence[CycleEstimate]) -> str:
 
 def estimates_table(found: Sequence[CycleEstimate]) -> str:
     """Return a table for each kind of work, the quickest first: expected time, 90 % range, and where the time goes."""
-    from cyclekit.work import by_work
+    from cyclekit.estimate.same_work import by_work
 
     low, high = _range(found)
     heads = ["sequence ", "expected", f"{100 * (high - low):.0f}% of cycles", "motion", "safety", "dwell", "wait"]
@@ -180,7 +180,7 @@ def estimates_table(found: Sequence[CycleEstimate]) -> str:
 
 def ranking(found: Sequence[CycleEstimate]) -> str:
     """Return how sure it is that the first sequence of each work is quicker than each other one that does the same."""
-    from cyclekit.work import by_work
+    from cyclekit.estimate.same_work import by_work
 
     works = by_work(found)
     rows = [
@@ -288,7 +288,7 @@ def _support(entry: CycleEstimate) -> str:
 
 def as_csv(found: Sequence[CycleEstimate]) -> str:
     """Return one CSV row per sequence, quantiles as columns `q0.05_s` and so on."""
-    from cyclekit.plain_text import csv_text
+    from cyclekit.text.plain_text import csv_text
 
     levels = sorted(found[0].quantiles_s) if found else []
     heads = [*_COLUMNS, *(f"q{level:g}_s" for level in levels), *_SPLIT, "support", "tracks", "warnings"]

@@ -13,8 +13,8 @@ from cyclekit.cli.terminal import Terminal, bullet, percent, table
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cyclekit.evaluate import Evaluation
-    from cyclekit.evaluate.drift import Drift
+    from cyclekit.learning.evaluation.drift import Drift
+    from cyclekit.learning.evaluation.evaluate import Evaluation
 
 EXAMPLE = "cyclekit evaluate model dataset"
 
@@ -38,8 +38,8 @@ def evaluate(
     """
     from functools import partial
 
-    from cyclekit.evaluate import evaluate_at
-    from cyclekit.models.saved import models_in
+    from cyclekit.learning.evaluation.evaluate import evaluate_at
+    from cyclekit.learning.networks.saved import models_in
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     models = models_in(model)

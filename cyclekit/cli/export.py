@@ -20,9 +20,9 @@ def export(
     quiet: Quiet = False,
 ) -> None:
     """Write a model as an ONNX file, checked against cyclekit's own prediction where onnxruntime is installed."""
-    from cyclekit.guard import check_output
-    from cyclekit.models.onnx_file import write_onnx
-    from cyclekit.models.saved import load_model
+    from cyclekit.dataset.guard import check_output
+    from cyclekit.learning.networks.onnx_file import write_onnx
+    from cyclekit.learning.networks.saved import load_model
 
     terminal = Terminal(json=json, quiet=quiet)
     check_output(out, "onnx", [model], endings=(".onnx",))

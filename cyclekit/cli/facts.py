@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.cli.groups import grouped
 from cyclekit.cli.lists import safety_lines, task_list_tables
 from cyclekit.cli.terminal import bullet, duration, percent, table
-from cyclekit.plain_text import one_line
+from cyclekit.text.plain_text import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cyclekit.describe import (
+    from cyclekit.inspect.describe import (
         DatasetDescription,
         Description,
         Gap,

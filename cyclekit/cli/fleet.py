@@ -35,10 +35,10 @@ def fleet(
 
     WHAT is ingest, train, report or all. What fails in a cell is told and the others go on; then the exit code is 1.
     """
+    from cyclekit.dataset.guard import check_output
     from cyclekit.fleet import STAGES, load_fleet, run_fleet
-    from cyclekit.guard import check_output
-    from cyclekit.storage import join
-    from cyclekit.train import need_torch
+    from cyclekit.learning.training import need_torch
+    from cyclekit.storage.remote.folders import join
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     wanted, stages = load_fleet(file), tuple(STAGES) if what == "all" else (what,)

@@ -13,7 +13,7 @@ from cyclekit.cli.terminal import Terminal
 from cyclekit.errors import command_line
 
 if TYPE_CHECKING:
-    from cyclekit.ingest import IngestReport
+    from cyclekit.ingest.ingest import IngestReport
 
 EXAMPLE = "cyclekit ingest logs --out dataset"
 
@@ -50,8 +50,8 @@ def ingest(
     The same command again re-reads nothing that has not changed.
     """
     from cyclekit.errors import ConfigError, LogError
-    from cyclekit.ingest import ingest as ingest_logs
-    from cyclekit.ingest import left_by
+    from cyclekit.ingest.ingest import ingest as ingest_logs
+    from cyclekit.ingest.ingest import left_by
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     try:

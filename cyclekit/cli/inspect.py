@@ -36,7 +36,7 @@ def inspect(
 
     Adapter, rate, duration, columns, executions, places and tasks found, scaling levels, gaps, warnings.
     """
-    from cyclekit.storage import local
+    from cyclekit.storage.remote.folders import local
 
     terminal = Terminal(json=json, quiet=quiet)
     if cell_file is not None and not write_cell:
@@ -46,7 +46,7 @@ def inspect(
         return
     checked = _verified(path, terminal) if verify else None
     from cyclekit.cli.facts import page
-    from cyclekit.describe import describe
+    from cyclekit.inspect.describe import describe
 
     with terminal.progress("looking") as progress:
         found = describe(local(path), cell=cell, progress=progress, follow_links=follow_links)
@@ -59,8 +59,8 @@ def inspect(
 def _give_cell(path: Path, cell_file: Path | None, terminal: Terminal, *, follow_links: bool) -> None:
     """Print the cell file, or write it where none is, and say what to do next."""
     from cyclekit.config import cell_to_toml
-    from cyclekit.discover import suggest_cell
-    from cyclekit.outputs import check_writable
+    from cyclekit.ingest.discover import suggest_cell
+    from cyclekit.storage.outputs import check_writable
 
     if cell_file is not None:
         _require_new(cell_file)
@@ -72,7 +72,7 @@ def _give_cell(path: Path, cell_file: Path | None, terminal: Terminal, *, follow
     if cell_file is None:
         terminal.answer({"cell": text, "unsure": unsure}, text.rstrip("\n"))
         return
-    from cyclekit.atomic import write_text
+    from cyclekit.storage.atomic import write_text
 
     write_text(cell_file, text)
     then = command_line("ingest", path, "--cell", cell_file, "--out", "dataset")
@@ -87,7 +87,7 @@ def _require_new(file: Path) -> None:
 
 def _verified(path: str, terminal: Terminal) -> int:
     """Check a dataset, and return how many files it has."""
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
     with terminal.progress("checking"):
         return Dataset.open(path).verify()

@@ -11,7 +11,7 @@ from cyclekit.cli.options import DatasetPlace, Json, Quiet
 from cyclekit.cli.terminal import Terminal, percent, table
 
 if TYPE_CHECKING:
-    from cyclekit.steps import Staircase
+    from cyclekit.scaling.levels import Staircase
 
 EXAMPLE = "cyclekit levels dataset --picture levels.svg"
 Method = Literal["plateau", "dbscan", "kmeans-silhouette", "kmeans-elbow", "hdbscan", "gmm-bic"]
@@ -30,10 +30,10 @@ def levels(
 
     Each execution is looked at for itself, never across a gap. Levels fixed in the cell file are only counted.
     """
-    from cyclekit.dataset import Dataset
-    from cyclekit.guard import check_output
-    from cyclekit.labelling import scaling_in_time, staircase_of
-    from cyclekit.steps import second_opinion
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.dataset.guard import check_output
+    from cyclekit.learning.labelling import scaling_in_time, staircase_of
+    from cyclekit.scaling.levels import second_opinion
 
     terminal = Terminal(json=json, quiet=quiet)
     check_output(picture, "picture", [dataset], option="--picture", endings=(".svg", ".png", ".pdf"))
@@ -45,7 +45,7 @@ def levels(
         values, _ = scaling_in_time(frame, opened.rate_hz)
         other = second_opinion(values, found) if method == "plateau" else None
         if picture is not None:
-            from cyclekit.figures.levels import draw_levels
+            from cyclekit.plots.levels import draw_levels
 
             draw_levels(picture, values, found, rate_hz=opened.rate_hz)
     terminal.warnings([*found.warnings, *([other] if other else [])])

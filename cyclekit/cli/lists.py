@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from cyclekit.cli.terminal import bullet, duration, percent, table
 
 if TYPE_CHECKING:
-    from cyclekit.describe.facts import SafetyFacts, TaskListFacts
+    from cyclekit.inspect.facts import SafetyFacts, TaskListFacts
 
 SHOWN_AGENTS, SHOWN_TASKS, SHOWN_VALUES = 12, 24, 6
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 if TYPE_CHECKING:
-    from cyclekit.engine import Engine
+    from cyclekit.parallel.engine import Engine
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, all else on standard error.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no remarks; errors are still shown.")]
@@ -36,7 +36,7 @@ RayAddress = Annotated[
 
 def engine_of(name: Literal["local", "ray"], jobs: int | None, address: str | None) -> Engine:
     """Return the engine that the three options ask for."""
-    from cyclekit.engine import Engine
+    from cyclekit.parallel.engine import Engine
 
     if address is not None and name != "ray":
         raise typer.BadParameter("goes with --engine ray", param_hint="--ray-address")

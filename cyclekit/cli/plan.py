@@ -12,7 +12,7 @@ from cyclekit.cli.options import Checked, Json, LoggedPlace, ModelPlace, OtherCe
 from cyclekit.cli.terminal import Terminal, bullet, write_out
 
 if TYPE_CHECKING:
-    from cyclekit.plan import Plan
+    from cyclekit.estimate.plan import Plan
 
 EXAMPLE = "cyclekit plan model jobs.toml --dataset dataset"
 
@@ -33,11 +33,11 @@ def plan(
     All orders where they are few; else greedy, Monte Carlo and a local search.
     Says what the order saves against the logged ones.
     """
-    from cyclekit.dataset import Dataset
-    from cyclekit.guard import check_output
-    from cyclekit.models.saved import load_model
-    from cyclekit.plan import load_jobs
-    from cyclekit.plan import plan as search
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.dataset.guard import check_output
+    from cyclekit.estimate.plan import load_jobs
+    from cyclekit.estimate.plan import plan as search
+    from cyclekit.learning.networks.saved import load_model
 
     terminal = Terminal(json=json, quiet=quiet)
     check_output(out, "sequences", [model, jobs, dataset], endings=(".toml",))
@@ -63,7 +63,7 @@ def plan(
 
 
 def _text(found: Plan) -> str:
-    from cyclekit.plan import some
+    from cyclekit.estimate.plan import some
 
     saved, low, high = found.saves_s
     star = "*" if found.doubts else ""

@@ -50,9 +50,9 @@ def replay(
 
     Robot, operator, places and speed scaling, in 3-D and over time; with the prediction of a model if one is given.
     """
-    from cyclekit.dataset import Dataset
-    from cyclekit.guard import check_output
-    from cyclekit.models.saved import load_model
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.dataset.guard import check_output
+    from cyclekit.learning.networks.saved import load_model
     from cyclekit.replay import open_viewer, serve, write_replay
 
     terminal = Terminal(json=json, quiet=quiet)

@@ -16,16 +16,16 @@ from cyclekit.cli.terminal import Terminal, megabytes
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.dataset.guard import Kind
     from cyclekit.estimate.check import Check
+    from cyclekit.estimate.plan import Jobs, Plan
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.evaluate import Evaluation
-    from cyclekit.guard import Kind
-    from cyclekit.models.saved import TrainedModel
-    from cyclekit.plan import Jobs, Plan
+    from cyclekit.estimate.whatif import Change
+    from cyclekit.learning.evaluation.evaluate import Evaluation
+    from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.report import Tried
-    from cyclekit.sequences import TaskSequence
-    from cyclekit.whatif import Change
 
 EXAMPLE = "cyclekit report dataset --model model --sequences sequences.toml --out report.html"
 
@@ -71,10 +71,10 @@ def report(
 
     One self-contained file: the cycle times, where they go, why, what would help, and how sure that is.
     """
-    from cyclekit.dataset import Dataset
-    from cyclekit.guard import check_output
-    from cyclekit.models.cell import refuse_other_cell
-    from cyclekit.models.saved import load_model
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.dataset.guard import check_output
+    from cyclekit.learning.networks.cell import refuse_other_cell
+    from cyclekit.learning.networks.saved import load_model
     from cyclekit.report import Template, need_browser, write_pdf, write_report
 
     terminal = Terminal(json=json, quiet=quiet)
@@ -135,10 +135,10 @@ class _Asked:
 
 
 def _asked(sequences: Path | None, what_if: list[str], plan: Path | None, check: bool, extrapolate: bool) -> _Asked:
-    from cyclekit.plan import load_jobs
+    from cyclekit.config.sequences import load_sequences
+    from cyclekit.estimate.plan import load_jobs
+    from cyclekit.estimate.whatif import load_changes
     from cyclekit.report import load_tried
-    from cyclekit.sequences import load_sequences
-    from cyclekit.whatif import load_changes
 
     changes: list[Change] = []
     tried: list[Tried] = []
@@ -191,11 +191,11 @@ def _found(terminal: Terminal, data: Dataset, model: TrainedModel, asked: _Asked
     Raises:
         CyclekitError: Something that was asked for cannot be computed.
     """
+    from cyclekit.estimate.plan import plan as search
     from cyclekit.estimate.rollout import estimate
-    from cyclekit.evaluate import evaluate
-    from cyclekit.plan import plan as search
+    from cyclekit.estimate.whatif import what_if
+    from cyclekit.learning.evaluation.evaluate import evaluate
     from cyclekit.report import Tried
-    from cyclekit.whatif import what_if
 
     found = _Found(tried=list(asked.tried))
     given: dict[str, Any] = {"validate": asked.check, "other_cell": asked.other_cell}
@@ -221,7 +221,7 @@ def _found(terminal: Terminal, data: Dataset, model: TrainedModel, asked: _Asked
 
 def _with_order(sequences: list[TaskSequence], planned: Plan | None) -> list[TaskSequence]:
     """Return the sequences and the order found, unless it is one of them: it is estimated, and changed, as they are."""
-    from cyclekit.sequences import TaskSequence
+    from cyclekit.config.sequences import TaskSequence
 
     if planned is None or any(each.places == planned.places and each.operator is None for each in sequences):
         return sequences

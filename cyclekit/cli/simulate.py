@@ -112,8 +112,8 @@ def simulated(scene: str, out: Path, executions: int, seed: int, settings: dict[
     Raises:
         CyclekitError: The simulator refuses the settings, or the operator's recording.
     """
+    from cyclekit.dataset.guard import check_output
     from cyclekit.errors import CyclekitError
-    from cyclekit.guard import check_output
     from cyclekit_sim import SimulationOptions, simulate
     from cyclekit_sim.errors import SimulationError
 

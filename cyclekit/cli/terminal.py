@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from cyclekit.plain_json import json_text
-from cyclekit.plain_text import one_line, visible
+from cyclekit.text.plain_json import json_text
+from cyclekit.text.plain_text import one_line, visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -259,6 +259,6 @@ def write_out(file: Path, content: str | Mapping[str, Any]) -> None:
     Raises:
         CyclekitError: The file cannot be written.
     """
-    from cyclekit.atomic import write_text
+    from cyclekit.storage.atomic import write_text
 
     write_text(file, content if isinstance(content, str) else json_text(content, ascii_only=True) + "\n")

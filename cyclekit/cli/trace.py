@@ -11,7 +11,7 @@ from cyclekit.cli.options import DatasetPlace, Json, Quiet, seconds
 from cyclekit.cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from cyclekit.trace import Trace
+    from cyclekit.dataset.trace import Trace
 
 EXAMPLE = "cyclekit trace dataset --execution 1 --at 12.5s --logs logs"
 
@@ -31,8 +31,8 @@ def trace(
     Robot: the row it stands on. People and events: the rows around it.
     """
     at_s = seconds(at)
-    from cyclekit.dataset import Dataset
-    from cyclekit.trace import trace as trace_sample
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.dataset.trace import trace as trace_sample
 
     terminal = Terminal(json=json, quiet=quiet)
     found = trace_sample(Dataset.open(dataset), execution, at_s, logs=logs)

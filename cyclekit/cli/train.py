@@ -75,12 +75,12 @@ def train(
     chosen = None if seeds is None else whole_numbers(seeds)
     from functools import partial
 
+    from cyclekit.dataset.guard import check_output
     from cyclekit.errors import command_line
-    from cyclekit.guard import check_output
-    from cyclekit.models.saved import check_model_output
-    from cyclekit.models.spec import ModelSpec
-    from cyclekit.storage import join
-    from cyclekit.train import Training, need_torch, train_at
+    from cyclekit.learning.networks.saved import check_model_output
+    from cyclekit.learning.networks.spec import ModelSpec
+    from cyclekit.learning.training import Training, need_torch, train_at
+    from cyclekit.storage.remote.folders import join
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     settings: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.errors import EstimateError
-    from cyclekit.whatif import WhatIf
+    from cyclekit.estimate.whatif import WhatIf
 
 EXAMPLE = "cyclekit whatif model sequences.toml changes.toml --dataset dataset"
 
@@ -40,12 +40,12 @@ def whatif(
     Another staircase or zones, a moved base or place, an operator who comes more or less often. A change that cannot be
     answered from these logs is named with the reason, and the others are answered; if none can be, that is an error.
     """
-    from cyclekit.dataset import Dataset
+    from cyclekit.config.sequences import load_sequences
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.dataset.guard import check_output
     from cyclekit.errors import EstimateError
-    from cyclekit.guard import check_output
-    from cyclekit.models.saved import load_model
-    from cyclekit.sequences import load_sequences
-    from cyclekit.whatif import NO_PROOF, load_changes, what_if
+    from cyclekit.estimate.whatif import NO_PROOF, load_changes, what_if
+    from cyclekit.learning.networks.saved import load_model
 
     terminal = Terminal(json=json, quiet=quiet)
     check_output(out, "what-if", [model, sequences, changes, dataset], endings=(".json",))

@@ -11,7 +11,7 @@ from cyclekit.cli.options import DatasetPlace, Json, ModelPlace, OtherCell, Quie
 from cyclekit.cli.terminal import Terminal, bullet, percent, table, write_out
 
 if TYPE_CHECKING:
-    from cyclekit.zones import Zones
+    from cyclekit.learning.safety_function import Zones
 
 EXAMPLE = "cyclekit zones model dataset --out zones.svg"
 
@@ -29,10 +29,10 @@ def zones(
 
     Thresholds in metres where a distance explains the slow-down; a map of the floor where it does not. No safety proof.
     """
-    from cyclekit.dataset import Dataset
-    from cyclekit.guard import check_output
-    from cyclekit.models.saved import load_model
-    from cyclekit.zones import read_zones, zones_svg
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.dataset.guard import check_output
+    from cyclekit.learning.networks.saved import load_model
+    from cyclekit.learning.safety_function import read_zones, zones_svg
 
     terminal = Terminal(json=json, quiet=quiet)
     check_output(out, "picture", [model, dataset], endings=(".svg",))

@@ -8,7 +8,7 @@ from dataclasses import MISSING, fields
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, get_args
 
-from cyclekit.arm import MODELS
+from cyclekit.config.arms import MODELS
 from cyclekit.config.cells import (
     CLOCK_KEYS,
     Begin,
@@ -24,9 +24,9 @@ from cyclekit.config.cells import (
     Source,
     Sync,
 )
+from cyclekit.config.toml_file import list_at, read_toml
 from cyclekit.errors import ConfigError, UnknownName
-from cyclekit.files import resolved
-from cyclekit.toml_file import list_at, read_toml
+from cyclekit.storage.files import resolved
 
 if TYPE_CHECKING:
     from pathlib import Path

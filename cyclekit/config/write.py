@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, get_args
 
 from cyclekit.config.cells import CLOCK_KEYS, Begin, Cell, Frame, Source, Sync
-from cyclekit.plain_text import one_line
+from cyclekit.text.plain_text import one_line
 
 if TYPE_CHECKING:
     from cyclekit.adapter import Draft, Proposal

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.atomic import write_parquet
-from cyclekit.tables import GROUP_ROWS, TableWriter
+from cyclekit.storage.atomic import write_parquet
+from cyclekit.storage.parquet import GROUP_ROWS, TableWriter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,7 +9,7 @@ from cyclekit.derive.sample_file import AT_ONCE
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from cyclekit.session import Session
+    from cyclekit.dataset.sessions import Session
 
 Item = TypeVar("Item")
 

@@ -26,17 +26,17 @@ from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
-from cyclekit.one_thread import one_thread
-from cyclekit.out_of_core import in_memory
+from cyclekit.learning.out_of_core import in_memory
+from cyclekit.parallel.one_thread import one_thread
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.safety import SafetyModel
-    from cyclekit.sequences import TaskSequence
 
     Vector = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
-    from cyclekit.engine import Engine
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.history import Combined
     from cyclekit.estimate.means import Means
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled
-    from cyclekit.sequences import TaskSequence
+    from cyclekit.parallel.engine import Engine
 
 ESTIMATORS: Mapping[str, str] = {
     "rollout": "the learned safety function is walked beside every logged operator track",

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
-    from cyclekit.sequences import TaskSequence
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
 
     Vector = NDArray[np.float64]
 

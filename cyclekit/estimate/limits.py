@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.clock import ASSUMED
+from cyclekit.alignment.clocks import ASSUMED
+from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.estimate.nominal import slider_losses
-from cyclekit.height import said_of_height
-from cyclekit.samples import nobody_there
+from cyclekit.learning.windows import nobody_there
 
 if TYPE_CHECKING:
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel

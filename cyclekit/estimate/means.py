@@ -13,11 +13,11 @@ from cyclekit.estimate.resample import TOGETHER, interval_of_mean, resampled_ali
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from cyclekit.config.sequences import TaskSequence
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.entry import Question
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled
-    from cyclekit.sequences import TaskSequence
 
     Vector = NDArray[np.float64]
 

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.stand import fill_nearest
+from cyclekit.segmentation.arrivals import fill_nearest
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
     Vector = NDArray[np.float64]
 

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.nominal import NominalTask
-    from cyclekit.sequences import TaskSequence
 
 
 @dataclass(frozen=True)

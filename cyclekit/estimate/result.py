@@ -60,7 +60,7 @@ class CycleEstimate:
         calibrated: Whether `quantiles_s` and the interval of the mean were corrected by logged executions.
         takt_s: Takt time that was asked about, seconds.
         takt_probability: Part of the cycles that meet it, and its 95 % interval from resampling executions.
-        beats: Probability that its mean is below that of another sequence of the same work (`cyclekit.work`), by name,
+        beats: Probability that its mean is below that of another sequence of the same work (`cyclekit.estimate.same_work`), by name,
             over common resampled executions.
         extrapolated: Marked: most of it runs through positions that were never logged.
         operator: What the operator was asked to do meanwhile; None where that was left open.

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.program import draw_stands
 from cyclekit.estimate.safety import BLOCK
 from cyclekit.estimate.walk import Rolled
-from cyclekit.height import in_plane
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.program import Program
     from cyclekit.estimate.tracks import OperatorTracks
-    from cyclekit.models.saved import TrainedModel
+    from cyclekit.learning.networks.saved import TrainedModel
 
     Vector = NDArray[np.float64]
 

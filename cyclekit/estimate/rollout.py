@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.engine import LOCAL, Engine
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate.cycles import MANY, cycles_of
 from cyclekit.estimate.entry import ESTIMATORS, LEAST_SUPPORT, Question, entry_of
@@ -24,25 +23,26 @@ from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.resample import TOGETHER, means_below, resampled
 from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.same_work import by_work
 from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.validate import refuse_biased, validated
 from cyclekit.estimate.walk import Rolled, roll_out
-from cyclekit.models.cell import refuse_other_cell
-from cyclekit.one_thread import one_thread
-from cyclekit.out_of_core import in_memory
-from cyclekit.work import by_work
+from cyclekit.learning.networks.cell import refuse_other_cell
+from cyclekit.learning.out_of_core import in_memory
+from cyclekit.parallel.engine import LOCAL, Engine
+from cyclekit.parallel.one_thread import one_thread
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
-    from cyclekit.sequences import TaskSequence
 
     Vector = NDArray[np.float64]
     _Refuse = Callable[[TaskSequence, EstimateError], None]

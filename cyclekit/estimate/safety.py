@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from cyclekit.height import in_plane, inputs_in_plane
+from cyclekit.dataset.unknown_height import in_plane, inputs_in_plane
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -10,21 +10,21 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.safety import Dynamics, SafetyModel
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.walk import ROWS, Rolled, roll_all
-from cyclekit.one_thread import one_thread
+from cyclekit.parallel.one_thread import one_thread
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from cyclekit.engine import Engine
+    from cyclekit.config.sequences import TaskSequence
     from cyclekit.estimate.nominal import NominalTask
-    from cyclekit.sequences import TaskSequence
+    from cyclekit.parallel.engine import Engine
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.height import is_flat
+from cyclekit.dataset.unknown_height import is_flat
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

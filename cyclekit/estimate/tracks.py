@@ -21,14 +21,14 @@ import polars as pl
 
 from cyclekit.errors import DatasetError, EstimateError
 from cyclekit.estimate.continuation import Continuation, Stretch
-from cyclekit.people import OCCLUDED_S
+from cyclekit.people.tracks import OCCLUDED_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
 RUN_ON_S = 5.0
 """The next execution of a session goes on with the same operator if it begins within this time."""

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.dataset.time_grid import samples_in
 from cyclekit.estimate.program import stands_of
 from cyclekit.estimate.safety import SafetyModel, scaling_of
 from cyclekit.estimate.walk import Rolled
-from cyclekit.rate import samples_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

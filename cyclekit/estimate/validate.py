@@ -13,7 +13,7 @@ from cyclekit.estimate.check import Check, check_rollout
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.safety import SafetyModel
 
 REFUSED_BIAS = 0.1

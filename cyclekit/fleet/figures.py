@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from cyclekit.evaluate.drift import Drift
+from cyclekit.learning.evaluation.drift import Drift
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,15 @@ import re
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import OutsideFolder
-from cyclekit.evaluate.drift import Drift, drift_between
-from cyclekit.inside import inside
+from cyclekit.learning.evaluation.drift import Drift, drift_between
+from cyclekit.storage.inside import inside
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from cyclekit.dataset import Dataset
-    from cyclekit.models.saved import TrainedModel
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.learning.networks.saved import TrainedModel
 
 MONTH = dt.timedelta(days=30)
 _DATE = re.compile(r"(?<!\d)(20\d\d)([-_.]?)(\d\d)\2(\d\d)(?!\d)")

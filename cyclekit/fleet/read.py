@@ -8,11 +8,11 @@ from glob import glob, has_magic
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.config.toml_file import list_at, read_toml
 from cyclekit.errors import ConfigError, UnknownName
-from cyclekit.files import resolved
-from cyclekit.inside import unfit
-from cyclekit.storage import is_url, join
-from cyclekit.toml_file import list_at, read_toml
+from cyclekit.storage.files import resolved
+from cyclekit.storage.inside import unfit
+from cyclekit.storage.remote.folders import is_url, join
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

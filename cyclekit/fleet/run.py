@@ -8,12 +8,12 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.engine import LOCAL, Engine
+from cyclekit.dataset.guard import check_output
 from cyclekit.errors import CyclekitError
 from cyclekit.fleet.stages import LEDGER, REPORT, STAGES, Row, note, read_ledger, work_on
-from cyclekit.guard import check_output
+from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.report.fleet_page import CellLine, fleet_page
-from cyclekit.storage import join, write_text
+from cyclekit.storage.remote.folders import join, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -13,29 +13,29 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import cyclekit
-from cyclekit.cards import BadCard, CellLedger, checked, parse_json
-from cyclekit.dataset import Dataset
+from cyclekit.config.sequences import load_sequences
+from cyclekit.dataset.cards import BadCard, CellLedger, checked, parse_json
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError, ModelError, StorageError
 from cyclekit.estimate.rollout import estimate
-from cyclekit.evaluate import evaluate
 from cyclekit.fleet.figures import figures_of
 from cyclekit.fleet.months import days_of, since_last_month, since_training
-from cyclekit.ingest import ingest
-from cyclekit.models.cell import fingerprint, other_cell_of
-from cyclekit.models.metrics import large_error
-from cyclekit.models.saved import TrainedModel, load_model
-from cyclekit.models.spec import ModelSpec
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.evaluation.evaluate import evaluate
+from cyclekit.learning.networks.cell import fingerprint, other_cell_of
+from cyclekit.learning.networks.metrics import large_error
+from cyclekit.learning.networks.saved import TrainedModel, load_model
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import Training, train_at
 from cyclekit.report import write_report
-from cyclekit.scratch import Scratch
-from cyclekit.sequences import load_sequences
-from cyclekit.storage import join, mirrored, read_text, write_text
-from cyclekit.train import Training, train_at
+from cyclekit.storage.remote.folders import join, mirrored, read_text, write_text
+from cyclekit.storage.scratch import Scratch
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from cyclekit.evaluate import Evaluation
     from cyclekit.fleet.read import FleetCell
+    from cyclekit.learning.evaluation.evaluate import Evaluation
 
 Found = TypeVar("Found")
 LEDGER, REPORT = "cell.json", "report.html"

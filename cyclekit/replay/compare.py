@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cyclekit.plain_text import markdown
 from cyclekit.replay.phase import common_order, repetitions
 from cyclekit.replay.words import spell
+from cyclekit.text.plain_text import markdown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

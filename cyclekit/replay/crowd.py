@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
+from cyclekit.alignment.frames import to_base
 from cyclekit.config import Frame
-from cyclekit.frames import to_base
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
 NEAR_S = 0.15
 """A frame of a tracker further than this from a sample says nothing about it."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import rerun as rr
 
-from cyclekit import colours
+from cyclekit.plots import colours
 from cyclekit.replay.ledger import ACCOUNTS, ledger
 from cyclekit.replay.phase import TASK
 from cyclekit.replay.words import Line, lanes, log_lines, miss_lines, spell, summary

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import polars as pl
 
-from cyclekit.clock import ASSUMED
-from cyclekit.height import in_plane, said_of_height
+from cyclekit.alignment.clocks import ASSUMED
+from cyclekit.dataset.unknown_height import in_plane, said_of_height
 from cyclekit.replay.crowd import Skeletons, other_people, skeletons
 from cyclekit.replay.floor import Zones, learned_zones
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Furniture
-    from cyclekit.dataset import Dataset, Place
+    from cyclekit.dataset.dataset import Dataset, Place
 
 GAP_SAMPLES = 3.5
 """A longer time without a sample is a gap: nothing is drawn across it."""

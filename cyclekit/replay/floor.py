@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.height import inputs_in_plane
+from cyclekit.dataset.unknown_height import inputs_in_plane
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.replay.execution import PredictsNow
 
 SQUARE_M = 0.25

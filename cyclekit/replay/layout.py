@@ -13,8 +13,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 import rerun.blueprint.encodings as rre
 
+from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.errors import CyclekitError
-from cyclekit.height import in_plane
 from cyclekit.replay.bodies import floor_m
 from cyclekit.replay.compare import most_different
 from cyclekit.replay.misses import misses

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING
 
 import rerun as rr
 
-from cyclekit.atomic import replaced
 from cyclekit.errors import CyclekitError
-from cyclekit.models.cell import refuse_other_cell
-from cyclekit.one_thread import one_thread
+from cyclekit.learning.networks.cell import refuse_other_cell
+from cyclekit.parallel.one_thread import one_thread
 from cyclekit.replay.compare import comparison
 from cyclekit.replay.curves import HUES, log_curves
 from cyclekit.replay.execution import load_execution
@@ -23,12 +22,13 @@ from cyclekit.replay.misses import Miss, misses
 from cyclekit.replay.phase import common_order, path_phase
 from cyclekit.replay.scene import log_scene
 from cyclekit.replay.sink import Sink
+from cyclekit.storage.atomic import replaced
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.replay.execution import Execution, PredictsNow
     from cyclekit.replay.layout import Focus, Opening
     from cyclekit.replay.phase import Order

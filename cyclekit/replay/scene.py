@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from cyclekit import colours
-from cyclekit.arm import joint_points, recognise_arm
-from cyclekit.height import in_plane
-from cyclekit.labels import place_labels
+from cyclekit.config.arms import joint_points, recognise_arm
+from cyclekit.dataset.unknown_height import in_plane
+from cyclekit.plots import colours
+from cyclekit.plots.labels import place_labels
 from cyclekit.replay.bodies import floor_m, log_people
 from cyclekit.replay.shapes import goals, pack, trail
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Place
+    from cyclekit.dataset.dataset import Place
     from cyclekit.replay.sink import Sink
 
 PAPER = (238, 241, 244)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from cyclekit import colours
+from cyclekit.plots import colours
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

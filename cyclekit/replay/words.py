@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit import colours
-from cyclekit.plain_text import markdown
+from cyclekit.plots import colours
 from cyclekit.replay.misses import misses
+from cyclekit.text.plain_text import markdown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

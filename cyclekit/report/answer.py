@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.estimate.result import MOST
+from cyclekit.estimate.same_work import by_work
 from cyclekit.report import verdict
 from cyclekit.report.numbers import UNKNOWN, decimals_for, fixed, given, percent, seconds, with_uncertainty
 from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import Table, spell
-from cyclekit.work import by_work
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.same_work import Work
     from cyclekit.report.findings import Overview
     from cyclekit.report.texts import Texts
     from cyclekit.report.verdict import Verdict
-    from cyclekit.work import Work
 
 
 def section(

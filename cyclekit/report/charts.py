@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from cyclekit import colours
+from cyclekit.plots import colours
 from cyclekit.report.pictures import INK, MUTED, WIDE_IN, tip
 
 if TYPE_CHECKING:

@@ -8,22 +8,22 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.plain_json import json_text
-from cyclekit.plain_text import csv_text, markdown
+from cyclekit.estimate.same_work import work_of
 from cyclekit.report.findings import losses, safety_function, task_shares
 from cyclekit.report.provenance import provenance
 from cyclekit.report.tables import Table
-from cyclekit.work import work_of
+from cyclekit.text.plain_json import json_text
+from cyclekit.text.plain_text import csv_text, markdown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     import polars as pl
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
+    from cyclekit.estimate.plan import Plan
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.plan import Plan
     from cyclekit.report.texts import Texts
     from cyclekit.report.tried import Tried
     from cyclekit.report.trust import Judged

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import polars as pl
 
-from cyclekit.height import HUMAN_Z_IN_PLANE
+from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
 FULL = 0.98
 """Scaling from here on counts as full speed."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Furniture
-    from cyclekit.dataset import Dataset, Place
+    from cyclekit.dataset.dataset import Dataset, Place
     from cyclekit.report.findings import Predicts
 
 CELL_M = 0.2

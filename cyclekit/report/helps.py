@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.estimate.same_work import by_work
 from cyclekit.report.findings import losses
 from cyclekit.report.numbers import count, decimals_for, fixed, percent, seconds, with_uncertainty
 from cyclekit.report.tables import Table, spell
-from cyclekit.work import by_work
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     import polars as pl
 
+    from cyclekit.estimate.plan import Plan
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.plan import Plan
     from cyclekit.report.findings import Overview
     from cyclekit.report.texts import Texts
     from cyclekit.report.tried import Tried

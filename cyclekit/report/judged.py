@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from cyclekit.height import HUMAN_Z_IN_PLANE
+from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

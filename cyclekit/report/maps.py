@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from cyclekit import colours
-from cyclekit.labels import place_labels
+from cyclekit.plots import colours
+from cyclekit.plots.labels import place_labels
 from cyclekit.report.findings import DISTANCE_BIN_M, SCALING_BIN
 from cyclekit.report.pictures import INK, MUTED, RULE, WIDE_IN, tip
 

@@ -11,23 +11,23 @@ from dataclasses import dataclass
 from importlib.metadata import version as installed
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.atomic import write_text
-from cyclekit.one_thread import one_thread
+from cyclekit.estimate.same_work import by_work
+from cyclekit.parallel.one_thread import one_thread
 from cyclekit.report import answer, helps, trust, where, why
 from cyclekit.report.document import MARK, Found, as_csv, as_json, as_markdown
 from cyclekit.report.findings import overview
 from cyclekit.report.template import Template
 from cyclekit.report.verdict import verdict
-from cyclekit.work import by_work
+from cyclekit.storage.atomic import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
+    from cyclekit.estimate.plan import Plan
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.plan import Plan
     from cyclekit.report.findings import Predicts
     from cyclekit.report.tried import Tried
     from cyclekit.report.trust import Judged

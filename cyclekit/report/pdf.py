@@ -12,9 +12,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from cyclekit.atomic import replaced
 from cyclekit.errors import CyclekitError
-from cyclekit.scratch import Scratch
+from cyclekit.storage.atomic import replaced
+from cyclekit.storage.scratch import Scratch
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "msedge", "microsoft-edge")
 _PLACES = (

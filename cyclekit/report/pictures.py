@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.plain_text import visible
+from cyclekit.text.plain_text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
 MOST_WARNINGS = 12
 MOST_FILES = 12

@@ -18,9 +18,9 @@ from jinja2.sandbox import SandboxedEnvironment
 from markupsafe import Markup
 
 from cyclekit.errors import CyclekitError
-from cyclekit.inside import inside, unfit
-from cyclekit.plain_text import visible
 from cyclekit.report.texts import load_texts
+from cyclekit.storage.inside import inside, unfit
+from cyclekit.text.plain_text import visible
 
 if TYPE_CHECKING:
     from pathlib import Path

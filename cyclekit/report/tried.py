@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.whatif import WhatIf
+    from cyclekit.estimate.whatif import WhatIf
 
 
 @dataclass(frozen=True)

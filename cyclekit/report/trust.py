@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.findings import Overview, Predicts

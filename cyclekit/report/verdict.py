@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.estimate.resample import TOGETHER, resampled
+from cyclekit.estimate.same_work import by_work, work_of
 from cyclekit.report.numbers import count, fixed, given, percent, signed_percent, with_uncertainty
-from cyclekit.work import by_work, work_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.plan import Plan
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.plan import Plan
+    from cyclekit.estimate.same_work import Work
     from cyclekit.report.texts import Texts
     from cyclekit.report.tried import Tried
-    from cyclekit.work import Work
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.report.findings import Overview, Predicts, SafetyFunction
     from cyclekit.report.floor import FloorPlan
     from cyclekit.report.texts import Texts

@@ -17,8 +17,8 @@ import numpy as np
 import polars as pl
 from PIL import Image
 
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -23,8 +23,8 @@ from pathlib import Path
 from PIL import Image
 from rerun.experimental import ViewerClient
 
-from cyclekit.dataset import Dataset
-from cyclekit.models.saved import load_model
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.learning.networks.saved import load_model
 from cyclekit.replay import write_replay
 from cyclekit.replay.viewer import viewer_program
 

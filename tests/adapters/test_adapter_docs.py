@@ -8,7 +8,8 @@ import pytest
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import LogError
-from cyclekit_adapters import csv_map, mapped_csv
+from cyclekit_adapters.formats import mapped_csv
+from cyclekit_adapters.mapped import csv_map
 from cyclekit_adapters.rosbag import roles
 
 ROOT = Path(__file__).parents[2]

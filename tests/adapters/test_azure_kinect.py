@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError
-from cyclekit.registry import adapters
-from cyclekit_adapters.azure_kinect import _SDK, ADAPTER
+from cyclekit.ingest.registry import adapters
+from cyclekit_adapters.formats.azure_kinect import _SDK, ADAPTER
 
 NAMES = ["PELVIS", "SPINE_NAVEL", "SPINE_CHEST", "NECK"]
 

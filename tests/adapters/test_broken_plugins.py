@@ -12,7 +12,7 @@ import pytest
 
 from cyclekit.adapter import ReadOptions, Recording
 from cyclekit.errors import BrokenAdapter, LogError
-from cyclekit.registry import Registered
+from cyclekit.ingest.registry import Registered
 
 HEAD = "from cyclekit.adapter import Recording\nclass A:\n"
 ASKED = "    def recognises(self, path): return path.suffix == '.acme'\n"

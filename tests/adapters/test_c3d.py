@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog
-from cyclekit_adapters.c3d import ADAPTER
-from cyclekit_adapters.c3d_file import read_c3d
+from cyclekit_adapters.formats.c3d import ADAPTER
+from cyclekit_adapters.tracking.c3d_file import read_c3d
 
 LABELS = ["Subject:LASI", "Subject:RASI", "Subject:HEAD", "box:1"]
 

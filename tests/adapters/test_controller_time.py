@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
-from cyclekit.plausible import examined
-from cyclekit_adapters.controller_time import Once
-from cyclekit_adapters.delimited import Rows
-from cyclekit_adapters.text_rows import SET_ASIDE
-from cyclekit_adapters.ur_rtde import ADAPTER
+from cyclekit.ingest.validate.validate import examined
+from cyclekit_adapters.formats.ur_rtde import ADAPTER
+from cyclekit_adapters.robots.controller_time import Once
+from cyclekit_adapters.text.delimited import Rows
+from cyclekit_adapters.text.text_rows import SET_ASIDE
 
 
 def steps_back(times: list[float], cuts: list[int] | None = None) -> int:

@@ -8,9 +8,9 @@ import polars as pl
 import pytest
 
 from cyclekit.adapter import ReadOptions
-from cyclekit.convert import convert
 from cyclekit.errors import LogError
-from cyclekit_adapters import mapped_csv, ur_rtde
+from cyclekit.ingest.convert import convert
+from cyclekit_adapters.formats import mapped_csv, ur_rtde
 
 if TYPE_CHECKING:
     from pathlib import Path

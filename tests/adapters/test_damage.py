@@ -4,7 +4,8 @@ import pytest
 from damage import read_damaged
 
 from cyclekit.adapter import ReadOptions
-from cyclekit_adapters import mapped_csv, motive, rosbag, ur_rtde, ur_split
+from cyclekit_adapters import rosbag
+from cyclekit_adapters.formats import mapped_csv, motive, ur_rtde, ur_split
 
 
 def test_ur_rtde(tmp_path, ur):

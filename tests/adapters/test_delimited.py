@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.errors import DamagedLog
-from cyclekit_adapters import block_table, delimited, row_parser, text_blocks
-from cyclekit_adapters.delimited import Layout, header_names, read_blocks, read_rows
-from cyclekit_adapters.header_line import layout_below
-from cyclekit_adapters.text_blocks import encoding_of
+from cyclekit_adapters.text import block_table, delimited, row_parser, text_blocks
+from cyclekit_adapters.text.delimited import Layout, header_names, read_blocks, read_rows
+from cyclekit_adapters.text.header_line import layout_below
+from cyclekit_adapters.text.text_blocks import encoding_of
 
 LAYOUT = Layout(("a", "b", "c"), ",", header_lines=1)
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, MissingColumns
-from cyclekit_adapters import mapped_csv, ur_rtde
-from cyclekit_adapters.delimited import INDEX, Layout, read_rows
-from cyclekit_adapters.header_line import MOST_COLUMNS, layout_below
+from cyclekit_adapters.formats import mapped_csv, ur_rtde
+from cyclekit_adapters.text.delimited import INDEX, Layout, read_rows
+from cyclekit_adapters.text.header_line import MOST_COLUMNS, layout_below
 
 COMMA = Layout(("t", "x", "y"), ",", header_lines=1)
 BLANK = replace(COMMA, delimiter=" ")

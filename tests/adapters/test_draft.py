@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from cyclekit.adapter import ReadOptions
 from cyclekit.config import Cell, Source, cell_to_toml, load_cell
 from cyclekit.errors import ConfigError, MissingColumns
-from cyclekit_adapters.mapped_csv import ADAPTER
+from cyclekit_adapters.formats.mapped_csv import ADAPTER
 
 ROWS = 60
 

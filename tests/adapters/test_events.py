@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions, whole
 from cyclekit.errors import ConfigError, LogError, UnknownName
-from cyclekit.registry import adapters
-from cyclekit_adapters.events import ADAPTER
+from cyclekit.ingest.registry import adapters
+from cyclekit_adapters.formats.events import ADAPTER
 
 LONG = "time_s,signal,value\n0.5,goal,left_table\n12.25,sync_in,1\n30.0,goal,conveyor\n"
 WIDE = "time_ms;DI0;gate open\n1000;0;FALSE\n1020;1;FALSE\n1040;1;TRUE\n1060;0;TRUE\n"
@@ -145,7 +145,7 @@ def test_a_state_that_was_not_logged_is_no_change(tmp_path):
 @pytest.mark.parametrize("text", [LONG + LONG.partition("\n")[2] * 30, WIDE + WIDE.partition("\n")[2] * 30])
 def test_a_log_read_in_parts_is_the_log_read_at_once(tmp_path, monkeypatch, text):
     at_once = read(tmp_path / "plc.csv", text)
-    monkeypatch.setattr("cyclekit_adapters.text_blocks.BLOCK_BYTES", 60)
+    monkeypatch.setattr("cyclekit_adapters.text.text_blocks.BLOCK_BYTES", 60)
     parts = list(ADAPTER.stream(tmp_path / "plc.csv", ReadOptions()))
     assert len(parts) > 10
     assert whole(parts).events.equals(at_once.events)

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError, MissingColumns, UnknownName
-from cyclekit.registry import find_adapter
-from cyclekit_adapters.franka_log import ADAPTER
-from cyclekit_adapters.panda_arm import flange_position_m
+from cyclekit.ingest.registry import find_adapter
+from cyclekit_adapters.formats.franka_log import ADAPTER
+from cyclekit_adapters.robots.panda_arm import flange_position_m
 
 GROUPS = [
     *((f"state.{name}", 7) for name in ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered")),

@@ -9,9 +9,9 @@ import pytest
 
 from cyclekit.adapter import ReadOptions, Recording
 from cyclekit.errors import DamagedLog
-from cyclekit_adapters import in_parts, text_blocks
-from cyclekit_adapters.text_rows import INDEX, SET_ASIDE, Rows
-from cyclekit_adapters.ur_rtde import ADAPTER
+from cyclekit_adapters.formats.ur_rtde import ADAPTER
+from cyclekit_adapters.text import in_parts, text_blocks
+from cyclekit_adapters.text.text_rows import INDEX, SET_ASIDE, Rows
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,9 +8,9 @@ import pytest
 from cyclekit.adapter import ReadOptions
 from cyclekit.config import load_cell
 from cyclekit.errors import MissingColumns, UnknownName
-from cyclekit.ingest import ingest
-from cyclekit_adapters import text_blocks
-from cyclekit_adapters.ur_rtde import ADAPTER
+from cyclekit.ingest.ingest import ingest
+from cyclekit_adapters.formats.ur_rtde import ADAPTER
+from cyclekit_adapters.text import text_blocks
 
 INPUTS = "actual_digital_input_bits"
 

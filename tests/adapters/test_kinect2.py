@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError
-from cyclekit.registry import adapters
-from cyclekit_adapters.kinect2 import ADAPTER
+from cyclekit.ingest.registry import adapters
+from cyclekit_adapters.formats.kinect2 import ADAPTER
 
 
 def row(ticks, x, y=-0.5, z=2.0, state=2, end=","):

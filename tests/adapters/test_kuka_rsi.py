@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
-from cyclekit.clock import lower_envelope
+from cyclekit.alignment.clocks import lower_envelope
 from cyclekit.errors import DamagedLog, LogError, MissingColumns, UnknownName
-from cyclekit.registry import find_adapter
+from cyclekit.ingest.registry import find_adapter
 from cyclekit.schema import ROBOT
-from cyclekit_adapters.host_clock import HostClock
-from cyclekit_adapters.kuka_rsi import ADAPTER
+from cyclekit_adapters.formats.kuka_rsi import ADAPTER
+from cyclekit_adapters.robots.host_clock import HostClock
 
 COLUMNS = (
     "Timestamp,X_RIst,Y_RIst,Z_RIst,A_RIst,B_RIst,C_RIst,X_RSol,Y_RSol,Z_RSol,A_RSol,B_RSol,C_RSol,Delay,IPOC,ErrorNum"

@@ -1,6 +1,6 @@
 import random
 
-from cyclekit_adapters.linking import FORGET_S, link
+from cyclekit_adapters.tracking.linking import FORGET_S, link
 
 
 def test_two_people_who_walk_keep_their_tracks_whatever_the_order_in_the_file():

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cyclekit_adapters.delimited import Layout, rows_of
-from cyclekit_adapters.made_ahead import AT_ONCE, BEGUN, made_ahead
+from cyclekit_adapters.text.delimited import Layout, rows_of
+from cyclekit_adapters.text.made_ahead import AT_ONCE, BEGUN, made_ahead
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import ConfigError, DamagedLog, MissingColumns
-from cyclekit_adapters import ur_rtde
-from cyclekit_adapters.list_cells import ListCells
-from cyclekit_adapters.mapped_csv import ADAPTER
-from cyclekit_adapters.text_rows import SET_ASIDE, Rows
+from cyclekit_adapters.formats import ur_rtde
+from cyclekit_adapters.formats.mapped_csv import ADAPTER
+from cyclekit_adapters.text.list_cells import ListCells
+from cyclekit_adapters.text.text_rows import SET_ASIDE, Rows
 
 PLACE = {"time": "t", "x": "x", "y": "y", "z": "z"}
 

@@ -4,7 +4,7 @@ import pytest
 
 from cyclekit.adapter import ReadOptions, whole
 from cyclekit.errors import ConfigError, DamagedLog, LogError, MissingColumns, UnknownName
-from cyclekit_adapters.mapped_csv import ADAPTER
+from cyclekit_adapters.formats.mapped_csv import ADAPTER
 
 
 def read(path, text, role=None, rate_hz=None, saved_as="utf-8", **mapping):
@@ -264,7 +264,7 @@ def test_a_log_that_is_read_in_parts_is_the_log_read_at_once(tmp_path, monkeypat
     options = ReadOptions(role="robot", map={"time": "t", "x": "x", "y": "y", "scaling": "o", "scaling_max": 100})
     (tmp_path / "log.csv").write_text(text)
     at_once = ADAPTER.read(tmp_path / "log.csv", options)
-    monkeypatch.setattr("cyclekit_adapters.text_blocks.BLOCK_BYTES", 100)
+    monkeypatch.setattr("cyclekit_adapters.text.text_blocks.BLOCK_BYTES", 100)
     parts = list(ADAPTER.stream(tmp_path / "log.csv", options))
     assert len(parts) > 10
     assert whole(parts).robot.equals(at_once.robot)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cyclekit.adapter import ReadOptions
-from cyclekit_adapters import mapped_csv
+from cyclekit_adapters.formats import mapped_csv
 
 GUIDE = (Path(__file__).parents[2] / "docs/adapters.md").read_text(encoding="utf-8")
 SECTION = GUIDE.partition("### Controllers without a public layout")[2]

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit_adapters.markers import is_pelvis
+from cyclekit_adapters.tracking.markers import is_pelvis
 
 PELVIS = {
     "Plug-in Gait": ["LASI", "RASI", "LPSI", "RPSI", "SACR"],

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import LogError
-from cyclekit.registry import adapters, find_adapter
-from cyclekit_adapters.mediapipe import ADAPTER
+from cyclekit.ingest.registry import adapters, find_adapter
+from cyclekit_adapters.formats.mediapipe import ADAPTER
 
 LANDMARK = {"x": 0.01, "y": -0.5, "z": 0.1, "visibility": 0.99}
 NAMES = ["NOSE", "LEFT_EYE_INNER", "RIGHT_EYE_INNER", "MOUTH_LEFT", "LEFT_HIP", "RIGHT_HIP", "LEFT_FOOT_INDEX"]

@@ -2,7 +2,7 @@ import pytest
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError, UnknownName
-from cyclekit_adapters.motive import ADAPTER
+from cyclekit_adapters.formats.motive import ADAPTER
 
 
 def read(path, text, **options):

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError, MissingColumns, UnknownName
-from cyclekit.registry import find_adapter
-from cyclekit_adapters.nist_ur import ADAPTER
+from cyclekit.ingest.registry import find_adapter
+from cyclekit_adapters.formats.nist_ur import ADAPTER
 
 JOINTS = [f"J{i}" for i in range(1, 7)]
 GROUPS = [

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import LogError, MissingColumns
-from cyclekit.registry import adapters
-from cyclekit_adapters.nuitrack import ADAPTER
+from cyclekit.ingest.registry import adapters
+from cyclekit_adapters.formats.nuitrack import ADAPTER
 
 COLUMNS = ["timestamp", "serial", "id"]
 WAIST = ["JOINT_WAIST.x", "JOINT_WAIST.y", "JOINT_WAIST.z"]

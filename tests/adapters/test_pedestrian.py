@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import LogError
-from cyclekit.registry import adapters
-from cyclekit_adapters.pedestrian import ADAPTER
+from cyclekit.ingest.registry import adapters
+from cyclekit_adapters.formats.pedestrian import ADAPTER
 
 PLAIN = "0 1 1.5 2.5\n0 2 4.0 5.0\n10 1 1.75 2.5\n10 2 4.0 5.25\n"
 PETRACK = (

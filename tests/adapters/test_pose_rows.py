@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import ConfigError, DamagedLog, LogError, MissingColumns, UnknownName
-from cyclekit.registry import find_adapter
-from cyclekit_adapters.pose_rows import ADAPTER
+from cyclekit.ingest.registry import find_adapter
+from cyclekit_adapters.formats.pose_rows import ADAPTER
 
 MATRIX = [f"O_T_EE[{i}]" for i in range(16)]
 

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError
-from cyclekit.registry import adapters
-from cyclekit_adapters.qualisys import ADAPTER
+from cyclekit.ingest.registry import adapters
+from cyclekit_adapters.formats.qualisys import ADAPTER
 
 HIPS = {"WaistL": [(1000.0, 200.0, 950.0), (1010.0, 200.0, 950.0)], "WaistR": [(1000.0, 400.0, 950.0)] * 2}
 

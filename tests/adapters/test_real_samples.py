@@ -11,8 +11,9 @@ import pytest
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog
-from cyclekit.registry import find_adapter
-from cyclekit_adapters import mapped_csv, rosbag
+from cyclekit.ingest.registry import find_adapter
+from cyclekit_adapters import rosbag
+from cyclekit_adapters.formats import mapped_csv
 
 FOLDER = Path(os.environ.get("CYCLEKIT_SAMPLES", "absent"))
 pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="CYCLEKIT_SAMPLES names no folder")

@@ -14,7 +14,7 @@ from damage import read_damaged
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError
-from cyclekit.registry import adapters, find_adapter
+from cyclekit.ingest.registry import adapters, find_adapter
 
 FOLDER = Path(os.environ.get("CYCLEKIT_SAMPLES", "absent"))
 pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="CYCLEKIT_SAMPLES names no folder")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tracker_logs import ALL_WRITERS
 
-from cyclekit.registry import adapters
+from cyclekit.ingest.registry import adapters
 
 ROOT = Path(__file__).parents[2]
 TEXTS = {".toml", ".md", ".py", ".json", ".csv", ".txt", ".yml", ".yaml", ".cff", ".html", ".css", ".js", ".svg"}

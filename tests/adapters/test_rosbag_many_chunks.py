@@ -9,7 +9,7 @@ import polars as pl
 from bag_files import write_mcap
 
 from cyclekit.adapter import ReadOptions
-from cyclekit.registry import adapter_named
+from cyclekit.ingest.registry import adapter_named
 from cyclekit_adapters.rosbag.chunks import Chunk, ChunkedFile, _in_blocks
 from cyclekit_adapters.rosbag.mcap_file import look
 

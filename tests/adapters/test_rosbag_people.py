@@ -7,8 +7,8 @@ import pytest
 from rosbags.typesys import get_types_from_msg
 
 from cyclekit.adapter import ReadOptions
-from cyclekit.dataset import Dataset
-from cyclekit.ingest import ingest
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.ingest import ingest
 from cyclekit_adapters.rosbag import ADAPTER
 
 T0 = 1_700_000_000.0

@@ -2,7 +2,7 @@ import pytest
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import LogError
-from cyclekit.plausible import examined_parts
+from cyclekit.ingest.validate.validate import examined_parts
 from cyclekit_adapters.rosbag import ADAPTER
 
 T0 = 1_700_000_000.0

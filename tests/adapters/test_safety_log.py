@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import ConfigError, LogError
-from cyclekit.registry import adapters
-from cyclekit_adapters.safety_log import ADAPTER
+from cyclekit.ingest.registry import adapters
+from cyclekit_adapters.formats.safety_log import ADAPTER
 
 T0 = 1_684_429_047.5
 SAMPLES = Path(os.environ.get("CYCLEKIT_SAMPLES", "absent")) / "cnr-override"

@@ -11,7 +11,7 @@ from sheet_files import frame_of, sheet_xml, write_parts, write_workbook
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import ConfigError, DamagedLog, LogError, MissingColumns, MissingExtra, UnknownName
-from cyclekit_adapters.mapped_csv import ADAPTER
+from cyclekit_adapters.formats.mapped_csv import ADAPTER
 
 NAMES = ["t", "x", "y"]
 PLACE = {"time": "t", "x": "x", "y": "y"}

@@ -6,7 +6,7 @@ import pytest
 from tracker_logs import WRITERS
 
 from cyclekit.adapter import ReadOptions, StreamingAdapter, whole
-from cyclekit.registry import adapter_named
+from cyclekit.ingest.registry import adapter_named
 
 RATED = ReadOptions(rate_hz=25.0, skeletons=True)
 
@@ -18,7 +18,7 @@ def test_parts_of_a_log_are_together_the_log_read_at_once(tmp_path, monkeypatch,
     adapter = adapter_named(name).adapter
     assert isinstance(adapter, StreamingAdapter)
     at_once = adapter.read(path, RATED)
-    monkeypatch.setattr("cyclekit_adapters.text_blocks.BLOCK_BYTES", block_bytes)
+    monkeypatch.setattr("cyclekit_adapters.text.text_blocks.BLOCK_BYTES", block_bytes)
     parts = list(adapter.stream(path, RATED))
     together = whole(parts)
     assert len(parts) > 1
@@ -34,7 +34,7 @@ def test_parts_of_a_log_are_together_the_log_read_at_once(tmp_path, monkeypatch,
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_part_has_the_same_tables_clock_and_axes(tmp_path, monkeypatch, name):
     path = WRITERS[name](tmp_path, 40)
-    monkeypatch.setattr("cyclekit_adapters.text_blocks.BLOCK_BYTES", 500)
+    monkeypatch.setattr("cyclekit_adapters.text.text_blocks.BLOCK_BYTES", 500)
     parts = list(adapter_named(name).adapter.stream(path, RATED))
     kinds = {(tuple(part.tables()), part.clock, part.up, part.rows_are, part.joint_names) for part in parts}
     assert len(kinds) == 1

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import CyclekitError, DamagedLog, LogError
-from cyclekit.registry import adapters
-from cyclekit_adapters.task_columns import is_person
-from cyclekit_adapters.task_list import ADAPTER
+from cyclekit.ingest.registry import adapters
+from cyclekit_adapters.formats.task_list import ADAPTER
+from cyclekit_adapters.tasks.task_columns import is_person
 
 T0 = 1_690_833_425.25
 SAMPLES = Path(os.environ.get("CYCLEKIT_SAMPLES", "absent")) / "cnr-tasks"

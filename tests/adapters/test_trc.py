@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import ConfigError, DamagedLog, LogError
-from cyclekit.registry import adapters
-from cyclekit_adapters.trc import ADAPTER
+from cyclekit.ingest.registry import adapters
+from cyclekit_adapters.formats.trc import ADAPTER
 
 KEYS = [
     "DataRate",

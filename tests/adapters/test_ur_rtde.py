@@ -3,7 +3,7 @@ import pytest
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, LogError, MissingColumns, UnknownName
 from cyclekit.schema import ROBOT
-from cyclekit_adapters.ur_rtde import ADAPTER
+from cyclekit_adapters.formats.ur_rtde import ADAPTER
 
 
 def read(path, **options):

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog, MissingColumns
-from cyclekit.registry import find_adapter
-from cyclekit_adapters.ur_rtde import ADAPTER
+from cyclekit.ingest.registry import find_adapter
+from cyclekit_adapters.formats.ur_rtde import ADAPTER
 
 TYPES = {  # per column of the text form; the writer spells vectors out
     "actual_digital_output_bits": ("UINT64", "Q"),
@@ -47,7 +47,7 @@ def test_a_long_recording_is_mapped_block_by_block(tmp_path, ur, monkeypatch):
     path = tmp_path / "a.bin"
     path.write_bytes(binary([ur.row(1.0 + number / 125) for number in range(10)]))
     whole = read(path)
-    monkeypatch.setattr("cyclekit_adapters.rtde_binary._ROWS", 4)
+    monkeypatch.setattr("cyclekit_adapters.robots.rtde_binary._ROWS", 4)
     mapped, at_once = [], np.memmap
     monkeypatch.setattr(np, "memmap", lambda *words: mapped.append(words[-1][0]) or at_once(*words))
     assert read(path).robot.equals(whole.robot)

@@ -2,7 +2,7 @@ import pytest
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import DamagedLog
-from cyclekit_adapters.ur_split import ADAPTER
+from cyclekit_adapters.formats.ur_split import ADAPTER
 
 
 def write(folder, name, rows, end="\n"):

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import ConfigError, DamagedLog, LogError
-from cyclekit.registry import adapters
-from cyclekit_adapters.vicon import ADAPTER
+from cyclekit.ingest.registry import adapters
+from cyclekit_adapters.formats.vicon import ADAPTER
 
 HIPS = {"Subject:LASI": [(0, 100, 900), (10, 100, 900)], "Subject:RASI": [(200, 100, 1000), None]}
 

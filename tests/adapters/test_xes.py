@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import ConfigError, DamagedLog
-from cyclekit_adapters import xes
-from cyclekit_adapters.task_list import ADAPTER
+from cyclekit_adapters.formats.task_list import ADAPTER
+from cyclekit_adapters.tasks import xes
 
 HEAD = '<?xml version="1.0" encoding="UTF-8" ?>\n<log xes.version="1.0" xmlns="http://www.xes-standard.org/">\n'
 

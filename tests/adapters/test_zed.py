@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
 from cyclekit.errors import ConfigError, DamagedLog, LogError
-from cyclekit.registry import adapters
-from cyclekit_adapters.zed import ADAPTER
+from cyclekit.ingest.registry import adapters
+from cyclekit_adapters.formats.zed import ADAPTER
 
 PELVIS = {18: (8, 11), 34: (0,), 38: (0,)}
 NECK = {18: 1, 34: 3, 38: 4}

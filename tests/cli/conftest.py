@@ -61,10 +61,10 @@ def dataset(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def model(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A model trained for two seconds: good enough not to be refused, not to be right."""
-    from cyclekit.dataset import Dataset
-    from cyclekit.models.saved import save_model
-    from cyclekit.models.spec import ModelSpec
-    from cyclekit.train import train
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.learning.networks.saved import save_model
+    from cyclekit.learning.networks.spec import ModelSpec
+    from cyclekit.learning.training import train
 
     def make(folder: Path) -> None:
         save_model(folder / "model", train(Dataset.open(dataset), ModelSpec.of(epochs=16)))
@@ -75,7 +75,7 @@ def model(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def sequences(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two sequences of tasks that were logged."""
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
     tasks = set(Dataset.open(dataset).tasks()["task"])
     back = next(slot for slot in ("left_2", "left_3", "right_2", "right_3", "right_4") if f"{slot}->conveyor" in tasks)
@@ -91,7 +91,7 @@ def sequences(dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def jobs(dataset: Path, tmp_path: Path) -> Path:
     """Three slots to be put in order; six orders."""
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
     logged = Dataset.open(dataset)
     tasks = set(logged.tasks()["task"])

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from cyclekit.sequences import load_sequences
+from cyclekit.config.sequences import load_sequences
 
 if TYPE_CHECKING:
     from .conftest import Shell

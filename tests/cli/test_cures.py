@@ -16,12 +16,12 @@ import typer
 
 from cyclekit.cli import ORDER, app
 from cyclekit.config import load_cell
+from cyclekit.config.sequences import load_sequences
 from cyclekit.errors import ConfigError, command_line
+from cyclekit.estimate.plan import load_jobs
+from cyclekit.estimate.whatif import load_changes
 from cyclekit.fleet import load_fleet
-from cyclekit.models.spec import ModelSpec
-from cyclekit.plan import load_jobs
-from cyclekit.sequences import load_sequences
-from cyclekit.whatif import load_changes
+from cyclekit.learning.networks.spec import ModelSpec
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cyclekit.cli.demo import SCENE, SEQUENCES, sequences_toml
-from cyclekit.models.spec import ModelSpec
-from cyclekit.sequences import load_sequences
+from cyclekit.config.sequences import load_sequences
+from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit_sim import scene_places
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from sheet_files import write_workbook
 
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 
 if TYPE_CHECKING:
     from .conftest import Shell

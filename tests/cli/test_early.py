@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cyclekit.outputs import check_writable, check_writable_folder
+from cyclekit.storage.outputs import check_writable, check_writable_folder
 
 if TYPE_CHECKING:
     from .conftest import Shell

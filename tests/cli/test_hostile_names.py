@@ -18,8 +18,8 @@ from rerun.chunk import RrdReader
 
 from cyclekit.cli import run
 from cyclekit.cli.terminal import Terminal, _Lines, bullet, say_failure, table, write_json
-from cyclekit.convert import convert
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.ingest.convert import convert
 
 BIDI = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 NASTY = {

@@ -79,7 +79,7 @@ def test_what_was_not_asked_for_may_be_absent_and_is_told_without_a_command_line
     def refused(*_: object, **__: object) -> None:
         raise EstimateError("no sample can be judged", cure="See what the logs lack: cyclekit inspect DATASET")
 
-    monkeypatch.setattr("cyclekit.evaluate.evaluate", refused)
+    monkeypatch.setattr("cyclekit.learning.evaluation.evaluate.evaluate", refused)
     out = tmp_path / "r.json"
     typed = cyclekit("report", dataset, "--model", model, "--out", out, "--json", "--quiet")
     assert typed.code == 0, typed.err

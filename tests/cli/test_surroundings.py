@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 import pytest
 from fabricated import fabricate_dataset
 
-from cyclekit.atomic import locked, replaced, staged
 from cyclekit.cli.surroundings import explained
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError, DatasetError
-from cyclekit.files import shortened
+from cyclekit.storage.atomic import locked, replaced, staged
+from cyclekit.storage.files import shortened
 
 if TYPE_CHECKING:
     from .conftest import Shell
@@ -208,7 +208,7 @@ def test_more_memory_than_there_is_is_one_message(
     def greedy(*_: object) -> None:
         raise MemoryError("Unable to allocate 458. MiB for an array")
 
-    monkeypatch.setattr("cyclekit.describe._describe_dataset", greedy)
+    monkeypatch.setattr("cyclekit.inspect.describe._describe_dataset", greedy)
     failed = cyclekit("inspect", small)
     assert failed.code == 1
     assert failed.err.startswith("error: this needs more memory than the process may take (Unable to allocate 458. MiB")

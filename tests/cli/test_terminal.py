@@ -20,7 +20,7 @@ from cyclekit.cli import terminal
 from cyclekit.cli.facts import page
 from cyclekit.cli.options import seconds, vector
 from cyclekit.cli.terminal import Terminal, bullet, duration, percent, table, write_json, write_out
-from cyclekit.describe import DatasetDescription, describe
+from cyclekit.inspect.describe import DatasetDescription, describe
 
 
 def test_a_path_in_brackets_stays_in_the_table() -> None:

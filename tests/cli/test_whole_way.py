@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 
 if TYPE_CHECKING:
     from .conftest import Shell

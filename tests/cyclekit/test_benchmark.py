@@ -15,7 +15,7 @@ from cyclekit.benchmark.rivals import predict_by
 from cyclekit.benchmark.tables import BEGIN, END, markdown, put_into
 from cyclekit.cli import run
 from cyclekit.errors import ConfigError
-from cyclekit.samples import INPUTS, Samples
+from cyclekit.learning.windows import INPUTS, Samples
 
 DISTANCE = {"kind": "DistanceStaircase", "levels": [0.0, 0.25, 0.5, 0.75, 1.0], "thresholds_m": [1.2, 1.5, 1.9, 2.4]}
 ZONES = {

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from report_pages import estimate as made
 from scipy import stats
 
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import UnknownName
 from cyclekit.estimate import rollout
 from cyclekit.estimate import walk as walking
@@ -29,10 +30,9 @@ from cyclekit.estimate.safety import Dynamics, Follower
 from cyclekit.estimate.tracks import operator_tracks, phase_is_free
 from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import Rolled, roll_all, roll_out
-from cyclekit.sequences import TaskSequence
 
 if TYPE_CHECKING:
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
 estimate = partial(estimate_validated, validate=False)
 """The rollout itself, without what the logged executions correct."""

@@ -11,16 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.cli.estimate import rests_on
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.estimate.history import TaskTimes, history_share, order_error
 from cyclekit.estimate.logged import logged_sequences
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.resample import resampled, resampled_alike
 from cyclekit.estimate.rollout import estimate
-from cyclekit.sequences import TaskSequence
-from cyclekit.whatif import Change, what_if
+from cyclekit.estimate.whatif import Change, what_if
 
 if TYPE_CHECKING:
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
 
 

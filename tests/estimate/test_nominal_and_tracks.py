@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 from ingested import without_checksums
 
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.limits import limits_of_logs
 from cyclekit.estimate.nominal import STEP_S, nominal_tasks, slider_losses

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from cyclekit.cards import BadCard, CellCard, checked
-from cyclekit.dataset import Dataset
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.cards import BadCard, CellCard, checked
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ModelError
 from cyclekit.estimate.check import Check
+from cyclekit.estimate.plan import Jobs, plan
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.validate import refuse_biased
-from cyclekit.models.cell import cell_of, fingerprint, other_cell_of, refuse_other_cell
-from cyclekit.plan import Jobs, plan
-from cyclekit.sequences import TaskSequence
-from cyclekit.whatif import Change, what_if
+from cyclekit.estimate.whatif import Change, what_if
+from cyclekit.learning.networks.cell import cell_of, fingerprint, other_cell_of, refuse_other_cell
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
+from cyclekit.estimate.plan import Jobs, load_jobs, plan, search
+from cyclekit.estimate.plan.jobs import tasks_of
+from cyclekit.estimate.plan.search import Scorer, best_order, every_order, greedy_order, random_order
 from cyclekit.estimate.transit import TransitTable
-from cyclekit.plan import Jobs, load_jobs, plan, search
-from cyclekit.plan.jobs import tasks_of
-from cyclekit.plan.search import Scorer, best_order, every_order, greedy_order, random_order
 
 if TYPE_CHECKING:
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
 NAMES = ("a", "b", "c", "d", "e")
 STARTS = 401
@@ -163,7 +163,7 @@ def test_orders_of_logged_tasks_are_searched_where_others_need_what_was_never_lo
     jobs = jobs_logged(logged, 3)
     last, tasks = jobs.visit[0], nominal_tasks(logged)
     del tasks[f"{last}->conveyor"]
-    monkeypatch.setattr("cyclekit.plan.answer.nominal_tasks", lambda _: tasks)
+    monkeypatch.setattr("cyclekit.estimate.plan.answer.nominal_tasks", lambda _: tasks)
     found = plan(staircase, logged, jobs)
     assert found.order[-1] == last
     assert (found.searched, found.tried) == ("all orders of logged tasks", 2)
@@ -176,7 +176,7 @@ def test_a_way_that_ends_an_order_and_is_needed_within_it_as_well_is_refused_by_
     one, other = jobs_logged(logged, 2).visit
     tasks = nominal_tasks(logged)
     del tasks[f"{one}->conveyor"]
-    monkeypatch.setattr("cyclekit.plan.answer.nominal_tasks", lambda _: tasks)
+    monkeypatch.setattr("cyclekit.estimate.plan.answer.nominal_tasks", lambda _: tasks)
     with pytest.raises(EstimateError, match=f"{one}->conveyor"):
         plan(staircase, logged, Jobs((one, other), "home", "conveyor", "conveyor", ((one, other),)))
 

@@ -15,7 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from ingested import without_checksums
 
-from cyclekit.dataset import Dataset
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate import walk as walking
 from cyclekit.estimate.entry import _shares
@@ -26,7 +27,6 @@ from cyclekit.estimate.rollout import lay_out, roll_out
 from cyclekit.estimate.support import Support
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.walk import FINE_STEP_S, TIME_STEP_S, Rolled
-from cyclekit.sequences import TaskSequence
 from cyclekit_sim import random_sequence, simulate_sequence
 
 if TYPE_CHECKING:

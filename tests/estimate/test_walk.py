@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.estimate import walk as walking
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import draw_stands, lay_out
@@ -15,10 +16,9 @@ from cyclekit.estimate.spread import logged_support
 from cyclekit.estimate.support import HUMAN_M, ROBOT_M
 from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
 from cyclekit.estimate.walk import FINE_STEP_S, SUPPORT_EVERY_S, TIME_STEP_S, Walked, roll_out, walk
-from cyclekit.sequences import TaskSequence
 
 if TYPE_CHECKING:
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.program import Program
 
 TRACKS = 5

@@ -8,21 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from known_cells import LEVELS, THRESHOLDS_M
 
 from cyclekit.cli import run
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.safety import Dynamics, Follower
 from cyclekit.estimate.tracks import OperatorTracks
-from cyclekit.sequences import TaskSequence
-from cyclekit.whatif import NO_PROOF, Change, load_changes, what_if
-from cyclekit.whatif.alter import WrittenSafety, altered_safety, altered_tasks, altered_tracks
-from cyclekit.whatif.change import Zone
-
-from .conftest import LEVELS, THRESHOLDS_M
+from cyclekit.estimate.whatif import NO_PROOF, Change, load_changes, what_if
+from cyclekit.estimate.whatif.alter import WrittenSafety, altered_safety, altered_tasks, altered_tracks
+from cyclekit.estimate.whatif.change import Zone
 
 if TYPE_CHECKING:
-    from cyclekit.dataset import Dataset
+    from cyclekit.dataset.dataset import Dataset
 
 
 def test_a_written_staircase_is_that_staircase(staircase: Any):
@@ -196,7 +195,7 @@ def test_a_refusal_of_the_estimate_itself_names_the_change_too(logged: Dataset, 
 def test_the_command_answers_what_it_can_and_fails_where_it_can_answer_nothing(
     logged: Dataset, staircase: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr("cyclekit.models.saved.load_model", lambda _: staircase)
+    monkeypatch.setattr("cyclekit.learning.networks.saved.load_model", lambda _: staircase)
     often = '[[change]]\nname = "too often"\nfrequency = 50.0\n'
     smaller = f'[[change]]\nname = "small"\nlevels = {list(LEVELS)}\nthresholds_m = [0.6, 0.8, 1.2, 1.6]\n'
     asked, out = tmp_path / "s.toml", tmp_path / "out.json"

@@ -17,12 +17,12 @@ import pytest
 
 from cyclekit import fleet as fleets
 from cyclekit.cli import run
-from cyclekit.dataset import Dataset
-from cyclekit.engine import Engine
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.fleet.months import day_in, days_of, since_last_month, since_training
 from cyclekit.fleet.stages import work_on
-from cyclekit.models.saved import load_model
+from cyclekit.learning.networks.saved import load_model
+from cyclekit.parallel.engine import Engine
 from cyclekit.report.fleet_page import CellLine, fleet_page
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def test_a_fleet_at_a_url_needs_no_folder_that_machines_share(
     assert states(rows) == {"press-1 ingest": "done", "press-1 report": "done"}
     monkeypatch.setenv("CYCLEKIT_CACHE", str(tmp_path / "another"))
     assert Dataset.open(f"{bucket}/fleet/press-1/dataset").executions.height == 3
-    from cyclekit.storage import read_text
+    from cyclekit.storage.remote.folders import read_text
 
     assert "press-1/report.html" in (read_text(f"{bucket}/fleet/index.html") or "")
     assert "<html" in (read_text(f"{bucket}/fleet/press-1/report.html") or "")

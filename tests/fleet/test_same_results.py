@@ -15,11 +15,11 @@ import torch
 from threadpoolctl import threadpool_limits
 
 from cyclekit.cli import run
-from cyclekit.engine import LOCAL, Engine
-from cyclekit.models.spec import ModelSpec
-from cyclekit.train import Training, train_at
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import Training, train_at
+from cyclekit.parallel.engine import LOCAL, Engine
 
-WHOLE_WAY = Path(__file__).parents[1] / "whole_way.py"
+WHOLE_WAY = Path(__file__).parents[1] / "support" / "whole_way.py"
 NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "POLARS_MAX_THREADS")
 
 
@@ -79,7 +79,7 @@ def answer(capsys: pytest.CaptureFixture[str], *words: object) -> Any:
 def test_a_dataset_is_the_same_to_the_last_byte(
     small_cell: Path, elsewhere: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cyclekit.derive.SHARED_ROWS", 0)  # as with many hours of logs
+    monkeypatch.setattr("cyclekit.derive.passes.SHARED_ROWS", 0)  # as with many hours of logs
     shared, by_themselves = [], Engine.map
     monkeypatch.setattr(Engine, "map", lambda *words: shared.append(words[0]) or by_themselves(*words))
     assert run(["ingest", str(small_cell / "logs"), "--out", str(tmp_path / "dataset"), "-q", *elsewhere]) == 0

@@ -56,13 +56,13 @@ class Outcome:
 def context() -> Any:
     """Return where fresh processes come from: one that has imported everything and done nothing."""
     fresh = multiprocessing.get_context("forkserver")
-    fresh.set_forkserver_preload(["cyclekit.ingest", "cyclekit.cli", "cyclekit_adapters.rosbag"])
+    fresh.set_forkserver_preload(["cyclekit.ingest.ingest", "cyclekit.cli", "cyclekit_adapters.rosbag"])
     return fresh
 
 
 def _limited_ingest(words: list[str], said: str, peak: str) -> None:
     from cyclekit.cli import run
-    from cyclekit.registry import adapters
+    from cyclekit.ingest.registry import adapters
 
     adapters()
     with Path(said).open("wb") as file, Path(os.devnull).open("wb") as silence:

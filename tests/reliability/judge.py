@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.errors import ConfigError, LogError
-from cyclekit.plausible import examined
+from cyclekit.ingest.validate.validate import examined
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cyclekit.errors import ConfigError, LogError
-from cyclekit.plausible import examined
-from cyclekit.registry import adapter_named, adapters
+from cyclekit.ingest.registry import adapter_named, adapters
+from cyclekit.ingest.validate.validate import examined
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -15,11 +15,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cyclekit import checksums, schema
+from cyclekit import schema
 from cyclekit.cli import run
-from cyclekit.dataset import CARD, Dataset
+from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import CyclekitError, DatasetError
-from cyclekit.ingest import ingest
+from cyclekit.ingest.ingest import ingest
+from cyclekit.storage import checksums
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -196,7 +197,7 @@ def test_of_a_large_file_the_pieces_that_are_read_are_checked(
     dataset: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
     monkeypatch.setattr(checksums, "PIECE_BYTES", 4096)
-    monkeypatch.setattr("cyclekit.dataset_files.PIECE_BYTES", 4096)
+    monkeypatch.setattr("cyclekit.dataset.files.PIECE_BYTES", 4096)
     t_s = [i / 100 for i in range(20_000)]
     rows = schema.conform(pl.DataFrame({"t_s": t_s, "tcp_x_m": [t % 1 for t in t_s]}), schema.ROBOT)
     rows.write_parquet(dataset / RECORDED, row_group_size=2_000)

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from fabricated import fabricate_dataset
 
-from cyclekit.atomic import replaced, write_text
 from cyclekit.cli import run
+from cyclekit.dataset.guard import check_output
 from cyclekit.errors import CyclekitError, OutputError
-from cyclekit.guard import check_output
+from cyclekit.storage.atomic import replaced, write_text
 
 WAYS = {
     "convert": "convert {log} --out {out}",
@@ -183,8 +183,8 @@ def test_a_picture_that_cyclekit_drew_is_drawn_again(ending: str, cell: dict[str
 def test_what_estimate_whatif_and_demo_write_is_known_as_theirs(tmp_path: Path):
     from cyclekit.cli.demo import sequences_toml
     from cyclekit.cli.estimate import as_csv
-    from cyclekit.plain_json import json_text
-    from cyclekit.whatif import NO_PROOF
+    from cyclekit.estimate.whatif import NO_PROOF
+    from cyclekit.text.plain_json import json_text
 
     written: dict[Any, str] = {
         "estimates-csv": as_csv([]),

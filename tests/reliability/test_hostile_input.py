@@ -44,9 +44,12 @@ def _joined(folder: Path, *names: str, **_: Any) -> Path:
 @pytest.mark.parametrize(
     ("kind", "careless"),
     [
-        ("dataset card", {"cyclekit.dataset_files.inside": _joined}),
-        ("manifest", {"cyclekit.storage.manifest.check": lambda _: None}),  # its parts are from anywhere
-        ("manifest", {"cyclekit.storage.manifest.check": lambda _: None, "cyclekit.storage.parts.inside": _joined}),
+        ("dataset card", {"cyclekit.dataset.files.inside": _joined}),
+        ("manifest", {"cyclekit.storage.remote.manifest.check": lambda _: None}),  # its parts are from anywhere
+        (
+            "manifest",
+            {"cyclekit.storage.remote.manifest.check": lambda _: None, "cyclekit.storage.remote.parts.inside": _joined},
+        ),
     ],
     ids=["card", "parts", "names"],
 )
@@ -60,6 +63,6 @@ def test_a_reader_without_checks_is_caught(
 
 @pytest.mark.slow
 def test_raw_control_characters_are_caught(benchmark: ModuleType, monkeypatch: pytest.MonkeyPatch):
-    for name in ("cyclekit.cli.terminal.visible", "cyclekit.toml_file.all_in_one_line"):
+    for name in ("cyclekit.cli.terminal.visible", "cyclekit.config.toml_file.all_in_one_line"):
         monkeypatch.setattr(name, lambda text: text)
     assert benchmark.run(400, 0, only=["sequence file"])["sequence file"].raw > 0

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from cyclekit.atomic import recover
+from cyclekit.storage.atomic import recover
 
 pytestmark = pytest.mark.slow  # quick: every write fails once (test_failing_writes), one killed ingest (test_whole_way)
 

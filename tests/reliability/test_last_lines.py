@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 from reliability.own_logs import OwnLog, own_logs
 
-from cyclekit.registry import adapter_named, adapters
+from cyclekit.ingest.registry import adapter_named, adapters
 
 if TYPE_CHECKING:
     from cyclekit.adapter import Recording

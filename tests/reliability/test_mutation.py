@@ -18,7 +18,7 @@ from reliability.mutate import mutants
 from reliability.own_logs import OwnLog, own_logs
 from reliability.reading import FOREIGN, LIMIT_S, PARTLY, READ, REFUSED, read_log
 
-from cyclekit.registry import adapter_named
+from cyclekit.ingest.registry import adapter_named
 
 if TYPE_CHECKING:
     from reliability.reading import Result
@@ -40,7 +40,7 @@ def read_harmed(log: OwnLog, file: str, harmed: bytes) -> Result:
 
 
 def test_logs_of_every_adapter_are_harmed(logs: list[OwnLog]):
-    from cyclekit.registry import adapters
+    from cyclekit.ingest.registry import adapters
 
     assert {log.adapter for log in logs} >= set(adapters()) - {"events"}  # is read by `csv` as well
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from fabricated import LEVELS
 
-from cyclekit import colours
-from cyclekit.labels import place_labels
+from cyclekit.plots import colours
+from cyclekit.plots.labels import place_labels
 
 
 def _seen_by(rgb, kind):
@@ -47,7 +47,7 @@ def test_words_on_the_page_stand_out_from_white(colour):
 
 
 def test_close_places_of_one_family_share_a_label_and_distant_ones_do_not(dataset):
-    from cyclekit.dataset import Place
+    from cyclekit.dataset.dataset import Place
 
     row = {f"left_{n}": Place(f"left_{n}", (0.2 * n, 1.0, 0.0), 0.1, inferred=False) for n in (1, 2, 3)}
     assert [label.text for label in place_labels(row)] == ["left_1 … left_3"]

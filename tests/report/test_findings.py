@@ -9,7 +9,7 @@ import pytest
 from fabricated import LEVELS, THRESHOLDS_M
 from report_pages import DistanceModel
 
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.report import findings
 from cyclekit.report.floor import floor_plan
 from cyclekit.report.judged import calibration

@@ -9,9 +9,9 @@ from report_pages import Page, estimate
 
 from cyclekit.cli.terminal import write_out
 from cyclekit.errors import CyclekitError
-from cyclekit.plan import Plan
+from cyclekit.estimate.plan import Plan
+from cyclekit.estimate.whatif import NO_PROOF, WhatIf
 from cyclekit.report import Tried, load_tried, write_report
-from cyclekit.whatif import NO_PROOF, WhatIf
 
 pytestmark = pytest.mark.usefixtures("words_only")
 

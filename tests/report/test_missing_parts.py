@@ -7,9 +7,9 @@ import polars as pl
 import pytest
 from report_pages import DistanceModel, Page
 
-from cyclekit.atomic import write_parquet
-from cyclekit.dataset import CARD, Dataset
+from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.report import write_report
+from cyclekit.storage.atomic import write_parquet
 
 
 @pytest.mark.parametrize(

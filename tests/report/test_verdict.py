@@ -9,9 +9,9 @@ from dataclasses import replace
 import pytest
 from report_pages import Page, estimate
 
-from cyclekit.dataset import Dataset
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.plan import Plan
 from cyclekit.estimate.result import TaskShare
-from cyclekit.plan import Plan
 from cyclekit.report import Tried, write_report
 
 pytestmark = pytest.mark.usefixtures("words_only")

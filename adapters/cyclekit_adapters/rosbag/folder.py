@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from cyclekit.errors import DamagedLog, OutsideFolder
-from cyclekit.inside import inside
+from cyclekit.storage.inside import inside
 
 _SUFFIXES = (".mcap", ".db3", ".zstd")
 _MAX_BYTES = 1 << 20  # of metadata.yaml: no recorder writes so much

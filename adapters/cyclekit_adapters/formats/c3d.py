@@ -1,0 +1,118 @@
+"""C3D, the binary file of motion capture that Vicon, Qualisys, Motive and others write.
+
+A person is the middle of the pelvis markers seen, by subject (`Subject:Marker`); a residual below zero or a NaN is a
+marker that was not seen. Lengths are in `POINT:UNITS`; up is the axis that `POINT:Y_SCREEN` names, else the one along
+which heads are above feet, else Z. The clock is the trial's: frame over `POINT:RATE`, with the first frame of the
+capture at (first - 1) / rate. No time of day is in the file. Analog channels are passed over, and so are points that
+the file lists as angles, forces, moments, powers or scalars. Where skeletons are asked for, their joints are the
+subject's labelled markers.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, cast
+
+import polars as pl
+
+from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.errors import DamagedLog, nearest
+from cyclekit_adapters.tracking.c3d_file import C3dFile, is_c3d, read_c3d
+from cyclekit_adapters.tracking.length_unit import METRES, unit_of
+from cyclekit_adapters.tracking.markers import (
+    choose_people,
+    marker_facts,
+    marker_warnings,
+    marker_words,
+    people_table,
+    skeleton_table,
+)
+from cyclekit_adapters.tracking.sightings import Sightings
+from cyclekit_adapters.tracking.standing import LOOKED_AT, way_up
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+_NO_PLACES = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
+
+
+class _C3d:
+    def recognises(self, path: Path) -> bool:
+        return is_c3d(path)
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        up = marker_words(options, "C3D").get("up")
+        log = read_c3d(path)
+        metres, unit = _metres(path, log)
+        names, places = _markers(log)
+        people = choose_people(path, names, options, "C3D")
+        rows = pl.int_range(len(places), dtype=pl.Int64, eager=True)
+        t_s = ((log.first_frame - 1 + rows) / log.rate_hz).cast(pl.Float64)
+        places = places * metres
+        table = people_table(people, places, t_s, rows)
+        seen = Sightings()
+        seen.add(table)
+        said = marker_warnings(people, seen)
+        cut = log.frames_stated - len(places)
+        if cut:
+            said.append(f"the file is cut: {cut} of {log.frames_stated} frames are missing at its end")
+        shown, told = (up, "by the cell file") if up else _up(log, names, places, said)
+        return Recording(
+            people=table,
+            skeletons=skeleton_table(people, names, places, t_s, rows) if options.skeletons else None,
+            clock="relative",
+            up=cast('Literal["y", "z"]', shown),
+            rows_are="frame",
+            rows_read=len(rows),
+            set_aside=pl.DataFrame(schema={"source_row": pl.Int64(), "reason": pl.String()}),
+            warnings=tuple(said),
+            facts={
+                "rate_hz": f"{log.rate_hz:g}",
+                "unit": unit,
+                "up": f"{shown}, {told}",
+                "software": log.text("MANUFACTURER", "SOFTWARE") or "not stated",
+                **marker_facts(people, names),
+            },
+        )
+
+
+def _markers(log: C3dFile) -> tuple[tuple[str, ...], NDArray[np.float64]]:
+    """Return the labels and places (T, M, 3) of points that are places: computed angles are points, too."""
+    others = {name for kind in _NO_PLACES for name in log.texts.get(("POINT", kind), [])}
+    kept = [index for index, label in enumerate(log.labels) if label not in others]
+    if len(kept) == len(log.labels):
+        return log.labels, log.points
+    return tuple(log.labels[index] for index in kept), log.points[:, kept]
+
+
+def _up(log: C3dFile, names: tuple[str, ...], places_m: NDArray[np.float64], said: list[str]) -> tuple[str, str]:
+    """Return the axis that points up, and how that is known; add to `said` what a person must know about it."""
+    screen = log.text("POINT", "Y_SCREEN").upper().replace(" ", "")
+    if shown := {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen):
+        return shown, "by POINT:Y_SCREEN"
+    found = way_up(names, places_m[:LOOKED_AT])
+    up, how = (
+        (found, "since heads are above feet")
+        if found in ("y", "z")
+        else ("z", "as most systems have it; not in the file")
+    )
+    if screen:
+        said.append(f"POINT:Y_SCREEN is {screen[:9]}, neither +Y nor +Z: {up} is taken to be up; see `up`")
+    elif found == "neither":
+        said.append("heads are not above feet along y or z: z is taken to be up; see `up`")
+    return up, how
+
+
+def _metres(path: Path, log: C3dFile) -> tuple[float, str]:
+    stated = log.text("POINT", "UNITS")
+    unit = unit_of(stated)
+    if unit not in METRES:
+        cause = f"unknown length unit {stated[:20]!r} in POINT:UNITS" if stated else "no length unit in POINT:UNITS"
+        cure = f"Known: {', '.join(METRES)}. Write the file again with one of them."
+        raise DamagedLog(path, cause, nearest=nearest(unit, METRES), cure=cure)
+    return METRES[unit], f"{unit}, by POINT:UNITS"
+
+
+ADAPTER: Adapter = _C3d()

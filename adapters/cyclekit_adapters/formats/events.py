@@ -1,0 +1,191 @@
+"""Operator events: CSV of time, signal and value, or of a time and a column of 0 and 1 per signal.
+
+Goal buttons, exports of a PLC's tags and digital inputs are logged in two forms. In the long one each row is one change
+and says which signal took which value; in the wide one each row holds the state of all signals, and only their changes
+are events, with the first state as the first one. Columns are known by the usual names, English and German. Times are
+dates (ISO 8601, or day.month.year), counts since 1970, or numbers whose unit the column's name states; other whole
+numbers could be seconds, milliseconds or cycles, and are refused. Values stay the text they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+from zoneinfo import available_timezones
+
+import polars as pl
+
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.errors import ConfigError, DamagedLog, LogError, UnknownName
+from cyclekit.schema import EVENTS, conform, empty
+from cyclekit_adapters.mapped.source_map import words
+from cyclekit_adapters.tasks.event_table import UNITS, EventTable, Times, counted_in, event_table
+from cyclekit_adapters.tasks.safety_columns import is_safety_log
+from cyclekit_adapters.tasks.task_columns import is_task_list
+from cyclekit_adapters.text.delimited import Layout, Rows, read_blocks
+from cyclekit_adapters.text.in_parts import in_parts
+from cyclekit_adapters.text.text_blocks import file_encoding, head_of
+from cyclekit_adapters.text.written_time import written_seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+_WHERE = "[sources.map] of an event log"
+T_S = "\x1ft_s"  # a name that no column of a file has
+_WHEN = "\x1fwhen"
+
+
+class _EventCsv:
+    def recognises(self, path: Path) -> bool:
+        head = head_of(path)
+        table = event_table(head) if head else None
+        return table is not None and not is_task_list(table.names) and not is_safety_log(path.name, table.names)
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        unit, zone = _said(options)
+        table = _table(path, unit)
+        times, seen = table.times, _Seen()
+        clock = "epoch" if times.clock == "epoch" or (zone and _has_date(times)) else "relative"
+
+        def make(rows: Rows) -> Recording:
+            rows = timed(rows, times, zone)
+            events = seen.changes(rows.frame, table.signals) if table.signals else _long(rows.frame, table)
+            seen.clock(rows.frame[T_S])
+            return Recording(
+                events=events,
+                clock=clock,  # type: ignore[arg-type]  # one of two words
+                rows_are="line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            facts = {
+                "form": "a column per signal: first state and changes" if table.signals else "a row per event",
+                "time": f"{' and '.join(times.columns)}: {times.why}",
+                "columns": ", ".join(table.names[:60]),
+            }
+            return replace(last, warnings=tuple(_warnings(times, zone, seen)), facts=facts)
+
+        texts = [*(times.columns if times.pattern else ()), *table.signals]
+        texts += [name for name in (table.signal, table.value) if name is not None]
+        numbers = [] if times.pattern else list(times.columns)
+        required = [*times.columns, *([table.signal] if table.signal else [])]
+        layout = Layout(
+            table.names,
+            table.delimiter,
+            1,
+            decimal_comma=table.decimal_comma and not times.pattern,
+            encoding=file_encoding(path) or "utf-8",
+            quotes=True,
+        )
+        blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=required)
+        yield from in_parts(path, blocks, make, finish)
+
+
+def _said(options: ReadOptions) -> tuple[str | None, str | None]:
+    """Return the unit and the zone of its times that the cell file states."""
+    rest = dict(options.map)
+    zone = rest.pop("time_zone", None)
+    unit = words(replace(options, map=rest), "event", {"time_unit": tuple(UNITS), "time_zone": ()}).get("time_unit")
+    if options.role not in (None, "events"):
+        other = "task-list" if options.role == "tasks" else "csv"
+        raise ConfigError(f"an event log cannot be read as {options.role}", cure=f'Map it with adapter = "{other}".')
+    if zone is not None and zone not in available_timezones():
+        cure = "As in the IANA list: Europe/Rome."
+        raise UnknownName(_WHERE, "time_zone", str(zone), available_timezones(), cure=cure)
+    return unit, None if zone is None else str(zone)
+
+
+def _table(path: Path, unit: str | None) -> EventTable:
+    """Return the table, its times decided.
+
+    Raises:
+        DamagedLog: It is no event log.
+        LogError: The unit of its times cannot be decided.
+    """
+    table = event_table(head_of(path))
+    if table is None:
+        cause = "no columns of a time, a signal and a value, and none of a time and states of 0 and 1"
+        raise DamagedLog(path, cause, cure='Map its columns with adapter = "csv".')
+    times = table.times
+    if unit is not None and not times.pattern:
+        times = counted_in(times.columns, unit, "by the cell file", [], times.shown)
+    if times.seconds is None:
+        cause = f"the times of column {times.columns[0]!r} ({times.shown[:40]!r}) cannot be decided: {times.why}"
+        cure = 'Say time_unit in [sources.map], or map the columns with adapter = "csv" and its time_format.'
+        raise LogError(path, cause, cure=cure)
+    return replace(table, times=times)
+
+
+def timed(rows: Rows, times: Times, zone: str | None) -> Rows:
+    """Add the time in seconds (column `T_S`); a row whose time is written otherwise is set aside."""
+    frame = rows.frame
+    if not times.pattern:
+        return replace(rows, frame=frame.with_columns((pl.col(times.columns[0]) * times.seconds).alias(T_S)))
+    text = pl.concat_str(pl.col(times.columns), separator=" ").str.replace(r"([+-]\d{2})(\d{2})$", "$1:$2")
+    plain = text.str.replace(",", ".", literal=True).str.replace(". ", " ", literal=True)  # 01.05.2024, 10:00
+    frame = frame.with_columns(text.alias(_WHEN), written_seconds(plain, times.pattern, zone).alias(T_S))
+    bad = frame[T_S].is_null()
+    first = frame.filter(bad)[_WHEN][:1].to_list()
+    rows = replace(rows, frame=frame).without(
+        bad, f"its time is written in another way ({first[0][:40]!r})" if first else ""
+    )
+    return replace(rows, frame=rows.frame.drop(_WHEN))
+
+
+def _long(frame: pl.DataFrame, table: EventTable) -> pl.DataFrame:
+    signal, value = pl.col(str(table.signal)).alias("signal"), pl.col(str(table.value)).alias("value")
+    return conform(frame.select(pl.col(T_S).alias("t_s"), signal, value, "source_row"), EVENTS)
+
+
+@dataclass
+class _Seen:
+    """The states of the signals and the clock so far."""
+
+    back: int = 0
+    _states: dict[str, str] = field(default_factory=dict)
+    _last_s: float | None = None
+
+    def clock(self, t_s: pl.Series) -> None:
+        """Take in the times of a block."""
+        if t_s.is_empty():
+            return
+        self.back += int((t_s < t_s.shift(1, fill_value=self._last_s)).sum())
+        self._last_s = float(t_s[-1])
+
+    def changes(self, frame: pl.DataFrame, signals: tuple[str, ...]) -> pl.DataFrame:
+        """Return the first state of each signal and every change, in order of the rows."""
+        found = [empty(EVENTS)]
+        for name in signals:
+            known = frame.select(pl.col(T_S).alias("t_s"), pl.col(name).alias("value"), "source_row").drop_nulls(
+                "value"
+            )
+            if known.is_empty():
+                continue
+            same = (known["value"] == known["value"].shift(1, fill_value=self._states.get(name))).fill_null(value=False)
+            self._states[name] = known["value"][-1]
+            found.append(conform(known.filter(~same).with_columns(signal=pl.lit(name)), EVENTS))
+        return pl.concat(found).sort("source_row", maintain_order=True)
+
+
+def _has_date(times: Times) -> bool:
+    return "%d" in times.pattern or times.pattern == "iso"
+
+
+def _warnings(times: Times, zone: str | None, seen: _Seen) -> list[str]:
+    said = []
+    if "fractions" in times.why:
+        said.append("the unit of time is not named: taken as seconds, since the numbers have fractions; see time_unit")
+    if times.pattern and times.clock != "epoch" and zone is None:
+        said.append("its times have no zone, so they cannot be placed among other logs; give time_zone")
+    if seen.back:
+        said.append(f"time steps back {seen.back} time(s)")
+    return said
+
+
+ADAPTER: StreamingAdapter = _EventCsv()

@@ -1,0 +1,108 @@
+"""Franka (Panda, FR3): CSV of libfranka's `franka::logToCSV`, the log of a control exception.
+
+One row per control cycle: `time` in whole milliseconds of the robot, the state of that cycle (`state.q[0..6]` rad,
+`state.dq[0..6]` rad/s) and the command before it. There is no measured TCP in it: `cmd.O_T_EE_d` is a command, and
+under a joint or torque controller it stays the identity, so it is never read. The TCP given here is the flange,
+computed from `state.q` (`panda_arm`); a hand or tool stands further out. The override is not logged and stays unknown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.errors import DamagedLog, MissingColumns, UnknownName
+from cyclekit.schema import ROBOT, conform
+from cyclekit_adapters.robots.controller_time import Once
+from cyclekit_adapters.robots.panda_arm import JOINTS, flange_position_m
+from cyclekit_adapters.text.delimited import Rows, read_blocks
+from cyclekit_adapters.text.header_line import column_names, layout_below
+from cyclekit_adapters.text.in_parts import in_parts
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+_TIME = "time"
+_ANGLES = [f"state.q[{joint}]" for joint in range(JOINTS)]
+_SPEEDS = [f"state.dq[{joint}]" for joint in range(JOINTS)]
+_MS = 1e-3
+
+
+class _FrankaLogCsv:
+    def recognises(self, path: Path) -> bool:
+        names = column_names(path, ",;\t")
+        return _TIME in names and any(name in names for name in _ANGLES)
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        for key in options.map:
+            raise UnknownName("[sources.map] of a Franka log", "key", key, [])
+        layout = layout_below(path, ",;\t")
+        names = layout.names
+        if missing := {_TIME, *_ANGLES}.difference(names):
+            raise MissingColumns(path, missing, names, "Write the log with franka::logToCSV, whole.")
+        speeds = [name for name in _SPEEDS if name in names]
+        once = Once(_TIME)
+
+        def make(rows: Rows) -> Recording:
+            rows = once.rows(_milliseconds(path, rows))
+            return Recording(
+                robot=_robot(rows.frame, speeds),
+                clock="uptime",
+                joint_names=tuple(_ANGLES),
+                rows_are="line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            said = (
+                *once.warnings(),
+                "the TCP is the flange, computed from the joint angles: no hand and no tool is included",
+                "the speed scaling is not logged in this format",
+            )
+            facts = {
+                "time": "milliseconds of the robot",
+                "tcp": "flange by forward kinematics of state.q, Denavit-Hartenberg parameters of Panda and FR3",
+                "not_read": "cmd.O_T_EE_d: a command, the identity under a joint or torque controller",
+            }
+            return replace(last, warnings=said, facts=facts)
+
+        numbers = [_TIME, *_ANGLES, *speeds]
+        blocks = read_blocks(path, layout, numbers=numbers, required=[_TIME], any_of=_ANGLES)
+        yield from in_parts(path, blocks, make, finish)
+
+
+def _milliseconds(path: Path, rows: Rows) -> Rows:
+    """Return the rows of whole milliseconds; a few others are garbled, many are another logger's seconds.
+
+    Raises:
+        DamagedLog: Most times are no whole numbers: a thousand times too slow they would be taken for.
+    """
+    odd = rows.frame[_TIME] % 1 != 0
+    if 2 * odd.sum() > len(odd):
+        cause = f"time {rows.frame.filter(odd)[_TIME][-1]:g} is no whole number of milliseconds, as most are not"
+        cure = 'libfranka writes whole ones; map the table of another logger with adapter = "csv" and its time_unit.'
+        raise DamagedLog(path, cause, cure=cure)
+    return rows.without(odd, "its time is no whole number of milliseconds") if odd.any() else rows
+
+
+def _robot(frame: pl.DataFrame, speeds: list[str]) -> pl.DataFrame:
+    q_rad = frame.select(pl.col(_ANGLES).fill_null(np.nan)).to_numpy()
+    place = flange_position_m(np.asarray(q_rad, dtype=np.float64))
+    columns = [
+        *(pl.Series(f"tcp_{axis}_m", place[:, i]).fill_nan(None) for i, axis in enumerate("xyz")),
+        *(frame[name].alias(f"q{_ANGLES.index(name)}_rad") for name in _ANGLES),
+        *(frame[name].alias(f"qd{_SPEEDS.index(name)}_rad_s") for name in speeds),
+    ]
+    return conform(frame.select((pl.col(_TIME) * _MS).alias("t_s"), "source_row").with_columns(columns), ROBOT)
+
+
+ADAPTER: StreamingAdapter = _FrankaLogCsv()

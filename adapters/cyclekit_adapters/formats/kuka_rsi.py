@@ -1,0 +1,176 @@
+"""KUKA: CSV of RSI values (`X_RIst`, `Y_RIst`, `Z_RIst`, `IPOC`), as people's RSI clients write it.
+
+RSI itself is a stream and has no file format, so the columns are those of the client; the names of the values are
+KUKA's, and clients put them together in several ways (`X_RIst`, `RIst.X`, `rist_x`). `RIst` is where the robot is (mm,
+base chosen in the RSI configuration), `AIPos` its axes (degrees), `RSol` only the set point of the next cycle. The
+clock is `IPOC`, the controller's count of milliseconds; a `Timestamp` beside it is the PC's, often in whole seconds of
+an unnamed zone: with `time_zone` in `[sources.map]` both stamps are kept, and the log can be placed among logs in epoch
+time. RSI does not carry the override: it stays unknown.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.errors import MissingColumns, UnknownName
+from cyclekit.schema import ROBOT, conform
+from cyclekit_adapters.robots.controller_time import Once, Spread
+from cyclekit_adapters.robots.host_clock import HostClock
+from cyclekit_adapters.text.delimited import Rows, read_blocks
+from cyclekit_adapters.text.header_line import column_names, layout_below
+from cyclekit_adapters.text.in_parts import in_parts
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+_PLACE = re.compile(r"([xyz])[ _.]?rist|rist[ _.]?([xyz])", re.IGNORECASE)
+_AXIS = re.compile(r"a([1-6])[ _.]?aipos|aipos[ _.]?a([1-6])", re.IGNORECASE)
+_AXES = 6
+_TIME, _LATE = "IPOC", "Delay"
+_HOST = "timestamp"
+_OVERRIDES = ("OV_PRO", "OV_ROB", "OV_JOG")
+_MM, _MS, _DEGREE = 1e-3, 1e-3, math.pi / 180.0
+_NO_PLACE = "RIst not recorded: only joint angles are known"
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """What the client called the values: its column of each axis of the place, of each joint, and of the clock."""
+
+    time: str | None
+    place: dict[str, str]
+    joints: dict[int, str]
+
+    @staticmethod
+    def among(names: Sequence[str]) -> _Columns:
+        time = next((name for name in names if name.upper() == _TIME), None)
+        places = {(m[1] or m[2]).lower(): name for name in names if (m := _PLACE.fullmatch(name))}
+        joints = {int(m[1] or m[2]) - 1: name for name in names if (m := _AXIS.fullmatch(name))}
+        return _Columns(time, places, joints if len(joints) == _AXES else {})
+
+    def require(self, path: Path, names: Sequence[str]) -> str:
+        """Return the column of the clock."""
+        missing = [f"{axis.upper()}_RIst" for axis in "xyz" if axis not in self.place]
+        if self.time is not None and (not missing or (not self.place and self.joints)):
+            return self.time
+        cure = "Let the RSI client write RIst and IPOC, and record again."
+        if self.time is None:
+            missing.append(_TIME)
+            cure += ' A table with another clock is mapped with adapter = "csv".'
+        raise MissingColumns(path, missing, names, cure)
+
+
+class _KukaRsiCsv:
+    def recognises(self, path: Path) -> bool:
+        found = _Columns.among(column_names(path))
+        return bool(found.place) or bool(found.time and found.joints)
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        zone = _zone(options)
+        layout = layout_below(path)
+        columns = _Columns.among(layout.names)
+        time = columns.require(path, layout.names)
+        values = [*columns.place.values(), *columns.joints.values()]
+        numbers = [time, *values, *([_LATE] if _LATE in layout.names else [])]
+        once, late, cycles = Once(time), Spread((_LATE,)), list[float]()
+        host = next((HostClock(name, zone) for name in layout.names if name.lower() == _HOST), None)
+
+        def make(rows: Rows) -> Recording:
+            rows = once.rows(rows)
+            late.add(rows.frame)
+            cycles.append(_number(rows.frame[time].diff().median()))
+            stamps = None if host is None else host.stamps(rows.frame[time] * _MS, rows.frame[host.column])
+            return Recording(
+                robot=_robot(rows.frame, time, columns),
+                joint_names=tuple(columns.joints[axis] for axis in sorted(columns.joints)),
+                stamps=stamps,
+                clock="uptime",
+                rows_are="line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            facts = {
+                "time": "IPOC, milliseconds of the controller",
+                "cycle": f"{cycles[0]:g} ms",
+                "point": "RIst: the active tool in the base of the RSI configuration, mm",
+            }
+            said = [
+                *once.warnings(),
+                *([] if columns.place else [_NO_PLACE]),
+                *_warnings(layout.names, late.most.get(_LATE, 0.0)),
+                *_no_zone(host),
+            ]
+            return replace(last, warnings=tuple(said), facts=facts | _host_fact(host))
+
+        texts = [host.column] if host else []
+        blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=[time], any_of=values)
+        yield from in_parts(path, blocks, make, finish)
+
+
+def _zone(options: ReadOptions) -> str | None:
+    """Return the time zone that the cell file gives; refuse any other key."""
+    from zoneinfo import available_timezones
+
+    where = "[sources.map] of a KUKA RSI log"
+    for key in options.map:
+        if key != "time_zone":
+            cure = 'Known: time_zone. Columns of your own are mapped with adapter = "csv".'
+            raise UnknownName(where, "key", key, ["time_zone"], cure=cure)
+    zone = options.map.get("time_zone")
+    if zone is not None and zone not in available_timezones():
+        cure = "As in the IANA list: Europe/Rome."
+        raise UnknownName(where, "time_zone", str(zone), available_timezones(), cure=cure)
+    return None if zone is None else str(zone)
+
+
+def _no_zone(host: HostClock | None) -> list[str]:
+    if host is None or host.read or not host.unread or host.zone is not None:
+        return []
+    return [
+        f"column {host.column!r} is the PC's time in a zone that the log does not name: give time_zone, as "
+        '"Europe/Rome", in [sources.map], and the log can be placed among logs in epoch time'
+    ]
+
+
+def _host_fact(host: HostClock | None) -> dict[str, str]:
+    if host is None or not host.read:
+        return {}
+    zone = f" in {host.zone}" if host.zone else ""
+    return {"host_clock": f"{host.column}{zone}: kept at the rows where it changes, early by up to one cycle"}
+
+
+def _robot(frame: pl.DataFrame, time: str, columns: _Columns) -> pl.DataFrame:
+    places = [(pl.col(name) * _MM).alias(f"tcp_{axis}_m") for axis, name in columns.place.items()]
+    joints = [(pl.col(name) * _DEGREE).alias(f"q{axis}_rad") for axis, name in columns.joints.items()]
+    return conform(frame.select((pl.col(time) * _MS).alias("t_s"), "source_row", *places, *joints), ROBOT)
+
+
+def _warnings(names: tuple[str, ...], late: float) -> list[str]:
+    said = ["the speed scaling is not part of RSI and unknown"]
+    said += [
+        f'column {name!r} is not read here: map it with adapter = "csv" (scaling, scaling_max = 100)'
+        for name in names
+        if any(override in name.upper() for override in _OVERRIDES)
+    ]
+    if late:
+        said.append(f"the controller counts up to {late:g} late packets: the client was too slow there")
+    return said
+
+
+def _number(value: object) -> float:
+    return 0.0 if value is None else float(str(value))
+
+
+ADAPTER: StreamingAdapter = _KukaRsiCsv()

@@ -1,0 +1,273 @@
+"""Any delimited table whose columns the cell file maps: logs without a public format.
+
+This is how exports of FANUC, ABB, Yaskawa, Doosan, Techman and xArm, PLC logs and laser scanner tracks come in. The
+cell file says which column is what and in which unit, and nothing is guessed: no column is found by its name, no unit
+by the size of its values. Because such a table looks like any other, this adapter recognises nothing by itself and must
+be named; what `draft` proposes for the cell file is a person's to look at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.adapter import Draft, ReadOptions, Recording, Role, StreamingAdapter, whole
+from cyclekit.errors import ConfigError, MissingColumns
+from cyclekit.schema import EVENTS, PEOPLE, ROBOT, conform
+from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, STATES, WHERE, CsvMap, csv_map
+from cyclekit_adapters.mapped.draft import draft_of
+from cyclekit_adapters.mapped.draft_table import sheet_draft_table, text_draft_table
+from cyclekit_adapters.mapped.map_columns import Columns, columns_of, unresolved
+from cyclekit_adapters.mapped.map_table import MapTable, text_table
+from cyclekit_adapters.mapped.mapped_time import T_S, name_their_zone, require_epoch, timed
+from cyclekit_adapters.robots.controller_time import Back, Once, Spread
+from cyclekit_adapters.text.in_parts import in_parts
+from cyclekit_adapters.text.list_cells import ListCells, first_width
+from cyclekit_adapters.text.sheets import sheet_table
+from cyclekit_adapters.text.text_rows import Rows, Wanted
+from cyclekit_adapters.text.workbook import is_workbook
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from cyclekit.adapter import ClockKind
+
+_SLACK = 1e-3
+
+
+class _MappedCsv:
+    def recognises(self, path: Path) -> bool:
+        return False
+
+    def draft(self, path: Path) -> Draft | None:
+        table = sheet_draft_table(path) if is_workbook(path) else text_draft_table(path)
+        return None if table is None else draft_of(table)
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        mapping = csv_map(options)
+        role = options.role or mapping.role()
+        if role == "tasks":
+            cure = 'Give adapter = "task-list" in its place, with the columns in [sources.map].'
+            raise ConfigError(f"{path}: a mapped table cannot be read as tasks", cure=cure)
+        table, columns = _found(path, mapping, role)
+        mapping, names = columns.mapping, columns.names
+        if not mapping.time and not options.rate_hz:
+            cure = 'Map it in cell.toml (time = "..."), or give rate_hz = ... if the rows have a fixed rate.'
+            raise MissingColumns(path, ["time"], names, cure)
+        zoned = name_their_zone(table.first_rows, names, mapping)
+        clock = mapping.clock_kind(zoned=zoned)
+        once, seen, back = Once(T_S), _Seen(mapping, role), Back(T_S, mapping.person)
+        canonical: Callable[[pl.DataFrame, CsvMap], pl.DataFrame] = {
+            "robot": _robot,
+            "people": _people,
+            "events": _events,
+        }[role]
+        wanted, lists = _wanted(columns, role)
+
+        def make(rows: Rows) -> Recording:
+            rows = timed(lists.rows(rows), mapping, options.rate_hz, zoned=zoned)
+            if clock == "epoch":
+                require_epoch(path, rows.frame, mapping)
+            if role == "robot":
+                rows = once.rows(rows, "repeats the time of the row before it")
+            else:
+                back.add(rows.frame)
+            rows = replace(rows, frame=seen.without_missing(rows.frame))
+            seen.add(rows.frame)
+            return Recording(
+                **{role: canonical(rows.frame, mapping)},  # type: ignore[arg-type]  # the three roles are three fields
+                clock=clock,
+                joint_names=mapping.joints if role == "robot" else (),
+                rows_are="row" if "sheet" in table.facts else "line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            facts = {"columns": ", ".join(name[:80] for name in names[:60]), **table.facts}
+            return replace(last, warnings=(*seen.warnings(once.back, clock), *back.warnings()), facts=facts)
+
+        yield from in_parts(path, table.blocks(names, wanted), make, finish)
+
+
+def _found(path: Path, mapping: CsvMap, role: Role) -> tuple[MapTable, Columns]:
+    """Return the table and the columns that the map means.
+
+    Raises:
+        ConfigError: The map cannot be followed.
+        LogError: The table cannot be read, or has no such columns.
+    """
+    entries = {entry for kind in _columns(mapping, role) for entry in kind}
+    table: MapTable = sheet_table(path, mapping) if is_workbook(path) else text_table(path, mapping, entries)
+    if missing := unresolved(entries, table.names):
+        raise MissingColumns(path, missing, table.names, table.cure(entries, mapping))
+    cells = {name: [row[at] for row in table.first_rows if at < len(row)] for at, name in enumerate(table.names)}
+    widths = {name: width for name, told in cells.items() if (width := first_width(told)) is not None}
+    return table, columns_of(path, mapping, table.names, widths)
+
+
+def _wanted(columns: Columns, role: Role) -> tuple[Wanted, ListCells]:
+    """Return what is read of the table, and what takes its lists apart."""
+    mapping, made = columns.mapping, {name for lists in columns.lists.values() for name in lists.values()}
+    numbers, texts, required = _columns(mapping, role)
+    if missing := {name for name in {*numbers, *texts} - made if name not in columns.names}:
+        seen = f"{WHERE}: column {min(missing)!r} holds no list in the first rows"
+        raise ConfigError(seen, cure="Name its numbers one by one: [0], [1], ...")
+    if wrong := made.intersection(texts):
+        raise ConfigError(f"{WHERE}: {min(wrong)!r} is a number of a list, and mapped to a text")
+    texts = list(dict.fromkeys([*texts, *(column for column, lists in columns.lists.items() if made & set(numbers))]))
+    if both := set(numbers).intersection(texts):
+        raise ConfigError(f"{WHERE}: column {min(both)!r} is mapped to a number and to a text")
+    some = [name for name in (*numbers, *texts) if name not in mapping.time] if role == "robot" else []
+    wanted = Wanted(
+        numbers=[name for name in numbers if name not in made],
+        texts=texts,
+        required=[name for name in required if name not in made],
+        any_of=[name for name in some if name not in made],
+    )
+    return wanted, ListCells(columns.lists, tuple(name for name in required if name in made))
+
+
+def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[str]]:
+    """Return the number columns, text columns and required columns of a role."""
+    time = list(mapping.time)
+    number_time, text_time = ([], time) if mapping.time_format else (time, [])
+    places = mapping.places()
+    if role == "events":
+        if not mapping.signal or not mapping.value:
+            raise ConfigError(f"{WHERE}: events need the keys signal and value", cure="Name both columns.")
+        texts = list(dict.fromkeys([*text_time, mapping.signal, mapping.value]))
+        return number_time, texts, [*time, mapping.signal]
+    if places and not {"x", "y"}.issubset(places):
+        raise ConfigError(f"{WHERE}: a place needs at least x and y", cure="Name the columns of both.")
+    if role == "people":
+        if not places:
+            raise ConfigError(f"{WHERE}: people need the keys x and y", cure="Name the columns of both.")
+        person = [mapping.person] if mapping.person else []
+        numbers = [*number_time, *places.values(), *([mapping.confidence] if mapping.confidence else [])]
+        return list(dict.fromkeys(numbers)), [*text_time, *person], [*time, *person]
+    whole_numbers = (mapping.digital_out, mapping.register)
+    others = [column for column in (*mapping.scaling, mapping.slider, mapping.speed, *whole_numbers) if column]
+    numbers = [*places.values(), *others, *mapping.joints]
+    if not numbers:
+        raise ConfigError(f"{WHERE}: nothing of the robot is mapped", cure="Map x, y, z or joints, scaling or speed.")
+    state = [mapping.state] if mapping.state else []
+    return list(dict.fromkeys([*number_time, *numbers])), [*text_time, *state], time
+
+
+def _robot(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
+    metres, radians = METRES[mapping.length_unit], RADIANS[mapping.joint_unit]
+    columns = [pl.col(T_S).alias("t_s"), pl.col("source_row")]
+    columns += [(pl.col(column) * metres).alias(f"tcp_{axis}_m") for axis, column in mapping.places().items()]
+    columns += [(pl.col(column) * radians).alias(f"q{i}_rad") for i, column in enumerate(mapping.joints)]
+    if mapping.speed:
+        columns.append((pl.col(mapping.speed).abs() * metres).alias("tcp_speed_m_s"))
+    if mapping.scaling:
+        product = _fraction(mapping.scaling[0], mapping)
+        for column in mapping.scaling[1:]:
+            product = product * _fraction(column, mapping)
+        columns.append(product.alias("scaling"))
+    if mapping.slider:
+        columns.append(_fraction(mapping.slider, mapping).alias("slider"))
+    if mapping.state:
+        words = dict(zip(STATES, STATES, strict=True)) | dict(mapping.states)
+        state = pl.col(mapping.state).replace_strict(words, default=None, return_dtype=pl.String)
+        columns.append(state.alias("state"))
+    bits = {mapping.digital_out: "digital_out_bits", mapping.register: "register"}
+    columns += [pl.col(n).cast(pl.Int64, strict=False).alias(name) for n, name in bits.items() if n]
+    return conform(frame.select(columns), ROBOT)
+
+
+def _fraction(column: str, mapping: CsvMap) -> pl.Expr:
+    value = pl.col(column) / mapping.scaling_max
+    return pl.when(value.is_between(0.0, 1.0 + _SLACK)).then(value.clip(0.0, 1.0))
+
+
+def _people(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
+    metres = METRES[mapping.length_unit]
+    places = [(pl.col(column) * metres).alias(f"{axis}_m") for axis, column in mapping.places().items()]
+    person = pl.col(mapping.person) if mapping.person else pl.lit("0")
+    return conform(frame.select(pl.col(T_S).alias("t_s"), person.alias("person"), "source_row", *places), PEOPLE)
+
+
+def _events(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
+    signal, value = pl.col(str(mapping.signal)).alias("signal"), pl.col(str(mapping.value)).alias("value")
+    return conform(frame.select(pl.col(T_S).alias("t_s"), signal, value, "source_row"), EVENTS)
+
+
+@dataclass
+class _Seen:
+    """What was seen so far that a person must know."""
+
+    mapping: CsvMap
+    role: Role
+    states: set[str] = field(default_factory=set)
+    beyond: int = 0
+    rows: int = 0
+    missing: int = 0
+    unsure: int = 0
+
+    def __post_init__(self) -> None:
+        self.spread = Spread((*self.mapping.scaling, *([self.mapping.slider] if self.mapping.slider else [])))
+
+    def without_missing(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return rows with null for what was not seen: a place all of whose numbers, any other number that is missing.
+
+        What is not sure at all is a place that was seen before.
+        """
+        mapping, places = self.mapping, list(self.mapping.places().values())
+        self.rows += frame.height
+        nowhere = pl.lit(value=False)
+        if mapping.missing and places:
+            nowhere = pl.all_horizontal(pl.col(name).is_in(mapping.missing) for name in places).fill_null(value=False)
+            self.missing += int(frame.select(nowhere.sum()).item())
+        if mapping.confidence and self.role == "people":
+            unsure = (pl.col(mapping.confidence) <= 0.0).fill_null(value=False)
+            self.unsure += int(frame.select(unsure.sum()).item())
+            nowhere = nowhere | unsure
+        known = [pl.when(~nowhere).then(pl.col(name)).alias(name) for name in places]
+        others = [*mapping.scaling, *mapping.joints, *filter(None, (mapping.slider, mapping.speed))]
+        known += [pl.when(~pl.col(name).is_in(mapping.missing)).then(pl.col(name)).alias(name) for name in others]
+        return frame.with_columns(known) if mapping.missing or mapping.confidence else frame
+
+    def add(self, frame: pl.DataFrame) -> None:
+        if self.role != "robot":
+            return
+        self.spread.add(frame)
+        top = self.mapping.scaling_max * (1.0 + _SLACK)
+        wrong = [(frame[column] < 0.0) | (frame[column] > top) for column in self.mapping.scaling]
+        self.beyond += sum(int(mask.sum()) for mask in wrong)
+        if self.mapping.state:
+            self.states |= set(frame[self.mapping.state].drop_nulls().unique().to_list())
+
+    def warnings(self, back: int, clock: ClockKind) -> list[str]:
+        mapping, said = self.mapping, []
+        if back:
+            said.append(f"time steps back {back} time(s): each part is a run of its own")
+        if self.missing:
+            numbers = ", ".join(f"{number:g}" for number in mapping.missing)
+            said.append(f"the place is missing ({numbers}) in {self.missing} of {self.rows} rows: unknown there")
+        if self.unsure:
+            said.append(f"{mapping.confidence} is 0 in {self.unsure} of {self.rows} rows: nobody is seen there")
+        if self.beyond:
+            top = f"0..{mapping.scaling_max:g}"
+            said.append(f"scaling is outside {top} in {self.beyond} rows and unknown there; see scaling_max")
+        said += [
+            f"{column} never exceeds 1 percent: is it a fraction? see scaling_max"
+            for column in mapping.scaling
+            if mapping.scaling_max == 100 and 0 < self.spread.most.get(column, 0) <= 1.0
+        ]
+        if other := sorted(self.states - set(STATES) - set(mapping.states)):
+            said.append(f"states {', '.join(map(repr, other[:5]))} have no meaning here; map them in `states`")
+        if mapping.time_format and clock != "epoch":
+            said.append("its times of day have no zone, so they cannot be placed among other logs; give time_zone")
+        return said
+
+
+ADAPTER: StreamingAdapter = _MappedCsv()

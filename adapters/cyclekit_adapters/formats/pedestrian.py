@@ -1,0 +1,142 @@
+"""Tables of pedestrians: `frame id x y`, with or without a header (PeTrack, JuPedSim, PedPy, trajectory benchmarks).
+
+The person is the tracked point as the file has it, usually head or feet, by `id`. A header of column names, or a last
+comment line of them (`# id frame x/m y/m z/m`), says the order and the unit; without one the four columns are frame,
+id, x, y in metres, unless `columns` and `unit` in the cell file say otherwise. People walk: where the nameless columns
+taken in the other order give much smaller steps, the log is refused until `columns` says which it is. The clock is
+frame / rate; the rate comes from a comment `# framerate: 25` or from `rate_hz` in the cell file and is never invented.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.errors import LogError
+from cyclekit.schema import PEOPLE, conform
+from cyclekit_adapters.mapped.source_map import words
+from cyclekit_adapters.text.delimited import Layout, Rows, row_blocks
+from cyclekit_adapters.text.in_parts import in_parts
+from cyclekit_adapters.text.text_blocks import blocks_of, file_encoding, head_of
+from cyclekit_adapters.tracking.landmark_tables import landmarks_in
+from cyclekit_adapters.tracking.pedestrian_header import (
+    METRES,
+    header_of,
+    looks_like_frames,
+    metres_if_they_can_be,
+    read_header,
+)
+from cyclekit_adapters.tracking.sightings import Sightings, only
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from cyclekit_adapters.tracking.landmark_tables import landmarks_in
+from cyclekit_adapters.tracking.pedestrian_header import Header
+
+_ORDERS = ("frame id x y", "id frame x y", "frame id x y z", "id frame x y z")
+_SPREAD_M = 500.0
+
+
+class _Pedestrians:
+    def recognises(self, path: Path) -> bool:
+        header = header_of(head_of(path))
+        if header is None or landmarks_in(head_of(path)):  # `frame, id, x, y` may be points of a body in a picture
+            return False
+        return header.titled or looks_like_frames(head_of(path), header)
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        chosen = words(options, "pedestrian", {"columns": _ORDERS, "unit": tuple(METRES)})
+        header = read_header(path, chosen.get("columns"))
+        rate_hz = header.rate_hz or options.rate_hz
+        if not rate_hz or rate_hz <= 0.0:
+            cause = "frames are counted and no rate is stated: their times are unknown"
+            raise LogError(path, cause, cure="Give rate_hz (frames per second) in the source of the cell file.")
+        unit = chosen.get("unit") or header.unit or metres_if_they_can_be(path, header, rate_hz)
+        seen, reach = Sightings(), _Reach()
+
+        def make(rows: Rows) -> Recording:
+            people = _table(rows.frame, rate_hz, METRES[unit])
+            if not header.titled and people.select("t_s", "person").is_duplicated().any():
+                cause = "one id twice in a frame: the nameless columns are in another order, or a row was doubled"
+                raise LogError(path, cause, cure='Say the order in [sources.map]: columns = "id frame x y".')
+            seen.add(people)
+            reach.add(people)
+            return Recording(
+                people=conform(only(people, options.body), PEOPLE),
+                clock="relative",
+                up="z",
+                rows_are="line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            seen.require(path, options.body)
+            stated = "by the cell file" if "unit" in chosen else "by the header" if header.unit else "not in the file"
+            facts = {
+                "point": "as the tracker has it: usually the head or the feet",
+                "columns": " ".join(header.names),
+                "unit": f"{unit}, {stated}",
+                "rate_hz": f"{rate_hz:g}, {'by the header' if header.rate_hz else 'by the cell file'}",
+            }
+            return replace(last, warnings=tuple(_warnings(header, reach.most_m, rate_hz, options)), facts=facts)
+
+        layout = Layout(header.names, "\\s+" if header.delimiter == " " else header.delimiter, 0, quotes=True)
+        numbers = ["frame", *(axis for axis in "xyz" if axis in header.names)]
+        lines = _lines(path, header)
+        required = ["frame", "id"]
+        blocks = row_blocks(
+            lines, layout, numbers=numbers, texts=["id"], required=required, first_line=header.lines + 1
+        )
+        yield from in_parts(path, blocks, make, finish)
+
+
+@dataclass
+class _Reach:
+    """How far the places lie from zero, so far."""
+
+    most_m: float = 0.0
+
+    def add(self, people: pl.DataFrame) -> None:
+        self.most_m = max(self.most_m, *(float(str(people[name].abs().max() or 0.0)) for name in ("x_m", "y_m")))
+
+
+def _lines(path: Path, header: Header) -> Iterator[bytes]:
+    """Yield the lines below the header, comments as blank lines; runs of blanks are one delimiter."""
+    delimiter = "\\s+" if header.delimiter == " " else header.delimiter
+    for block in blocks_of(path, file_encoding(path) or "utf-8", skip_lines=header.lines, delimiter=delimiter):
+        yield re.sub(rb"(?m)^[ \t\x1f]*#[^\r\n]*", b"", block) if b"#" in block else block
+
+
+def _table(frame: pl.DataFrame, rate_hz: float, metres: float) -> pl.DataFrame:
+    number = pl.col("id").cast(pl.Float64, strict=False)
+    counted = number.is_not_null() & (number == number.round()) & (number.abs() < 1e15)
+    person = pl.when(counted).then(number.cast(pl.Int64, strict=False).cast(pl.String)).otherwise(pl.col("id"))
+    places = {f"{axis}_m": pl.col(axis) * metres for axis in "xyz" if axis in frame.columns}
+    t_s = pl.Series("t_s", frame["frame"].to_numpy() / rate_hz)
+    return frame.select(t_s, person.alias("person"), "source_row", **places)
+
+
+def _warnings(header: Header, reach_m: float, rate_hz: float, options: ReadOptions) -> list[str]:
+    said = []
+    if header.rate_hz and options.rate_hz and abs(header.rate_hz - options.rate_hz) > 1e-9 * rate_hz:
+        said.append(f"the header's rate ({header.rate_hz:g} Hz) is used, not the cell file's ({options.rate_hz:g} Hz)")
+    if not header.titled and "columns" not in options.map:
+        said.append("the columns have no names: they are taken as frame, id, x, y")
+    if header.unit is None and "unit" not in options.map:
+        said.append("no unit is stated: x and y are taken as metres; see `unit`")
+    if reach_m > _SPREAD_M:
+        said.append(f"places reach {reach_m:.0f} m: they may be centimetres, millimetres or pixels; see `unit`")
+    return said
+
+
+ADAPTER: StreamingAdapter = _Pedestrians()

@@ -1,0 +1,225 @@
+"""Safety systems' logs of themselves: speed override, distance robot to person, or both over time, as CSV.
+
+A safety node or PLC writes when the override changes, or at some 10 to 30 Hz: a time, the override in percent, or the
+distance in metres, perhaps with its deviation and the name of the execution. There are no positions in it. Several
+overrides are factors, so their product counts. An override is percent by convention, never by its values: a robot at
+1 % looks like one at full speed; `override_max = 1` in `[sources.map]` says that it is a fraction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+from zoneinfo import available_timezones
+
+import polars as pl
+
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.errors import ConfigError, LogError, UnknownName
+from cyclekit.schema import SAFETY, conform
+from cyclekit_adapters.formats.events import T_S, timed
+from cyclekit_adapters.tasks.event_table import TIME_NAMES, UNITS, Times, counted_in, stem_of, times_of
+from cyclekit_adapters.tasks.safety_columns import LENGTHS, WHERE, SafetyColumns, is_safety_log, mapped_columns
+from cyclekit_adapters.text.delimited import Layout, Rows, delimiter_of, fields_of, header_names, read_blocks
+from cyclekit_adapters.text.in_parts import in_parts
+from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+FAR_M = 100.0
+"""No safety system measures farther."""
+_FIRST = 200
+_DECIMALS = 12
+_UNKNOWN = {"", "nan", "null", "none", "na", "n/a", "-"}
+
+
+@dataclass
+class _Seen:
+    """What the rows so far show.
+
+    Attributes:
+        most: Largest override as written.
+        outside: Rows whose override is below zero or above full speed.
+        far_m: Largest distance.
+        back: How often time stepped back.
+    """
+
+    most: float = 0.0
+    outside: int = 0
+    far_m: float = 0.0
+    back: int = 0
+    _last_s: float | None = None
+
+    def add(self, t_s: pl.Series) -> None:
+        """Take in the times of a block."""
+        if t_s.len():
+            self.back += int((t_s < t_s.shift(1, fill_value=self._last_s)).sum())
+            self._last_s = float(t_s[-1])
+
+
+@dataclass(frozen=True)
+class _Said:
+    """What the cell file says: full speed as written (`sure`: it does say so), unit and zone of times, and columns."""
+
+    full: float
+    sure: bool
+    unit: str | None
+    zone: str | None
+    columns: dict[str, object]
+
+
+class _SafetyCsv:
+    def recognises(self, path: Path) -> bool:
+        line = head_of(path).partition("\n")[0]
+        delimiter = delimiter_of(line, ",;\t")
+        return delimiter in line and is_safety_log(path.name, _names(line, delimiter))
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        said = _said(options)
+        line = next(iter(head_lines(path)), "")
+        delimiter = delimiter_of(line, ",;\t")
+        names = _names(line, delimiter)
+        columns = mapped_columns(path, names, said.columns)
+        times = _times(path, names, columns.time, delimiter, said)
+        zoned = times.clock == "epoch" or (said.zone is not None and times.pattern not in ("", "%H:%M", "%H:%M:%S%.f"))
+        seen = _Seen()
+
+        def make(rows: Rows) -> Recording:
+            rows = timed(rows, times, said.zone)
+            seen.add(rows.frame[T_S])
+            return Recording(
+                safety=_table(rows.frame, columns, said.full, seen),
+                clock="epoch" if zoned else "relative",
+                rows_are="line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            _check(path, columns, said, seen)
+            return replace(
+                last, warnings=tuple(_warnings(times, seen, zoned=zoned)), facts=_facts(columns, times, said)
+            )
+
+        numbers = [*columns.overrides, *(name for name in (columns.distance, columns.deviation) if name)]
+        texts = [name for name in (columns.execution, columns.time if times.pattern else None) if name]
+        layout = Layout(
+            names,
+            delimiter,
+            1,
+            decimal_comma=delimiter != "," and not times.pattern,
+            encoding=file_encoding(path) or "utf-8",
+            quotes=True,
+        )
+        blocks = read_blocks(
+            path,
+            layout,
+            numbers=[*([] if times.pattern else [columns.time]), *numbers],
+            texts=texts,
+            required=[columns.time],
+            any_of=numbers,
+        )
+        yield from in_parts(path, blocks, make, finish)
+
+
+def _names(line: str, delimiter: str) -> tuple[str, ...]:
+    return tuple(name.strip('"') for name in header_names(line, delimiter))
+
+
+def _said(options: ReadOptions) -> _Said:
+    if options.role is not None:
+        cure = 'Leave role out, or map it with adapter = "csv".'
+        raise ConfigError(f"a safety log cannot be read as {options.role}", cure=cure)
+    rest = dict(options.map)
+    full, unit, zone = rest.pop("override_max", 100), rest.pop("time_unit", None), rest.pop("time_zone", None)
+    if full not in (1, 100):
+        raise ConfigError(f"{WHERE}: override_max = {full!r} is neither 1 nor 100", cure="override_max = 100")
+    if unit is not None and unit not in UNITS:
+        raise UnknownName(WHERE, "time_unit", str(unit), UNITS)
+    if zone is not None and zone not in available_timezones():
+        raise UnknownName(
+            WHERE, "time_zone", str(zone), available_timezones(), cure="As in the IANA list: Europe/Rome."
+        )
+    sure = "override_max" in options.map
+    return _Said(float(str(full)), sure, None if unit is None else str(unit), None if zone is None else str(zone), rest)
+
+
+def _times(path: Path, names: tuple[str, ...], column: str, delimiter: str, said: _Said) -> Times:
+    at = names.index(column)
+    rows = [fields_of(line, delimiter) for line in head_lines(path, _FIRST)[1:]]
+    shown = [text for row in rows if at < len(row) and (text := row[at].strip().strip('"')).lower() not in _UNKNOWN]
+    if not shown:
+        raise LogError(path, "a header and no rows", cure="Record again, or remove the file.")
+    comma = delimiter != ","
+    times = times_of((column,), shown, stem_of(column, TIME_NAMES)[1], decimal_comma=comma)
+    if times is not None and said.unit is not None and not times.pattern:
+        numbers = [float(text.replace(",", ".") if comma else text) for text in shown]
+        times = counted_in((column,), said.unit, "by the cell file", numbers, shown[0])
+    if times is None or times.seconds is None:
+        why = f": {times.why}" if times else ""
+        cause = f"the times of column {column!r} ({shown[0][:40]!r}) cannot be decided{why}"
+        raise LogError(path, cause, cure='Say time_unit = "s" (ms, us, ns) in [sources.map].')
+    return times
+
+
+def _table(frame: pl.DataFrame, columns: SafetyColumns, full: float, seen: _Seen) -> pl.DataFrame:
+    """Return table SAFETY of some rows, with the override as a fraction."""
+    known = {"source_row": pl.col("source_row"), "t_s": pl.col(T_S)}
+    for name in columns.overrides:
+        seen.most = max(seen.most, float(frame[name].max() or 0.0))  # type: ignore[arg-type]  # a number
+    if columns.overrides:
+        parts = [pl.when(pl.col(name).is_between(0.0, full)).then(pl.col(name) / full) for name in columns.overrides]
+        inside = pl.all_horizontal(pl.col(name).is_between(0.0, full) for name in columns.overrides)
+        seen.outside += frame.select((~inside).sum()).item()
+        product: pl.Expr = parts[0]
+        for part in parts[1:]:
+            product = product * part
+        known["override"] = product.round(_DECIMALS)  # so that 47 percent is 0.47 to the last bit
+    if columns.distance:
+        known["distance_m"] = pl.col(columns.distance) * columns.metres
+        seen.far_m = max(seen.far_m, float(frame[columns.distance].max() or 0.0) * columns.metres)  # type: ignore[arg-type]
+    if columns.deviation:
+        known["distance_sd_m"] = pl.col(columns.deviation) * columns.metres
+    if columns.execution:
+        known["execution"] = pl.col(columns.execution)
+    return conform(frame.select(value.alias(name) for name, value in known.items()), SAFETY)
+
+
+def _check(path: Path, columns: SafetyColumns, said: _Said, seen: _Seen) -> None:
+    """Refuse an override that could be percent as well as a fraction.
+
+    Raises:
+        LogError: It never exceeds 1, and nobody said of what.
+    """
+    if columns.overrides and not said.sure and 0.0 < seen.most <= 1.0:
+        cause = f"the override never exceeds {seen.most:g}: percent or a fraction cannot be told"
+        raise LogError(path, cause, cure="Say override_max = 1 (or 100) in [sources.map].")
+
+
+def _warnings(times: Times, seen: _Seen, *, zoned: bool) -> Iterator[str]:
+    if "fractions" in times.why:
+        yield "the unit of time is not named: taken as seconds, since the numbers have fractions; see time_unit"
+    if times.pattern and not zoned:
+        yield "its times have no zone, so they cannot be placed among other logs; give time_zone"
+    if seen.outside:
+        yield f"the override is below 0 or above full speed in {seen.outside} rows: unknown there"
+    if seen.far_m > FAR_M:
+        yield f"distances up to {seen.far_m:.0f} m: is the unit right? give length_unit"
+    if seen.back:
+        yield f"time steps back {seen.back} time(s)"
+
+
+def _facts(columns: SafetyColumns, times: Times, said: _Said) -> dict[str, str]:
+    unit = "percent" if said.full > 1.0 else "fraction"
+    facts = {"time": f"{columns.time}: {times.why}"}
+    facts |= {"override": f"{' * '.join(columns.overrides)}: {unit}"} if columns.overrides else {}
+    length = next(name for name, metres in LENGTHS.items() if metres == columns.metres)
+    return facts | ({"distance": f"{columns.distance}: {length}"} if columns.distance else {})
+
+
+ADAPTER: StreamingAdapter = _SafetyCsv()

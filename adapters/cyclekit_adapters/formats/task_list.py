@@ -1,0 +1,158 @@
+"""Task lists: who did which task from when to when, as CSV, JSON (also of MongoDB) or XES.
+
+Task planners, MES exports and process mining write them: an agent, a task, its start and end, and often the execution,
+the planned times and the outcome. They hold no positions. Agents called human, operator, person or worker are people,
+all others robots; `robot` and `operator` in `[sources.map]` say otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.errors import ConfigError, DamagedLog
+from cyclekit_adapters.tasks.task_cells import task_table
+from cyclekit_adapters.tasks.task_columns import is_task_list, require, said_of
+from cyclekit_adapters.tasks.task_json import JsonRecords, json_names, table_of
+from cyclekit_adapters.tasks.xes import FIELDS, NO_START, XesRecords, is_xes
+from cyclekit_adapters.text.delimited import Layout, delimiter_of, header_names, read_rows
+from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from pathlib import Path
+
+    from cyclekit.adapter import RowKind
+    from cyclekit_adapters.tasks.task_columns import Said
+    from cyclekit_adapters.tasks.task_json import Record
+
+MOST = 5_000_000
+"""Tasks of one list, which is held as a whole."""
+_ASIDE = pl.Schema({"source_row": pl.Int64(), "reason": pl.String()})
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """A task list as texts.
+
+    Attributes:
+        frame: A column for each field of `columns`, and `source_row`.
+        columns: What each field is called in the log.
+        rows_read: Rows, records or events looked at.
+        rows_are: What `source_row` counts.
+        written: How it is written.
+        aside: Rows that are none.
+        warnings: One sentence each.
+        decimal_comma: Numbers may be written `0,5`.
+    """
+
+    frame: pl.DataFrame
+    columns: Mapping[str, str]
+    rows_read: int
+    rows_are: RowKind
+    written: str
+    aside: list[tuple[int | None, str]] = field(default_factory=list)
+    warnings: tuple[str, ...] = ()
+    decimal_comma: bool = False
+
+
+class _TaskList:
+    def recognises(self, path: Path) -> bool:
+        head = head_of(path)
+        first = head.lstrip("\ufeff \t\r\n")[:1]
+        if first in ("{", "["):
+            return json_names(head) is not None
+        return is_xes(head) if first == "<" else is_task_list(_header(head.partition("\n")[0])[0])
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        said = said_of(options)
+        cells = _cells(path, said)
+        if cells.frame.height >= MOST:
+            raise DamagedLog(path, f"more than {MOST:,} tasks: no task list", cure="Split it.")
+        found = task_table(path, cells.frame, cells.columns, said, decimal_comma=cells.decimal_comma)
+        aside = pl.DataFrame(cells.aside, schema=_ASIDE, orient="row")
+        return Recording(
+            task_list=found.rows,
+            clock=found.clock,
+            rows_are=cells.rows_are,
+            rows_read=cells.rows_read,
+            set_aside=pl.concat([aside, found.set_aside.cast(_ASIDE)]).sort("source_row"),
+            warnings=(*cells.warnings, *found.warnings),
+            facts={"written as": cells.written, **found.facts},
+        )
+
+
+def _cells(path: Path, said: Said) -> _Cells:
+    first = head_of(path).lstrip("\ufeff \t\r\n")[:1]
+    if first in ("{", "["):
+        return _of_json(path, said)
+    return _of_xes(path, said) if first == "<" else _of_table(path, said)
+
+
+def _header(line: str) -> tuple[tuple[str, ...], str]:
+    delimiter = delimiter_of(line, ",;\t")
+    names = header_names(line, delimiter) if delimiter in line else ()
+    return tuple(name.strip().strip('"') for name in names), delimiter
+
+
+def _of_table(path: Path, said: Said) -> _Cells:
+    names, delimiter = _header(next(iter(head_lines(path)), ""))
+    columns = require(path, names, said.columns)
+    layout = Layout(names, delimiter, 1, encoding=file_encoding(path) or "utf-8", quotes=True)
+    texts = list(dict.fromkeys(columns.values()))
+    rows = read_rows(path, layout, numbers=[], texts=texts)
+    frame = rows.frame.select("source_row", *(pl.col(name).alias(key) for key, name in columns.items()))
+    aside: list[tuple[int | None, str]] = [(row, reason) for row, reason in rows.set_aside.iter_rows()]
+    return _Cells(frame, columns, rows.rows_read, "line", "a table", aside, decimal_comma=delimiter != ",")
+
+
+def _of_json(path: Path, said: Said) -> _Cells:
+    records = JsonRecords(path)
+    first = list(islice(iter(records), 200))
+    names = tuple(dict.fromkeys(key for record in first for key in record))
+    if not names and records.broken is not None:
+        raise DamagedLog(path, f"no JSON ({records.broken})", cure="Copy it again.")
+    columns = require(path, names, said.columns)
+    records = JsonRecords(path)
+    table = table_of(iter(records), tuple(dict.fromkeys(columns.values())), MOST)
+    frame = table.select("source_row", *(pl.col(name).alias(key) for key, name in columns.items()))
+    aside: list[tuple[int | None, str]] = []
+    if records.broken is not None:
+        aside = [(frame.height, f"the document is cut or garbled here ({records.broken})")]
+    passed = (f"{records.others} elements are no objects and passed over",) if records.others else ()
+    return _Cells(frame, columns, frame.height, "row", "JSON", aside, passed)
+
+
+def _of_xes(path: Path, said: Said) -> _Cells:
+    if said.columns:
+        name = next(iter(said.columns))
+        raise ConfigError(f"{path}: {name} in [sources.map] names a column, and XES has none", cure="Remove it.")
+    records = XesRecords(path)
+    aside: list[tuple[int | None, str]] = []
+    table = table_of(_started(iter(records), aside), FIELDS, MOST)
+    if table.is_empty() and aside:
+        cause = "its events say when tasks were completed and not when they started (lifecycle:transition)"
+        raise DamagedLog(path, cause, cure="Export start events too.")
+    if table.is_empty() and records.broken is not None:
+        raise DamagedLog(path, records.broken, cure="Copy it again.")
+    columns = {key: key for key in FIELDS if table[key].count() or key in ("agent", "task", "start", "end")}
+    warnings = [f"{count} events {name!r} are passed over" for name, count in records.passed_over.items()]
+    if records.broken is not None:
+        aside.append((None, records.broken))
+    return _Cells(table.select("source_row", *columns), columns, records.events, "row", "XES", aside, tuple(warnings))
+
+
+def _started(records: Iterator[Record], aside: list[tuple[int | None, str]]) -> Iterator[Record]:
+    """Yield the tasks that have a start; the others are set aside."""
+    for record in records:
+        if NO_START in record:
+            aside.append((None, f"{record[NO_START]!r} completes and never started"))
+        else:
+            yield record
+
+
+ADAPTER: Adapter = _TaskList()

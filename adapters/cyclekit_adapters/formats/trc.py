@@ -1,0 +1,130 @@
+"""TRC, the text file of marker places that OpenSim, Pose2Sim, OpenCap and Cortex write.
+
+Tabs between the cells; markers or keypoints of one person, in the unit of `Units`. The person is the middle of the
+pelvis markers seen (`RHip`, `L.ASIS`, ...). An empty cell, NaN and a place of exactly 0, 0, 0 are not seen. Time is
+frame / `DataRate`, with the zero of the Time column; the Time column where the two contradict each other. OpenSim is Y
+up, and nothing in a file says so: files that were exported as they were recorded are often Z up, so heads and feet
+decide, where there are any, unless the cell file says `up = "z"`. Where skeletons are asked for, their joints are the
+markers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal, cast
+
+import numpy as np
+
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.errors import LogError
+from cyclekit_adapters.text.delimited import Rows, read_blocks
+from cyclekit_adapters.text.in_parts import in_parts
+from cyclekit_adapters.text.text_blocks import head_of
+from cyclekit_adapters.tracking.joints import points_of, without_zeros
+from cyclekit_adapters.tracking.length_unit import METRES
+from cyclekit_adapters.tracking.markers import (
+    choose_people,
+    marker_facts,
+    marker_warnings,
+    marker_words,
+    recording_of,
+)
+from cyclekit_adapters.tracking.sightings import Sightings
+from cyclekit_adapters.tracking.standing import way_up
+from cyclekit_adapters.tracking.trc_header import FIRST, Header, read_header
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    import polars as pl
+    from numpy.typing import NDArray
+
+_AT_ZERO_M = 0.01
+_ROWS = 10
+"""A pelvis that does not leave zero in so many rows is not in the room."""
+
+
+class _Trc:
+    def recognises(self, path: Path) -> bool:
+        return head_of(path).lstrip('"').startswith(FIRST)
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        told = marker_words(options, "TRC").get("up")
+        header = read_header(path, options.rate_hz)
+        people = choose_people(path, header.names, options, "TRC")
+        used = people.used(skeletons=options.skeletons)
+        here, names = people.among(used), [header.names[index] for index in used]
+        cells = [cell for index in used for cell in header.cells(index)]
+        up, why = (told, "by the cell file") if told else _up(header)
+        seen, metres = Sightings(), METRES[header.unit]
+
+        def make(rows: Rows) -> Recording:
+            t_s = header.clock.seconds(rows.frame)
+            points = without_zeros(points_of(rows.frame, cells)) * metres
+            part = recording_of(here, names, points, t_s, rows, seen, options=options, up=cast('Literal["y", "z"]', up))
+            _require_a_place(path, part.people)
+            return part
+
+        def finish(last: Recording) -> Recording:
+            said = [*header.clock.warnings(), *marker_warnings(people, seen), *_cut(header, seen)]
+            if seen.back:
+                said.append("time does not increase throughout: the rows were edited or joined")
+            if not told and why.startswith(_UNCLEAR):
+                said.append(f"up is not in the file: {why}")
+            facts = {"rate_hz": header.about.get("DataRate", "not stated"), "unit": f"{header.unit}, by the header"}
+            return replace(
+                last, warnings=tuple(said), facts=facts | {"up": f"{up}, {why}", **marker_facts(people, header.names)}
+            )
+
+        blocks = read_blocks(path, header.layout, numbers=[*header.clock.names, *cells], required=header.clock.required)
+        yield from in_parts(path, blocks, make, finish)
+
+
+_UNCLEAR = "heads are not above feet"
+
+
+def _up(header: Header) -> tuple[str, str]:
+    """Return the axis that points up and how that is known: by heads above feet, else as OpenSim has it."""
+    found = way_up(header.names, _points(header) * METRES[header.unit])
+    if found == "neither":
+        return "y", f"{_UNCLEAR} along y or z: y is taken, as OpenSim has it; see `up`"
+    return (found, "since heads are above feet") if found else ("y", "as OpenSim has it; not in the file")
+
+
+def _points(header: Header) -> NDArray[np.float64]:
+    """Return the places in the first rows, shape (N, M, 3), in the unit of the file; NaN where a cell is no number."""
+    width = 2 + 3 * len(header.names)
+    rows = [[_number(cell) for cell in row[2:width]] for row in header.rows if len(row) >= width]
+    points = np.array(rows, dtype=np.float64).reshape(len(rows), len(header.names), 3)
+    return without_zeros(points)
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan
+
+
+def _require_a_place(path: Path, people: pl.DataFrame | None) -> None:
+    """Refuse keypoints around the person's own hips: MediaPipe's world landmarks, written as TRC."""
+    if people is None or people.height < _ROWS:
+        return
+    places = people.select("x_m", "y_m", "z_m").drop_nulls().to_numpy()
+    if len(places) >= _ROWS and (np.abs(places) < _AT_ZERO_M).all():
+        cause = "the pelvis is at zero in all rows: places are around the person's own hips, not in the room"
+        cure = "Write places of the room: triangulate several cameras, or use a depth camera's skeleton."
+        raise LogError(path, cause, cure=cure)
+
+
+def _cut(header: Header, seen: Sightings) -> list[str]:
+    rows = max(seen.rows.values(), default=0)
+    missing = header.frames_stated - rows
+    return [f"line 3 states {header.frames_stated} frames, {missing} of them are missing"] if missing > 0 else []
+
+
+ADAPTER: StreamingAdapter = _Trc()

@@ -1,0 +1,233 @@
+"""Universal Robots: RTDE fields as UR's `record.py` (text or `--binary`) and `ur_rtde` write them.
+
+One row per controller sample; `record.py` separates by a space, `ur_rtde` by a comma, the column names are the same.
+A binary recording differs only in how its rows are packed (`rtde_binary`). Programs of one's own on `ur_rtde` write a
+vector as one list, `"[0.1, -0.2, ...]"` in a column `actual_q`; it becomes the columns of the others.
+Metres, radians, seconds since the controller was started. Two columns together are the override: the trajectory
+limiter (`speed_scaling`) times the slider (`target_speed_fraction`), and that product says something about speed only
+while the program plays (`runtime_state` 2). A pause writes the limiter as 0, which is no safety slow-down: there, and
+where a factor was not recorded, the scaling stays unknown.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.adapter import ReadOptions, Recording, StreamingAdapter, whole
+from cyclekit.errors import MissingColumns, UnknownName
+from cyclekit.schema import ROBOT, conform
+from cyclekit_adapters.robots.controller_time import Once, Spread
+from cyclekit_adapters.robots.rtde_binary import BinaryLayout, binary_layout, is_binary, read_binary_rows
+from cyclekit_adapters.tasks.input_events import InputEvents
+from cyclekit_adapters.text.delimited import Layout, Rows, read_blocks
+from cyclekit_adapters.text.header_line import column_names, layout_below
+from cyclekit_adapters.text.in_parts import in_parts
+from cyclekit_adapters.text.list_cells import ListCells
+from cyclekit_adapters.text.text_blocks import head_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+_FIELD = re.compile(r"(actual|target)_(q|qd|qdd|current|moment|TCP_pose|TCP_speed|TCP_force)_[0-5]")
+_VECTORS = {"actual_q": 6, "actual_qd": 6, "actual_TCP_pose": 6, "actual_TCP_speed": 6}
+_SCALARS = {"speed_scaling", "target_speed_fraction", "runtime_state", "safety_status", "safety_mode"}
+_STATES = {0: "stopped", 1: "stopped", 2: "playing", 3: "paused", 4: "paused", 5: "paused"}
+_PLAYING = 2
+_POSITION = [f"actual_TCP_pose_{axis}" for axis in range(3)]
+_SPEED = [f"actual_TCP_speed_{axis}" for axis in range(3)]
+_FRACTIONS = ["speed_scaling", "target_speed_fraction"]
+_OUTPUTS, _INPUTS = "actual_digital_output_bits", "actual_digital_input_bits"
+_RECORD_IT = "Add the field to record_configuration.xml (or to the list of variables) and record again."
+_SLACK = 1e-3  # a fraction may exceed 1 by rounding; by more it is something else
+
+
+class _UrRtdeCsv:
+    def recognises(self, path: Path) -> bool:
+        names = column_names(path)
+        told = len(_SCALARS.intersection(names)) > 1 or any(_FIELD.fullmatch(name) for name in names)
+        return told or ("timestamp" in names and not set(_VECTORS).isdisjoint(names))
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        return whole(self.stream(path, options))
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        layout = _layout(path)
+        lists = ListCells(_lists(layout.names))
+        names = (*layout.names, *(name for made in lists.wanted.values() for name in made.values()))
+        register = _register(path, layout, options)
+        joints = _joints(names)
+        _require(path, names, joints)
+        inputs = _inputs(path, layout, options)
+        wanted = _fields(register, joints, options.columns) + [_INPUTS] * (inputs is not None)
+        once, seen = Once("timestamp"), _Seen()
+
+        def make(rows: Rows) -> Recording:
+            rows = once.rows(lists.rows(rows))
+            seen.add(rows.frame)
+            return Recording(
+                robot=_robot(rows.frame, register, joints),
+                events=None if inputs is None else inputs.changes(rows.frame),
+                clock="uptime",
+                joint_names=tuple(name for name in joints if name.startswith("actual_q_")),
+                rows_are="row" if isinstance(layout, BinaryLayout) else "line",
+                rows_read=rows.rows_read,
+                set_aside=rows.set_aside,
+            )
+
+        def finish(last: Recording) -> Recording:
+            facts = {
+                "writer": _writer(layout),
+                "register": register if register in layout.names else "not recorded",
+                "repeated_rows": str(once.repeated),
+                "speed_scaling": "speed_scaling * target_speed_fraction while runtime_state is 2 (playing)",
+            }
+            return replace(last, warnings=(*once.warnings(), *seen.warnings(names)), facts=facts)
+
+        yield from in_parts(path, _blocks(path, layout, wanted, tuple(lists.wanted)), make, finish)
+
+
+def _blocks(path: Path, layout: Layout | BinaryLayout, wanted: Sequence[str], lists: Sequence[str]) -> Iterator[Rows]:
+    present = [name for name in wanted if name in layout.names]
+    if isinstance(layout, BinaryLayout):
+        return read_binary_rows(path, layout, numbers=present, time="timestamp")
+    some = [*lists, *(name for name in present if name != "timestamp")]
+    return read_blocks(path, layout, numbers=present, texts=lists, required=["timestamp"], any_of=some)
+
+
+def _lists(names: Sequence[str]) -> dict[str, dict[int, str]]:
+    """Return the columns of lists, and what the numbers of each are called elsewhere."""
+    return {
+        name: {place: f"{name}_{place}" for place in range(length)}
+        for name, length in _VECTORS.items()
+        if name in names and f"{name}_0" not in names
+    }
+
+
+def _layout(path: Path) -> Layout | BinaryLayout:
+    return binary_layout(path) if is_binary(head_of(path)) else layout_below(path)
+
+
+def _writer(layout: Layout | BinaryLayout) -> str:
+    if isinstance(layout, BinaryLayout):
+        return "record.py --binary"
+    return "record.py (space)" if layout.delimiter == " " else f"delimiter {layout.delimiter!r}"
+
+
+def _register(path: Path, layout: Layout | BinaryLayout, options: ReadOptions) -> str:
+    for key in options.map:
+        if key not in ("register", "inputs"):
+            raise UnknownName("[sources.map] of a UR RTDE log", "key", key, ["register", "inputs"])
+    if "register" not in options.map:
+        return "output_int_register_0"
+    register = str(options.map["register"])
+    if register not in layout.names:
+        raise MissingColumns(path, [register], layout.names, _RECORD_IT)
+    return register
+
+
+def _inputs(path: Path, layout: Layout | BinaryLayout, options: ReadOptions) -> InputEvents | None:
+    """Return what finds the changes of the digital inputs, where the cell file wants them as events."""
+    wanted = options.map.get("inputs", "no")
+    if wanted not in ("events", "no"):
+        raise UnknownName("[sources.map] of a UR RTDE log", "inputs", str(wanted), ["events", "no"])
+    if wanted == "no":
+        return None
+    if _INPUTS not in layout.names:
+        raise MissingColumns(path, [_INPUTS], layout.names, _RECORD_IT)
+    return InputEvents(_INPUTS, "timestamp")
+
+
+def _joints(names: tuple[str, ...]) -> dict[str, str]:
+    """Return the joint columns present and what they are called in the canonical table."""
+    angles = {f"actual_q_{joint}": f"q{joint}_rad" for joint in range(6)}
+    speeds = {f"actual_qd_{joint}": f"qd{joint}_rad_s" for joint in range(6)}
+    return {name: column for name, column in (angles | speeds).items() if name in names}
+
+
+def _fields(register: str, joints: dict[str, str], columns: Sequence[str]) -> list[str]:
+    """Return the fields that some canonical columns are made of; those of all, where none is named."""
+    made_of = {f"tcp_{axis}_m": _POSITION for axis in "xyz"} | {
+        "tcp_speed_m_s": _SPEED,
+        "scaling": [*_FRACTIONS, "runtime_state"],
+        "slider": ["target_speed_fraction"],
+        "state": ["runtime_state"],
+        "digital_out_bits": [_OUTPUTS],
+        "register": [register],
+    }
+    made_of |= {column: [name] for name, column in joints.items()}
+    return list(dict.fromkeys(["timestamp", *(f for c in columns or made_of for f in made_of.get(c, []))]))
+
+
+def _require(path: Path, names: tuple[str, ...], joints: dict[str, str]) -> None:
+    missing = {"timestamp"}.difference(names)
+    if not all(f"actual_q_{joint}" in joints for joint in range(6)):
+        missing |= set(_POSITION).difference(names)
+    if missing:
+        raise MissingColumns(path, missing, names, _RECORD_IT)
+
+
+def _robot(frame: pl.DataFrame, register: str, joints: dict[str, str]) -> pl.DataFrame:
+    have = set(frame.columns)
+    columns = [pl.col("source_row"), pl.col("timestamp").alias("t_s")]
+    if have.issuperset(_POSITION):
+        columns += [pl.col(name).alias(f"tcp_{axis}_m") for name, axis in zip(_POSITION, "xyz", strict=True)]
+    if have.issuperset(_SPEED):
+        squares = pl.sum_horizontal([pl.col(name) ** 2 for name in _SPEED], ignore_nulls=False)
+        columns.append(squares.sqrt().alias("tcp_speed_m_s"))
+    if "target_speed_fraction" in have:
+        columns.append(_fraction(pl.col("target_speed_fraction")).alias("slider"))
+    if "runtime_state" in have:
+        state = pl.col("runtime_state").cast(pl.Int64, strict=False)
+        columns.append(state.replace_strict(_STATES, default=None, return_dtype=pl.String).alias("state"))
+        if have.issuperset(_FRACTIONS):
+            product = _fraction(pl.col("speed_scaling")) * _fraction(pl.col("target_speed_fraction"))
+            columns.append(pl.when(state == _PLAYING).then(product).alias("scaling"))
+    whole = {_OUTPUTS: "digital_out_bits", register: "register"}
+    columns += [pl.col(n).cast(pl.Int64, strict=False).alias(c) for n, c in whole.items() if n in have]
+    columns += [pl.col(name).alias(column) for name, column in joints.items() if name in have]
+    return conform(frame.lazy().select(columns), ROBOT)
+
+
+def _fraction(value: pl.Expr) -> pl.Expr:
+    """Return `value` where it is a fraction, null where it is none: a log in percent is not guessed at."""
+    return pl.when(value.is_between(0.0, 1.0 + _SLACK)).then(value.clip(0.0, 1.0))
+
+
+@dataclass
+class _Seen:
+    """What was seen of the speed scaling so far.
+
+    Attributes:
+        played: Whether the program played in any row; None = that field is not read.
+    """
+
+    played: bool | None = None
+    spread: Spread = field(default_factory=lambda: Spread(tuple(_FRACTIONS)))
+
+    def add(self, frame: pl.DataFrame) -> None:
+        if "runtime_state" in frame.columns:
+            self.played = self.played or bool((frame["runtime_state"] == _PLAYING).any())
+        self.spread.add(frame)
+
+    def warnings(self, recorded: Sequence[str]) -> list[str]:
+        said = []
+        if absent := [name for name in (*_FRACTIONS, "runtime_state") if name not in recorded]:
+            said.append(f"{', '.join(absent)} not recorded: the speed scaling is unknown")
+        elif self.played is False:
+            said.append("the program plays in no row (runtime_state is never 2): the speed scaling is unknown")
+        said += [
+            f"{name} exceeds 1 in places, so it is no fraction there: left unknown"
+            for name in _FRACTIONS
+            if self.spread.most.get(name, 0.0) > 1.0 + _SLACK
+        ]
+        if not set(_POSITION).issubset(recorded):
+            said.append("actual_TCP_pose not recorded: only joint angles are known")
+        return said
+
+
+ADAPTER: StreamingAdapter = _UrRtdeCsv()

@@ -1,0 +1,248 @@
+"""Stereolabs ZED body tracking as JSON: 18, 34 or 38 keypoints.
+
+The SDK's own exporters write an object keyed by millisecond timestamps; others write an array of frames. The person is
+the pelvis (keypoint 0 of BODY_34 and BODY_38, the middle of keypoints 8 and 11 of BODY_18), else the SDK's `position`.
+Neither unit nor axes are in the file, so both are taken from the bodies themselves: people are 0.25 to 3 m from end to
+end, and stand upright. What cannot be decided so is refused; `unit` and `axes` in the cell file decide it. Time is the
+host's clock, of frames with bodies only where empty frames carry none. Ids that live one frame are no ids: those
+bodies are linked by motion. A recording without any body is refused, since nothing in it says when nobody was there.
+Where skeletons are asked for, their joints are the SDK's keypoints.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.adapter import Adapter, ReadOptions, Recording
+from cyclekit.errors import DamagedLog, LogError
+from cyclekit.schema import PEOPLE, conform
+from cyclekit_adapters.mapped.source_map import words
+from cyclekit_adapters.text.json_parts import BrokenJson, json_pieces, parts
+from cyclekit_adapters.text.text_blocks import head_of
+from cyclekit_adapters.tracking.joints import all_joints, joint_rows
+from cyclekit_adapters.tracking.linking import link
+from cyclekit_adapters.tracking.sightings import Sightings, only
+from cyclekit_adapters.tracking.zed_body import JOINTS, Body, body_of, seconds_of
+from cyclekit_adapters.tracking.zed_frame import AXES, UNITS, axes_of, metres_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_KEYED = re.compile(r'\s*\{\s*"\d{1,20}"\s*:\s*\{')
+_NOBODY = re.compile(r"[\s\[\],]*")
+_EMPTY = re.compile(r"\s*\[[\s\[\],]*\]\s*")
+_SDK = ('"body_list"', '"is_tracked"')
+
+
+@dataclass
+class _Dump:
+    """What was found in the file, frame by frame."""
+
+    bodies: list[Body] = field(default_factory=list)
+    aside: list[tuple[int, str]] = field(default_factory=list)
+    frames: int = 0
+    empty: int = 0
+
+
+class _ZedJson:
+    def recognises(self, path: Path) -> bool:
+        head = head_of(path)
+        if not head.lstrip("\ufeff \t\r\n").startswith(("[", "{")):
+            return False
+        if _KEYED.match(head):
+            return any(word in head for word in _SDK)
+        if _EMPTY.fullmatch(head):
+            return True
+        begin = _NOBODY.match(head)
+        rest = head[begin.end() :] if begin else head
+        if not head.lstrip().startswith("[") or (rest and not rest.startswith("{")):
+            return False
+        return (
+            (not rest and head.count("[") > 1)
+            or any(word in head for word in _SDK)
+            or ('"keypoint"' in head and '"id"' in head)
+        )
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        chosen = words(options, "ZED", {"unit": tuple(UNITS), "axes": tuple(AXES)})
+        dump, cut = _dump(path, skeletons=options.skeletons)
+        if not dump.bodies:
+            _refuse_without_bodies(path, dump)
+        dump.bodies.sort(key=lambda body: (body.t_s, body.row))
+        sizes = np.array([body.size for body in dump.bodies if body.size is not None])
+        metres, unit_said = metres_of(path, sizes, chosen.get("unit"))
+        upward = np.array([body.upward for body in dump.bodies if body.upward is not None]).reshape(-1, 3)
+        turn, up, axes_said = axes_of(path, upward, chosen.get("axes"))
+        tracks = _tracks(dump.bodies, metres)
+        table = _table(tracks, metres * turn)
+        seen = Sightings()
+        seen.add(table)
+        seen.require(path, options.body)
+        joints = sorted({body.joints for body in dump.bodies})
+        return Recording(
+            people=conform(only(table, options.body), PEOPLE),
+            skeletons=_skeletons(tracks, metres * turn, options.body) if options.skeletons else None,
+            clock=dump.bodies[0].clock,
+            up=up,
+            rows_are="frame",
+            rows_read=dump.frames,
+            set_aside=pl.DataFrame(dump.aside, schema=_SET_ASIDE, orient="row"),
+            warnings=(*cut, *_warnings(dump, tracks, seen, options.body)),
+            facts={
+                "body_format": ", ".join(f"BODY_{count}" for count in joints),
+                "point": "middle of both hips, else position" if joints == [18] else "pelvis, else position",
+                "unit": unit_said,
+                "axes": axes_said,
+                "ids": tracks.said,
+                "frames_without_bodies": str(dump.empty),
+            },
+        )
+
+
+_SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
+
+
+def _dump(path: Path, *, skeletons: bool) -> tuple[_Dump, list[str]]:
+    """Take the document apart; a cut one gives the frames before the cut."""
+    dump = _Dump()
+    try:
+        for key, value in parts(json_pieces(path)):
+            _take_frame(path, dump, key, value, skeletons=skeletons)
+            dump.frames += 1
+    except BrokenJson as error:
+        if not error.at:
+            cause = "no JSON array or object"
+            raise DamagedLog(path, cause, cure="Check how the file was written or copied.") from None
+        dump.aside.append((dump.frames, str(error)))
+        return dump, [f"the file is cut or garbled after {dump.frames} frames: {error}"]
+    return dump, []
+
+
+def _take_frame(path: Path, dump: _Dump, key: str, value: object, *, skeletons: bool) -> None:
+    row = dump.frames
+    if isinstance(value, dict):
+        alone = [value] if "keypoint" in value else []  # a list of bodies without frames
+        bodies = value.get("body_list", alone)  # the C++ exporter leaves the key out where nobody is
+        stamp = next((value[name] for name in ("timestamp", "ts") if value.get(name) is not None), key)
+        stamp = key if key.isdigit() and not stamp else stamp  # the key tells it where the writer left it at 0
+    else:
+        bodies, stamp = value, key
+    if not isinstance(bodies, list):
+        dump.aside.append((row, "no list of bodies"))
+        return
+    dump.empty += not bodies
+    for body in bodies:
+        if not isinstance(body, dict):
+            dump.aside.append((row, "a body is no JSON object"))
+            continue
+        own = next((body[name] for name in ("ts", "timestamp") if body.get(name) is not None), stamp)
+        time = seconds_of(own)
+        if time is None:
+            dump.aside.append((row, f"a body without time: {str(own)[:40]!r} is no timestamp"))
+        elif (taken := body_of(path, body, time, row, skeletons=skeletons)) is None:
+            dump.aside.append((row, "a body without keypoints and position"))
+        else:
+            dump.bodies.append(taken)
+
+
+def _refuse_without_bodies(path: Path, dump: _Dump) -> None:
+    if dump.aside:
+        cause = f"no usable body in {dump.frames} frames; the first reason: {dump.aside[0][1]}"
+        raise DamagedLog(path, cause, cure="Check how the file was written or copied.")
+    cause = f"an empty recording: {dump.frames} frames and no body in any; empty frames do not say when they were"
+    raise LogError(path, cure="If nobody was there, leave the file out; else record again.", cause=cause)
+
+
+@dataclass(frozen=True)
+class _Tracks:
+    """The bodies that are rows, whose each is, and what is to be said of their ids."""
+
+    bodies: list[Body]
+    people: list[str]
+    said: str
+    linked: int = 0
+
+
+def _tracks(bodies: list[Body], metres: float) -> _Tracks:
+    """Tell whose body is whose: by ids that last, else by motion."""
+    if _ids_are_real(bodies):
+        kept = [body for body in bodies if body.here is not None or body.hidden]
+        return _Tracks(kept, [body.name for body in kept], "of the tracker")
+    kept = [body for body in bodies if body.here is not None]
+    frames: dict[tuple[float, int], list[tuple[float, float, float]]] = {}
+    for body in kept:
+        x, y, z = body.here or (0.0, 0.0, 0.0)
+        frames.setdefault((body.t_s, body.row), []).append((metres * x, metres * y, metres * z))
+    names = [name for frame in link([t_s for t_s, _ in frames], list(frames.values())) for name in frame]
+    count = len(set(names))
+    how = "one person, since no frame has two" if count == 1 else "linked by motion"
+    return _Tracks(kept, names, f"new in every frame; {how}", count if count > 1 else 0)
+
+
+def _table(tracks: _Tracks, turn: NDArray[np.float64]) -> pl.DataFrame:
+    """Return the rows of PEOPLE, null where a body was hidden; `turn` (3, 3) leads to metres and right-handed axes."""
+    here = np.array([body.here or (np.nan,) * 3 for body in tracks.bodies]).reshape(-1, 3) @ turn.T
+    return conform(
+        pl.DataFrame(
+            {
+                "t_s": pl.Series([body.t_s for body in tracks.bodies], dtype=pl.Float64()),
+                "person": pl.Series(tracks.people, dtype=pl.String()),
+                **{
+                    f"{axis}_m": pl.Series(here[:, i], dtype=pl.Float64()).fill_nan(None)
+                    for i, axis in enumerate("xyz")
+                },
+                "source_row": pl.Series([body.row for body in tracks.bodies], dtype=pl.Int64()),
+            }
+        ),
+        PEOPLE,
+    )
+
+
+def _skeletons(tracks: _Tracks, turn: NDArray[np.float64], body: str | None) -> pl.DataFrame:
+    """Return the rows of SKELETONS; a file may change its number of keypoints."""
+    tables = []
+    pairs = zip(tracks.bodies, tracks.people, strict=True)
+    mine = [(item, who) for item, who in pairs if item.keypoints is not None and body in (None, who)]
+    for count, names in JOINTS.items():
+        same = [(item, who) for item, who in mine if item.joints == count]
+        points = np.array([item.keypoints for item, _ in same]).reshape(-1, count, 3) @ turn.T
+        t_s = pl.Series([item.t_s for item, _ in same], dtype=pl.Float64())
+        row = pl.Series([item.row for item, _ in same], dtype=pl.Int64())
+        tables.append(joint_rows(t_s, pl.Series([who for _, who in same], dtype=pl.String()), names, points, row))
+    return all_joints(tables)
+
+
+def _ids_are_real(bodies: list[Body]) -> bool:
+    """Tell whether an id means the same body later: seen in two frames on average, and never twice in one."""
+    ids = {body.name for body in bodies}
+    once = len({(body.t_s, body.row, body.name) for body in bodies}) == len(bodies)
+    return once and "" not in ids and (len(bodies) == 1 or len(bodies) >= 2 * len(ids))
+
+
+def _warnings(dump: _Dump, tracks: _Tracks, seen: Sightings, body: str | None) -> list[str]:
+    said = []
+    if unplaced := len(dump.bodies) - len(tracks.bodies):
+        said.append(f"{unplaced} bodies have neither pelvis nor position and are left out")
+    if resting := sum(item.resting for item in dump.bodies):
+        said.append(f"{resting} bodies are in the SDK's rest pose, not yet fitted: their `position` stands for them")
+    if hidden := sum(item.hidden for item in tracks.bodies):
+        said.append(f"{hidden} bodies are searched for, not seen: their places are unknown")
+    if len({item.clock for item in dump.bodies}) > 1:
+        said.append("some timestamps are since 1970 and some are not")
+    if len({item.joints for item in dump.bodies}) > 1:
+        said.append("the number of keypoints changes within the file")
+    if tracks.linked:
+        said.append(f"ids are new in every frame: bodies are linked by motion into {tracks.linked} tracks")
+    if body is None and len(seen.rows) > 1:
+        said.append(f"{len(seen.rows)} tracks; `body` names the operator's, if it is always the same")
+    return said
+
+
+ADAPTER: Adapter = _ZedJson()

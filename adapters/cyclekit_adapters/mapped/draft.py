@@ -1,0 +1,197 @@
+"""A first map for a table that no adapter knows, put together from its header and its first rows.
+
+What is not sure is proposed all the same, as such, and with the columns that it belongs to: a unit that nobody chose
+would be a wrong one. What names say is the business of `draft_names`, what values say that of `draft_columns` and
+`draft_times`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.adapter import Draft, Proposal
+from cyclekit_adapters.mapped.csv_map import METRES, RADIANS, SECONDS
+from cyclekit_adapters.mapped.draft_columns import Found, joints, person_columns, places, scalings, states
+from cyclekit_adapters.mapped.draft_names import Name, name_of
+from cyclekit_adapters.mapped.draft_times import FoundTime, counts_rows, found_times
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cyclekit_adapters.mapped.draft_table import DraftTable
+
+_FASTEST = 8.0
+"""m/s or rad/s; no robot and nobody in a cell moves faster for one row in a hundred."""
+_DENSE = 0.1
+"""Of the span: rows that follow each other more closely were not logged seconds apart."""
+_MOVES = 0.05
+_LISTED = 40
+
+
+@dataclass
+class _Lines:
+    """The lines of a draft so far, and the columns that they use."""
+
+    source: list[Proposal] = field(default_factory=list)
+    map: list[Proposal] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    used: set[str] = field(default_factory=set)
+
+    def add(self, values: dict[str, object], why: str = "", *, sure: bool = True) -> None:
+        """Add keys that go together; the last one says why."""
+        last = list(values)[-1]
+        for key, value in values.items():
+            self.map.append(Proposal(key, value, why if key == last else "", sure))
+            self.used |= {value} if isinstance(value, str) else set(value) if isinstance(value, list) else set()
+
+
+def draft_of(table: DraftTable) -> Draft:
+    """Return the map that the first rows of a table speak for."""
+    names = {column: name_of(table.titles.get(column, column), table.units.get(column, "")) for column in table.names}
+    names = {column: replace(name, column=column) for column, name in names.items()}
+    lines, found = _Lines(), _Findings(table, names)
+    lines.map += [Proposal(key, value) for key, value in table.keys.items()]
+    _add_time(lines, table, names, found)
+    _add_role(lines, found)
+    {"people": _add_people, "robot": _add_robot}[found.role](lines, table, names, found)
+    if not table.headed:
+        spans = [f"{name} {np.nanmin(told):g} to {np.nanmax(told):g}" for name, told in table.numbers.items()]
+        lines.notes.append(f"its columns have no names: {', '.join(spans[:_LISTED])}")
+    elif left := [column for column in table.names if column not in lines.used]:
+        more = f" and {len(left) - _LISTED} more" if len(left) > _LISTED else ""
+        lines.notes.append(f"not used: {', '.join(left[:_LISTED])}{more}")
+    return Draft(tuple(lines.source), tuple(lines.map), tuple(lines.notes))
+
+
+class _Findings:
+    """What the columns may be, and whose they are."""
+
+    def __init__(self, table: DraftTable, names: dict[str, Name]) -> None:
+        self.joints, self.scalings = joints(table, names), scalings(table, names)
+        self.people = person_columns(table, names)
+        every = places(table, names)
+        persons = [place for place in every if place.person]
+        robots = [place for place in every if not place.person]
+        is_robot = bool(self.scalings) or any(found.robot for found in (*robots, *self.joints))
+        is_person = bool(persons or self.people)
+        self.role = "people" if is_person and not is_robot else "robot"
+        self.sure = is_robot or is_person
+        self.places = (persons or robots) if self.role == "people" else robots
+        self.others = persons if self.role == "robot" else []
+
+    def moving(self, table: DraftTable) -> NDArray[np.float64] | None:
+        """Return a path in metres or radians, shape (N, D), if one is known."""
+        for found, units in ((self.places, METRES), (self.joints, RADIANS)):
+            if found and found[0].unit_sure:
+                columns = [table.numbers[column] for column in found[0].columns]
+                return np.stack(columns, axis=1) * units[found[0].unit]
+        return None
+
+
+def _add_role(lines: _Lines, found: _Findings) -> None:
+    why = "its columns say so" if found.sure else "robot or people? Its columns do not say"
+    lines.source.append(Proposal("role", found.role, why, found.sure))
+
+
+def _add_time(lines: _Lines, table: DraftTable, names: dict[str, Name], found: _Findings) -> None:
+    times = found_times(table, names)
+    if not times:
+        counter = counts_rows(table, names)
+        if counter is not None:
+            lines.add({"time": counter, "time_unit": "frame"}, "it counts rows")
+        lines.source.append(Proposal("rate_hz", 100.0, "the table has no time: rows a second, as logged", sure=False))
+        return
+    time = _decided(times[0], table, found.moving(table))
+    column: object = time.columns[0] if len(time.columns) == 1 else list(time.columns)
+    if time.patterns:
+        sure = len(time.patterns) == 1
+        also = "" if sure else f"; {time.patterns[1]} is possible, too"
+        lines.add({"time": column, "time_format": time.patterns[0]}, time.why + also, sure=sure)
+        if not time.zoned:
+            lines.notes.append('its times name no zone; time_zone = "Europe/Rome" places them among other logs')
+    else:
+        split = len(time.columns) > 1
+        sure = time.sure and (split or len(time.units) == 1)
+        unit: object = list(time.units) if split else time.units[0]
+        keys = {"time": column} | ({"clock": "epoch"} if time.epoch else {}) | {"time_unit": unit}
+        lines.add(keys, time.why, sure=sure)
+    others = dict.fromkeys(name for other in times[1:] for name in other.columns if name not in time.columns)
+    if others:
+        lines.notes.append(f"also a time: {', '.join(others)}")
+
+
+def _decided(time: FoundTime, table: DraftTable, path: NDArray[np.float64] | None) -> FoundTime:
+    """Return the time without the units under which the rows would follow too far apart, or move too fast."""
+    if len(time.columns) > 1 or len(time.units) < 2 or path is None:
+        return time
+    ticks = np.diff(table.numbers[time.columns[0]])
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    known = np.isfinite(steps) & (ticks > 0)
+    span = float(np.nanmax(np.nanmax(path, axis=0) - np.nanmin(path, axis=0))) if np.isfinite(path).any() else 0.0
+    moved = known & (steps > 0)
+    if span < _MOVES or not moved.any():
+        return time
+    dense = float(np.median(steps[moved])) <= _DENSE * span
+    tick = float(np.median(ticks[known]))
+    units = [
+        unit
+        for unit in time.units
+        if float(np.quantile(steps[known] / (ticks[known] * SECONDS[unit]), 0.99)) <= _FASTEST
+        and not (dense and tick * SECONDS[unit] > 1.2)
+    ]
+    return replace(time, units=tuple(units)) if units else time
+
+
+def _add_place(lines: _Lines, found: _Findings) -> None:
+    if not found.places:
+        return
+    place = found.places[0]
+    sure = place.sure and place.unit_sure
+    why = "; ".join(part for part in (place.unit_why, place.why) if part)
+    lines.add({**dict(zip("xyz", place.columns, strict=False)), "length_unit": place.unit}, why, sure=sure)
+
+
+def _add_people(lines: _Lines, _: DraftTable, names: dict[str, Name], found: _Findings) -> None:
+    _add_place(lines, found)
+    if found.people:
+        more = found.people[1:]
+        lines.add({"person": found.people[0]}, f"or {', '.join(more)}?" if more else "", sure=not more)
+    for name in names.values():
+        if name.says({"confidence", "conf"}):
+            lines.add({"confidence": name.column}, "0 = nobody seen there", sure=False)
+            break
+
+
+def _add_robot(lines: _Lines, table: DraftTable, names: dict[str, Name], found: _Findings) -> None:
+    _add_place(lines, found)
+    if found.joints:
+        arm = found.joints[0]
+        why = "; ".join(part for part in (arm.unit_why, arm.why) if part)
+        lines.add({"joints": list(arm.columns), "joint_unit": arm.unit}, why, sure=arm.sure and arm.unit_sure)
+    _add_scaling(lines, names, found.scalings)
+    for column, known, unknown in states(table, names)[:1]:
+        sure = "playing" in known.values()
+        meaning: dict[str, str] = known or dict.fromkeys(unknown[:1], "playing")
+        lines.add({"state": column, "states": meaning}, "" if sure else f"values: {', '.join(unknown[:12])}", sure=sure)
+        if sure and unknown:
+            lines.notes.append(f"no meaning is known of the states {', '.join(unknown[:12])}; see states")
+    if found.others:
+        shown = ", ".join(found.others[0].columns)
+        lines.notes.append(f"a person: {shown}; to read that too, give a copy of the file a source of its own")
+
+
+def _add_scaling(lines: _Lines, names: dict[str, Name], found: list[Found]) -> None:
+    tops = {scaling.unit for scaling in found}
+    sliders = [scaling for scaling in found if names[scaling.columns[0]].says({"slider"})]
+    others = [scaling for scaling in found if scaling not in sliders]
+    sure = all(scaling.unit_sure for scaling in found) and len(tops) == 1 and len(others) < 2
+    if not found:
+        return
+    columns = [scaling.columns[0] for scaling in others] or [sliders[0].columns[0]]
+    keys: dict[str, object] = {"scaling": columns[0] if len(columns) == 1 else columns}
+    keys |= {"slider": sliders[0].columns[0]} if others and sliders else {}
+    why = found[0].unit_why if len(others) < 2 else f"{found[0].unit_why}; do they multiply?"
+    lines.add({**keys, "scaling_max": int(found[0].unit)}, why, sure=sure)

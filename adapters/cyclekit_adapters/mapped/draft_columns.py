@@ -1,0 +1,274 @@
+"""Which columns of an unknown table are places, joint angles, speed scaling, states and people: by names and values.
+
+Each finding says what speaks for it and whether something speaks against it; a person decides what is not sure. How the
+findings become a map is the business of `draft`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit_adapters.mapped.draft_names import ACTUAL, IDS, JOINT, OTHER_IDS, PERSON, PLACE, POSITION, ROBOT, Name
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit_adapters.mapped.draft_table import DraftTable
+
+_ARM = (("pan", "base"), ("lift", "shoulder"), ("elbow",), ("1", "wrist"), ("2", "wrist"), ("3", "wrist"))
+"""Words of the joints of an arm whose joints have names, as in ROS."""
+_LENGTHS_OF_ARMS = (6, 7)
+_FLANGE_OF_FRANKA = ("o", "t", "ee", "#")
+_VECTORS = POSITION | {"observation", "state", "qpos"}
+"""Words of vectors of which nobody says what they hold, as in ROS and LeRobot: joint angles, most often."""
+_SCALING = (
+    *(
+        "speedscaling",
+        "speedoverride",
+        "override",
+        "ovpro",
+        "ovrob",
+        "ovr",
+        "speedratio",
+        "speedslider",
+        "speedfraction",
+    ),
+    *(
+        "speedfactor",
+        "scalingfactor",
+        "speedpercent",
+        "projectspeed",
+        "velocityscaling",
+        "genoverride",
+        "safetyscaling",
+    ),
+)
+_STATES = {
+    **dict.fromkeys(("playing", "running", "run", "executing", "started", "program running"), "playing"),
+    **dict.fromkeys(("paused", "pause", "pausing", "hold", "held", "suspended", "resuming"), "paused"),
+    **dict.fromkeys(("stopped", "stop", "stopping", "idle", "halted", "finished", "aborted", "ready"), "stopped"),
+}
+_STATE_NAMES = {"state", "status", "mode", "running", "run", "playing"}
+_YES_NO = {"true": "playing", "1": "playing", "false": "stopped", "0": "stopped"}
+_YES_NO_NAMES = {"running", "run", "playing"}
+"""Names of columns that answer whether the program runs."""
+_MOST_STATES = 30
+
+
+@dataclass(frozen=True)
+class Found:
+    """Columns that go together, and how sure that is.
+
+    Attributes:
+        columns: In the order of axes or joints.
+        unit: Their unit; the likeliest one where that is not sure.
+        unit_why: What speaks for the unit.
+        unit_sure: Nothing else is possible.
+        sure: The columns are what they are taken for.
+        why: What speaks for it, or against it.
+        person: Their names say that they are a person's.
+        robot: Their names say that they are a robot's.
+    """
+
+    columns: tuple[str, ...]
+    unit: str
+    unit_why: str
+    unit_sure: bool
+    sure: bool = True
+    why: str = ""
+    person: bool = False
+    robot: bool = False
+
+
+def places(table: DraftTable, names: Mapping[str, Name]) -> list[Found]:
+    """Return triples or pairs of columns that are places, the best first."""
+    groups: dict[tuple[str, ...], list[Name]] = {}
+    for name in _numeric(table, names):
+        if not name.is_other and (name.axis or (name.number is not None and name.says(PLACE))):
+            groups.setdefault((*name.words, "" if name.axis else "#"), []).append(name)
+    found = [(group, axes) for group in groups.values() if (axes := _axes(group))]
+    ranked = sorted(found, key=lambda pair: -_rank(pair[0][0]))
+    best = [axes for group, axes in ranked if _rank(group[0]) == _rank(ranked[0][0][0])]
+    return [_place(table, group[0], axes, others=len(best) - 1 if axes in best else 0) for group, axes in ranked]
+
+
+def _axes(group: Sequence[Name]) -> tuple[Name, ...]:
+    """Return the columns of x, y and, where there is one, z; nothing where a group has none or several."""
+    if group[0].axis:
+        by = {name.axis: name for name in group}
+        once = len(by) == len(group)
+        return tuple(by[axis] for axis in "xyz" if axis in by) if once and {"x", "y"} <= set(by) else ()
+    numbered = _consecutive(group)
+    if len(numbered) == 16 and group[0].words == _FLANGE_OF_FRANKA:
+        return numbered[12:15]  # a matrix, column after column
+    return numbered[:3] if len(numbered) in (3, 6, 7) and not group[0].says(JOINT) else ()
+
+
+def _rank(name: Name) -> float:
+    said = 3.0 * name.says(PLACE) + 2.0 * name.says(ACTUAL) + 1.0 * name.says(POSITION) + 1.0 * name.says(ROBOT)
+    return said - 8.0 * name.is_set_point - 0.1 * len(name.words)
+
+
+def _place(table: DraftTable, first: Name, axes: tuple[Name, ...], others: int) -> Found:
+    columns = tuple(name.column for name in axes)
+    values = np.concatenate([table.numbers[column] for column in columns])
+    unit, why, sure = length_unit(values, {name.unit for name in axes}, person=first.says(PERSON))
+    against = "a set point, not what was" if first.is_set_point else f"{others} more could be meant" if others else ""
+    known = bool(np.isfinite(values).any()) and not against
+    return Found(columns, unit, why, sure, known, against, first.says(PERSON), first.says(ROBOT))
+
+
+def length_unit(values: np.ndarray, said: set[str | None], *, person: bool) -> tuple[str, str, bool]:
+    """Return the unit of lengths, why, and whether no other is possible.
+
+    No arm reaches 3 m (300 would be mm then, or cm), nor does one stay within 5 mm; no cell is 30 m wide (3000 cm).
+    """
+    named = said & {"m", "mm", "cm", "in"}
+    if len(named) == 1:
+        return str(named.pop()), "its name says so", True
+    told = values[np.isfinite(values)]
+    far = float(np.abs(told).max()) if len(told) else 0.0
+    shown = f"{told.min():.4g} to {told.max():.4g}" if len(told) else "no values"
+    metres, millimetres = (30.0, 3000.0) if person else (5.0, 300.0)
+    if 0.0 < far <= metres and (told % 1 != 0).any():
+        return "m", f"values {shown}", True
+    if far >= millimetres:
+        return "mm", f"values {shown}", True
+    return ("m" if far < metres else "mm"), f"values {shown}: m, cm, mm and in are possible", False
+
+
+def joints(table: DraftTable, names: Mapping[str, Name]) -> list[Found]:
+    """Return the joint angles of arms, the best first."""
+    groups: dict[tuple[str, ...], list[Name]] = {}
+    for name in _numeric(table, names):
+        told = name.says(JOINT) or (name.says(_VECTORS) and not name.says(PLACE | PERSON))
+        if not name.is_other and name.number is not None and told:
+            groups.setdefault(name.words, []).append(name)
+    found = [numbered for group in groups.values() if len(numbered := _consecutive(group)) in _LENGTHS_OF_ARMS]
+    found += [named] if (named := _named_joints(_numeric(table, names))) else []
+    ranked = sorted(
+        found, key=lambda group: 8 * group[0].is_set_point - 2 * group[0].says(ACTUAL) - _says_joints(group)
+    )
+    return [_joints(table, group, others=len(ranked) - 1) for group in ranked]
+
+
+def _joints(table: DraftTable, group: tuple[Name, ...], others: int) -> Found:
+    columns = tuple(name.column for name in group)
+    values = np.concatenate([table.numbers[column] for column in columns])
+    unit, why, sure = angle_unit(values, {name.unit for name in group})
+    against = "a set point, not what was" if group[0].is_set_point else ""
+    if others and not group[0].says(ACTUAL) and not against:
+        against = f"{others} more could be meant"
+    elif not _says_joints(group):
+        against = "joint angles, or a pose?"
+    turned = bool(np.isfinite(values).any()) and float(np.nanmax(np.abs(values))) < 800.0
+    against = against or ("" if turned else "no angles by size")
+    return Found(columns, unit, why, sure, not against, against, robot=_says_joints(group))
+
+
+def _says_joints(group: Sequence[Name]) -> bool:
+    return group[0].says(JOINT) or group[0].number is None or "wrist" in group[-1].words
+
+
+def angle_unit(values: np.ndarray, said: set[str | None]) -> tuple[str, str, bool]:
+    """Return the unit of joint angles, why, and whether no other is possible: no joint turns by two turns and more."""
+    named = said & {"rad", "deg"}
+    if len(named) == 1:
+        return str(named.pop()), "its name says so", True
+    told = values[np.isfinite(values)]
+    most = float(np.abs(told).max()) if len(told) else 0.0
+    shown = f"values {told.min():.4g} to {told.max():.4g}" if len(told) else "no values"
+    if most > 12.6:
+        return "deg", shown, True
+    if 0.5 < most <= 6.4 and (told % 1 != 0).any():
+        return "rad", shown, True
+    return ("rad" if most < 6.4 else "deg"), f"{shown}: rad and deg are possible", False
+
+
+def _named_joints(numeric: Sequence[Name]) -> tuple[Name, ...]:
+    """Return the columns of an arm whose joints have names, in the order of the arm."""
+    found = []
+    for wanted in _ARM:
+        fits = [
+            name
+            for name in numeric
+            if not name.is_other
+            and not name.axis
+            and not name.is_set_point
+            and (
+                "wrist" in name.words and str(name.number) == wanted[0] if "wrist" in wanted else name.says(wanted[:1])
+            )
+        ]
+        fits = fits or [name for name in numeric if not name.is_other and not name.axis and name.says(wanted[1:2])]
+        if len(fits) != 1 or fits[0] in found or fits[0].says(PERSON):
+            return ()
+        found += fits
+    return tuple(found)
+
+
+def _consecutive(group: Sequence[Name]) -> tuple[Name, ...]:
+    """Return columns in the order of their numbers, if these go from 0 or 1 on, each once."""
+    by = {name.number: name for name in group if name.number is not None}
+    order = sorted(number for number in by if number is not None)
+    begun = order and order[0] in (0, 1) and order == list(range(order[0], order[0] + len(order)))
+    return tuple(by[number] for number in order) if begun and len(by) == len(group) else ()
+
+
+def scalings(table: DraftTable, names: Mapping[str, Name]) -> list[Found]:
+    """Return columns of a speed scaling; the unit is "1" or "100", what full speed is written as."""
+    found = []
+    for name in _numeric(table, names):
+        said = "".join(name.words)
+        if not any(part in said for part in _SCALING) or (name.is_set_point and "fraction" not in said):
+            continue
+        top, why, sure = _full_speed(table.numbers[name.column], name.unit)
+        found.append(Found((name.column,), top, why, sure))
+    return found
+
+
+def _full_speed(values: np.ndarray, said: str | None) -> tuple[str, str, bool]:
+    told = values[np.isfinite(values)]
+    most = float(told.max()) if len(told) else 0.0
+    shown = f"values {told.min():.4g} to {most:.4g}" if len(told) else "no values"
+    within = len(told) > 0 and told.min() >= 0.0
+    if said == "%":
+        return "100", "its name says percent", within and most <= 100.1
+    if within and 1.5 < most <= 100.1:
+        return "100", f"{shown}: percent", True
+    if within and most <= 1.001 and (told % 1 != 0).any():
+        return "1", f"{shown}: a fraction", True
+    return ("1" if most <= 1.5 else "100"), f"{shown}: a fraction and percent are possible", False
+
+
+def states(table: DraftTable, names: Mapping[str, Name]) -> list[tuple[str, dict[str, str], list[str]]]:
+    """Return columns of a program's state: which words mean what, and which have no meaning that is known."""
+    found = []
+    for name in names.values():
+        if not name.says(_STATE_NAMES) or name.says(("safety", "joint", "gripper", "human")):
+            continue
+        cells = Counter(cell.strip() for cell in table.cells[name.column] if cell.strip())
+        if not cells or len(cells) > _MOST_STATES:
+            continue
+        words = _STATES | (_YES_NO if name.says(_YES_NO_NAMES) else {})
+        known = {word: state for word in cells if (state := words.get(word.lower().replace("_", " ")))}
+        found.append((name.column, known, sorted(set(cells) - set(known))))
+    return sorted(found, key=lambda entry: -len(entry[1]))
+
+
+def person_columns(table: DraftTable, names: Mapping[str, Name]) -> list[str]:
+    """Return columns that say who is meant: few values, many times each, or more than one row at an instant."""
+    found = []
+    for name in names.values():
+        told = [cell for cell in table.cells[name.column] if cell.strip()]
+        named = name.says(IDS) and not name.says(OTHER_IDS) and not name.axis and name.number is None
+        if named and told and len(set(told)) <= max(1, len(told) // 2):
+            found.append(name.column)
+    return found
+
+
+def _numeric(table: DraftTable, names: Mapping[str, Name]) -> list[Name]:
+    return [name for column, name in names.items() if column in table.numbers]

@@ -1,0 +1,209 @@
+"""The first lines of a table that nobody knows: where its header is, what separates cells, what its columns hold.
+
+Nothing is known of such a table but that its rows have cells of numbers, all equally many. What the columns mean is the
+business of `draft`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit_adapters.text.header_line import has_decimal_comma
+from cyclekit_adapters.text.list_cells import parts_of
+from cyclekit_adapters.text.sheets import Workbook, rows_of
+from cyclekit_adapters.text.text_blocks import file_encoding, head_lines
+from cyclekit_adapters.text.text_layout import fields_of, unique
+from cyclekit_adapters.text.text_rows import UNKNOWN
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+LINES = 2000
+"""So many lines are looked at."""
+_DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "|", "\\s+": "whitespace"}
+_LINES_SEARCHED = 50
+_MOST_COLUMNS = 2000
+_NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d+|\.)?|[.,]\d+)(?:[eE][+-]?\d+)?")
+_NUMERIC = 0.9  # of the cells of a column of numbers
+
+
+@dataclass(frozen=True)
+class DraftTable:
+    """The first rows of a table.
+
+    Attributes:
+        names: Its columns, all different; numbers of a list in one cell are columns as well, `pose[0]`.
+        cells: The cells of each column as texts, one per row.
+        units: What a second header line says of each column, empty where it says nothing or there is none.
+        keys: Keys of the map that say how the table is kept, beside those of its columns.
+        titles: What the header calls those columns that are called by their number here.
+        comma: Numbers have a decimal comma.
+        headed: It has a line of names.
+    """
+
+    names: tuple[str, ...]
+    cells: dict[str, list[str]]
+    units: dict[str, str] = field(default_factory=dict)
+    keys: dict[str, object] = field(default_factory=dict)
+    titles: dict[str, str] = field(default_factory=dict)
+    comma: bool = False
+    headed: bool = True
+
+    @cached_property
+    def numbers(self) -> dict[str, NDArray[np.float64]]:
+        """The columns of numbers, NaN where unknown; all of one length."""
+        found = {name: [_number(cell, comma=self.comma) for cell in cells] for name, cells in self.cells.items()}
+        kept = {name: values for name, values in found.items() if _is_numeric(values)}
+        return {name: np.array([np.nan if v is None else v for v in values]) for name, values in kept.items()}
+
+    @cached_property
+    def texts(self) -> dict[str, list[str]]:
+        """The other columns that hold something, without their empty cells."""
+        told = {name: [cell.strip() for cell in cells] for name, cells in self.cells.items()}
+        return {
+            name: kept for name, cells in told.items() if name not in self.numbers and (kept := [c for c in cells if c])
+        }
+
+
+def text_draft_table(path: Path) -> DraftTable | None:
+    """Return the first rows of a text table, None where it is none."""
+    encoding = file_encoding(path)
+    if encoding is None:
+        return None
+    lines, keys = head_lines(path, LINES, encoding), {}
+    if any("\ufffd" in line for line in lines):
+        lines, keys = head_lines(path, LINES, "latin-1"), {"encoding": "latin-1"}
+    lines = lines[:-1] if len(lines) < LINES or not lines[-1] else lines  # the last one may be cut
+    marks = [mark for mark in _DELIMITERS if mark == "\\s+" or any(mark in line for line in lines)]
+    found = [rows for mark in marks if (rows := _rows_by(lines, mark)) is not None]
+    if not found:
+        return None
+    best = max(found, key=lambda rows: (rows.numbers, rows.mark != "\\s+"))
+    return _table(best, {**keys, "delimiter": _DELIMITERS[best.mark]})
+
+
+def sheet_draft_table(path: Path) -> DraftTable | None:
+    """Return the first rows of the first sheet of a workbook that holds a table, None where none does.
+
+    Raises:
+        MissingExtra: fastexcel is not installed.
+        LogError: The workbook cannot be read.
+    """
+    workbook = Workbook(path)
+    for number, sheet in enumerate(workbook.sheets):
+        columns = workbook.cells(sheet, "string", count=LINES)
+        found = _Rows("", rows_of(columns, 0, LINES, max(columns, default=-1) + 1))
+        if found.width > 1 and found.body and found.numbers:
+            return _table(found, {"sheet": sheet} if number else {})
+    return None
+
+
+class _Rows:
+    """Lines taken apart by one delimiter: which is the header, and which rows are below it."""
+
+    def __init__(self, mark: str, lines: list[list[str]]) -> None:
+        self.mark, self.lines = mark, [_trimmed(cells) for cells in lines]
+        widths = Counter(len(cells) for cells in self.lines if _is_row(cells))
+        self.width = widths.most_common(1)[0][0] if widths else 0
+        first = next((at for at, cells in enumerate(self.lines) if self._fits(cells) and _is_row(cells)), len(lines))
+        self.body = [cells for cells in self.lines[first:] if self._fits(cells)]
+        self.numbers = sum(map(_count, self.body)) if first <= _LINES_SEARCHED else 0
+        above = [at for at in range(first) if self._names(self.lines[at])]
+        self.header = next((at for at in above if self._fills(self.lines[at])), above[-1] if above else None)
+        self.units = next((at for at in above if self.header is not None and at > self.header), None)
+
+    def _fits(self, cells: list[str]) -> bool:
+        return 0 < len(cells) <= self.width or (len(cells) > self.width and not any(cells[self.width :]))
+
+    def _fills(self, cells: list[str]) -> bool:
+        return sum(map(bool, cells)) >= 0.8 * self.width
+
+    def _names(self, cells: list[str]) -> bool:
+        """Tell whether these may be names: as many as a row has cells, `#` of a comment apart, and no numbers."""
+        told = [cell for cell in cells if cell]
+        commented = self.mark == "\\s+" and cells[:1] in (["#"], ["%"])
+        return len(cells) - commented == self.width and len(told) > 1 and _count(told) < 0.3 * len(told)
+
+
+def _rows_by(lines: Sequence[str], mark: str) -> _Rows | None:
+    rows = _Rows(mark, [[cell.strip() for cell in fields_of(line, mark)] for line in lines])
+    usable = 1 < rows.width <= _MOST_COLUMNS and rows.numbers
+    return rows if usable and len(rows.body) >= 0.5 * (len(rows.lines) - _LINES_SEARCHED) else None
+
+
+def _table(rows: _Rows, keys: dict[str, object]) -> DraftTable:
+    keys = dict(keys)
+    if rows.header is None:
+        first = next(at for at, cells in enumerate(rows.lines) if cells is rows.body[0])
+        names: tuple[str, ...] = tuple(f"#{number}" for number in range(1, rows.width + 1))
+        keys |= {"columns": list(names)} | ({"skip_rows": first} if first else {})
+    else:
+        said = rows.lines[rows.header]
+        commented = rows.mark == "\\s+" and said[:1] in (["#"], ["%"])
+        names = unique(said[1:] if commented else said)
+        keys |= {"columns": list(names), "skip_rows": rows.header + 1} if commented else {}
+        keys |= {"skip_rows": rows.header} if rows.header and not commented else {}
+    units = rows.lines[rows.units] if rows.units is not None else []
+    comma = has_decimal_comma((";".join(f'"{cell}"' for cell in row) for row in rows.body[:50]), ";")
+    keys |= {"decimal": ","} if comma else {}
+    cells = {name: [row[at] if at < len(row) else "" for row in rows.body] for at, name in enumerate(names)}
+    called = {name: _called(name, names, at) for at, name in enumerate(names)}
+    apart = dict(pair for name in names for pair in _taken_apart(called[name], cells[name]))
+    said_units = {called[name]: unit for name, unit in zip(names, units, strict=False)}
+    titles = {called[name]: re.sub(r"(.)#\d+$", r"\1", name) for name in names if called[name] != name}
+    return DraftTable(tuple(apart), apart, said_units, keys, titles, comma, rows.header is not None)
+
+
+def _called(name: str, names: Sequence[str], at: int) -> str:
+    """Return what a map calls a column: its name, or its number where others are called so."""
+    return f"#{at + 1}" if f"{name}#2" in names or re.search(r".#\d+$", name) else name
+
+
+def _taken_apart(name: str, cells: list[str]) -> list[tuple[str, list[str]]]:
+    """Return a column, or those of its numbers where each cell holds a list."""
+    lists = [parts_of(cell) for cell in cells if cell]
+    widths = Counter(len(parts) if parts else 0 for parts in lists)
+    if not lists or widths.most_common(1)[0][0] < 2:
+        return [(name, cells)]
+    width = widths.most_common(1)[0][0]
+    told = [parts if (parts := parts_of(cell)) and len(parts) == width else [""] * width for cell in cells]
+    return [(f"{name}[{place}]", [parts[place] for parts in told]) for place in range(width)]
+
+
+def _trimmed(cells: list[str]) -> list[str]:
+    while cells and not cells[-1]:
+        cells.pop()
+    return cells
+
+
+def _is_row(cells: list[str]) -> bool:
+    return _count(cells) >= max(2, 0.3 * len(cells)) or any(parts_of(cell) for cell in cells)
+
+
+def _count(cells: Sequence[str]) -> int:
+    lists = sum(len(parts_of(cell) or ()) for cell in cells if cell.startswith(("[", "(")))
+    return lists + sum(1 for cell in cells if _NUMBER.fullmatch(cell))
+
+
+def _number(cell: str, *, comma: bool) -> float | None:
+    text = cell.strip()
+    if text.lower() in UNKNOWN:
+        return np.nan
+    try:
+        return float(text.replace(",", ".") if comma else text)
+    except ValueError:
+        return None
+
+
+def _is_numeric(values: Sequence[float | None]) -> bool:
+    told = [value for value in values if value is None or not np.isnan(value)]
+    return bool(told) and sum(value is not None for value in told) >= _NUMERIC * len(told)

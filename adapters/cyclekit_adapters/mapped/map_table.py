@@ -1,0 +1,153 @@
+"""The table that a map speaks of: its column names, its first rows to look at, and its rows block by block.
+
+A text table is looked at here, told by its header line and by what the cell file says of its delimiter and encoding.
+What the columns mean is the business of `mapped_csv`.
+"""
+
+from __future__ import annotations
+
+import codecs
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Protocol
+
+from cyclekit.errors import ConfigError, DamagedLog
+from cyclekit_adapters.mapped.csv_map import WHERE
+from cyclekit_adapters.mapped.map_columns import unresolved
+from cyclekit_adapters.text.delimited import Layout, delimiter_of, fields_of, header_names, read_blocks, unique
+from cyclekit_adapters.text.header_line import names_in
+from cyclekit_adapters.text.text_blocks import file_encoding, head_lines
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+    from pathlib import Path
+
+    from cyclekit_adapters.mapped.csv_map import CsvMap
+    from cyclekit_adapters.text.text_rows import Rows, Wanted
+
+_LINES_SEARCHED = 50  # for the header, where it is not in the line that it should be in
+_ROWS_LOOKED_AT = 50
+
+
+class MapTable(Protocol):
+    """A table, whatever it is kept in."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its columns, all different."""
+        ...
+
+    @property
+    def first_rows(self) -> Sequence[Sequence[str]]:
+        """The cells of its first rows, as texts."""
+        ...
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """How it is kept."""
+        ...
+
+    def cure(self, wanted: Collection[str], mapping: CsvMap) -> str:
+        """Return what to do where columns that are wanted are not there."""
+        ...
+
+    def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[Rows]:
+        """Yield its rows; `names` are the columns by the names that they have now."""
+        ...
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A delimited text table."""
+
+    path: Path
+    layout: Layout
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its columns."""
+        return self.layout.names
+
+    @property
+    def first_rows(self) -> list[list[str]]:
+        """The cells of its first rows."""
+        layout = self.layout
+        lines = head_lines(self.path, layout.header_lines + _ROWS_LOOKED_AT, layout.encoding)[layout.header_lines :]
+        return [fields_of(line, layout.delimiter) for line in lines if line.strip()]
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """How it is written."""
+        return {"delimiter": repr(self.layout.delimiter), "encoding": self.layout.encoding}
+
+    def cure(self, wanted: Collection[str], mapping: CsvMap) -> str:
+        """Say where the columns may be, or which ones there are."""
+        layout = self.layout
+        if any("\ufffd" in name for name in layout.names):
+            return f'The header is not written in {layout.encoding}: give encoding, for example "latin-1".'
+        named = {entry for entry in wanted if not entry.startswith("#")}  # which any line has
+        for number, line in enumerate(head_lines(self.path, _LINES_SEARCHED, layout.encoding)):
+            for mark in dict.fromkeys((layout.delimiter, ",", ";", "\t", "|", " ")):
+                if named and not mapping.columns and not unresolved(wanted, header_names(line, mark)):
+                    return f"They stand in line {number + 1}: give skip_rows = {number}, delimiter = {mark!r}."
+        return f"Columns of line {mapping.skip_rows + 1}: {', '.join(name[:40] for name in layout.names[:60])}."
+
+    def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[Rows]:
+        """Yield its rows."""
+        return read_blocks(
+            self.path,
+            replace(self.layout, names=names),
+            numbers=wanted.numbers,
+            texts=wanted.texts,
+            required=wanted.required,
+            any_of=wanted.any_of,
+        )
+
+
+def text_table(path: Path, mapping: CsvMap, wanted: Collection[str]) -> TextTable:
+    """Return a text table as the map says that it is written.
+
+    Args:
+        path: The log.
+        mapping: The map.
+        wanted: Its entries, by which a delimiter is told that it does not name.
+
+    Raises:
+        ConfigError: The encoding is not known.
+        DamagedLog: It is no text, or has no header where one should be.
+    """
+    if mapping.sheet is not None:
+        raise ConfigError(f"{WHERE}: sheet = {mapping.sheet!r}, but the log is a text", cure="Remove the key.")
+    try:
+        encoding = mapping.encoding or file_encoding(path)
+        codecs.getincrementaldecoder(encoding or "utf-8")("replace").decode("".encode(encoding or "utf-8"))
+    except (LookupError, UnicodeError) as error:
+        raise ConfigError(
+            f"{WHERE}: unknown encoding {mapping.encoding!r}", cure="For example utf-8 or latin-1."
+        ) from error
+    if encoding is None:
+        raise DamagedLog(path, "not a text file: it begins with NUL bytes", cure="Export the log as text again.")
+    lines = head_lines(path, mapping.skip_rows + 1, encoding)
+    if len(lines) <= mapping.skip_rows or not lines[mapping.skip_rows].strip():
+        cause = f"no header in line {mapping.skip_rows + 1}"
+        raise DamagedLog(path, cause, cure="The header line comes after skip_rows lines.")
+    line = lines[mapping.skip_rows]
+    delimiter = mapping.separator() or _delimiter(line, mapping, wanted)
+    names = unique(mapping.columns) if mapping.columns else names_in(path, line, delimiter)
+    skipped = mapping.skip_rows + (not mapping.columns)
+    comma = mapping.decimal == ","
+    return TextTable(path, Layout(names, delimiter, skipped, decimal_comma=comma, encoding=encoding, quotes=True))
+
+
+def _delimiter(line: str, mapping: CsvMap, wanted: Collection[str]) -> str:
+    """Return the delimiter under which the mapped columns are there, else the likeliest.
+
+    Where commas are decimal marks and separate as well, numbers stand in quotes: the last thing to be thought of.
+    """
+    candidates = ";\t ," if mapping.decimal == "," else ",;\t "
+
+    def fits(mark: str) -> bool:
+        if mapping.columns:
+            return len(fields_of(line.rstrip(mark), mark)) == len(mapping.columns)
+        return not unresolved(wanted, header_names(line, mark))
+
+    return next((mark for mark in candidates if fits(mark)), delimiter_of(line, candidates))

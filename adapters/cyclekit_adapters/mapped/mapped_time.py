@@ -1,0 +1,88 @@
+"""The times of a mapped table in seconds: numbers of a unit, counts of frames, or dates and times of day as text.
+
+Nothing is guessed; but what the cell file says and the first rows contradict is refused. What the other columns mean is
+the business of `mapped_csv`.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING, cast
+
+import polars as pl
+
+from cyclekit.errors import LogError
+from cyclekit_adapters.mapped.csv_map import FRAME, SECONDS, CsvMap
+from cyclekit_adapters.text.delimited import INDEX, Rows
+from cyclekit_adapters.text.written_time import written_seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+T_S = "\x1ft_s"  # a name that no column of a file can have
+_JOINED = "\x1fwhen"
+_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
+_EPOCH_S = (9.4e8, 4.1e9)  # the years 2000 to 2099
+
+
+def name_their_zone(first_rows: Sequence[Sequence[str]], names: Sequence[str], mapping: CsvMap) -> bool:
+    """Tell from the first rows whether the times written in a table name their zone."""
+    pattern = mapping.time_format or ""
+    if pattern != "iso":
+        return "%z" in pattern or "%+" in pattern or "%:z" in pattern
+    rows = [dict(zip(names, cells, strict=False)) for cells in first_rows]
+    times = [" ".join(row.get(name, "").strip() for name in mapping.time).strip() for row in rows]
+    zoned = [_ZONE.search(time) is not None for time in times if ":" in time]
+    return 2 * sum(zoned) > len(zoned)
+
+
+def require_epoch(path: Path, frame: pl.DataFrame, mapping: CsvMap) -> None:
+    """Refuse times that are none since 1970, though the cell file says so: a wrong unit, most often.
+
+    Raises:
+        LogError: The middle one of the times of `frame` is not of the years 2000 to 2099.
+    """
+    middle = frame[T_S].drop_nulls().sort()[len(frame) // 2 :].to_list()[:1]
+    if not middle or _EPOCH_S[0] <= middle[0] <= _EPOCH_S[1]:
+        return
+    unit = " and ".join(map(repr, mapping.time_unit))
+    told = f"time_format is {mapping.time_format!r}" if mapping.time_format else f"time_unit is {unit}"
+    cause = f"the clock is said to be epoch, but {middle[0]:.10g} s is not in the years 2000 to 2099; {told}"
+    cure = 'Give another time_unit or time_format, or clock = "uptime" or "relative".'
+    raise LogError(path, cause, cure=cure)
+
+
+def timed(rows: Rows, mapping: CsvMap, rate_hz: float | None, *, zoned: bool) -> Rows:
+    """Add the time in seconds as column T_S; a row whose time cannot be read is set aside."""
+    frame = rows.frame
+    if not mapping.time:
+        return replace(rows, frame=frame.with_columns((pl.col(INDEX) / cast("float", rate_hz)).alias(T_S)))
+    if mapping.time_format is None:
+        return _counted(rows, mapping, rate_hz)
+    text = pl.concat_str(mapping.time, separator=" ")
+    plain = text if "," in str(mapping.time_format) else text.str.replace_all(",", ".", literal=True)  # 10:00:00,250
+    when = written_seconds(plain, str(mapping.time_format), mapping.time_zone, zoned=zoned)
+    frame = frame.with_columns(text.alias(_JOINED), when.alias(T_S))
+    rows = replace(rows, frame=frame)
+    bad = frame[T_S].is_null()
+    if bad.any():
+        first = frame.filter(bad)[_JOINED][0]
+        pattern = mapping.time_format
+        rows = rows.without(bad, f"its time is not written as {pattern!r} (the first such: {str(first)[:40]!r})")
+    return replace(rows, frame=rows.frame.drop(_JOINED))
+
+
+def _counted(rows: Rows, mapping: CsvMap, rate_hz: float | None) -> Rows:
+    """Add the time of numbers: of one column, or the sum of its parts."""
+    first, *smaller = [
+        (name, 1.0 / cast("float", rate_hz) if unit == FRAME else SECONDS[unit])
+        for name, unit in zip(mapping.time, mapping.time_unit, strict=True)
+    ]
+    for name, second in smaller:  # a part of a second that is longer than one is no part, but another clock
+        part = rows.frame[name] * second
+        reason = f"its part {name!r} of the time is not between 0 and one {mapping.time_unit[0]} of {first[0]!r}"
+        rows = rows.without((part < 0.0) | (part >= first[1]), reason)
+    time = pl.sum_horizontal(pl.col(name) * second for name, second in (first, *smaller))
+    return replace(rows, frame=rows.frame.with_columns(time.alias(T_S)))

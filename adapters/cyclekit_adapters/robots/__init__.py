@@ -1,0 +1,1 @@
+"""What logs of robot controllers share: their clocks, their binary records, the links of an arm."""

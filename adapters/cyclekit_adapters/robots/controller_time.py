@@ -1,0 +1,139 @@
+"""Rows of a controller log on its own clock: each instant once, and what a person must know of steps back.
+
+A logger that is faster than its controller writes the last sample again, and a controller that was restarted counts
+from zero. Both are the same in every robot log, whatever its columns mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cyclekit_adapters.text.delimited import Rows
+
+DAY_S = 86_400.0
+REPEATED = "repeats the controller sample before it"
+
+
+@dataclass
+class Once:
+    """Keeps each instant once, block after block of one log.
+
+    Attributes:
+        time: Name of the time column; it has no nulls.
+        repeated: Rows so far that repeat the one before them.
+        back: How often so far the clock stepped back for good. A single time that does not fit between its neighbours
+            is a garbled number, which is set aside later, and no restart.
+    """
+
+    time: str
+    repeated: int = 0
+    _back: int = 0
+    _ends: tuple[float, ...] = ()
+
+    @property
+    def back(self) -> int:
+        """As above; a last row that steps back counts, since nothing says that it does not fit."""
+        ends = self._ends
+        return self._back + (len(ends) > 1 and ends[-1] < ends[-2] and not (len(ends) > 2 and ends[-1] > ends[-3]))
+
+    def rows(self, rows: Rows, reason: str = REPEATED) -> Rows:
+        """Return the rows that go on (or step back: a new run), with the repeats set aside."""
+        times = rows.frame[self.time].to_numpy()
+        if not len(times):
+            return rows
+        again = np.diff(times, prepend=self._ends[-1] if self._ends else np.nan) == 0.0
+        self.repeated += int(again.sum())
+        self._count(times[~again])
+        return rows.without(pl.Series(again), reason) if again.any() else rows
+
+    def _count(self, times: NDArray[np.float64]) -> None:
+        """Count the steps back among different times, shape (N,); the last row waits for the one behind it."""
+        known = len(self._ends)
+        seen = np.concatenate([self._ends, times])
+        self._ends = tuple(seen[-3:].tolist())
+        back = np.flatnonzero(seen[1:] < seen[:-1]) + 1  # rows before which it steps back
+        back = back[(back >= known - 1) & (back < len(seen) - 1)]
+        low = seen[back + 1] > seen[back - 1]  # the row itself is the one that does not fit
+        high = (back > 1) & (seen[back] > seen[back - 2])  # the row before it is
+        self._back += int((~low & ~high).sum())
+
+    def warnings(self) -> list[str]:
+        """Say where the controller's clock steps back, and how many rows were repeats."""
+        said = []
+        if self.back:
+            said.append(
+                f"the controller's clock steps back {self.back} time(s): it was restarted, each part is its own run"
+            )
+        if self.repeated:
+            said.append(f"{self.repeated} rows repeat the controller sample before them and are left out")
+        return said
+
+
+@dataclass
+class Back:
+    """How often the time of rows that may share an instant steps back, block after block of one log.
+
+    Attributes:
+        time: Name of the time column; it has no nulls.
+        of: Name of the column that tells tracks apart; the rows of each have their own order.
+        count: How often so far, within a track.
+        days: How often so far by more than a day, whatever the track: no track ends so long before another.
+    """
+
+    time: str
+    of: str | None = None
+    count: int = 0
+    days: int = 0
+
+    def __post_init__(self) -> None:
+        self._last: dict[object, float] = {}
+        self._before: float | None = None
+
+    def add(self, frame: pl.DataFrame) -> None:
+        """Take in the rows of a block."""
+        if frame.is_empty():
+            return
+        far = frame[self.time].diff() < -DAY_S
+        self.days += int(far.sum()) + (self._before is not None and frame[self.time][0] < self._before - DAY_S)
+        self._before = float(frame[self.time][-1])
+        track = pl.lit("") if self.of is None else pl.col(self.of)
+        back = (pl.col(self.time).diff() < 0).sum().alias("back")
+        ends = (pl.col(self.time).first().alias("first"), pl.col(self.time).last().alias("last"))
+        for name, count, first, last in frame.group_by(track.alias("track")).agg(back, *ends).iter_rows():
+            self.count += count + (first < self._last.get(name, first))
+            self._last[name] = last
+
+    def warnings(self) -> list[str]:
+        """Say how often the time steps back."""
+        likely = "rows out of order, or several recordings in one file"
+        said = [f"time steps back {self.count} time(s): {likely}"] if self.count else []
+        if self.days and not self.count:
+            said.append(f"time steps back by more than a day {self.days} time(s): {likely}")
+        return said
+
+
+@dataclass
+class Spread:
+    """Least and greatest value of some columns, block after block; None while all was unknown."""
+
+    columns: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        self.least: dict[str, float] = {}
+        self.most: dict[str, float] = {}
+
+    def add(self, frame: pl.DataFrame) -> None:
+        """Take in the columns that `frame` has."""
+        for name in dict.fromkeys(self.columns):
+            if name not in frame.columns or frame[name].null_count() == frame.height:
+                continue
+            low, high = float(str(frame[name].min())), float(str(frame[name].max()))
+            self.least[name] = min(low, self.least.get(name, low))
+            self.most[name] = max(high, self.most.get(name, high))

@@ -1,0 +1,134 @@
+"""Which column of a safety system's log is what: time, override, distance, its deviation, and the execution.
+
+Such a log holds nothing else. A table that also has places or joints is a robot's log and is mapped by its owner.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from cyclekit.errors import ConfigError, LogError, UnknownName, nearest
+from cyclekit_adapters.tasks.event_table import TIME_NAMES, stem_of
+from cyclekit_adapters.tasks.task_columns import NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+WHERE = "[sources.map] of a safety log"
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_OVERRIDE = re.compile(r"ovr|override")
+_DISTANCE = re.compile(r"dist(?:ance|_|$|[cm]?m$|mean|min|\d)|separation")
+_DEVIATION = re.compile(r"(?:std|sd|stddev|deviation|sigma)$")
+_INDEX = {"index", "idx", "row", "seq", "unnamed0"}
+_LENGTH = re.compile(r"[ _.\[(](m|cm|mm)[\])]?$")
+_KEYS = ("time", "override", "distance", "deviation", "execution")
+
+
+@dataclass(frozen=True)
+class SafetyColumns:
+    """The columns of a safety system's log.
+
+    Attributes:
+        time: Of the time.
+        overrides: Whose product is the override.
+        distance: Of the distance robot to person; `deviation`: of its standard deviation.
+        metres: Of one unit of length.
+        execution: Of the execution's name.
+    """
+
+    time: str
+    overrides: tuple[str, ...] = ()
+    distance: str | None = None
+    deviation: str | None = None
+    metres: float = 1.0
+    execution: str | None = None
+
+
+def is_safety_log(file: str, names: Sequence[str]) -> bool:
+    """Tell whether a table of these columns is a safety system's log."""
+    return safety_columns(file, names) is not None
+
+
+def safety_columns(file: str, names: Sequence[str]) -> SafetyColumns | None:
+    """Return the columns of a safety system's log, None if they are of something else.
+
+    Args:
+        file: Name of the file; a table of `Mean` and `Std` says there alone that they are of a distance.
+        names: Its columns.
+    """
+    stems = {name: _stem(name) for name in names}
+    times = [name for name, stem in stems.items() if stem in TIME_NAMES]
+    rest = {name: stem for name, stem in stems.items() if name not in times and not _is_index(name, stem)}
+    deviations = [name for name, stem in rest.items() if _DEVIATION.search(stem)]
+    executions = [name for name, stem in rest.items() if stem in NAMES["execution"]]
+    values = {name: stem for name, stem in rest.items() if name not in (*deviations, *executions)}
+    overrides = [name for name, stem in values.items() if _OVERRIDE.search(stem)]
+    distances = [name for name, stem in values.items() if _DISTANCE.search(stem) and name not in overrides]
+    if not distances and set(values.values()) - {values[name] for name in overrides} == {"mean"}:
+        distances = [name for name, stem in values.items() if stem == "mean"] if _DISTANCE.search(file.lower()) else []
+    known = len(overrides) + len(distances)
+    if len(times) != 1 or not known or known != len(values) or len(distances) > 1 or len(executions) > 1:
+        return None
+    if len(deviations) > len(distances):
+        return None
+    return SafetyColumns(
+        times[0],
+        tuple(overrides),
+        next(iter(distances), None),
+        next(iter(deviations), None),
+        _metres(distances),
+        next(iter(executions), None),
+    )
+
+
+def _is_index(name: str, stem: str) -> bool:
+    return stem in _INDEX or name.startswith("#")  # a column without a name
+
+
+def _stem(name: str) -> str:
+    return stem_of(name, TIME_NAMES)[0]
+
+
+def _metres(distances: Sequence[str]) -> float:
+    found = next((match[1] for name in distances if (match := _LENGTH.search(name.lower()))), "m")
+    return LENGTHS[found]
+
+
+def mapped_columns(path: Path, names: Sequence[str], told: Mapping[str, object]) -> SafetyColumns:
+    """Return the columns that the cell file names, the others by their names.
+
+    Raises:
+        ConfigError: A key is not known, or is no text.
+        LogError: A column is not there, or there is neither an override nor a distance.
+    """
+    for key, value in told.items():
+        if key not in (*_KEYS, "length_unit"):
+            raise UnknownName(WHERE, "key", key, [*_KEYS, "length_unit", "override_max", "time_unit", "time_zone"])
+        if not isinstance(value, str):
+            raise ConfigError(f"{WHERE}: {key} = {value!r} is no text", cure=f'{key} = "NAME"')
+        if key in _KEYS and value not in names:
+            cause = f"no column {value!r}, which [sources.map] names for {key}"
+            raise LogError(path, cause, nearest=nearest(value, names), cure=f"It has: {', '.join(names[:40])}.")
+    unit = str(told.get("length_unit", "m"))
+    if unit not in LENGTHS:
+        raise UnknownName(WHERE, "length_unit", unit, LENGTHS)
+    found = safety_columns(path.name, names)
+    said = {key: str(told[key]) for key in _KEYS if key in told}
+    time = said.get("time") or (found.time if found else _time_in(names))
+    if time is None or (found is None and not {"override", "distance"} & said.keys()):
+        cause = f"no columns of a time and of an override or a distance among {', '.join(names[:40])}"
+        raise LogError(path, cause, cure='Name them in [sources.map]: time = "COLUMN", override = "COLUMN"')
+    if found is None or {"override", "distance"} & said.keys():
+        overrides = (said["override"],) if "override" in said else ()
+        distance = said.get("distance")
+        found = SafetyColumns(time, overrides, distance, metres=_metres([distance] if distance else []))
+    metres = LENGTHS[unit] if "length_unit" in told else found.metres
+    deviation, execution = said.get("deviation", found.deviation), said.get("execution", found.execution)
+    return replace(found, time=time, deviation=deviation, execution=execution, metres=metres)
+
+
+def _time_in(names: Sequence[str]) -> str | None:
+    return next((name for name in names if _stem(name) in TIME_NAMES), None)

@@ -1,0 +1,153 @@
+"""The cells of a task list -> table TASK_LIST: who did what from when to when, and the rows that cannot be.
+
+A row without a start, an agent or a task, or one that ends before it starts, is set aside with its reason; one without
+an end is kept, its duration unknown. Which column is what is the business of `task_columns`; what is odd about the
+list as a whole (tasks of one agent that overlap) is said by whoever takes it in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.errors import DamagedLog, LogError, nearest
+from cyclekit.schema import TASK_LIST, conform
+from cyclekit_adapters.tasks.task_columns import NEEDED, TIMES, is_person
+from cyclekit_adapters.tasks.task_times import cleaned, with_seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from cyclekit.adapter import ClockKind
+    from cyclekit_adapters.tasks.task_columns import Said
+
+DONE = {"1", "1.0", "true", "yes", "done", "ok", "success", "successful", "succeeded", "complete", "completed",
+        "finished"}  # fmt: skip
+FAILED = {"0", "0.0", "-1", "-1.0", "false", "no", "failed", "fail", "failure", "error", "aborted", "abort",
+          "canceled", "cancelled", "timeout", "ate_abort", "pi_abort"}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TaskTable:
+    """A task list as read.
+
+    Attributes:
+        rows: Table TASK_LIST, in order of start.
+        set_aside: Columns `source_row`, `reason`.
+        clock: Of its times.
+        warnings: One sentence each.
+        facts: How it was read.
+    """
+
+    rows: pl.DataFrame
+    set_aside: pl.DataFrame
+    clock: ClockKind
+    warnings: tuple[str, ...] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
+
+
+def task_table(
+    path: Path, cells: pl.DataFrame, columns: Mapping[str, str], said: Said, *, decimal_comma: bool = False
+) -> TaskTable:
+    """Return the table that the cells of a task list make.
+
+    Args:
+        path: The log, for messages.
+        cells: A text column for each field of `columns`, and `source_row`.
+        columns: What each field is called in the log.
+        said: What the cell file says.
+        decimal_comma: Numbers may be written `0,5`.
+
+    Raises:
+        LogError: Its times cannot be decided, or the cell file names an agent that is not in it.
+        DamagedLog: No row can be used.
+    """
+    cells = cells.with_columns(cleaned(key) for key in columns)
+    timed, clocks = with_seconds(path, cells, columns, said, decimal_comma=decimal_comma)
+    good, aside = _trusted(timed)
+    if good.is_empty():
+        first = aside.row(0) if aside.height else ("", "it holds no row")
+        cause = f"none of its {cells.height} tasks can be used; the first (row {first[0]}): {first[1]}"
+        raise DamagedLog(path, cause, cure="Check which columns are start and end, and their unit.")
+    kinds = _kinds(path, good["agent"].unique(maintain_order=True).to_list(), said)
+    rows = conform(
+        good.select(
+            "end_s",
+            "task",
+            "source_row",
+            *(name for name in ("execution", "planned_start_s", "planned_end_s") if name in good.columns),
+            pl.col("start_s").alias("t_s"),
+            pl.col("agent").replace_strict(kinds, return_dtype=pl.String).alias("agent"),
+            pl.col("agent").alias("agent_name"),
+            _outcome() if "outcome" in good.columns else pl.lit(None, pl.String).alias("outcome"),
+        ),
+        TASK_LIST,
+    ).sort("t_s", maintain_order=True)
+    people = [name for name, kind in kinds.items() if kind == "operator"]
+    warnings = [*_said_of(rows, columns, people), *_said_of_plans(good), *clocks.said]
+    return TaskTable(rows, aside, clocks.clock, tuple(warnings), clocks.facts)
+
+
+def _trusted(cells: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Return the rows that can be used, and the others with the reason."""
+    who = [name for name in ("agent", "task", "start", "end", "execution") if name in cells.columns]
+    odd = [pl.when(pl.col(key).is_null()).then(pl.lit(f"no {key}")) for key in NEEDED if key != "end"]
+    odd += [
+        pl.when(pl.col(key).is_not_null() & pl.col(f"{key}_s").is_null()).then(
+            pl.lit(f"its {key} is no time as the others are")
+        )
+        for key in ("start", "end")
+    ]
+    late = pl.col("end_s") < pl.col("start_s")
+    odd += [pl.when(late).then(pl.lit("it ends before it starts"))]
+    odd += [pl.when(~pl.struct(who).is_first_distinct()).then(pl.lit("the same task once more"))]
+    judged = cells.with_columns(pl.coalesce(odd).alias("reason"))
+    bad = judged["reason"].is_not_null()
+    return cells.filter(~bad), judged.filter(bad).select("source_row", "reason")
+
+
+def _kinds(path: Path, agents: Sequence[str], said: Said) -> dict[str, str]:
+    """Return of each agent whether it is a robot or an operator.
+
+    Raises:
+        LogError: The cell file names an agent that is not in the log.
+    """
+    for name in (*said.robot, *said.operator):
+        if name not in agents:
+            cause = f"no agent {name!r}, which [sources.map] names"
+            raise LogError(path, cause, nearest=nearest(name, agents), cure=f"It has: {', '.join(agents[:40])}.")
+    told = dict.fromkeys(said.robot, "robot") | dict.fromkeys(said.operator, "operator")
+    return {name: told.get(name, "operator" if is_person(name) else "robot") for name in agents}
+
+
+def _outcome() -> pl.Expr:
+    word = pl.col("outcome").str.to_lowercase()
+    known = pl.when(word.is_in(DONE)).then(pl.lit("done")).when(word.is_in(FAILED)).then(pl.lit("failed"))
+    return known.otherwise(pl.col("outcome")).alias("outcome")
+
+
+def _said_of(rows: pl.DataFrame, columns: Mapping[str, str], people: Sequence[str]) -> list[str]:
+    said = []
+    if not people and rows["agent_name"].n_unique() > 1:
+        names = ", ".join(map(repr, rows["agent_name"].unique(maintain_order=True).to_list()[:6]))
+        said.append(f"no agent is called a person ({names}): all are taken for robots; say operator = [...] in the map")
+    if "execution" not in columns:
+        said.append("no column names the execution of a task: the list is one execution; see execution in the map")
+    elif unnamed := rows["execution"].null_count():
+        said.append(f"{unnamed} of {rows.height} tasks name no execution: they are in no execution")
+    words = rows["outcome"].drop_nulls().unique(maintain_order=True)
+    if unknown := [word for word in words if word not in ("done", "failed")]:
+        said.append(f"outcomes are kept as written, neither done nor failed: {', '.join(map(repr, unknown[:6]))}")
+    return said
+
+
+def _said_of_plans(cells: pl.DataFrame) -> list[str]:
+    """Say how many planned times are no times; the tasks are kept."""
+    found = []
+    for key in (key for key in TIMES if key.startswith("planned") and key in cells.columns):
+        odd = cells.filter(pl.col(key).is_not_null() & pl.col(f"{key}_s").is_null()).height
+        found += [f"{odd} tasks: the {key.replace('_', ' ')} is no time as the others are, and unknown"] if odd else []
+    return found

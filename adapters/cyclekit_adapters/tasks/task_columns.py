@@ -1,0 +1,160 @@
+"""Which column of a task list is what: agent, task, start, end, and what some add to them.
+
+Task planners, MES exports and loggers of every kind name them differently; the usual names are known here, and
+`[sources.map]` names any other. What the cells mean is the business of `task_cells`.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+from zoneinfo import available_timezones
+
+from cyclekit.errors import ConfigError, LogError, UnknownName, nearest
+from cyclekit_adapters.tasks.event_table import UNITS, stem_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from cyclekit.adapter import ReadOptions
+
+WHERE = "[sources.map] of a task list"
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "agent": ("agent", "agentname", "agentid", "resource", "resourcename", "orgresource", "performer", "performedby",
+              "executor", "executedby", "actor", "assignee", "assignedto", "who"),
+    "task": ("task", "taskname", "activity", "activityname", "conceptname", "action", "actionname", "skill",
+             "skillname", "operation", "operationname", "name", "taskid", "activityid"),
+    "start": ("start", "tstart", "starttime", "starttimestamp", "startdate", "startdatetime", "startedat", "started",
+              "timestart", "realstart", "startreal", "tstartreal", "actualstart", "startactual", "begin", "tbegin",
+              "begintime", "from"),
+    "end": ("end", "tend", "endtime", "endtimestamp", "enddate", "enddatetime", "endedat", "ended", "timeend",
+            "realend", "endreal", "tendreal", "actualend", "endactual", "finish", "tfinish", "finishtime", "finished",
+            "finishedat", "completiontime", "completedat", "stop", "stoptime", "to", "until", "completetimestamp",
+            "timetimestamp"),
+    "execution": ("execution", "executionid", "executionname", "run", "runid", "recipe", "recipeid", "recipename",
+                  "cycle", "cycleid", "case", "caseid", "caseconceptname", "trial", "trialid", "episode"),
+    "planned_start": ("plannedstart", "startplanned", "tstartplanned", "plannedtstart", "plannedstarttime",
+                      "starttimeplanned", "scheduledstart", "startscheduled", "tstartscheduled", "planstart",
+                      "planstarttime", "notbefore"),
+    "planned_end": ("plannedend", "endplanned", "tendplanned", "plannedtend", "plannedendtime", "endtimeplanned",
+                    "scheduledend", "endscheduled", "tendscheduled", "planend", "planendtime", "plannedfinish"),
+    "outcome": ("outcome", "result", "success", "succeeded", "status", "taskstatus", "state", "taskstate"),
+}  # fmt: skip
+"""What is read, and how its column is usually called: lower case, letters and digits only, the likeliest name first."""
+NEEDED = ("agent", "task", "start", "end")
+TIMES = ("start", "end", "planned_start", "planned_end")
+_TIME_NAMES = frozenset(name for field in TIMES for name in NAMES[field])
+_PEOPLE = {"human", "operator", "person", "worker"}
+_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
+
+
+@dataclass(frozen=True)
+class Said:
+    """What the cell file says of a task list.
+
+    Attributes:
+        columns: Column of each field that it names.
+        robot: Agents that are robots, whatever they are called.
+        operator: Agents that are people.
+        unit: Of times that are numbers.
+        zone: Of times that name none.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    robot: tuple[str, ...] = ()
+    operator: tuple[str, ...] = ()
+    unit: str | None = None
+    zone: str | None = None
+
+
+def said_of(options: ReadOptions) -> Said:
+    """Return what the cell file says.
+
+    Raises:
+        ConfigError: It says what cannot be followed.
+    """
+    if options.role not in (None, "tasks"):
+        cure = 'Leave role out, or give role = "tasks".'
+        raise ConfigError(f"a task list cannot be read as {options.role}", cure=cure)
+    known = [*NAMES, "robot", "operator", "time_unit", "time_zone"]
+    for key in options.map:
+        if key not in known:
+            raise UnknownName(WHERE, "key", key, known)
+    lists = {key: _names(key, options.map.get(key, [])) for key in ("robot", "operator")}
+    if both := sorted({*lists["robot"]} & {*lists["operator"]}):
+        raise ConfigError(f"{WHERE}: {both[0]!r} is in robot and in operator", cure="Keep it in one of them.")
+    texts = {key: _text(key, options.map[key]) for key in (*NAMES, "time_unit", "time_zone") if key in options.map}
+    unit, zone = texts.pop("time_unit", None), texts.pop("time_zone", None)
+    if unit is not None and unit not in UNITS:
+        raise UnknownName(WHERE, "time_unit", unit, UNITS)
+    if zone is not None and zone not in available_timezones():
+        raise UnknownName(WHERE, "time_zone", zone, available_timezones(), cure="As in the IANA list: Europe/Rome.")
+    return Said(texts, lists["robot"], lists["operator"], unit, zone)
+
+
+def _names(key: str, value: object) -> tuple[str, ...]:
+    if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
+        raise ConfigError(f"{WHERE}: {key} = {value!r} is no list of names", cure=f'{key} = ["NAME"]')
+    return tuple(map(str, value))
+
+
+def _text(key: str, value: object) -> str:
+    if not isinstance(value, str):
+        raise ConfigError(f"{WHERE}: {key} = {value!r} is no text", cure=f'{key} = "NAME"')
+    return value
+
+
+def columns_in(names: Iterable[str], said: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the column of each field, as far as the names tell.
+
+    Args:
+        names: Of the columns.
+        said: Column of each field that the cell file names.
+    """
+    found = dict(said or {})
+    stems: dict[str, str] = {}
+    for name in names:
+        stems.setdefault(stem_of(name, _TIME_NAMES)[0], name)
+    taken = set(found.values())
+    for key, usual in NAMES.items():
+        column = next((stems[word] for word in usual if word in stems and stems[word] not in taken), None)
+        if key not in found and column is not None:
+            found[key] = column
+            taken.add(column)
+    return found
+
+
+def unit_of(name: str) -> str | None:
+    """Return the unit that the name of a time column states: `start [ms]`."""
+    return stem_of(name, _TIME_NAMES)[1]
+
+
+def is_task_list(names: Sequence[str]) -> bool:
+    """Tell whether columns of these names are a task list."""
+    found = columns_in(names)
+    return all(key in found for key in NEEDED)
+
+
+def require(path: Path, names: Sequence[str], said: Mapping[str, str]) -> dict[str, str]:
+    """Return the column of each field of a log.
+
+    Raises:
+        LogError: The cell file names a column that is not there, or one of `NEEDED` is not there.
+    """
+    for key, name in said.items():
+        if name not in names:
+            cause = f"no column {name!r}, which [sources.map] names for {key}"
+            raise LogError(path, cause, nearest=nearest(name, names), cure=f"It has: {', '.join(names[:40])}.")
+    found = columns_in(names, said)
+    if missing := [key for key in NEEDED if key not in found]:
+        cause = f"no column is known for {', '.join(missing)} (it has {', '.join(names[:40])})"
+        raise LogError(path, cause, cure=f'Name it in [sources.map] of the cell file: {missing[0]} = "COLUMN"')
+    return found
+
+
+def is_person(agent: str) -> bool:
+    """Tell whether an agent is called human, operator, person or worker, alone or among other words."""
+    words = (word.lower() for word in _WORDS.findall(agent))
+    return any(word in _PEOPLE or word.removesuffix("s") in _PEOPLE for word in words)

@@ -1,0 +1,177 @@
+"""The times of a task list as seconds of one clock: starts, ends, and what was planned.
+
+Each column is read by itself, since planners count the plan from the start of an execution and the rest since 1970. How
+a column of times is told from its first cells is the business of `event_table`, how text becomes seconds that of
+`written_time`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.errors import LogError
+from cyclekit_adapters.tasks.event_table import Times, counted_in, times_of
+from cyclekit_adapters.tasks.task_columns import TIMES, unit_of
+from cyclekit_adapters.text.written_time import written_seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from cyclekit.adapter import ClockKind
+    from cyclekit_adapters.tasks.task_columns import Said
+
+_FIRST = 200
+_NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")
+_NO_TIME = (*_NOTHING, "inf", "+inf", "-inf", "infinity", "+infinity", "-infinity")
+_ZONED = r"(?:Z|[+-]\d{2}:?\d{2})$"
+_PLAN = ("planned_start", "planned_end")
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """How the times of a task list are read.
+
+    Attributes:
+        clock: That of starts and ends.
+        plan: `clock`: planned times are of it; `execution`: they count from the start of the execution; None: no plan.
+        said: What a person should know, one sentence each.
+        facts: How each column is read.
+    """
+
+    clock: ClockKind
+    plan: str | None
+    said: tuple[str, ...]
+    facts: Mapping[str, str]
+
+
+def cleaned(name: str) -> pl.Expr:
+    """Return a column of texts without blanks around them; words for nothing are null."""
+    text = pl.col(name).str.strip_chars()
+    unknown = _NO_TIME if name in TIMES else _NOTHING
+    return pl.when(~text.str.to_lowercase().is_in(unknown)).then(text).alias(name)
+
+
+def with_seconds(
+    path: Path, cells: pl.DataFrame, columns: Mapping[str, str], said: Said, *, decimal_comma: bool
+) -> tuple[pl.DataFrame, Clocks]:
+    """Return the cells with a column `start_s`, `end_s`, ... beside each of times, and how they were read.
+
+    Args:
+        path: The log, for messages.
+        cells: Texts, named after the fields; nulls where nothing is known.
+        columns: What each field is called in the log.
+        said: Unit and zone that the cell file states.
+        decimal_comma: Numbers may be written `0,5`.
+
+    Raises:
+        LogError: The times cannot be decided.
+    """
+    start = _times(path, cells, "start", columns, said, None, decimal_comma=decimal_comma)
+    read = {"start": start}
+    for key in ("end", *_PLAN):
+        if key in cells.columns:
+            read[key] = _times(path, cells, key, columns, said, start, decimal_comma=decimal_comma)
+    if _zone_named(start) != _zone_named(read["end"]) and said.zone is None and start.pattern:
+        cause = f"only one of {columns['start']!r} and {columns['end']!r} names its time zone"
+        raise LogError(path, cause, cure='Say the other\'s: time_zone = "Europe/Rome" in [sources.map].')
+    cells = cells.with_columns(_seconds(key, times, said.zone, decimal_comma) for key, times in read.items())
+    zoned = start.clock == "epoch" or (said.zone is not None and _dated(start))
+    plan = _plan_counts_from(cells, {key: _epoch(read[key], said) for key in _PLAN if key in read}, zoned=zoned)
+    if plan == "execution":
+        begin = pl.col("start_s").min().over("execution") if "execution" in cells.columns else pl.col("start_s").min()
+        cells = cells.with_columns(pl.col(f"{key}_s") + begin for key in _PLAN if key in read)
+    lacks = "name no zone: give time_zone to place it" if _dated(start) else "have no date, so it cannot be placed"
+    warnings = [] if zoned or not start.pattern else [f"its times {lacks} among other logs"]
+    facts = {key.replace("_", " "): f"{columns[key]}: {times.why}" for key, times in read.items()}
+    if plan is not None:
+        facts["plan counts from"] = "the start of each execution" if plan == "execution" else "the zero of the log"
+    return cells, Clocks("epoch" if zoned else "relative", plan, tuple(warnings), facts)
+
+
+def _times(
+    path: Path,
+    cells: pl.DataFrame,
+    key: str,
+    columns: Mapping[str, str],
+    said: Said,
+    start: Times | None,
+    *,
+    decimal_comma: bool,
+) -> Times:
+    """Return how the times of a field are read.
+
+    Raises:
+        LogError: They are no times, or their unit is not known.
+    """
+    name = columns[key]
+    shown = cells[key].drop_nulls()[:_FIRST].to_list()
+    if not shown:
+        if start is None:
+            raise LogError(path, f"no row has a start (column {name!r})", cure="Record again, or remove the file.")
+        return replace(start, columns=(name,), why="empty")
+    unit, first = unit_of(name), shown[0]
+    times = times_of((name,), shown, unit, decimal_comma=decimal_comma)
+    if times is None:  # some cells are garbled: their rows are judged one by one
+        many = len(shown)
+        shown = [text for text in shown if times_of((name,), [text], unit, decimal_comma=decimal_comma)]
+        if 2 * len(shown) >= many:
+            times = times_of((name,), shown, unit, decimal_comma=decimal_comma)
+    if times is None:
+        cause = f"the times of column {name!r} ({first[:40]!r}) are neither numbers nor dates as they are known"
+        raise LogError(path, cause, cure="Write them as ISO 8601, 2024-05-01T10:00:00+02:00, or as seconds.")
+    if said.unit is not None and not times.pattern:
+        numbers = [float(text.replace(",", ".") if decimal_comma else text) for text in shown]
+        times = counted_in((name,), said.unit, "by the cell file", numbers, shown[0])
+    if times.seconds is None and start is not None and not start.pattern and start.seconds is not None:
+        times = replace(times, seconds=start.seconds, why=f"in the unit of {start.columns[0]}")
+    if times.seconds is None:
+        cause = f"the times of column {name!r} ({shown[0][:40]!r}) cannot be decided: {times.why}"
+        raise LogError(path, cause, cure='Say time_unit = "s" (ms, us, ns) in [sources.map].')
+    if _zone_named(times) is False and cells[key].str.contains(_ZONED).any():
+        cause = f"some times of column {name!r} name their time zone and some do not"
+        if said.zone is None:
+            raise LogError(path, cause, cure='Say that of the others: time_zone = "Europe/Rome" in [sources.map].')
+    return times
+
+
+def _zone_named(times: Times) -> bool | None:
+    """Tell whether dates name their zone; None for other times."""
+    return times.clock == "epoch" if times.pattern and _dated(times) else None
+
+
+def _dated(times: Times) -> bool:
+    return "%d" in times.pattern or times.pattern == "iso"
+
+
+def _epoch(times: Times, said: Said) -> bool:
+    return times.clock == "epoch" or (said.zone is not None and _dated(times))
+
+
+def _seconds(key: str, times: Times, zone: str | None, decimal_comma: bool) -> pl.Expr:
+    text = pl.col(key)
+    if times.pattern:
+        plain = text.str.replace(r"([+-]\d{2})(\d{2})$", "$1:$2").str.replace(",", ".", literal=True)
+        found = written_seconds(plain.str.replace(". ", " ", literal=True), times.pattern, zone)
+    else:
+        plain = text.str.replace(",", ".", literal=True) if decimal_comma else text
+        found = plain.cast(pl.Float64, strict=False) * times.seconds
+    return pl.when(found.is_finite()).then(found).alias(f"{key}_s")
+
+
+def _plan_counts_from(cells: pl.DataFrame, epochs: Mapping[str, bool], *, zoned: bool) -> str | None:
+    """Tell what planned times count from: the log's clock or the start of their execution, whichever lies nearer."""
+    if not epochs:
+        return None
+    if all(epochs.values()) or not zoned:
+        key = next(iter(epochs))
+        late = cells["start_s" if key == "planned_start" else "end_s"] - cells[f"{key}_s"]
+        by = "execution" if "execution" in cells.columns else pl.lit(0)
+        begin = cells.select(pl.col("start_s").min().over(by)).to_series()
+        plain, shifted = (np.nanmedian(np.abs(x.to_numpy())) if x.count() else 0.0 for x in (late, late - begin))
+        return "clock" if all(epochs.values()) or plain <= shifted else "execution"
+    return "execution"

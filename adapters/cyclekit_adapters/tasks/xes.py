@@ -1,0 +1,183 @@
+"""Event logs in XES (IEEE 1849): traces of events that start and complete, paired into tasks.
+
+A task begins with the event whose `lifecycle:transition` is `start` and ends with the `complete` of the same name,
+agent and, where it is given, `concept:instance`, within its trace. An event may instead hold its own start
+(`start_timestamp`). XML is read event by event and nothing in it is followed: a document type declaration, which
+could define entities, is refused, and so is a tag of megabytes or one nested beyond reason.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+from xml.parsers import expat
+
+from cyclekit.errors import DamagedLog, LogError
+from cyclekit_adapters.tasks.task_columns import columns_in
+from cyclekit_adapters.text.text_blocks import characters_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+Record = dict[str, str]
+FIELDS = ("agent", "task", "start", "end", "execution", "planned_start", "planned_end", "outcome")
+NO_START = "\x1fno start"
+"""Key of a record whose task completes and never started."""
+_LONGEST_TAG = 1 << 20
+_DEEPEST = 64
+_MOST_EVENTS = 1 << 20
+"""Of one trace, which is held as a whole."""
+_PIECE = 1 << 16
+_ENDS = {"complete": None, "ate_abort": "failed", "pi_abort": "failed", "withdraw": "failed", "abort": "failed"}
+_VALUES = {"string", "date", "int", "float", "boolean", "id"}
+
+
+def is_xes(head: str) -> bool:
+    """Tell whether these are the first characters of an event log in XES."""
+    text = head.lstrip("\ufeff \t\r\n")
+    return text.startswith("<") and "<log" in text and ("xes" in text or "concept:name" in text)
+
+
+class XesRecords:
+    """The tasks of a file, one at a time; afterwards it is known what was passed over.
+
+    Attributes:
+        broken: Why the file ends early; None if it does not.
+        events: Events read.
+        passed_over: Events that neither start nor end a task, by transition.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Take a file."""
+        self._path = path
+        self.broken: str | None = None
+        self.events = 0
+        self.passed_over: Counter[str] = Counter()
+
+    def __iter__(self) -> Iterator[Record]:
+        """Yield each task: texts by field (`FIELDS`), or `NO_START`.
+
+        Raises:
+            DamagedLog: It holds what no event log holds.
+            LogError: The file cannot be read.
+        """
+        document = _Document(self._path)
+        try:
+            for piece in characters_of(self._path):
+                for first in range(0, len(piece), _PIECE):
+                    document.feed(piece[first : first + _PIECE])
+                    yield from self._taken(document)
+            document.feed("", final=True)
+        except expat.ExpatError as error:
+            self.broken = f"the document is cut or garbled at line {error.lineno}"
+        except OSError as error:
+            raise LogError(self._path, f"cannot be read: {error.strerror}", cure="Check the path.") from error
+        yield from self._taken(document, last=True)
+
+    def _taken(self, document: _Document, *, last: bool = False) -> Iterator[Record]:
+        for execution, events in document.taken(last=last):
+            self.events += len(events)
+            yield from self._tasks(execution, events)
+
+    def _tasks(self, execution: str | None, events: list[Record]) -> Iterator[Record]:
+        waiting: list[Record] = []
+        for event in events:
+            record = _record(event, execution)
+            transition = event.get("lifecycle:transition", "complete").lower()
+            if "start" in record:
+                yield record
+            elif transition == "start":
+                record["start"] = record.pop("end", "")
+                waiting.append(record)
+            elif transition in _ENDS:
+                begun = _begun(waiting, record)
+                if begun is None:
+                    yield {NO_START: event.get("concept:name", "")}
+                    continue
+                outcome = _ENDS[transition]
+                yield {**begun, **record, **({"outcome": outcome} if outcome else {})}
+            else:
+                self.passed_over[transition] += 1
+        yield from waiting
+
+
+def _record(event: Record, execution: str | None) -> Record:
+    """Return the fields of an event; its time is the `end` until it is known to be a start."""
+    found = columns_in([key for key in event if key not in ("concept:name", "time:timestamp", "org:resource")])
+    record = {key: event[name] for key, name in found.items() if key in FIELDS}
+    told = {"task": "concept:name", "end": "time:timestamp", "agent": "org:resource", "instance": "concept:instance"}
+    record |= {key: event[name] for key, name in told.items() if name in event}
+    return record | ({} if execution is None else {"execution": execution})
+
+
+def _begun(waiting: list[Record], ended: Record) -> Record | None:
+    """Take the first task that began and fits one that ends; None if there is none."""
+    for at, begun in enumerate(waiting):
+        same = all(begun.get(key) == ended.get(key) for key in ("task", "instance"))
+        if same and ("agent" not in ended or begun.get("agent") == ended["agent"]):
+            return waiting.pop(at)
+    return None
+
+
+class _Document:
+    """The XML: traces as their events come, whatever else is in it passed over."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._parser = expat.ParserCreate()
+        self._parser.buffer_text = False
+        self._parser.StartElementHandler = self._start
+        self._parser.EndElementHandler = self._end
+        self._parser.StartDoctypeDeclHandler = self._refuse
+        self._parser.EntityDeclHandler = self._refuse
+        self._open: list[str] = []
+        self._fed = 0
+        self._trace: Record = {}
+        self._event: Record | None = None
+        self._events: list[Record] = []
+        self._done: list[tuple[str | None, list[Record]]] = []
+
+    def feed(self, text: str, *, final: bool = False) -> None:
+        raw = text.encode("utf-8", "replace")
+        self._fed += len(raw)
+        self._parser.Parse(raw if not final else b"", final)
+        if self._fed - max(self._parser.CurrentByteIndex, 0) > _LONGEST_TAG:
+            raise DamagedLog(self._path, "a tag of more than 1 MiB: no event log", cure="Check what the file is.")
+
+    def taken(self, *, last: bool) -> list[tuple[str | None, list[Record]]]:
+        """Return the traces that are whole; with `last`, what there is of an open one too."""
+        if last and self._events:
+            self._close_trace()
+        done, self._done = self._done, []
+        return done
+
+    def _start(self, tag: str, about: dict[str, str]) -> None:
+        name = tag.rpartition(":")[2]
+        if len(self._open) >= _DEEPEST:
+            raise DamagedLog(self._path, f"tags nested {_DEEPEST} deep: no event log", cure="Check what the file is.")
+        around = self._open[-1] if self._open else ""
+        self._open.append(name)
+        if name == "event":
+            self._event = {}
+        elif name in _VALUES and around in ("event", "trace") and "key" in about:
+            into = self._event if around == "event" and self._event is not None else self._trace
+            into[about["key"]] = about.get("value", "")
+
+    def _end(self, tag: str) -> None:
+        name = self._open.pop()
+        if name == "event" and self._event is not None:
+            self._events.append(self._event)
+            self._event = None
+            if len(self._events) > _MOST_EVENTS:
+                raise DamagedLog(self._path, f"a trace of more than {_MOST_EVENTS} events", cure="Split it.")
+        elif name == "trace":
+            self._close_trace()
+
+    def _close_trace(self) -> None:
+        self._done.append((self._trace.get("concept:name"), self._events))
+        self._trace, self._events = {}, []
+
+    def _refuse(self, *about: object) -> None:
+        cause = "it holds a document type declaration, which may define entities: not read"
+        raise DamagedLog(self._path, cause, cure="Remove the <!DOCTYPE ...> at its begin.")

@@ -1,0 +1,1 @@
+"""Text tables of any dialect, read by blocks: delimiters, headers, numbers, JSON rows, worksheets."""

@@ -1,0 +1,147 @@
+"""Rows of a delimited text log, whole and never shifted, and the rows that cannot be trusted.
+
+Every CSV adapter reads through here, because the traps are the same for all: a logger killed in the middle of a
+number leaves a value that still parses, a doubled space moves every later column by one, a power cut leaves a block
+of NUL bytes. A row is used only if nothing about it is in doubt (`row_parser`); all others are set aside with their
+line and the reason. What the columns mean is the adapters' business, how bytes become lines that of `text_blocks`.
+
+The log is read block by block, so one of any size takes the memory of a block.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.errors import DamagedLog, LogError
+from cyclekit_adapters.text.row_parser import RowParser
+from cyclekit_adapters.text.text_blocks import blocks_of
+from cyclekit_adapters.text.text_layout import Layout, delimiter_of, fields_of, header_names, unique
+from cyclekit_adapters.text.text_rows import INDEX, SET_ASIDE, Rows, Wanted, nothing_usable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
+
+__all__ = [
+    "INDEX",
+    "Layout",
+    "Rows",
+    "delimiter_of",
+    "fields_of",
+    "header_names",
+    "joined",
+    "nothing_usable",
+    "read_blocks",
+    "read_rows",
+    "row_blocks",
+    "rows_of",
+    "unique",
+]
+
+
+def read_rows(
+    path: Path,
+    layout: Layout,
+    *,
+    numbers: Sequence[str],
+    texts: Sequence[str] = (),
+    required: Sequence[str] = (),
+    any_of: Sequence[str] = (),
+) -> Rows:
+    """Read the columns `numbers` (Float64) and `texts` (String) of every trustworthy row, the whole log at once.
+
+    Args:
+        path: The log.
+        layout: How it is written.
+        numbers: Columns of numbers; an empty cell, NaN and infinity become null: unknown.
+        texts: Columns of text; an empty cell becomes null.
+        required: Columns without whose value a row is useless (its time): such rows are set aside.
+        any_of: Columns of which a row needs at least one value, where any are given.
+
+    Raises:
+        DamagedLog: A column asked for has its name twice, or a line is longer than any logger writes.
+        LogError: The file cannot be opened.
+    """
+    blocks = read_blocks(path, layout, numbers=numbers, texts=texts, required=required, any_of=any_of)
+    return joined(blocks, numbers, texts)
+
+
+def read_blocks(
+    path: Path,
+    layout: Layout,
+    *,
+    numbers: Sequence[str],
+    texts: Sequence[str] = (),
+    required: Sequence[str] = (),
+    any_of: Sequence[str] = (),
+) -> Iterator[Rows]:
+    """Yield what `read_rows` returns, some tens of thousands of rows at a time, for logs of any size.
+
+    Raises:
+        DamagedLog: A column asked for has its name twice, or a line is longer than any logger writes.
+        LogError: The file cannot be opened.
+    """
+    wanted = Wanted(numbers, texts, required, any_of)
+    for name in wanted.columns:
+        if f"{name}#2" in layout.names:
+            cause = f"two columns are called {name!r}: which one is meant cannot be told"
+            raise DamagedLog(path, cause, cure="Name each column once in its header.")
+    try:
+        parser = RowParser(layout, wanted, line=layout.header_lines + 1)
+        blocks = blocks_of(path, layout.encoding, skip_lines=layout.header_lines, delimiter=layout.delimiter)
+        yield from parser.rows(blocks)
+    except OSError as error:
+        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
+
+
+def rows_of(
+    blocks: Iterable[bytes],
+    layout: Layout,
+    *,
+    numbers: Sequence[str],
+    texts: Sequence[str] = (),
+    required: Sequence[str] = (),
+    first_line: int = 1,
+) -> Rows:
+    """Read rows as `read_rows` does, out of lines with their line ends: a section of a file of several tables.
+
+    Args:
+        blocks: Whole lines of UTF-8 text, in pieces of any size; the first `layout.header_lines` of them are no rows.
+        layout: How they are written.
+        numbers: As in `read_rows`.
+        texts: As in `read_rows`.
+        required: As in `read_rows`.
+        first_line: Line of the file that the first of these is.
+    """
+    rows = row_blocks(blocks, layout, numbers=numbers, texts=texts, required=required, first_line=first_line)
+    return joined(rows, numbers, texts)
+
+
+def row_blocks(
+    blocks: Iterable[bytes],
+    layout: Layout,
+    *,
+    numbers: Sequence[str],
+    texts: Sequence[str] = (),
+    required: Sequence[str] = (),
+    first_line: int = 1,
+) -> Iterator[Rows]:
+    """Yield what `rows_of` returns, piece by piece."""
+    parser = RowParser(layout, Wanted(numbers, texts, required), line=first_line, skip=layout.header_lines)
+    yield from parser.rows(blocks)
+
+
+def joined(parts: Iterable[Rows], numbers: Sequence[str] = (), texts: Sequence[str] = ()) -> Rows:
+    """Put blocks of rows together; the columns are given for the case that there is none."""
+    every = list(parts)
+    if not every:
+        columns = {"source_row": pl.Int64(), INDEX: pl.Int64()}
+        schema = columns | dict.fromkeys(numbers, pl.Float64()) | dict.fromkeys(texts, pl.String())
+        return Rows(pl.DataFrame(schema=schema), 0, pl.DataFrame(schema=SET_ASIDE))
+    if len(every) == 1:
+        return every[0]
+    frame = pl.concat([rows.frame for rows in every])
+    aside = pl.concat([rows.set_aside for rows in every])
+    return Rows(frame, sum(rows.rows_read for rows in every), aside, sum(rows.not_finite for rows in every))

@@ -1,0 +1,92 @@
+"""The column names in the first line of a text log, and how the rows below them are written.
+
+For logs that describe themselves this far and no further: delimiter and encoding follow from the first line. Logs with
+lines above their names, or with none, state their layout themselves.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from cyclekit.errors import DamagedLog
+from cyclekit_adapters.text.text_blocks import file_encoding, head_lines, head_of
+from cyclekit_adapters.text.text_layout import Layout, delimiter_of, fields_of, header_names, strict_fields_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+MOST_COLUMNS = 100_000
+"""No logger writes more; a million of them would take gigabytes to read."""
+_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+_POINT = re.compile(r"[+-]?\d+\.\d+(?:[eE][+-]?\d+)?")
+_LOOKED_AT = 20  # rows
+
+
+def column_names(path: Path, delimiters: str = ",;\t ") -> tuple[str, ...]:
+    """Return the names in the first line, as far as the first few KiB hold it, to recognise a log by.
+
+    None for a folder, a binary file, one that cannot be opened, or a JSON document.
+    """
+    line = head_of(path).partition("\n")[0]
+    return () if line.startswith(("{", "[")) else _names_in(line, delimiters)
+
+
+@lru_cache(maxsize=16)  # several adapters ask for those of each file
+def _names_in(line: str, delimiters: str) -> tuple[str, ...]:
+    return header_names(line, delimiter_of(line, delimiters))
+
+
+def names_in(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
+    """Return the names in a header line.
+
+    Raises:
+        DamagedLog: There are more than any logger writes, or it is no text.
+    """
+    if "\0" in line:
+        raise DamagedLog(path, "its header holds NUL bytes: it is damaged, or no text", cure="Check the copy.")
+    if line.count(delimiter) >= MOST_COLUMNS:
+        cause = f"a header of more than {MOST_COLUMNS:,} columns: no logger writes that"
+        raise DamagedLog(path, cause, cure="Check what the file is.")
+    return header_names(line, delimiter)
+
+
+def has_decimal_comma(rows: Iterable[str], delimiter: str) -> bool:
+    """Tell whether numbers are written `0,5`: where a comma does not separate fields, one in a number is decimal.
+
+    Where commas do separate, such numbers stand in quotes. Where some numbers have a comma and others a point, the more
+    frequent one is the decimal mark.
+    """
+    cells = [cell.strip() for row in rows if "," in row for cell in fields_of(row, delimiter)]
+    return sum(map(bool, map(_COMMA.fullmatch, cells))) > sum(map(bool, map(_POINT.fullmatch, cells)))
+
+
+def layout_below(path: Path, delimiters: str = ",;\t ") -> Layout:
+    """Return how the rows below the first line are written; where names or cells stand in quotes, all may.
+
+    Args:
+        path: The log.
+        delimiters: Those that may separate; leave out what occurs inside names.
+
+    Raises:
+        DamagedLog: The first line is empty or binary, or has more names than any logger writes.
+        LogError: The file cannot be opened.
+    """
+    encoding = file_encoding(path)
+    line, *rows = head_lines(path, 1 + _LOOKED_AT) or [""]
+    if encoding is None or not line.strip():
+        raise DamagedLog(path, "the file is empty or not text", cure="Check the copy.")
+    delimiter = delimiter_of(line, delimiters)
+    names, comma = names_in(path, line, delimiter), has_decimal_comma(rows, delimiter)
+    quotes = '"' in line or any(_is_quoted(row, delimiter, len(names)) for row in rows)
+    return Layout(names, delimiter, 1, decimal_comma=comma, encoding=encoding, quotes=quotes)
+
+
+def _is_quoted(row: str, delimiter: str, width: int) -> bool:
+    """Tell whether a row has as many cells as there are names if its quotes hold cells together, and only then."""
+    if '"' not in row:
+        return False
+    cells = strict_fields_of(row, delimiter)
+    return cells is not None and len(cells) == width != len(row.split(delimiter))

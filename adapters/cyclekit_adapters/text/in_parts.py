@@ -1,0 +1,93 @@
+"""A text log as consecutive parts, for adapters whose logs may be larger than memory.
+
+A few blocks of rows become a part as soon as they are read. What is known only at the end (how often a clock stepped
+back) goes into the last one, and a log of which no row was usable is refused then. What the columns mean is the
+adapter's business.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.errors import DamagedLog
+from cyclekit_adapters.text import text_blocks
+from cyclekit_adapters.text.delimited import joined, nothing_usable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
+
+    from cyclekit.adapter import Recording
+    from cyclekit_adapters.text.delimited import Rows
+
+MANY, HARDLY_ANY = 1_000_000, 0.01
+"""A log of which less than this share of so many rows can be used is something else, however long one goes on."""
+_PARTS_IN_A_BLOCK = 4
+
+
+def in_parts(
+    path: Path,
+    blocks: Iterable[Rows],
+    make: Callable[[Rows], Recording],
+    finish: Callable[[Recording], Recording],
+) -> Iterator[Recording]:
+    """Yield the parts of a log.
+
+    Args:
+        path: The log, for the message.
+        blocks: Its rows.
+        make: Turns some blocks, put together, into a part; called in order.
+        finish: Adds to the last part what is known now.
+
+    Raises:
+        DamagedLog: No row of the log is usable, or hardly any of very many.
+    """
+    last: Recording | None = None
+    rows_read, usable, unknown = 0, 0, 0
+    aside: pl.DataFrame | None = None
+    for rows in _together(blocks):
+        part = make(rows)
+        refused = rows.set_aside if part.set_aside is None else part.set_aside  # `make` may set rows aside, too
+        rows_read += rows.rows_read
+        usable += rows.frame.height - (refused.height - rows.set_aside.height)
+        unknown += rows.not_finite
+        if aside is None and refused.height:
+            aside = refused
+        if rows_read > MANY and usable < rows_read * HARDLY_ANY and aside is not None:
+            raise _hardly_any(path, rows_read, usable, aside)
+        if last is not None:
+            yield last
+        last = part
+    if last is None or not usable:
+        raise nothing_usable(path, rows_read, pl.DataFrame() if aside is None else aside)
+    done = finish(last)
+    if unknown:
+        said = f"{unknown} values are written as NaN or infinity: unknown there"
+        done = replace(done, warnings=(*done.warnings, said))
+    yield done
+
+
+def _together(blocks: Iterable[Rows]) -> Iterator[Rows]:
+    """Put consecutive blocks together until their tables are a quarter as large as a block of text.
+
+    To check a part of few rows takes about as long as one of many, and few columns make small tables of large blocks.
+    """
+    waiting: list[Rows] = []
+    size = 0.0
+    for rows in blocks:
+        waiting.append(rows)
+        size += rows.frame.estimated_size() + rows.set_aside.estimated_size()
+        if size * _PARTS_IN_A_BLOCK >= text_blocks.BLOCK_BYTES:
+            yield joined(waiting)
+            waiting, size = [], 0.0
+    if waiting:
+        yield joined(waiting)
+
+
+def _hardly_any(path: Path, rows_read: int, usable: int, aside: pl.DataFrame) -> DamagedLog:
+    line, reason = aside.row(0)
+    cause = f"of its first {rows_read} rows only {usable} can be used; the first that cannot (line {line}): {reason}"
+    return DamagedLog(path, cause, cure="Check what the file is; to read its good rows, cut them out of it.")

@@ -1,0 +1,217 @@
+"""The rows in lines of a delimited text log, whole and never shifted, and the lines that cannot be trusted.
+
+A row is used only if it has as many fields as the header, every number in it is one, and it ends with a line end. A
+block of lines is parsed at once; only where that fails is it halved, and the lines around the trouble are looked at one
+by one, each with its neighbours: a line of other names ends the table, a piece of a row makes the rows beside it
+doubtful. How bytes become lines is the business of `text_blocks`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit_adapters.text.block_table import Table, short_lines, table_of
+from cyclekit_adapters.text.made_ahead import made_ahead
+from cyclekit_adapters.text.single_lines import as_texts, cells_of, is_name_line, is_torn, miscounted
+from cyclekit_adapters.text.text_rows import (
+    CELL,
+    INDEX,
+    SET_ASIDE,
+    Rows,
+    Wanted,
+    as_numbers,
+    finite,
+    not_finite,
+    stripped,
+    trusted,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from cyclekit_adapters.text.text_layout import Layout
+
+ONE_BY_ONE = 1 << 17
+"""Bytes; a block in trouble is halved down to here, then read line by line."""
+_BLANKS = f"{CELL} \t"
+_CUT = "the last line has no line end: it was cut while being written"
+
+
+@dataclass
+class _Sorted:
+    """Lines of a block looked at one by one: the cells of the rows that are kept and where they stand, and the rest."""
+
+    kept: list[str] = field(default_factory=list)
+    places: list[tuple[int, int]] = field(default_factory=list)
+    aside: list[tuple[int, str]] = field(default_factory=list)
+
+    def doubt_last(self, place: tuple[int, int], reason: str) -> None:
+        """Set the row aside that was kept last, if it stands at this line and row."""
+        if self.places and self.places[-1] == place:
+            self.kept.pop()
+            self.aside.append((self.places.pop()[0], reason))
+
+
+@dataclass
+class RowParser:
+    """Parses blocks of lines one after the other, and knows which line comes next.
+
+    Attributes:
+        layout: How the rows are written.
+        wanted: What is read of them.
+        line: Number of the next line in its file.
+        skip: Lines still to be passed over.
+        row: Number of the next data row.
+        ended: Why nothing is read any more: another table began.
+        below_names: The next row is the first below a line of names, where a line of units may stand.
+        torn: The line before was a piece of a row, so the next one may be its rest.
+    """
+
+    layout: Layout
+    wanted: Wanted
+    line: int = 1
+    skip: int = 0
+    row: int = field(default=0, init=False)
+    ended: str = field(default="", init=False)
+    below_names: bool = field(default=True, init=False)
+    torn: bool = field(default=False, init=False)
+
+    def rows(self, blocks: Iterable[bytes]) -> Iterator[Rows]:
+        """Yield the rows of consecutive blocks of lines; only the very last line of all may lack its end."""
+        for block, table in made_ahead(self._pieces(blocks), self._table_of):
+            yield from self._parsed(block, table)
+
+    def _pieces(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
+        """Yield the blocks below the lines to be passed over, cut so that no row is parted from a piece of it."""
+        held = b""
+        for block in blocks:
+            block = self._below(block)
+            line = block[: block.find(b"\n") + 1]
+            torn = bool(held) and self._is_torn(line)  # what may belong to the row above it stays with it
+            if held:
+                yield held + line if torn else held
+            held = block[len(line) :] if torn else block
+        if held:
+            yield held
+
+    def _below(self, block: bytes) -> bytes:
+        while self.skip and block:
+            _, _, block = block.partition(b"\n")
+            self.skip, self.line = self.skip - 1, self.line + 1
+        return block
+
+    def _table_of(self, block: bytes) -> Table | None:
+        return table_of(block[: block.rfind(b"\n") + 1], self.layout, self.wanted)
+
+    def _parsed(self, block: bytes, table: Table | None) -> Iterator[Rows]:
+        """Yield the rows of a block, given them as a table if all is well with it alone."""
+        whole = block.rfind(b"\n") + 1
+        if whole:
+            yield from self._halved(block[:whole], table)
+        if tail := block[whole:]:
+            if tail.strip():
+                yield self._rows(_Sorted(aside=[(self.line, _CUT)]), rows_read=1)
+                self.row += 1
+            self.line += 1
+
+    def _halved(self, block: bytes, table: Table | None) -> Iterator[Rows]:
+        """Yield the rows of whole lines: at once where all is well, else half by half."""
+        if block.isspace():
+            self.line += block.count(b"\n")
+            return
+        if table is not None and not self.ended and not self.torn:
+            yield self._at_once(table)
+            return
+        middle = self._middle(block)
+        if len(block) <= ONE_BY_ONE or not 0 < middle < len(block):
+            yield self._all_aside(block) or self._one_by_one(block)
+            return
+        for half in (block[:middle], block[middle:]):
+            yield from self._halved(half, None if self.ended or self.torn else self._table_of(half))
+
+    def _middle(self, block: bytes) -> int:
+        """Return where to halve a block: behind a line end, and not between a row and a piece of it."""
+        middle = block.find(b"\n", len(block) // 2) + 1
+        after = block.find(b"\n", middle) + 1
+        return after if self._is_torn(block[middle:after]) else middle
+
+    def _is_torn(self, line: bytes) -> bool:
+        return is_torn(line.decode("utf-8", "replace"), self.layout)
+
+    def _at_once(self, table: Table) -> Rows:
+        frame = table.placed(self.line, self.row)
+        self.line, self.row = self.line + table.lines, self.row + frame.height
+        self.below_names = self.below_names and not frame.height
+        return trusted(frame, [], frame.height, self.wanted, table.not_finite)
+
+    def _all_aside(self, block: bytes) -> Rows | None:
+        """Set all lines of a block aside at once, where none can be a row or the names once more."""
+        if (found := short_lines(block, self.layout)) is None:
+            return None
+        lines, fields = found
+        said = {count: self.ended or miscounted(count, len(self.layout.names)) for count in np.unique(fields).tolist()}
+        reason = pl.Series("reason", fields).replace_strict(said, return_dtype=pl.String)
+        none = self._rows(_Sorted(), len(lines))
+        aside = pl.DataFrame([pl.Series("source_row", lines + self.line), reason], schema=SET_ASIDE)
+        last = block[block.rfind(b"\n", 0, len(block) - 1) + 1 :]
+        self.torn = not self.ended and self._is_torn(last)
+        self.line, self.row = self.line + block.count(b"\n"), self.row + len(lines)
+        return replace(none, set_aside=aside)
+
+    def _one_by_one(self, block: bytes) -> Rows:
+        found, begin = _Sorted(), self.row
+        for content in block.split(b"\n")[:-1]:
+            for piece in content.rstrip(b"\r").split(b"\r"):  # a CR alone ends the lines of old machines and bars
+                if piece.strip():
+                    self._sort_out(piece.decode("utf-8", "replace"), found)
+            self.line += 1
+        return self._rows(found, rows_read=self.row - begin)
+
+    def _sort_out(self, text: str, found: _Sorted) -> None:
+        """Put one line to the rows that are kept or to those set aside."""
+        row, self.row = self.row, self.row + 1
+        cells, reason = cells_of(text, self.layout)
+        reason = self._as_names(cells, reason)
+        if self.torn and not reason:
+            reason = "the line above it is a piece of a row, and this may be the rest of it"
+        self.torn = cells is None and is_torn(text, self.layout)
+        if self.torn:
+            found.doubt_last((self.line - 1, row - 1), "the line below it is a piece of a row, perhaps of this one")
+        if cells is None or reason:
+            found.aside.append((self.line, reason))
+            return
+        found.kept.append(cells)
+        found.places.append((self.line, row))
+        self.below_names = False
+
+    def _as_names(self, cells: str | None, reason: str) -> str:
+        """Return why a line is no row: the fault that it has, or that it names columns; empty if it may be a row.
+
+        The same names again are a recording that was continued; other names are another table, whose numbers must
+        not be taken for this one's. Directly below the names, words are units or descriptions.
+        """
+        if cells is None or not cells.strip(_BLANKS):
+            return self.ended or reason
+        fields = [cell.strip().lstrip("\ufeff").strip('"') for cell in cells.split(CELL)]
+        if self.layout.is_header(fields):
+            self.ended, self.below_names = "", True
+            return "the header once more"
+        if self.ended or not is_name_line(fields, self.layout, self.wanted.numbers):
+            return self.ended or reason
+        shown = ", ".join(fields)[:60]
+        if self.below_names and not set(fields) & set(self.layout.names):
+            return f"words where numbers are due, units or a second line of names: {shown}"
+        self.ended = f"another table begins in line {self.line} ({shown}): cut the file there to read it"
+        return self.ended
+
+    def _rows(self, found: _Sorted, rows_read: int) -> Rows:
+        table = as_texts(found.kept, self.layout).select(self.wanted.columns)
+        where = pl.DataFrame(found.places, schema={"source_row": pl.Int64(), INDEX: pl.Int64()}, orient="row")
+        table, garbled = as_numbers(pl.concat([where, table], how="horizontal"), self.layout, self.wanted)
+        unknown = int(table.select(not_finite(self.wanted)).item() or 0) if table.height else 0
+        table = table.select("source_row", INDEX, *finite(self.wanted), *stripped(self.wanted))
+        return trusted(table, sorted(found.aside + garbled), rows_read, self.wanted, unknown)

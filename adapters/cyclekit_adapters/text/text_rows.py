@@ -1,0 +1,171 @@
+"""Rows of a text log as tables of numbers and texts: which columns are wanted, what counts as unknown, what is garbled.
+
+What a cell may look like, and nothing about lines and files: those are the business of `row_parser` and `text_blocks`.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.errors import DamagedLog
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from cyclekit_adapters.text.text_layout import Layout
+
+INDEX = "\x1findex"
+"""Column of `Rows.frame`: number of the data row, from 0, blank lines and headers not counted."""
+CELL = "\x1f"
+"""Unit separator: delimiter of the lines that were taken apart by us, never part of a log."""
+SET_ASIDE = {"source_row": pl.Int64(), "reason": pl.String()}
+UNKNOWN = ("", "nan", "null", "none", "na", "n/a", "-")
+_NO_VALUE = tuple(word for word in UNKNOWN if word != "nan")  # which is a number for polars, and counted
+UNDECODED = "\ufffd"
+_IN_QUOTES = r"""^(?:"([^"]*)"|'([^']*)')$"""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which columns are read, and what a row must have of them.
+
+    Attributes:
+        numbers: Columns of numbers; an empty cell, NaN and infinity become null: unknown.
+        texts: Columns of text; an empty cell becomes null.
+        required: Columns without whose value a row is useless (its time): such rows are set aside.
+        any_of: Columns of which at least one must have a value, where any are given.
+    """
+
+    numbers: Sequence[str]
+    texts: Sequence[str] = ()
+    required: Sequence[str] = ()
+    any_of: Sequence[str] = ()
+
+    @property
+    def columns(self) -> list[str]:
+        """Return each column once."""
+        return list(dict.fromkeys([*self.numbers, *self.texts]))
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The usable rows.
+
+    Attributes:
+        frame: Columns asked for; `source_row`, the line of the file, from 1 as editors count; and INDEX.
+        rows_read: Rows looked at, blank lines not counted.
+        set_aside: Columns `source_row`, `reason`.
+        not_finite: Values that are written as NaN or infinity, and unknown therefore.
+    """
+
+    frame: pl.DataFrame
+    rows_read: int
+    set_aside: pl.DataFrame
+    not_finite: int = 0
+
+    def or_refuse(self, path: Path) -> Rows:
+        """Return these rows, or refuse the log if none of them can be used.
+
+        Raises:
+            DamagedLog: There is no usable row; the message names the first reason.
+        """
+        if self.frame.is_empty():
+            raise nothing_usable(path, self.rows_read, self.set_aside)
+        return self
+
+    def without(self, bad: pl.Series, reason: str) -> Rows:
+        """Return the rows with those for which `bad`, shape (N,), is true set aside."""
+        if not bad.any():
+            return self
+        aside = self.frame.filter(bad).select("source_row", pl.lit(reason).alias("reason"))
+        set_aside = pl.concat([self.set_aside, aside]).sort("source_row")
+        return replace(self, frame=self.frame.filter(~bad), set_aside=set_aside)
+
+
+def nothing_usable(path: Path, rows_read: int, set_aside: pl.DataFrame) -> DamagedLog:
+    """Return the error for a log without a usable row."""
+    if rows_read == 0:
+        return DamagedLog(path, "a header and no rows", cure="Nothing was recorded: record again or leave it out.")
+    first = set_aside["reason"][0] if set_aside.height else "unknown"
+    line = f" (line {set_aside['source_row'][0]})" if set_aside.height else ""
+    cause = f"none of its {rows_read} rows can be used; the first{line}: {first}"
+    comma = re.search(r"'[+-]?\d+,\d+'.* is not a number", first)
+    cure = 'Where commas are decimal marks, map it with adapter = "csv" and decimal = ",".' if comma else None
+    return DamagedLog(path, cause, cure=cure or "Check how the file was written or copied.")
+
+
+def number_in(name: str, layout: Layout) -> pl.Expr:
+    """Return the cells of a column ready to be cast: trimmed, null where unknown, with a decimal point.
+
+    Where the comma is the decimal mark, a point is none: 1.234 may mean 1234 there, so it is no number at all.
+    """
+    text = pl.col(name).str.strip_chars()
+    text = pl.when(text.str.to_lowercase().is_in(_NO_VALUE)).then(None).otherwise(text)
+    if not layout.decimal_comma:
+        return text
+    pointed = text.str.contains(".", literal=True)
+    return pl.when(pointed).then(text + "?").otherwise(text.str.replace(",", ".", literal=True))
+
+
+def as_numbers(table: pl.DataFrame, layout: Layout, wanted: Wanted) -> tuple[pl.DataFrame, list[tuple[int, str]]]:
+    """Return a table of texts with its numbers as numbers, without the rows that are garbled; those with the reason."""
+    garbled: dict[int, str] = {}
+    for name in wanted.numbers:
+        number = table.select("source_row", text=pl.col(name), ready=number_in(name, layout)).with_columns(
+            number=pl.col("ready").cast(pl.Float64, strict=False)
+        )
+        bad = number.filter(pl.col("ready").is_not_null() & pl.col("number").is_null())
+        for row, text in bad.select("source_row", pl.col("text").str.strip_chars()).iter_rows():
+            garbled.setdefault(row, f"{text[:40]!r} in column {name!r} is not a number")
+        table = table.with_columns(number["number"].alias(name))
+    for name in wanted.texts:
+        bad = table.filter(pl.col(name).str.contains(UNDECODED, literal=True))
+        for row, text in bad.select("source_row", name).iter_rows():
+            cause = f"{text[:40]!r} in column {name!r} is not written in {layout.encoding}: see `encoding`"
+            garbled.setdefault(row, cause)
+    if not garbled:
+        return table, []
+    return table.filter(~pl.col("source_row").is_in(list(garbled))), list(garbled.items())
+
+
+def not_finite(wanted: Wanted) -> pl.Expr:
+    """Return how many numbers of a table, not yet cleaned, are NaN or infinite."""
+    return pl.sum_horizontal(pl.lit(0), *((~pl.col(name).is_finite()).sum() for name in wanted.numbers))
+
+
+def finite(wanted: Wanted) -> list[pl.Expr]:
+    """Return the numbers asked for, unknown where they are NaN or infinite."""
+    return [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in wanted.numbers]
+
+
+def stripped(wanted: Wanted) -> list[pl.Expr]:
+    """Return the texts asked for without blanks and quotes around them, unknown where nothing is left."""
+    bare = {name: pl.col(name).str.strip_chars().str.replace(_IN_QUOTES, "$1$2") for name in wanted.texts}
+    return [text.replace("", None).alias(name) for name, text in bare.items()]
+
+
+def trusted(
+    table: pl.DataFrame, aside: Sequence[tuple[int, str]], rows_read: int, wanted: Wanted, not_finite: int
+) -> Rows:
+    """Return the rows of a table that have the values they need; the others are set aside as well.
+
+    Args:
+        table: `source_row`, INDEX and the cleaned columns.
+        aside: What was set aside already: line and reason.
+        rows_read: Rows looked at.
+        wanted: Which columns are needed.
+        not_finite: How many values were NaN or infinite.
+    """
+    rows = Rows(table, rows_read, pl.DataFrame(aside, schema=SET_ASIDE, orient="row"), not_finite)
+    for name in wanted.required:
+        if rows.frame[name].null_count():
+            rows = rows.without(rows.frame[name].is_null(), f"no value in column {name!r}")
+    if wanted.any_of and all(rows.frame[name].null_count() for name in wanted.any_of):
+        nothing = rows.frame.select(pl.all_horizontal(pl.col(wanted.any_of).is_null())).to_series()
+        rows = rows.without(nothing, "no value in any column that is read, beside its time")
+    return rows

@@ -1,0 +1,252 @@
+"""Which markers of an optical tracker are the person, and where that person is.
+
+A person's point is the middle of the pelvis markers that were seen; without any known pelvis marker, the middle of all
+markers of the subject. A subject is what stands before the colon of a marker's name. Where some subject wears pelvis
+markers, subjects without them are things. The cell file may name a subject, one marker, or the markers that count.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import polars as pl
+
+from cyclekit.adapter import Recording
+from cyclekit.errors import LogError, nearest
+from cyclekit.schema import PEOPLE, conform
+from cyclekit_adapters.mapped.source_map import split_names, words
+from cyclekit_adapters.tracking.joints import all_joints, joint_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from cyclekit.adapter import ReadOptions
+    from cyclekit_adapters.text.delimited import Rows
+    from cyclekit_adapters.tracking.sightings import Sightings
+
+_SIDE = "(?:l|r|left|right)"
+_PELVIS = re.compile(
+    # Anterior and posterior superior iliac spines: LASI, ASISr, L_PSIS, R.ASIS, `r asis` (BTS), L_IAS and RIPS (ISB).
+    rf"(?:{_SIDE}_?)?(?:asis?|psis?|ias)(?:_?{_SIDE})?|{_SIDE}_ips|ips_{_SIDE}"
+    r"|(?:v_)?sacr(?:um|al)?|s1"
+    # Waist and hips, of trackers and of keypoints (RHip, left_hip, CHip, MidHip), and the joint centres (LHJC).
+    rf"|(?:{_SIDE}_?)?(?:waist|pelvis|hips?|hjc)(?:_?{_SIDE})?(?:_?(?:front|back|[fb]))?"
+    r"|(?:c|mid|center|centre)_?hips?|hips?_?(?:center|centre)"
+)
+_IPS = re.compile("[LR]IPS")  # in capitals: lips are no part of the pelvis
+_APART = re.compile(r"[\s._-]+")
+_ALONE = "person"
+_EARTH_M = 1e7  # farther away a marker is a garbled number
+
+
+@dataclass(frozen=True)
+class People:
+    """The people among the markers.
+
+    Attributes:
+        tracks: Person -> the markers whose middle is the person.
+        point: What that middle is.
+        things: Subjects that are no people.
+        worn: Person -> all labelled markers of theirs: the joints of a skeleton.
+    """
+
+    tracks: dict[str, list[int]]
+    point: str
+    things: tuple[str, ...] = ()
+    worn: dict[str, list[int]] = field(default_factory=dict)
+
+    def used(self, *, skeletons: bool) -> list[int]:
+        """Return the markers whose places are needed, ascending."""
+        tracks = [*self.tracks.values(), *(self.worn.values() if skeletons else ())]
+        return sorted({index for members in tracks for index in members})
+
+    def among(self, used: Sequence[int]) -> People:
+        """Return the same people by the places of their markers in `used`."""
+        at = {index: place for place, index in enumerate(used)}
+        tracks = {who: [at[index] for index in members] for who, members in self.tracks.items()}
+        worn = {who: [at[index] for index in members if index in at] for who, members in self.worn.items()}
+        return replace(self, tracks=tracks, worn=worn)
+
+
+def marker_words(options: ReadOptions, adapter: str, more: Mapping[str, Sequence[str]] | None = None) -> dict[str, str]:
+    """Return the words of `[sources.map]`, checked: `up`, and those of the adapter's own keys `more`; not `markers`.
+
+    Raises:
+        ConfigError: A key or a word is not known.
+    """
+    _, rest = split_names(options, adapter, "markers")
+    return words(replace(options, map=rest), adapter, {"up": ("y", "z"), "markers": (), **(more or {})})
+
+
+def choose_people(path: Path, names: Sequence[str], options: ReadOptions, adapter: str) -> People:
+    """Find the people among markers called `names`.
+
+    Raises:
+        LogError: `options` names a body or marker that is not there, or there is no marker at all.
+        ConfigError: `markers` of the map is no list of names.
+    """
+    wanted, _ = split_names(options, adapter, "markers")
+    subjects = _subjects(names)
+    if wanted:
+        named = {options.body or _ALONE: [_find(path, names, name) for name in wanted]}
+        return People(named, "markers named", worn=named)
+    if options.body is not None:
+        if options.body in subjects:
+            members = subjects[options.body]
+            pelvis = [index for index in members if is_pelvis(names[index])]
+            worn = {options.body: _labelled(members, names)}
+            return People({options.body: pelvis or members}, _point(bool(pelvis)), worn=worn)
+        return People({options.body: [_find(path, (*names, *subjects), options.body)]}, "the marker named")
+    if not subjects:
+        raise LogError(path, "no positions: it has no markers", cure="Export the trajectories of the markers.")
+    hips = {who: [i for i in members if is_pelvis(names[i])] for who, members in subjects.items()}
+    found = {who: members for who, members in hips.items() if members}
+    things = tuple(who for who in subjects if found and who not in found)
+    worn = {who: _labelled(subjects[who], names) for who in found or subjects}
+    return People(found or subjects, _point(bool(found)), things, worn)
+
+
+def _point(hips: bool) -> str:
+    return "middle of the pelvis markers seen" if hips else "middle of all markers seen"
+
+
+def is_pelvis(name: str) -> bool:
+    """Tell whether a marker, with its subject or without, is one of the pelvis."""
+    own = name.rpartition(":")[2].strip()
+    plain = _APART.sub("_", own.lower()).removesuffix("_study")  # as OpenCap and Pose2Sim call what they infer
+    return _PELVIS.fullmatch(plain) is not None or _IPS.fullmatch(own) is not None
+
+
+def _subjects(names: Sequence[str]) -> dict[str, list[int]]:
+    found: dict[str, list[int]] = {}
+    for index, name in enumerate(names):
+        subject, colon, _ = name.rpartition(":")
+        found.setdefault(subject.strip() if colon else _ALONE, []).append(index)
+    labelled = {who: members for who, members in found.items() if who != _ALONE}
+    loose = [i for i in found.get(_ALONE, []) if not names[i].startswith("*")]
+    if labelled and not any(is_pelvis(names[i]) for i in loose):
+        return labelled  # markers of nobody beside those of named subjects
+    return found
+
+
+def _labelled(members: Sequence[int], names: Sequence[str]) -> list[int]:
+    return [index for index in members if not names[index].rpartition(":")[2].startswith("*")]
+
+
+def _find(path: Path, names: Sequence[str], name: str) -> int:
+    if name in names:
+        return list(names).index(name)
+    short = [index for index, known in enumerate(names) if known.rpartition(":")[2] == name]
+    if len(short) == 1:
+        return short[0]
+    cure = f"In the file: {', '.join(names[:40])}{', ...' if len(names) > 40 else ''}."
+    raise LogError(path, f"no body or marker {name!r}", nearest=nearest(name, names), cure=cure)
+
+
+def people_table(people: People, points_m: NDArray[np.float64], t_s: pl.Series, source_row: pl.Series) -> pl.DataFrame:
+    """Return the rows of PEOPLE, ordered by time: the middle of what was seen, null where nothing was.
+
+    Args:
+        people: Who wears which markers.
+        points_m: (T, M, 3), NaN = not seen.
+        t_s: (T,).
+        source_row: (T,).
+    """
+    tracks = []
+    for person, members in people.tracks.items():
+        seen: NDArray[np.bool_] = np.all(np.abs(points_m[:, members]) < _EARTH_M, axis=2)  # NaN compares false
+        count = seen.sum(axis=1)
+        total = np.where(seen[:, :, None], points_m[:, members], 0.0).sum(axis=1)
+        middle = np.full((len(t_s), 3), np.nan)
+        middle[count > 0] = total[count > 0] / count[count > 0, None]
+        axes = {f"{axis}_m": pl.Series(middle[:, i]).fill_nan(None) for i, axis in enumerate("xyz")}
+        frame = pl.DataFrame({"t_s": t_s, **axes, "source_row": source_row})
+        tracks.append(conform(frame.with_columns(person=pl.lit(person)), PEOPLE))
+    table = pl.concat(tracks)
+    return table.sort("source_row", maintain_order=True) if len(tracks) > 1 else table
+
+
+def skeleton_table(
+    people: People, names: Sequence[str], points_m: NDArray[np.float64], t_s: pl.Series, source_row: pl.Series
+) -> pl.DataFrame:
+    """Return the rows of SKELETONS: each person's labelled markers, by their names without the subject.
+
+    Args:
+        people: Who wears which markers.
+        names: M names.
+        points_m: As for `people_table`.
+        t_s: (T,).
+        source_row: (T,).
+    """
+    tables = []
+    for person, members in people.worn.items():
+        joints = [names[i].rpartition(":")[2].strip().lower() for i in members]
+        points = np.where(np.abs(points_m[:, members]) < _EARTH_M, points_m[:, members], np.nan)
+        tables.append(joint_rows(t_s, person, joints, points, source_row))
+    return all_joints(tables)
+
+
+def recording_of(
+    people: People,
+    names: Sequence[str],
+    points_m: NDArray[np.float64],
+    t_s: pl.Series,
+    rows: Rows,
+    seen: Sightings,
+    *,
+    options: ReadOptions,
+    up: Literal["y", "z"],
+) -> Recording:
+    """Return one part of a table of markers as a recording, and note what was seen.
+
+    Args:
+        people: Who wears which markers.
+        names: M names.
+        points_m: As for `people_table`.
+        t_s: (T,), of the tracker's clock.
+        rows: The lines of the file, with `source_row`.
+        seen: What was seen in the file so far.
+        options: Whether skeletons are kept.
+        up: The axis that points up.
+    """
+    table = people_table(people, points_m, t_s, rows.frame["source_row"])
+    seen.add(table)
+    seen.clock(t_s)
+    skeletons = skeleton_table(people, names, points_m, t_s, rows.frame["source_row"]) if options.skeletons else None
+    return Recording(
+        people=table,
+        skeletons=skeletons,
+        clock="relative",
+        up=up,
+        rows_are="line",
+        rows_read=rows.rows_read,
+        set_aside=rows.set_aside,
+    )
+
+
+def marker_warnings(people: People, seen: Sightings) -> list[str]:
+    """Say what a person must know about the choice of markers, and in how many frames they were hidden."""
+    said = []
+    if len(people.tracks) > 1:
+        said.append(f"{len(people.tracks)} bodies tracked ({', '.join(people.tracks)}): name the operator with `body`")
+    if "all markers" in people.point:
+        said.append("no pelvis marker known by name: the person is the middle of all markers; see `body` and `markers`")
+    if any(len(members) > 1 for members in people.tracks.values()):
+        said.append("the person is the middle of the markers seen, which shifts when one is hidden")
+    return said + seen.hidden()
+
+
+def marker_facts(people: People, names: Sequence[str]) -> dict[str, str]:
+    """Return what was tracked, for people to read."""
+    facts = {"tracked": ", ".join(people.tracks), "point": people.point}
+    facts["markers_used"] = ", ".join(names[i] for members in people.tracks.values() for i in members)
+    if people.things:
+        facts["not_people"] = ", ".join(people.things)
+    facts["names_in_file"] = ", ".join(names)
+    return facts

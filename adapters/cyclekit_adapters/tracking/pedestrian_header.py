@@ -1,0 +1,197 @@
+"""The columns, the unit and the rate of a table of pedestrians, told by its comments, its names and its first rows.
+
+Nameless columns that are rather in another order, and numbers that cannot be metres where no unit is stated, are
+refused: both would be wrong without a sign of it. What the rows mean is the business of `pedestrian`.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from statistics import median
+from typing import TYPE_CHECKING
+
+from cyclekit.errors import DamagedLog, LogError
+from cyclekit_adapters.text.text_blocks import HEAD_BYTES, head_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_RATE = re.compile(r"(?:frame\s?_?rate|\bfps)\s*[:=]?\s*([0-9]+(?:\.[0-9]+)?)", re.IGNORECASE)
+_IN_UNIT = re.compile(r"\bin (mm|cm|m|metres|meters)\b")
+_TITLES = {
+    "frame": "frame", "frame_id": "frame", "frameid": "frame", "fr": "frame", "frame_number": "frame",
+    "id": "id", "persid": "id", "pers_id": "id", "ped": "id", "ped_id": "id", "pedid": "id",
+    "pedestrian": "id", "pedestrian_id": "id", "track_id": "id",
+    "agent": "id", "agent_id": "id", "person": "id", "person_id": "id", "personid": "id", "x": "x", "y": "y", "z": "z",
+    "pos_x": "x", "pos_y": "y", "pos_z": "z",
+}  # fmt: skip
+_TIMES = frozenset({"t", "time", "timestamp", "time_s", "seconds"})  # a table with times needs no rate: map it
+_TALLEST_M = 4.0
+_FASTEST_M_S = 15.0  # nobody runs so fast, and walked centimetres are a hundred times metres
+_WIDEST = 64
+_LONGEST_TITLES = 64 * _WIDEST
+_LINES_LOOKED_AT = 200
+_FARTHER = 5.0  # a stranger's place is metres away, one's own in the next frame is centimetres
+
+
+@dataclass(frozen=True)
+class Header:
+    """Lines above the data, column names (`frame`, `id`, `x`, `y`, `z` or #n), unit and rate where stated."""
+
+    lines: int
+    names: tuple[str, ...]
+    delimiter: str
+    unit: str | None
+    rate_hz: float | None
+    titled: bool
+
+
+def read_header(path: Path, columns: str | None) -> Header:
+    """Return the header, its columns in the order that the file or the cell file states.
+
+    Raises:
+        DamagedLog: It is no such table.
+        LogError: Nameless columns that are rather in the other order.
+    """
+    head = head_of(path, 1 << 20)
+    header = header_of(head, columns)
+    if header is None:
+        raise DamagedLog(path, "no table of frame, id, x and y", cure='Map it with adapter = "csv".')
+    if header.titled:
+        return header
+    if columns is not None:
+        return replace(header, names=(*columns.split(), *header.names[len(columns.split()) :]))
+    rows = _rows(head, header)
+    here, other = _step(rows, header.names), _step(rows, ("id", "frame", *header.names[2:]))
+    if here > _FARTHER * other > 0.0:
+        cause = (
+            f"the nameless columns are rather id, frame, x, y: taken as frame, id a person moves {here:.3g} between "
+            f"two rows, the other way {other:.3g}"
+        )
+        raise LogError(path, cause, cure='Say the order in [sources.map]: columns = "id frame x y".')
+    return header
+
+
+def _step(rows: list[list[float]], names: tuple[str, ...]) -> float:
+    """Return how far a person typically moves in a frame, if these are the columns; 0 where nobody goes on."""
+    frame, who, x, y = (names.index(name) for name in ("frame", "id", "x", "y"))
+    last: dict[float, list[float]] = {}
+    steps = []
+    for row in rows:
+        if len(row) < len(names):
+            continue
+        before = last.get(row[who])
+        if before is not None and row[frame] > before[frame]:
+            far = max(abs(row[x] - before[x]), abs(row[y] - before[y]))
+            steps.append(far / (row[frame] - before[frame]))
+        last[row[who]] = row
+    return median(steps) if steps else 0.0
+
+
+def metres_if_they_can_be(path: Path, header: Header, rate_hz: float) -> str:
+    """Return "m" for a table that states no unit, unless its people would be giants or run too fast for it.
+
+    Raises:
+        LogError: They would.
+    """
+    rows = [row for row in _rows(head_of(path, 1 << 20), header) if len(row) >= len(header.names)]
+    heights = [abs(row[header.names.index("z")]) for row in rows] if "z" in header.names else []
+    speed_m_s = _step(rows, header.names) * rate_hz
+    said = ""
+    if heights and median(heights) > _TALLEST_M:
+        said = f"in metres people would be {median(heights):.3g} m above the floor"
+    elif speed_m_s > _FASTEST_M_S:
+        said = f"in metres people would move at {speed_m_s:.3g} m/s"
+    if said:
+        raise LogError(
+            path, f"no unit is stated, and {said}", cure='Say it in [sources.map]: unit = "cm" (or "mm", "m").'
+        )
+    return "m"
+
+
+def header_of(head: str, columns: str | None = None) -> Header | None:
+    """Take apart comments, a line of column names if there is one, and the first data row; None if it is no table.
+
+    Nameless rows have four fields, or as many as `columns` names.
+    """
+    lines = head.split("\n", _LINES_LOOKED_AT)[:_LINES_LOOKED_AT]
+    at = next((i for i, line in enumerate(lines) if line.strip() and not _is_comment(line)), len(lines))
+    comments = [line.strip().lstrip("#").strip() for line in lines[:at] if line.strip()]
+    named = _names(lines[at]) if at < len(lines) else None
+    at += named is not None
+    if named is None and comments:
+        named = _names(comments[-1])
+    row = lines[at].strip() if at < len(lines) else ""
+    delimiter = next((mark for mark in "\t,;" if mark in row), " ")
+    width = len(_cells(row, delimiter))
+    nameless = len(columns.split()) if columns else 4
+    if not (4 <= width <= _WIDEST) or (named is None and width != nameless) or (named and len(named[0]) > width):
+        return None
+    names, unit = named or (("frame", "id", "x", "y"), None)
+    names = (*names, *(f"#{index}" for index in range(len(names), width)))
+    rate = next((match for line in comments if (match := _RATE.search(line))), None)
+    rate_hz = float(rate[1][:12]) if rate else None
+    return Header(at, names, delimiter, unit or _unit_of(comments), rate_hz, named is not None)
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith("#")
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    return line.split() if delimiter == " " else line.strip().split(delimiter)
+
+
+def _unit_of(comments: list[str]) -> str | None:
+    """Return the unit that a comment states (`... coordinates in meters`)."""
+    found = next((match[1] for line in comments if (match := _IN_UNIT.search(line.lower()))), None)
+    return "m" if found in ("metres", "meters") else found
+
+
+def _names(line: str) -> tuple[tuple[str, ...], str | None] | None:
+    """Return the canonical names in a line of column names and the unit it states; None if it is no such line."""
+    if len(line) > _LONGEST_TITLES:
+        return None
+    titles = [word for word in re.split(r"[,;\t ]+", line.strip().replace('"', "").lower()) if word]
+    if len(titles) > _WIDEST:
+        return None
+    names: list[str] = []
+    units: set[str] = set()
+    for index, word in enumerate(titles):
+        stem, _, unit = word.replace("[", "/").replace("]", "").partition("/")
+        name = _TITLES.get(stem, f"#{index}")
+        names.append(name if name not in names else f"#{index}")
+        if name in ("x", "y") and unit in METRES:
+            units.add(unit)
+    if not {"frame", "id", "x", "y"}.issubset(names) or _TIMES.intersection(titles):
+        return None
+    return tuple(names), units.pop() if len(units) == 1 else None
+
+
+def _rows(head: str, header: Header) -> list[list[float]]:
+    """Return the numbers of the first data rows, an empty list for what is no row of numbers."""
+    whole = head.split("\n")[:-1] if len(head) >= HEAD_BYTES else head.split("\n")
+    begin = whole[header.lines : header.lines + 2 * _LINES_LOOKED_AT]
+    lines = [line for line in begin if line.strip() and not _is_comment(line)][:_LINES_LOOKED_AT]
+    return [_floats(_cells(line, header.delimiter)) for line in lines]
+
+
+def looks_like_frames(head: str, header: Header) -> bool:
+    """Tell whether nameless rows can be frame, id, x, y: whole numbers that are counted, then two places."""
+    rows = _rows(head, header)
+    if len(rows) < 2 or any(len(row) != 4 for row in rows):
+        return False
+    counted = all(0 <= number < 1e9 and number % 1 == 0 for row in rows for number in row[:2])
+    places = all(abs(number) < 1e6 for row in rows for number in row[2:])
+    fractions = any(number % 1 for row in rows for number in row[2:])
+    once = len({(row[0], row[1]) for row in rows}) == len(rows)
+    return counted and places and fractions and once
+
+
+def _floats(cells: list[str]) -> list[float]:
+    try:
+        return [float(cell) for cell in cells]
+    except ValueError:
+        return []

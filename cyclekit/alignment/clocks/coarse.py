@@ -1,0 +1,91 @@
+"""The alignment that is only ever made when asked for: operator near against robot slows.
+
+It looks for the lag at which the robot is slow while somebody is near, and so takes the reaction delay for part of the
+clocks' offset: what is left of the delay afterwards is noise. It is good for finding a lost offset of seconds, never
+for delays, and is therefore rounded to whole samples.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.alignment.clocks.fit import ClockFit
+from cyclekit.dataset.unknown_height import in_plane
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+
+FAR_M = 4.0
+"""Beyond this a person is far, no matter how far."""
+REACH_S = 120.0
+"""Offsets up to this are looked for."""
+LEAST_SHARE = 0.6
+TOO_WEAK = 0.2
+AMBIGUOUS = 0.9
+HIDES = "the reaction delay of the safety function is hidden in it, so no delay in this dataset means anything"
+
+
+def coarse_fit(people: Sequence[Points], tcp_m: Points, scaling: Vector, *, step_s: float) -> ClockFit | None:
+    """Return the shift in whole samples at which the robot is slow while somebody is near.
+
+    Args:
+        people: Position per sample since the log began, one array (N, 3) per person, base frame; NaN = not seen.
+        tcp_m: TCP per sample since the robot's log began, shape (M, 3), metres.
+        scaling: Speed scaling per sample, shape (M,); NaN = unknown.
+        step_s: Length of a sample.
+
+    Returns:
+        The fit, from the time since this log's first row to that since the robot's; None where nothing shows.
+    """
+    slow = 1.0 - scaling
+    reach = round(REACH_S / step_s)
+    count = max((len(track) for track in people), default=0)
+    least = LEAST_SHARE * min(count, len(tcp_m))
+    lags = np.arange(-min(reach, count), min(reach, len(tcp_m)) + 1)
+    score = np.array([_agreement(people, tcp_m, slow, int(lag), least) for lag in lags])
+    if not np.isfinite(score).any():
+        return None
+    best = int(np.nanargmax(score))
+    peak = float(score[best])
+    if peak < TOO_WEAK:
+        return None
+    elsewhere = np.where(np.abs(lags - lags[best]) * step_s > 5.0, score, np.nan)
+    second = int(np.nanargmax(elsewhere)) if np.isfinite(elsewhere).any() else best
+    doubt = float(score[second]) / peak if second != best else None
+    warning = f"its clock was aligned by the operator being near while the robot slows: {HIDES}"
+    if doubt is not None and doubt >= AMBIGUOUS:
+        warning += f"; {float(lags[second] - lags[best]) * step_s:+.1f} s from there it fits almost as well"
+    return ClockFit(
+        "coarse",
+        float(lags[best]) * step_s,
+        warning=warning,
+        residual_s=step_s,
+        correlation=round(peak, 4),
+        second_best=round(doubt, 4) if doubt is not None else None,
+        second_best_s=float(lags[second] - lags[best]) * step_s if doubt is not None else None,
+    )
+
+
+def _agreement(people: Sequence[Points], tcp_m: Points, slow: Vector, lag: int, least: float) -> float:
+    """Pearson's correlation of "near" with "slow" when sample i of the people is sample i + lag of the robot."""
+    near = np.full(len(tcp_m), np.inf)
+    for track in people:
+        begin, end = max(0, lag), min(len(tcp_m), len(track) + lag)
+        if end > begin:
+            where = in_plane(tcp_m[begin:end], track[begin - lag : end - lag])
+            far = np.linalg.norm(where - tcp_m[begin:end], axis=1)
+            near[begin:end] = np.fmin(near[begin:end], far)
+    known = np.isfinite(near) & np.isfinite(slow)
+    if known.sum() < max(least, 20):
+        return float("nan")
+    a, b = -np.minimum(near[known], FAR_M), slow[known]
+    a, b = a - a.mean(), b - b.mean()
+    scale = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / scale if scale > 1e-9 else float("nan")

@@ -1,0 +1,325 @@
+"""Which clock each recording of a session gets: what the cell file asks for, found in the logs themselves.
+
+The robot log's clock is the session's. Another log is placed by what its source says (an offset, events, the motion of
+a body on the flange, another source's clock, a start by the calendar), else by epoch time, else by the stamps of both
+clocks that a log may hold (its device's and its host's), else by a common start. What was asked for and cannot be done
+is refused, never replaced by something weaker. How a line is fitted to events, motion or stamps is the business of
+`clock`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from cyclekit.alignment.clocks import (
+    ASSUMED,
+    REACH_S,
+    ClockFit,
+    LogClock,
+    coarse_fit,
+    fit_clock,
+    fit_events,
+    fit_motion,
+    fit_pairs,
+    follow,
+)
+from cyclekit.alignment.frames import to_base
+from cyclekit.dataset.signals import event_times
+from cyclekit.errors import ConfigError, UnknownName
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.config import Source, Sync
+    from cyclekit.dataset.sessions import Session
+    from cyclekit.dataset.signals import Read, Stored
+    from cyclekit.storage.parquet import StoredTable
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+
+CLOCK = "clock: "
+"""How a warning of a recording begins that was found here, and not when its log was read."""
+FINE_S = 0.01
+"""Clocks are told from robot rows this far apart: twice as dense as the grid that speeds are compared on."""
+_TCP = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
+START_GOOD_TO_S = 1.0
+LATE_S = 0.1
+"""Stamps that typically lie further above the line under their delays are worth a word."""
+RESTART_S = 1.0
+"""A device's clock that steps back by more than this began anew."""
+
+
+NOT_COARSE = (
+    f"not aligned on the operator being near while the robot slows: no offset within {REACH_S:.0f} s shows that, and "
+    "larger ones are not looked for"
+)
+
+
+class _Tables(NamedTuple):
+    """The ways to the tables of the recordings."""
+
+    read: Read
+    stored: Stored
+
+
+def place_in_time(
+    session: Session,
+    sources: Mapping[str, Source | None],
+    read: Read,
+    stored: Stored,
+    *,
+    coarse_step_s: float | None = None,
+) -> None:
+    """Give each recording of a session its clock: `entry["clock"]` with method, offset, rate and how good it is.
+
+    Args:
+        session: Its first entry is the clock's master.
+        sources: What the cell file says about each recording, by id.
+        read: Returns a native table of a recording (id, table), None if it has none.
+        stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
+        coarse_step_s: Where nothing says how a clock relates, align on the operator being near while the robot slows,
+            in whole steps of this length; None = do not.
+
+    Raises:
+        ConfigError: What the cell file asks for cannot be followed with these logs.
+    """
+    master, tables = session.entries[0], _Tables(read, stored)
+    borrowers = []
+    for entry in session.entries:
+        source = sources[entry["id"]]
+        if entry is not master and source is not None and source.same_clock_as is not None:
+            borrowers.append(entry)
+            continue
+        try:
+            fit = _fit(entry, master, source, sources[master["id"]], tables, coarse_step_s)
+        except ConfigError as error:
+            seen = f"{entry['sources'][0]['path']}: {error.seen}"
+            raise ConfigError(seen, nearest=error.nearest, cure=error.cure) from error
+        _note(entry, fit)
+    for entry in borrowers:
+        _note(entry, _borrowed(entry, session, sources, borrowers))
+
+
+def _note(entry: dict[str, Any], fit: ClockFit) -> None:
+    entry["clock"] = {"kind": entry["clock"]["kind"], **fit.to_json()}
+    entry["warnings"] = [text for text in entry["warnings"] if not text.startswith(CLOCK)]
+    if fit.warning:
+        entry["warnings"].append(CLOCK + fit.warning)
+
+
+def _fit(
+    entry: dict[str, Any],
+    master: dict[str, Any],
+    source: Source | None,
+    master_source: Source | None,
+    tables: _Tables,
+    coarse_step_s: float | None,
+) -> ClockFit:
+    log = LogClock(entry["clock"]["kind"], entry["first_s"])
+    main = LogClock(master["clock"]["kind"], master["first_s"])
+    if entry is master:
+        return replace(fit_clock(log, main, source, same_log=True), method="own")
+    found = None
+    if source is not None and source.sync_events:
+        found = fit_pairs(*np.array(source.sync_events).T)
+    elif source is not None and source.sync is not None:
+        found = _by_events(entry, master, source.sync, tables)
+    elif source is not None and source.sees is not None:
+        found = _by_motion(entry, master, source, tables)
+    if found is not None:
+        return found.since(main.first_s)
+    if source is not None and source.start is not None and source.clock_offset_s is None:
+        return _by_start(log, main, source.start, master_source)
+    plain = fit_clock(log, main, source)
+    if plain.method != ASSUMED:
+        return plain
+    if (stamped := _by_stamps(entry, master, tables.read)) is not None:
+        return stamped.since(main.first_s)
+    if any(_restarts(_stamps_of(one, tables.read)) for one in (entry, master)):
+        said = "a device's clock was restarted while recording, so its stamps place no clock: split the log there; "
+        plain = replace(plain, warning=said + str(plain.warning))
+    elif any(_is_lost(one, tables.read) for one in (entry, master)):
+        said = "a device's and its host's stamps move apart by more than clocks do, and no line follows them: "
+        plain = replace(plain, warning=said + str(plain.warning))
+    if coarse_step_s is None or "people" not in entry["tables"]:
+        return plain
+    found = _coarse(entry, master, source, tables, coarse_step_s)
+    return found or replace(plain, warning=f"{NOT_COARSE}; {plain.warning}")
+
+
+def _borrowed(
+    entry: dict[str, Any],
+    session: Session,
+    sources: Mapping[str, Source | None],
+    borrowers: Sequence[dict[str, Any]],
+) -> ClockFit:
+    """The clock of another recording of the session, which the cell file names by its path; that one may borrow too."""
+    lender, passed = entry, [entry["id"]]
+    while lender in borrowers:
+        source = sources[lender["id"]]
+        path = str(source.same_clock_as if source else "")
+        where = f"{lender['sources'][0]['path']}: same_clock_as"
+        others = [other for other in session.entries if other is not lender]
+        named = [other for other in others if _means(path, other, sources[other["id"]])]
+        if not named:
+            known = [other["sources"][0]["path"] for other in others]
+            raise UnknownName(where, "log of this session", path, known)
+        if named[0]["id"] in passed:
+            raise ConfigError(f"{where}: {path!r} borrows its clock from this one", cure="Say how one of them runs.")
+        lender = named[0]
+        passed.append(lender["id"])
+    kept = {key: value for key, value in lender["clock"].items() if key != "kind"}
+    warned = next((text for text in lender["warnings"] if text.startswith(CLOCK)), None)
+    fit = ClockFit(**{**kept, "same_as": lender["id"]}, warning=warned and warned.removeprefix(CLOCK))
+    return replace(fit, method="same-log") if lender is session.entries[0] else fit
+
+
+def _means(path: str, entry: Mapping[str, Any], source: Source | None) -> bool:
+    shown = entry["sources"][0]["path"]
+    return shown == path or fnmatchcase(shown, path) or (source is not None and source.path == path)
+
+
+def _by_events(log: Mapping[str, Any], robot: Mapping[str, Any], sync: Sync, tables: _Tables) -> ClockFit:
+    return fit_events(event_times(log, sync.other, *tables), event_times(robot, sync.robot, *tables))
+
+
+def _by_motion(log: Mapping[str, Any], robot: Mapping[str, Any], source: Source, tables: _Tables) -> ClockFit:
+    people = tables.read(log["id"], "people")
+    if people is None or "robot" not in robot["tables"]:
+        raise ConfigError('sees = "tcp" needs a log of positions, and a robot log', cure="Remove it.")
+    people = flange(people, source).sort("t_s")
+    seen = people.select("x_m", "y_m", "z_m").to_numpy()
+    return fit_motion(people["t_s"].to_numpy(), seen, *_thinned(tables.stored(robot["id"], ["t_s", *_TCP])))
+
+
+def _thinned(table: StoredTable) -> tuple[Vector, Points]:
+    """Return times, shape (N,), and the other columns, (N, K), of rows about FINE_S apart, in order of time.
+
+    A controller logs more of them than a clock needs, and hours of all would not fit into memory.
+    """
+    parts = []
+    for begin, end in table.groups:
+        columns = table.read(begin, end)
+        steps = np.diff(columns["t_s"])
+        usual_s = float(np.median(steps[steps > 0])) if (steps > 0).any() else FINE_S
+        some = slice(None, None, max(1, round(FINE_S / usual_s)))
+        parts.append(np.stack([columns[name][some] for name in table.columns]))
+    rows = np.concatenate(parts, axis=1) if parts else np.empty((len(table.columns), 0))
+    rows = rows[:, np.argsort(rows[0], kind="stable")]
+    return rows[0], rows[1:].T
+
+
+def flange(people: pl.DataFrame, source: Source) -> pl.DataFrame:
+    """Return the rows of the body that rides on the robot's flange.
+
+    Raises:
+        UnknownName: The log has no body of that name.
+        ConfigError: It holds several, and none is named.
+    """
+    names = people["person"].unique().to_list()
+    if source.sees_as is not None:
+        if source.sees_as not in names:
+            raise UnknownName("sees_as", "body", source.sees_as, names)
+        return people.filter(pl.col("person") == source.sees_as)
+    if len(names) != 1:
+        several = ", ".join(sorted(names)[:6])
+        raise ConfigError(f'sees = "tcp", and the log holds {len(names)} bodies ({several})', cure="Add sees_as.")
+    return people
+
+
+def _by_stamps(entry: dict[str, Any], master: dict[str, Any], read: Read) -> ClockFit | None:
+    """Return the line from one log's clock to the other's over the epoch time of their hosts; None without one."""
+    mine, theirs = _to_epoch(entry, read), _to_epoch(master, read)
+    if mine is None or theirs is None:
+        return None
+    known = [fit for fit in (mine, theirs) if fit.method == "lower-envelope"]
+    late_s = max(fit.residual_s or 0.0 for fit in known)
+    said = [fit.warning for fit in known if fit.warning]
+    if late_s > LATE_S:
+        said.append(
+            f"its stamps typically lie {late_s:.2g} s above the line that places its clock: delays, or a poor fit"
+        )
+    warning = "; ".join(said) or None
+    return ClockFit(
+        "lower-envelope",
+        (mine.offset_s - theirs.offset_s) / theirs.rate,
+        mine.rate / theirs.rate,
+        warning,
+        residual_s=late_s,
+        events=min(fit.events or 0 for fit in known),
+    )
+
+
+def _to_epoch(entry: dict[str, Any], read: Read) -> ClockFit | None:
+    """Return the line from a log's clock to epoch time; None if nothing tells it."""
+    if entry["clock"]["kind"] == "epoch":
+        return ClockFit("epoch", 0.0)
+    stamps = _stamps_of(entry, read)
+    if stamps is None or stamps.height < 2 or _restarts(stamps):
+        return None
+    return follow(stamps["t_s"].to_numpy(), stamps["host_s"].to_numpy())
+
+
+def _stamps_of(entry: dict[str, Any], read: Read) -> pl.DataFrame | None:
+    return read(entry["id"], "stamps") if "stamps" in entry["tables"] else None
+
+
+def _is_lost(entry: dict[str, Any], read: Read) -> bool:
+    """Tell whether a log has stamps and nothing follows them."""
+    return entry["clock"]["kind"] != "epoch" and "stamps" in entry["tables"] and _to_epoch(entry, read) is None
+
+
+def _restarts(stamps: pl.DataFrame | None) -> bool:
+    """Tell whether the device's clock began anew: then each part of the log has a line of its own."""
+    return stamps is not None and bool((np.diff(stamps["t_s"].to_numpy()) < -RESTART_S).any())
+
+
+def _by_start(log: LogClock, main: LogClock, start: str, robot: Source | None) -> ClockFit:
+    if robot is not None and robot.start is not None:
+        began_s = datetime.fromisoformat(robot.start).timestamp()
+    elif main.kind == "epoch":
+        began_s = main.first_s
+    else:
+        cure = "Add start = … to the robot's source as well, or use sync."
+        raise ConfigError("start is given, and the robot log tells no time of day", cure=cure)
+    apart = datetime.fromisoformat(start).timestamp() - began_s
+    warning = "placed by the time of day at which it began: good to a second or so, so no delay can be read from it"
+    return ClockFit("start-text", apart - log.first_s, warning=warning, residual_s=START_GOOD_TO_S)
+
+
+def _coarse(
+    entry: dict[str, Any], master: dict[str, Any], source: Source | None, tables: _Tables, step_s: float
+) -> ClockFit | None:
+    people = tables.read(entry["id"], "people")
+    if people is None or people.height == 0 or "robot" not in master["tables"]:
+        return None
+    robot = _thinned(tables.stored(master["id"], ["t_s", *_TCP, "scaling"]))
+    if len(robot[0]) == 0:
+        return None
+    count = int((entry["last_s"] - entry["first_s"]) / step_s) + 1
+    at = entry["first_s"] + np.arange(count) * step_s
+    tracks = []
+    for (_,), rows in people.sort("t_s").group_by(["person"], maintain_order=True):
+        xyz = to_base(rows.select("x_m", "y_m", "z_m").to_numpy(), source.frame if source else None, up=entry["up"])
+        tracks.append(_nearest_rows(rows["t_s"].to_numpy(), xyz, at, step_s))
+    grid = master["first_s"] + np.arange(int((master["last_s"] - master["first_s"]) / step_s) + 1) * step_s
+    sampled = _nearest_rows(*robot, grid, step_s)
+    found = coarse_fit(tracks, sampled[:, :3], sampled[:, 3], step_s=step_s)
+    return replace(found, offset_s=found.offset_s - entry["first_s"]) if found else None
+
+
+def _nearest_rows(t_s: Vector, values: Points, at: Vector, step_s: float) -> Points:
+    """Return the last row before each time, NaN where it is older than a sample and a quarter second."""
+    row = np.clip(np.searchsorted(t_s, at + 1e-9, side="right") - 1, 0, len(t_s) - 1)
+    out = np.array(values[row], float)
+    out[np.abs(at - t_s[row]) > step_s + 0.25] = np.nan
+    return out

@@ -1,0 +1,218 @@
+"""`model.json`: the shape of a network, and the card of its training."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import UNSET, Meta, UnsetType, field
+
+from cyclekit.dataset.cards.quantities import (
+    Card,
+    Count,
+    Digest,
+    Duration,
+    Fraction,
+    Hertz,
+    Positive,
+    Scaling,
+    ascending,
+)
+
+Width = Annotated[int, Meta(ge=1, le=4096)]
+"""Numbers that go into a layer, or come out of it."""
+Layer = tuple[Width, Width]
+"""Inputs and outputs of a layer."""
+Deviation = Annotated[float, Meta(ge=-1e15, le=1e15)]
+"""A mean deviation of estimated scalings, or of their squares."""
+Samples = Annotated[int, Meta(ge=1, le=1000)]
+"""Samples that a network sees, or rows between two of them."""
+
+
+class SplitCard(Card, frozen=True, kw_only=True):
+    """Names of the executions that served for learning, for choosing the epoch, and for judging."""
+
+    train: tuple[str, ...] = ()
+    validation: tuple[str, ...] = ()
+    test: tuple[str, ...] = ()
+
+
+class MetricsCard(Card, frozen=True, kw_only=True):
+    """Errors on executions that were held out.
+
+    Attributes:
+        rows: Samples judged.
+        mse_mean: Mean squared error of the best estimate.
+        mse_argmax: The same of the likeliest level; None where there are no levels to name.
+        mae: Mean absolute error of the best estimate.
+        bias: Mean of predicted - true.
+        accuracy: Part of the samples whose level is named rightly; None where there is none.
+        calibration_error: Of a classifier's probabilities; None for the others.
+    """
+
+    rows: Count
+    mse_mean: Deviation
+    mse_argmax: Deviation | None = None
+    mae: Deviation
+    bias: Deviation
+    accuracy: Fraction | None = None
+    calibration_error: Fraction | None = None
+
+
+class LevelShare(Card, frozen=True, kw_only=True):
+    """A level of the speed scaling, and the part of the samples on it."""
+
+    value: Scaling
+    share: Fraction
+
+
+class EpochCard(Card, frozen=True, kw_only=True):
+    """One pass over the samples learned from: mean loss, and error on the validation part."""
+
+    epoch: Count
+    loss: float
+    validation_mse: float
+
+
+class StandardisationCard(Card, frozen=True, kw_only=True):
+    """Mean of each input, m, and what its deviation from that is multiplied by, 1/m."""
+
+    mean_m: tuple[float, ...]
+    scale_1_m: tuple[float, ...]
+
+
+class RowsCard(Card, frozen=True, kw_only=True):
+    """Samples that served for learning, for choosing the epoch, and for judging."""
+
+    train: Count
+    validation: Count
+    test: Count
+
+
+class SpecCard(Card, frozen=True, kw_only=True):
+    """What was to be trained; see `cyclekit.learning.networks.spec.ModelSpec`."""
+
+    problem: str
+    network: str
+    horizon_s: Duration
+    hidden: tuple[Positive, ...] = ()
+    norm: str = "batch"
+    seed: Count = 0
+    epochs: Positive | None = None
+    batch: Positive = 1024
+    learning_rate: float = 6e-3
+    test_fraction: Fraction = 0.2
+    validation_fraction: Fraction = 0.1
+    freeze_norm_after: Fraction | None = None
+    weight_decay: float | None = None
+    patience: Positive | None = None
+    noise_m: float = 0.0
+    optimiser: str = "auto"
+    features: str = "positions"
+    balance: str = "none"
+    history: tuple[Samples, Samples] = (1, 1)
+    forecast_weight: float = 0.02
+    centre: bool = True
+
+
+class CellCard(Card, frozen=True, kw_only=True):
+    """The cell that a model was learned in; see `cyclekit.learning.networks.cell.cell_of`.
+
+    Attributes:
+        name: Of the cell.
+        places: By name: x, y, z and radius, m, and whether it was found in the logs.
+        levels: Of the speed scaling, ascending.
+        logs: By the checksum of each log where its frame stands: x, y, z, m, and the rotation by rows; None = unknown.
+    """
+
+    name: str = ""
+    places: dict[str, tuple[float, float, float, float, bool]] = field(default_factory=dict)
+    levels: tuple[float, ...] = ()
+    logs: dict[str, Annotated[tuple[float, ...], Meta(min_length=12, max_length=12)] | None] = field(
+        default_factory=dict
+    )
+
+
+class TrainingCard(Card, frozen=True, kw_only=True):
+    """How a model came about. A model need not say all of it; None and UNSET = it does not.
+
+    Attributes:
+        cyclekit: Version that trained it.
+        cell: Where it was learned.
+        dataset, dataset_sha256: Name of the dataset, and the fingerprint of its card.
+        metrics: On the executions held out.
+        levels: Levels, with their shares in the executions learned from.
+        temperature: By which a classifier's outputs are divided.
+        may_be_unknown: Groups of inputs that may be unknown.
+        scaling_without_operator: The scaling while nobody is there; None also where the logs never show it.
+        mean_scaling: Of the samples learned from.
+        dropped: Samples that could not be used, by reason.
+        inputs: Names of the inputs.
+    """
+
+    cyclekit: str | None = None
+    schema_version: int | None = None
+    model_version: int | None = None
+    spec: SpecCard | None = None
+    problem: str | None = None
+    network: str | None = None
+    horizon_s: Duration | None = None
+    seed: Count | None = None
+    dataset: str | None = None
+    dataset_sha256: str | None = None
+    cell: CellCard | UnsetType = UNSET
+    metrics: MetricsCard | UnsetType = UNSET
+    levels: tuple[LevelShare, ...] | UnsetType = UNSET
+    warnings: tuple[str, ...] = ()
+    rate_hz: Hertz = 10.0
+    temperature: float | None = None
+    may_be_unknown: tuple[str, ...] = ()
+    scaling_without_operator: Scaling | None = None
+    mean_scaling: Scaling | None = None
+    rows: RowsCard | UnsetType = UNSET
+    dropped: dict[str, Count] = field(default_factory=dict)
+    inputs: tuple[str, ...] | None = None
+    standardisation: StandardisationCard | None = None
+    split: SplitCard | UnsetType = UNSET
+    history: tuple[EpochCard, ...] | None = None
+
+
+class ModelCard(Card, frozen=True, kw_only=True):
+    """A model. How its parts must fit each other is checked by `cyclekit.learning.networks.layout`.
+
+    Attributes:
+        problem, network: What it predicts, and how it is built.
+        horizon_s: How far ahead the target lies or reaches; 0 for problem `now`.
+        levels: Of the speed scaling, ascending; empty for a network that knows none.
+        history: Samples that the network sees, and rows between them.
+        layers: Feed-forward layers, in order.
+        recurrent: LSTM layers: inputs and width.
+        forecast: Layer that forecasts the operator's position; None without one.
+        known: Groups of inputs that may be unknown.
+        distance: Mean distance of operator and TCP, m, where it is an input; else None.
+        weights_sha256: Of the weights file.
+        card: How the model came about.
+    """
+
+    format: Literal["cyclekit-model"]
+    model_version: int
+    schema_version: int
+    problem: str
+    network: str
+    horizon_s: Annotated[float, Meta(ge=0.0, le=1e6)]
+    levels: Annotated[tuple[Scaling, ...], Meta(max_length=64)]
+    history: tuple[Samples, Samples]
+    layers: Annotated[tuple[Layer, ...], Meta(min_length=2, max_length=32)]
+    recurrent: Annotated[tuple[Layer, ...], Meta(max_length=32)] = ()
+    forecast: Layer | None = None
+    known: tuple[str, ...]
+    distance: Annotated[float, Meta(ge=0.0, le=1e6)] | None = None
+    weights_sha256: Digest
+    card: TrainingCard
+
+    def __post_init__(self) -> None:
+        """Refuse levels that are not ascending.
+
+        Raises:
+            ValueError: They are not.
+        """
+        ascending(self.levels)

@@ -1,0 +1,396 @@
+"""The dataset: a folder of Parquet files with its provenance, opened here for reading.
+
+    DATASET/dataset.json                                  schema version, provenance, executions, places, levels
+    DATASET/recordings/<id>/{robot,people,events}.parquet native rate, SI, each log's own clock
+    DATASET/samples/<part>.parquet                        `rate_hz`, one clock, one base frame; of a session or several
+    DATASET/tasks.parquet                                 one row per executed task
+    DATASET/quarantine.parquet                            every row that was set aside, with file, row and reason
+
+A dataset is put in place as a whole (`atomic`). What goes into the tables is decided by `ingest`.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.config import Furniture
+from cyclekit.dataset.cards import BadCard, DatasetCard, checked, parse_json, read_content
+from cyclekit.dataset.files import DatasetFiles
+from cyclekit.dataset.footers import check_tables
+from cyclekit.errors import DatasetError, UnknownName, command_line
+from cyclekit.storage import checksums
+from cyclekit.storage.atomic import recover
+from cyclekit.storage.mistaken import DATASET_CARD, toml_for, what_is
+from cyclekit.storage.remote.folders import local
+from cyclekit.text.plain_text import all_in_one_line, needs_it
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+CARD, TASKS, QUARANTINE = DATASET_CARD, "tasks.parquet", "quarantine.parquet"
+_NEAR_S = 1e-3
+"""Rows so far outside of a span are read too, since its ends in a log's own clock are rounded."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A named place of the cell: where the robot (or the operator) stops.
+
+    Attributes:
+        xyz_m: Centre in the base frame, metres.
+        radius_m: Positions within it count as being there.
+        inferred: Found from the logs; False when the cell file names it.
+    """
+
+    name: str
+    xyz_m: tuple[float, float, float]
+    radius_m: float
+    inferred: bool
+
+
+class Dataset:
+    """A dataset opened for reading; tables are read when asked for."""
+
+    def __init__(self, path: Path, card: dict[str, Any], place: str | None = None) -> None:
+        """Use `Dataset.open`; this only keeps what it is given.
+
+        Args:
+            path: Its folder on this machine.
+            card: What its `dataset.json` says.
+            place: Where it can be opened from any machine; the folder where nothing else is given.
+
+        `is_part` is true of what `only` returns.
+        """
+        self.path = path
+        self.card = card
+        self.place = place or str(path)
+        self.is_part = False
+        self._files = DatasetFiles(path, card.get("files"))
+
+    @classmethod
+    def open(cls, path: Path | str) -> Dataset:
+        """Open the dataset at `path`, a folder or a URL (`storage`).
+
+        Raises:
+            DatasetError: There is no dataset, or it is of another schema version.
+            StorageError: The URL cannot be read.
+        """
+        place, path = str(path), local(path)
+        try:
+            content = _card_of(path)
+            card = parse_json(content)
+            version = _version(card)
+            if version == schema.SCHEMA_VERSION:
+                text = content.decode(errors="replace")
+                if checksums.is_broken(text):
+                    raise checksums.unreadable(path / CARD, path, "damaged: it is not as it was written")
+                card = all_in_one_line(card) if needs_it(text) else card
+                check_tables(path, checked(card, DatasetCard))
+                return cls(path, card, place)
+        except BadCard as error:
+            msg = f"{path / CARD}: not a dataset card ({error})"
+            again = command_line("ingest", "LOGS", "--out", "DATASET")
+            raise DatasetError(msg, cure=f"Ingest the logs again into a new folder: {again}") from error
+        except OSError as error:
+            msg = f"{path / CARD}: cannot be read ({error.strerror or error})"
+            raise DatasetError(msg, cure="Check the path and its permissions.") from error
+        theirs = f"dataset of schema version {version!s:.40}"
+        msg = f"{path}: {theirs}, this cyclekit reads version {schema.SCHEMA_VERSION}"
+        raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
+
+    def only(self, executions: Sequence[str]) -> Dataset:
+        """Return the dataset as if it held these executions alone: their samples, tasks and entries.
+
+        Raises:
+            UnknownName: An execution is not in the dataset.
+        """
+        entries = [self._execution(name) for name in executions]
+        part = Dataset(self.path, {**self.card, "executions": entries}, self.place)
+        part.is_part = True
+        return part
+
+    @cached_property
+    def executions(self) -> pl.DataFrame:
+        """One row per execution: execution, session, start_s, end_s, duration_s, complete (Bool)."""
+        columns = ("execution", "session", "start_s", "end_s", "complete")
+        rows = [{name: entry[name] for name in columns} for entry in self.card["executions"]]
+        types = {"execution": schema.TEXT, "session": schema.TEXT, "start_s": schema.F64, "end_s": schema.F64}
+        frame = pl.DataFrame(rows, schema={**types, "complete": schema.FLAG})
+        return frame.with_columns(duration_s=pl.col("end_s") - pl.col("start_s"))
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples a second."""
+        return float(self.card.get("rate_hz", 10.0))
+
+    @property
+    def places(self) -> dict[str, Place]:
+        """Robot places by name."""
+        return {name: _place(name, entry) for name, entry in self.card["places"].items()}
+
+    @property
+    def human_places(self) -> dict[str, Place]:
+        """Operator places by name (empty where neither the cell file nor events name any)."""
+        return {name: _place(name, entry) for name, entry in self.card["human_places"].items()}
+
+    @property
+    def furniture(self) -> dict[str, Furniture]:
+        """What stands in the cell, by name, as the cell file says."""
+        told = self.card.get("settings", {}).get("furniture", {})
+        return {name: Furniture(_triple(e["xyz_m"]), _triple(e["size_m"]), e["yaw_deg"]) for name, e in told.items()}
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Staircase levels found in the logged scaling, ascending; empty when none could be found."""
+        return tuple(self.card["levels"])
+
+    @property
+    def recordings(self) -> list[dict[str, Any]]:
+        """Provenance of each recording, as in the card: id, session, sources, adapter, clock, frame, rows, warnings."""
+        return list(self.card["recordings"])
+
+    def samples(self, executions: Sequence[str] | None = None, columns: Sequence[str] | None = None) -> pl.DataFrame:
+        """Return the 10 Hz samples, all or those of some executions, in order of execution and time.
+
+        Args:
+            executions: Which; None = all.
+            columns: Which of table SAMPLES; None = all. Months of logs fit into memory when a few are asked for.
+
+        Raises:
+            UnknownName: An execution is not in the dataset.
+        """
+        wanted = list(schema.SAMPLES if columns is None else columns)
+        if executions is None and self.is_part:
+            executions = self.executions["execution"].to_list()
+        entries = None if executions is None else [self._execution(name) for name in executions]
+        files = self._files.of_samples(None if entries is None else {e.get("part") or e["session"] for e in entries})
+        if not files:
+            return schema.empty(schema.SAMPLES).select(wanted)
+        self._files.check_memory(files, wanted, None if executions is None else self._rows_of(executions))
+        if executions is None:
+            return self._files.collected(self._files.scan(files, schema.SAMPLES, wanted), "samples")  # many at a time
+        mine = pl.col("execution").is_in(list(executions))  # of a file, only what is wanted comes into memory
+        needed = list(dict.fromkeys(["execution", *wanted]))
+        scans = [self._files.scan([file], schema.SAMPLES, needed).filter(mine).select(wanted) for file in files]
+        return pl.concat([self._files.collected(scan, "samples") for scan in scans])
+
+    def scan_samples(self) -> pl.LazyFrame:
+        """Return all samples unread, for those who need a few columns of many executions."""
+        files = self._files.of_samples(None)
+        if not files:
+            return schema.empty(schema.SAMPLES).lazy()
+        return self._mine(self._files.scan(files, schema.SAMPLES, list(schema.SAMPLES)))
+
+    @property
+    def positions(self) -> tuple[str, ...]:
+        """Of whom places are known: `robot`, `people`."""
+        tables = {table for record in self.recordings for table in record["tables"]}
+        told = self.card.get("positions")
+        return tuple(told if told is not None else (whose for whose in ("robot", "people") if whose in tables))
+
+    def require_positions(self) -> None:
+        """Refuse a question about motion or places to a dataset that has neither.
+
+        Raises:
+            DatasetError: It was made of task lists, overrides or distances alone.
+        """
+        names = {"task_list": "task lists", "safety": "overrides or distances"}
+        held = [text for table, text in names.items() if any(table in record["tables"] for record in self.recordings)]
+        if held and not self.positions and not self.card["rows"]["samples"]:
+            look = command_line("inspect", self.place)
+            raise DatasetError(
+                f"{self.place}: made of {' and '.join(held)} alone: the positions of robot and people, which this "
+                "needs, were not logged",
+                cure=f"Ingest the robot's log with them. What is known: {look}",
+            )
+
+    def tasks(self) -> pl.DataFrame:
+        """Return one row per task found in the robot's motion (table TASKS)."""
+        return self.every_task().filter(pl.col("start_place").is_not_null())
+
+    def every_task(self) -> pl.DataFrame:
+        """Return one row per task of either agent, found in motion or from a task list (table TASKS)."""
+        self._files.check_memory([self._files.whole(TASKS)], list(schema.TASKS))
+        return self._files.collected(self._tasks(list(schema.TASKS)), TASKS)
+
+    def done_tasks(self) -> pl.DataFrame:
+        """Return which of the robot's tasks were done in which executions: execution, task, each pair once."""
+        rows = self._tasks(["execution", "task", "start_place"]).filter(pl.col("start_place").is_not_null())
+        return self._files.collected(rows.select("execution", "task").unique(maintain_order=True), TASKS)
+
+    def quarantine(self) -> pl.DataFrame:
+        """Return every row that was set aside (table QUARANTINE), in order of recording."""
+        file = self._files.whole(QUARANTINE)
+        self._files.check_memory([file], list(schema.QUARANTINE))
+        rows = self._files.scan([file], schema.QUARANTINE, list(schema.QUARANTINE))
+        return self._files.collected(rows, QUARANTINE)
+
+    def recorded(self, recording: str, table: str) -> pl.DataFrame | None:
+        """Return one native-rate table (`robot`, `people` or `events`) of a recording, None if it has none."""
+        if (name := self._native(recording, table)) is None:
+            return None
+        file = self._files.whole(name)
+        with checksums.reading(file, self.path):
+            rows = pl.scan_parquet(file, glob=False)
+            columns = rows.collect_schema().names()
+        self._files.check_memory([file], columns)
+        return self._files.collected(rows, name)
+
+    def recorded_between(self, recording: str, table: str, first_s: float, last_s: float) -> pl.DataFrame | None:
+        """Return the rows of one native-rate table from `first_s` to `last_s` of the log's clock, None without it."""
+        if (name := self._native(recording, table)) is None:
+            return None
+        return self._files.collected(self._files.between(name, first_s, last_s), name)
+
+    def times(self, recording: str, table: str) -> Iterator[pl.DataFrame]:
+        """Yield the times of one native-rate table (`t_s`), in parts: it may be larger than memory."""
+        from cyclekit.storage.parquet import StoredTable  # whoever reads a log needs no Arrow to begin
+
+        file = self._files.whole(self._native(recording, table) or _recorded(recording, table))
+        with checksums.reading(file, self.path):
+            stored = StoredTable(file, ("t_s",))
+            for begin, end in stored.groups:
+                yield pl.DataFrame({"t_s": stored.column("t_s", begin, end)})
+
+    def native_robot(self, execution: str, columns: Sequence[str] | None = None) -> pl.DataFrame | None:
+        """Return the native-rate robot rows of one execution, `t_s` in session time; None without a robot log.
+
+        `columns`: no others are read.
+        """
+        entry = self._execution(execution)
+        for record in self.recordings:
+            if record["session"] == entry["session"] and "robot" in record["tables"]:
+                name = self._native(record["id"], "robot") or _recorded(record["id"], "robot")  # a lost one is named
+                rate, offset_s = record["clock"]["rate"], record["clock"]["offset_s"]
+                first, last = ((entry[key] - offset_s) / rate for key in ("start_s", "end_s"))
+                inside = pl.col("t_s").is_between(entry["start_s"], entry["end_s"])
+                rows = self._files.between(name, first - _NEAR_S, last + _NEAR_S)  # others are not unpacked
+                rows = rows.with_columns(t_s=pl.col("t_s") * rate + offset_s).filter(inside)
+                return self._files.collected(rows if columns is None else rows.select(columns), name)
+        return None
+
+    def find_execution(self, name: str) -> str:
+        """Return the execution called `name`; a plain number counts executions from 1.
+
+        Raises:
+            UnknownName: There is none.
+        """
+        names = self.executions["execution"].to_list()
+        if name.isdigit() and name not in names and 1 <= int(name) <= len(names):
+            return str(names[int(name) - 1])
+        return str(self._execution(name)["execution"])
+
+    def verify(self) -> int:
+        """Check every file of the dataset, and return how many there are.
+
+        Raises:
+            DatasetError: One is missing or damaged, or the dataset keeps no checksums.
+        """
+        cure = f"Ingest the logs again: cyclekit ingest LOGS --out {self.path}"
+        if self._files.listed is None:
+            raise DatasetError(f"{self.path}: keeps no checksums of its files, so they cannot be checked", cure=cure)
+        if damaged := self.damaged():
+            some = "; ".join(f"{name} is {what}" for name, what in list(damaged.items())[:3])
+            more = f"; and {len(damaged) - 3} more" if len(damaged) > 3 else ""
+            raise DatasetError(f"{self.path}: {some}{more}", cure=cure)
+        return len(self._files.listed) + 1
+
+    def damaged(self) -> dict[str, str]:
+        """Return which files are not as they were written, and what is wrong with each.
+
+        None where the dataset keeps no checksums.
+        """
+        return self._files.damaged()
+
+    def _native(self, recording: str, table: str) -> str | None:
+        """Return the name of a native-rate table that holds no more rows than the card says; None if there is none."""
+        name = _recorded(recording, table)
+        if not self._files.has(name):
+            return None
+        for entry in self.recordings:
+            if entry["id"] == recording and table in entry["rows"]:
+                self._files.check_rows(name, entry["rows"][table], f"in table {table}")
+        return name
+
+    def _rows_of(self, executions: Sequence[str]) -> int:
+        """Return how many samples executions have at most."""
+        entries = [self._execution(name) for name in executions]
+        return int(sum(one["end_s"] - one["start_s"] for one in entries) * self.rate_hz) + 2 * len(entries)
+
+    def _tasks(self, columns: Sequence[str]) -> pl.LazyFrame:
+        file = self._files.whole(TASKS)
+        return self._mine(self._files.scan([file], schema.TASKS, columns, added=schema.ADDED_TO_TASKS))
+
+    def _mine(self, rows: pl.LazyFrame) -> pl.LazyFrame:
+        """Return the rows of the executions that the dataset holds, if it is only a part of what is on the disk."""
+        return rows.filter(pl.col("execution").is_in(self.executions["execution"].to_list())) if self.is_part else rows
+
+    @cached_property
+    def _by_name(self) -> dict[str, dict[str, Any]]:
+        return {entry["execution"]: entry for entry in self.card["executions"]}
+
+    def _execution(self, name: str) -> dict[str, Any]:
+        by_name = self._by_name
+        if name not in by_name:
+            names = list(by_name)
+            shown = ", ".join(names[:3]) + (f" … {names[-1]} ({len(names)} in all)" if len(names) > 3 else "")
+            cure = f"Give one of {shown}, or a number from 1 to {len(names)}." if names else "It holds no execution."
+            raise UnknownName(str(self.path), "execution", name, names, cure=cure)
+        return dict(by_name[name])
+
+
+def _no_dataset(path: Path) -> DatasetError:
+    """Return the error for a place that holds no dataset, with what it is instead."""
+    found = what_is(path)
+    if found == "nothing":
+        make = command_line("ingest", "LOGS", "--out", path)
+        return DatasetError(f"{path}: no such folder", cure=f"Check the path, or make a dataset: {make}")
+    seen = f"{path}: {found}, and a dataset was expected (a folder with {CARD})"
+    if found == "another folder":
+        ingest = command_line("ingest", path, "--out", "DATASET")
+        return DatasetError(seen, cure=f"If it holds logs, make a dataset of them: {ingest}")
+    if found == "a TOML file":
+        name, taken_by = toml_for(path)
+        return DatasetError(seen, cure=f"It looks like {name}: {taken_by}")
+    return DatasetError(seen, cure=f"Make one: {command_line('ingest', 'LOGS', '--out', 'DATASET')}")
+
+
+def _version(card: Mapping[str, Any]) -> object:
+    if "schema_version" not in card:
+        raise BadCard("no schema_version")
+    return card["schema_version"]
+
+
+def _card_of(path: Path) -> bytes:
+    """Return the card of the dataset at `path`, as it lies there; looks again if it is just being replaced.
+
+    Raises:
+        DatasetError: There is none.
+        BadCard: It is too large for one.
+        OSError: It cannot be read.
+    """
+    for _ in range(3):
+        recover(path)
+        with suppress(FileNotFoundError, NotADirectoryError):
+            return read_content(path / CARD)
+    raise _no_dataset(path)
+
+
+def _place(name: str, entry: dict[str, Any]) -> Place:
+    return Place(name, _triple(entry["xyz_m"]), entry["radius_m"], entry["inferred"])
+
+
+def _triple(values: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return x, y, z
+
+
+def _recorded(recording: str, table: str) -> str:
+    return f"recordings/{recording}/{table}.parquet"

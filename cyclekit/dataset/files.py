@@ -1,0 +1,195 @@
+"""The files of a dataset, checked before they are read: they are what was written, or one message says which is not.
+
+A dataset whose card lists its files (`files`: size and BLAKE3) is read only as listed; an older one as it lies there.
+What the tables mean is the business of `dataset`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from cyclekit.dataset.footers import check_rows, sample_files
+from cyclekit.errors import DatasetError
+from cyclekit.storage.checksums import PIECE_BYTES, change, changes, reading, unreadable
+from cyclekit.storage.inside import inside
+from cyclekit.storage.memory import free_bytes
+from cyclekit.text.columns import in_one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from collections.abc import Set as AbstractSet
+    from pathlib import Path
+
+    from cyclekit.schema import Column
+
+
+_VALUE_BYTES = 8
+"""Of a decoded number; a flag has less, a text more."""
+_COPIES = 2
+"""A table is unpacked and decoded, or sorted: for a while it is there twice."""
+_SMALL_BYTES = 1 << 18
+"""In files of less, what is packed is not looked at: that takes longer than to read them."""
+_CURE = (
+    "Ingest fewer logs into one dataset, a month of them say, or work on a machine with more memory; train, estimate "
+    "and evaluate hold fewer executions at a time where CYCLEKIT_MEMORY_ROWS is set to less than 10000000 samples."
+)
+
+
+class DatasetFiles:
+    """The Parquet files of one dataset."""
+
+    def __init__(self, path: Path, listed: Mapping[str, Mapping[str, Any]] | None) -> None:
+        """Keep where they are and what the card says of them; None = nothing."""
+        self._path, self._listed = path, listed
+
+    @property
+    def listed(self) -> Mapping[str, Mapping[str, Any]] | None:
+        """Size and digests of each file by name, None where the dataset keeps none."""
+        return self._listed
+
+    def damaged(self) -> dict[str, str]:
+        """Return what is not as it was written, by name; nothing where no checksums were kept."""
+        return changes(self._path, self._listed or {})
+
+    def has(self, name: str) -> bool:
+        """Tell whether the dataset has a file; one that is listed and has gone counts."""
+        file = self._file(name)
+        return file.is_file() if self._listed is None else name in self._listed
+
+    def of_samples(self, parts: AbstractSet[str] | None) -> list[Path]:
+        """Return the files of samples by their names without the ending, None = all, in order of name.
+
+        Raises:
+            DatasetError: One of them is missing or damaged.
+        """
+        if self._listed is None:
+            names = [f"samples/{file.name}" for file in sample_files(self._path)]
+        else:
+            names = sorted(name for name in self._listed if name.startswith("samples/"))
+        stems = {name: name.removeprefix("samples/").removesuffix(".parquet") for name in names}
+        return [self.whole(name) for name in names if parts is None or stems[name] in parts]
+
+    def whole(self, name: str) -> Path:
+        """Return a file of which all will be read.
+
+        Raises:
+            DatasetError: It is missing or damaged.
+        """
+        return self._checked(name, None)
+
+    def scan(
+        self,
+        files: Sequence[Path],
+        columns: Mapping[str, Column],
+        wanted: Sequence[str],
+        *,
+        added: Mapping[str, str | None] | None = None,
+    ) -> pl.LazyFrame:
+        """Return some columns of tables, unread.
+
+        Args:
+            files: Tables of the same columns, checked before.
+            columns: Which type each column has.
+            wanted: Which of them.
+            added: Columns that tables of earlier versions lack, and their value there.
+
+        Raises:
+            DatasetError: It is no table, or lacks a column, or one has another type.
+        """
+        rows = pl.scan_parquet(list(files), glob=False)
+        with reading(files[0], self._path):
+            found = rows.collect_schema()
+        later = {name: value for name, value in (added or {}).items() if name in wanted and name not in found}
+        rows = rows.with_columns(pl.lit(value, columns[name].dtype).alias(name) for name, value in later.items())
+        for name in wanted:
+            if name not in later and found.get(name) != columns[name].dtype:
+                seen = f"column {name!r} is {found[name]}" if name in found else f"no column {name!r}"
+                raise unreadable(files[0], self._path, f"{seen}, where {columns[name].dtype} is needed")
+        return rows.select(wanted)
+
+    def check_rows(self, name: str, most: int, what: str) -> None:
+        """Refuse a table that holds more rows than the card speaks of.
+
+        Raises:
+            DatasetError: It does, or is no file.
+        """
+        check_rows([self._file(name)], most, what)
+
+    def check_memory(self, files: Sequence[Path], wanted: Sequence[str], most: int | None = None) -> None:
+        """Refuse to read more than memory takes: without it, the process would be aborted.
+
+        Args:
+            files: Tables, checked before.
+            wanted: Which of their columns.
+            most: Rows that will be kept of them; None = all.
+
+        Raises:
+            DatasetError: They need more memory than there is, or are no tables.
+        """
+        free = free_bytes()
+        if free is None or not files:
+            return
+        with reading(files[0], self._path):
+            rows = int(pl.scan_parquet(list(files), glob=False).select(pl.len()).collect().item())
+            needed = rows * len(wanted) * _VALUE_BYTES
+            if sum(file.stat().st_size for file in files) > _SMALL_BYTES:
+                from cyclekit.storage.parquet import unpacked_bytes  # whoever reads a log needs no Arrow to begin
+
+                needed = max(needed, sum(unpacked_bytes(file, wanted) for file in files))
+        kept = rows if most is None else min(rows, most)
+        needed = _COPIES * needed * kept // max(rows, 1)
+        if needed > free:
+            raise DatasetError(
+                f"{files[0] if len(files) == 1 else files[0].parent}: {kept:,} rows of {len(wanted)} columns need "
+                f"{needed / 1e9:.1f} GB of memory, and this process may take {free / 1e9:.1f} GB",
+                cure=_CURE,
+            )
+
+    def between(self, name: str, first_s: float, last_s: float) -> pl.LazyFrame:
+        """Return the rows of a native-rate table from `first_s` to `last_s` of the log's clock, unread.
+
+        Of a large file only the pieces are checked that will be read.
+
+        Raises:
+            DatasetError: The file is missing or damaged there.
+        """
+        near = pl.col("t_s").is_between(first_s, last_s)
+        entry = (self._listed or {}).get(name)
+        if entry is None or len(entry["blake3"]) < 2:
+            return pl.scan_parquet(self.whole(name), glob=False).filter(near)
+        from cyclekit.storage.parquet import spans  # whoever reads a log needs no Arrow to begin
+
+        end = entry["size"]
+        file = self._checked(name, [(end - PIECE_BYTES, end)])  # there stands where the rows are
+        with reading(file, self._path):
+            within = spans(file, "t_s", first_s, last_s)
+        return pl.scan_parquet(self._checked(name, within), glob=False).filter(near)
+
+    def collected(self, rows: pl.LazyFrame, name: str) -> pl.DataFrame:
+        """Read what was scanned; every text in it is one line, whoever wrote the table.
+
+        Raises:
+            DatasetError: It cannot be read.
+        """
+        with reading(self._file(name), self._path):
+            return in_one_line(rows.collect())
+
+    def _file(self, name: str) -> Path:
+        """Return where a file lies.
+
+        Raises:
+            OutsideFolder: The name comes from the card and leads out of the dataset.
+        """
+        return inside(self._path, *name.split("/"))
+
+    def _checked(self, name: str, spans: Sequence[tuple[int, int]] | None) -> Path:
+        file = self._file(name)
+        if self._listed is None:
+            problem = None if file.is_file() else "missing"
+        else:
+            problem = change(file, self._listed[name], spans) if name in self._listed else "missing"
+        if problem is not None:
+            raise unreadable(file, self._path, problem)
+        return file

@@ -1,0 +1,151 @@
+"""Where a sample comes from: the lines (rows, messages, frames) of the logs that it was made of.
+
+A sample stands on a row of the robot's log; its operator is the mean of the tracker's rows around it. Every row of a
+recording knows its place in its file, so a number that looks wrong can be looked up where it was written.
+"""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import zlib
+from dataclasses import asdict, dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from cyclekit.errors import DatasetError
+from cyclekit.storage.inside import inside
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.dataset import Dataset
+
+AROUND_S = 0.2
+"""Rows of people and events this near to a sample are shown."""
+_SHOWN = 12
+_LONGEST_LINE = 2000
+_GZIP = b"\x1f\x8b"
+
+
+@dataclass(frozen=True)
+class Origin:
+    """One row of a recording that a sample was made of, or that stands beside it.
+
+    Attributes:
+        table: robot, people or events.
+        recording: Id of the recording.
+        file: The log, relative to the folder of logs.
+        row_is, source_row: Where in it: line (from 1), row, message or frame (from 0).
+        t_s: Session time of the row, seconds.
+        values: What is known in it.
+        text: The line itself, where the folder of logs was given and it is a text; None otherwise.
+        among: What is counted, where a log has several kinds of messages: their topics.
+    """
+
+    table: str
+    recording: str
+    file: str
+    row_is: str
+    source_row: int | None
+    t_s: float
+    values: dict[str, Any]
+    text: str | None = None
+    among: str | None = None
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A sample and its origins."""
+
+    execution: str
+    sample: dict[str, Any]
+    origins: tuple[Origin, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return asdict(self)
+
+
+def trace(dataset: Dataset, execution: str, at_s: float, *, logs: Path | str | None = None) -> Trace:
+    """Return the sample of an execution nearest to a time, and the rows of the logs behind it.
+
+    Args:
+        dataset: Where to look.
+        execution: Its name, or its number from 1.
+        at_s: Seconds since the execution began.
+        logs: Folder of the logs, or the log itself, to show the lines.
+
+    Raises:
+        UnknownName: There is no such execution.
+        DatasetError: It has no samples, or `at_s` is after its end.
+    """
+    dataset.require_positions()
+    name = dataset.find_execution(execution)
+    entry = next(entry for entry in dataset.card["executions"] if entry["execution"] == name)
+    if at_s > (length_s := float(entry["end_s"]) - float(entry["start_s"])):
+        seen = f"{dataset.path}: execution {name} lasts {length_s:.1f} s, so it holds no sample at {at_s:g} s"
+        raise DatasetError(seen, cure="Give --at a time since the execution began, such as 12.5s.")
+    samples = dataset.samples([name])
+    if samples.is_empty():
+        raise DatasetError(f"{dataset.path}: execution {name} has no samples", cure="Choose another one.")
+    wanted = float(entry["start_s"]) + at_s
+    sample = samples.row(int((samples["t_s"] - wanted).abs().arg_min() or 0), named=True)
+    found: list[Origin] = []
+    for record in dataset.recordings:
+        if record["session"] == entry["session"]:
+            found += _of_recording(dataset, record, float(sample["t_s"]), logs)
+    return Trace(name, {key: value for key, value in sample.items() if value is not None}, tuple(found))
+
+
+def _of_recording(dataset: Dataset, record: dict[str, Any], at_s: float, logs: Path | str | None) -> list[Origin]:
+    rate, offset_s = record["clock"]["rate"], record["clock"]["offset_s"]
+    own_s = (at_s - offset_s) / rate
+    found = []
+    for table in ("robot", "people", "events"):
+        if table not in record["tables"]:
+            continue
+        rows = dataset.recorded_between(record["id"], table, own_s - AROUND_S / rate, own_s + AROUND_S / rate)
+        if rows is None:
+            continue
+        if table == "robot":  # the row that the sample stands on
+            rows = rows.filter(pl.col("t_s") <= own_s + 1e-6).tail(1)
+        for row in _nearest(rows, own_s).iter_rows(named=True):
+            t_s, line = row.pop("t_s"), row.pop("source_row")
+            values = {key: value for key, value in row.items() if value is not None}
+            shown = record["sources"][0]["path"]
+            if len(record["sources"]) > 1:
+                shown = shown.rpartition("/")[0]
+            text = _line(_file(Path(logs), shown), line) if logs is not None and record["rows_are"] == "line" else None
+            where = (table, record["id"], shown, record["rows_are"], line)
+            among = record["facts"].get(f"rows of {table}", "").removeprefix("messages of ") or None
+            found.append(Origin(*where, t_s * rate + offset_s, values, text, among))
+    return found
+
+
+def _nearest(rows: pl.DataFrame, own_s: float) -> pl.DataFrame:
+    return rows.sort((pl.col("t_s") - own_s).abs(), maintain_order=True).head(_SHOWN).sort("t_s", maintain_order=True)
+
+
+def _file(logs: Path, shown: str) -> Path:
+    """Return the log in the folder of logs, which may have been given as the log itself."""
+    if logs.is_file() and logs.name == Path(shown).name:
+        return logs
+    return inside(logs, *shown.split("/"), follow_links=True)  # the links of one's own logs, not the names of a card
+
+
+def _line(file: Path, number: int | None) -> str | None:
+    """Return one line of a text, counted from 1; None where it cannot be read, or is packed otherwise than by gzip."""
+    if number is None or not file.is_file():
+        return None
+    with file.open("rb") as log:
+        first = log.read(4)
+    opened = gzip.open if first.startswith(_GZIP) else open
+    encoding = "utf-16" if first.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+    try:
+        with opened(file, "rt", encoding=encoding, errors="replace", newline="\n") as log:
+            found = next(islice(log, number - 1, None), None)
+    except (OSError, EOFError, zlib.error):
+        return None
+    return None if found is None or "\0" in found else found[:_LONGEST_LINE].rstrip("\r\n")

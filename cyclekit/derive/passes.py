@@ -1,0 +1,307 @@
+"""From recordings to samples and tasks: one clock, one base frame, executions, goals, scaling.
+
+Everything here can be computed again from the recordings, without the vendor files. Reading those is the business of
+`ingest`, finding places and executions that of `places` and `segment`. What concerns one session is done session by
+session, on as many cores as the engine has (`look`, `sample`, `finish`), and what is large stays in files; between
+these passes what only all sessions tell is found here: places, executions, references of the speed, usual dwells,
+levels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.derive.session_end import Left, finish
+from cyclekit.derive.session_look import look_at
+from cyclekit.derive.session_samples import Work, samples_of
+from cyclekit.derive.sharing import in_order, shared_files
+from cyclekit.learning.windows import stretches
+from cyclekit.parallel.engine import LOCAL, Engine
+from cyclekit.people.activity import operator_places
+from cyclekit.people.silence import absences
+from cyclekit.scaling.levels import Staircase, find_staircase
+from cyclekit.scaling.of_runs import with_scaling
+from cyclekit.scaling.response import MOST, Dynamics, read_dynamics
+from cyclekit.segmentation.arrivals import stands_of
+from cyclekit.segmentation.dwell import usual_dwells
+from cyclekit.segmentation.executions import Execution, find_executions, find_visits
+from cyclekit.segmentation.places import find_places
+from cyclekit.segmentation.turning_points import with_turns
+from cyclekit.storage.parquet import forget, keeping
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
+
+    from cyclekit.config import Cell, Source
+    from cyclekit.dataset.dataset import Place
+    from cyclekit.dataset.sessions import Session
+    from cyclekit.dataset.signals import Read, Stored
+    from cyclekit.derive.session_look import Look
+    from cyclekit.derive.session_samples import Made
+    from cyclekit.segmentation.arrivals import Stands
+    from cyclekit.segmentation.dwell import Dwell
+    from cyclekit.segmentation.motion import Run
+    from cyclekit.segmentation.standstills import Stop
+
+    Progress = Callable[[float, str], None]
+
+__all__ = ["Derived", "derive"]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+KEPT_BYTES = 160 << 20
+"""Of decoded rows while the scaling is inferred: the fastest repetitions of each motion lie all over the log."""
+SHARED_ROWS = 2_000_000
+"""Of the robot, below which a pass takes less time than workers need to start."""
+SESSION_ROWS = 1000
+"""What a session costs besides its rows, in rows."""
+
+
+@dataclass(frozen=True)
+class Derived:
+    """All that a dataset says beyond its recordings and the samples, which lie in files; `samples`: how many."""
+
+    samples: int
+    tasks: pl.DataFrame
+    executions: list[dict[str, Any]]
+    places: Mapping[str, Place]
+    human_places: Mapping[str, Place]
+    levels: tuple[float, ...]
+    origin: str | None
+    dynamics: Dynamics
+    warnings: list[str]
+
+
+def derive(
+    sessions: Sequence[Session],
+    sources: Mapping[str, Source | None],
+    read: Read,
+    stored: Stored,
+    cell: Cell,
+    folder: Path,
+    progress: Progress,
+    *,
+    engine: Engine = LOCAL,
+    coarse: bool = False,
+) -> Derived:
+    """Compute samples and tasks.
+
+    Args:
+        sessions: From `ingest`; their entries get `clock`, `frame` and `operator` filled in.
+        sources: What the cell file says about each recording, by id.
+        read: Returns a native table of a recording (id, table), None if it has none.
+        stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
+        cell: Places, execution rule, rates.
+        folder: Where the samples are written, a file a session.
+        progress: Told fraction and text.
+        engine: Who does the passes over the sessions; `read` and `stored` must work there.
+        coarse: Where nothing says how a clock relates to the robot's, align on the operator being near while the
+            robot slows; hides the reaction delay.
+
+    Raises:
+        UnknownName: The cell file's home is no place that was found.
+        ConfigError: Executions are to begin by a register or output that was not logged, or a clock or frame is to be
+            found in a way that these logs do not allow.
+        EstimateError: An execution cannot be so long.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    passes = _Passes(engine if _is_much(sessions) else LOCAL, progress)
+    look = partial(look_at, sources=sources, read=read, stored=stored, cell=cell, coarse=coarse)
+    looks = passes.over(look, sessions, 0.0, 0.2, "motion")
+    for session, seen in zip(sessions, looks, strict=True):
+        _note(session, seen.entries)
+    robot = _robot(looks, sessions, cell, passes.engine, lambda done, told: progress(0.2 + 0.3 * done, told))
+    works, dwells = _with_stands(passes, sessions, robot)
+    sample = partial(
+        samples_of, places=robot.places, dwells=dwells, sources=sources, read=read, cell=cell, folder=folder
+    )
+    files = shared_files(sessions, cell.rate_hz)
+    made = passes.over_files(sample, works, files, 0.6, 0.85, "samples")
+    for session, one in zip(sessions, made, strict=True):
+        _note(session, one.entries)
+    if _is_much(sessions) or any(run.is_inferred for run in robot.runs):
+        forget()  # samples and scaling of many hours take that memory
+    runs = {work.session.name: list(work.runs.values()) for work in works}
+    return _finished(passes, made, files, runs, robot, cell, folder)
+
+
+def _finished(
+    passes: _Passes,
+    made: Sequence[Made],
+    files: Sequence[Sequence[int]],
+    runs: Mapping[str, list[Run]],
+    robot: _Robot,
+    cell: Cell,
+    folder: Path,
+) -> Derived:
+    """Find the levels and the operator's places, and have the samples completed."""
+    some = [one for one in made if one.samples]
+    spots = operator_places([stays for one in some for stays in one.stays], cell)
+    staircase = _staircase(made, files, cell, folder)
+    labels = np.split(staircase.label, np.cumsum([one.samples for one in made])[:-1]) if made else []
+    levels = tuple(round(float(level), 6) for level in staircase.levels)
+    gone = absences([one.silences for one in made])
+    left = [
+        Left(one.part, runs[one.session], label, one.stays, absence)
+        for one, label, absence in zip(made, labels, gone, strict=True)
+    ]
+    most = max(20, MOST // max(len(some), 1))
+    rest = partial(finish, spots=spots, levels=levels, most_changes=most, folder=folder)
+    changes = passes.over_files(rest, left, files, 0.85, 1.0, "levels")
+    rows = [row for one in made for row in one.tasks]
+    return Derived(
+        samples=sum(one.samples for one in some),
+        tasks=pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.TASKS.items()}, orient="row"),
+        executions=[card for one in made for card in one.cards],
+        places=robot.places,
+        human_places=spots,
+        levels=levels,
+        origin=" and ".join(sorted({name for one in some for name in one.origins}, reverse=True)) or None,
+        dynamics=read_dynamics(changes),
+        warnings=[*robot.warnings, *(staircase.warnings if some or not made else [])],
+    )
+
+
+class _Robot(NamedTuple):
+    """What the robot of all sessions was doing.
+
+    Attributes:
+        runs: All its runs; a session knows the numbers of its own.
+        places: All its places.
+        executions: Of each run, in the order of time.
+        warnings: What is to be said about the scaling.
+    """
+
+    runs: Sequence[Run]
+    places: Mapping[str, Place]
+    executions: Sequence[Sequence[Execution]]
+    warnings: list[str]
+
+
+def _robot(
+    looks: Sequence[Look], sessions: Sequence[Session], cell: Cell, engine: Engine, progress: Progress
+) -> _Robot:
+    """Find places and executions in all sessions, and the scaling where it was not logged."""
+    runs: list[Run] = []
+    stops: list[Stop] = []
+    for session, look in zip(sessions, looks, strict=True):
+        session.span_s, session.runs = look.span_s, list(range(len(runs), len(runs) + len(look.runs)))
+        stops += [replace(stop, run=stop.run + len(runs)) for stop in look.stops]
+        runs += look.runs
+    places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
+    visits = find_visits(stops, places, runs)
+    if all(len({visit.place for visit in seen}) < 2 for seen in visits):  # it rests at one place at most
+        stops = with_turns(runs, stops)
+        places = find_places(runs, stops, cell.places, all_named=cell.all_places_named)
+        visits = find_visits(stops, places, runs)
+    executions = find_executions(visits, places, cell.executions, [marks for look in looks for marks in look.marks])
+    executions += _whole_runs(runs, executions)
+    with keeping(KEPT_BYTES):
+        runs, warnings = with_scaling(runs, executions, places, sessions, progress, engine)
+    by_run: list[list[Execution]] = [[] for _ in runs]
+    for found in sorted(executions, key=lambda found: found.visits[0].first if found.visits else 0):
+        by_run[found.run].append(found)
+    return _Robot(runs, places, by_run, warnings)
+
+
+def _whole_runs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[Execution]:
+    """A run in which no task was found is still an execution: it can be inspected and replayed."""
+    covered = {execution.run for execution in executions}
+    return [Execution(number, (), False) for number in range(len(runs)) if number not in covered]
+
+
+def _with_stands(passes: _Passes, sessions: Sequence[Session], robot: _Robot) -> tuple[list[Work], dict[str, Dwell]]:
+    """Return the work that each session is, and the usual dwell at each place."""
+    works = [
+        Work(
+            session,
+            {number: robot.runs[number] for number in session.runs},
+            [found for number in session.runs for found in robot.executions[number]],
+            {},
+        )
+        for session in sessions
+    ]
+    stands = passes.over(partial(_stands, places=robot.places), works, 0.5, 0.6, "stands")
+    every = {key: stand for mine in stands for key, stand in mine.items()}
+    dwells = usual_dwells([found for mine in robot.executions for found in mine], every)
+    return [replace(work, stands=mine) for work, mine in zip(works, stands, strict=True)], dwells
+
+
+def _stands(work: Work, *, places: Mapping[str, Place]) -> Stands:
+    return stands_of(work.runs, work.executions, places)
+
+
+def _staircase(made: Sequence[Made], files: Sequence[Sequence[int]], cell: Cell, folder: Path) -> Staircase:
+    """Find the levels of the scaling of all executions, or label them by those that the cell file fixes."""
+    if not any(one.samples for one in made):
+        return find_staircase(np.empty(0))
+    frame = pl.concat(in_order((numbers, _scaling_of([made[n] for n in numbers], folder)) for numbers in files))
+    run = stretches(frame, cell.rate_hz)
+    scaling = frame["scaling"].fill_null(np.nan).to_numpy()
+    return find_staircase(scaling, run=run, levels=cell.levels or None, rate_hz=cell.rate_hz)
+
+
+def _scaling_of(made: Sequence[Made], folder: Path) -> list[pl.DataFrame]:
+    """Return execution, time and scaling of the samples of each session in a file."""
+    columns = ["execution", "t_s", "scaling"]
+    counts = [one.samples for one in made]
+    if not sum(counts):
+        return [schema.empty(schema.SAMPLES).select(columns)] * len(made)
+    frame = pl.read_parquet(folder / f"{made[0].part}.parquet", columns=columns, glob=False)
+    begins = np.cumsum([0, *counts]).tolist()
+    return [frame[begin : begin + count] for begin, count in zip(begins, counts, strict=False)]
+
+
+def _is_much(sessions: Sequence[Session]) -> bool:
+    """Tell whether a pass over the sessions takes longer than workers need to start."""
+    rows: int = sum(entry["rows"].get("robot", 0) for session in sessions for entry in session.entries)
+    return rows + SESSION_ROWS * len(sessions) >= SHARED_ROWS
+
+
+def _note(session: Session, entries: Sequence[Mapping[str, Any]]) -> None:
+    """Take over what a pass noted in the entries of a session; it may have worked on copies."""
+    for entry, noted in zip(session.entries, entries, strict=True):
+        entry.update(noted)
+
+
+class _Passes:
+    """Functions over all sessions: shared out by the engine, results in order, the fraction done told."""
+
+    def __init__(self, engine: Engine, progress: Progress) -> None:
+        self.engine, self.progress = engine, progress
+
+    def over(
+        self, function: Callable[[Item], Result], items: Sequence[Item], begin: float, end: float, what: str
+    ) -> list[Result]:
+        files = [[number] for number in range(len(items))]
+        return self.over_files(partial(_one, function), items, files, begin, end, what)
+
+    def over_files(
+        self,
+        function: Callable[[Sequence[Item]], Sequence[Result]],
+        items: Sequence[Item],
+        files: Sequence[Sequence[int]],
+        begin: float,
+        end: float,
+        what: str,
+    ) -> list[Result]:
+        """Do a function for the items, those of each file together."""
+        found, count = [], 0
+        for done in self.engine.map(function, [[items[number] for number in numbers] for numbers in files]):
+            found.append((files[done.number], done.get()))
+            count += len(files[done.number])
+            told = f"{what}, {count} of {len(items)} sessions"
+            self.progress(begin + (end - begin) * count / len(items), told)
+        return in_order(found)
+
+
+def _one(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    return [function(item) for item in items]

@@ -1,0 +1,270 @@
+"""The samples and tasks of one session, as far as the session alone tells them, written to a file.
+
+Many short sessions share a file (`sharing`). What needs all sessions (the levels of the scaling, where the operator's
+places are) is filled in by `finish`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import chain
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit import schema
+from cyclekit.dataset.sessions import WITHOUT_PLACES
+from cyclekit.derive.sample_file import AT_ONCE, write_samples
+from cyclekit.derive.sample_rows import Coded, SampleRows, in_frames
+from cyclekit.derive.task_lists import listed_in, operator_rows
+from cyclekit.errors import EstimateError
+from cyclekit.people.activity import Watch
+from cyclekit.segmentation.motion import sampled
+from cyclekit.segmentation.time_account import account
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from cyclekit.config import Cell, Source
+    from cyclekit.dataset.dataset import Place
+    from cyclekit.dataset.sessions import Session
+    from cyclekit.dataset.signals import Read
+    from cyclekit.people.activity import Seen, Stays
+    from cyclekit.people.silence import Silence
+    from cyclekit.segmentation.arrivals import Stands
+    from cyclekit.segmentation.dwell import Dwell
+    from cyclekit.segmentation.executions import Execution
+    from cyclekit.segmentation.motion import Run, Sampled
+    from cyclekit.segmentation.time_account import Leg
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+
+_MOST_SAMPLES = 10_000_000
+"""Of one execution: eleven days at 10 Hz. A time that cannot be would ask for more memory than there is."""
+
+
+@dataclass(frozen=True)
+class Work:
+    """One session, and what is known about it when all places are known.
+
+    Attributes:
+        session: The session.
+        runs: Runs of its robot, by number.
+        executions: Their executions, in the order of time.
+        stands: When the robot arrived and left at every visit of them.
+    """
+
+    session: Session
+    runs: Mapping[int, Run]
+    executions: Sequence[Execution]
+    stands: Stands
+
+
+@dataclass
+class Made:
+    """What was made of one session; filled while it is made.
+
+    Attributes:
+        session: Its name.
+        entries: Entries of its recordings; it is noted there what was seen of the operator.
+        part: The name of its file of samples.
+        samples: How many there are.
+        cards: What the dataset's card says about each execution.
+        tasks: Rows of table TASKS.
+        stays: Where the operator stayed, of each execution.
+        origins: Whence the scaling comes: `logged`, `inferred`.
+        silences: How each of its logs of people begins, ends and pauses.
+    """
+
+    session: str
+    entries: list[dict[str, Any]]
+    part: str
+    samples: int = 0
+    cards: list[dict[str, Any]] = field(default_factory=list)
+    tasks: list[tuple[object, ...]] = field(default_factory=list)
+    stays: list[Stays] = field(default_factory=list)
+    origins: set[str] = field(default_factory=set)
+    silences: list[Silence] = field(default_factory=list)
+
+
+def samples_of(
+    works: Sequence[Work],
+    *,
+    places: Mapping[str, Place],
+    dwells: Mapping[str, Dwell],
+    sources: Mapping[str, Source | None],
+    read: Read,
+    cell: Cell,
+    folder: Path,
+) -> list[Made]:
+    """Write the samples of sessions that share a file to `folder`; without executions there is no file.
+
+    Args:
+        works: The sessions, their runs, executions and stands; the file has the name of the first one.
+        places: All places.
+        dwells: The usual dwell at each, from all sessions.
+        sources: What the cell file says about each recording, by id.
+        read: Returns a native table of a recording (id, table), None if it has none.
+        cell: Rates, frames, the operator's places.
+        folder: Where the files of samples lie.
+
+    Raises:
+        EstimateError: An execution cannot be so long.
+    """
+    part = works[0].session.name
+    made = [Made(work.session.name, work.session.entries, part) for work in works]
+
+    def rows() -> Iterator[SampleRows]:
+        for work, mine in zip(works, made, strict=True):
+            session = work.session
+            if not work.runs and (listed := listed_in(session, read, cell)):
+                mine.cards.extend(one.card(session) for one in listed)
+                mine.tasks.extend(row for one in listed for row in one.rows())
+                continue
+            if all(set(entry["tables"]) <= WITHOUT_PLACES for entry in session.entries):
+                continue
+            courses = _courses(work, dwells, places, cell)
+            if (first := next(courses, None)) is not None:
+                watch = Watch(session, sources, read, cell)
+                yield from _rows(session, chain([first], courses), watch, mine)
+                watch.note()
+                mine.tasks.extend(operator_rows(session, mine.cards, read))
+                mine.silences.extend(watch.silences)
+
+    frames = in_frames(rows(), AT_ONCE)
+    if (begin := next(frames, None)) is not None:
+        write_samples(chain([begin], frames), folder / f"{part}.parquet")
+    return made
+
+
+def _rows(session: Session, courses: Iterable[_Course], watch: Watch, made: Made) -> Iterator[SampleRows]:
+    """Yield the samples of a session, in parts, since an execution may last as long as its log; fill in the rest."""
+    for course in courses:
+        seen = watch.during(course.t_s, course.tcp_m)
+        for first in range(0, len(course.t_s), AT_ONCE):
+            yield _columns(course, seen, slice(first, first + AT_ONCE))
+        if course.robot is not None and np.isfinite(course.robot.scaling).any():
+            made.origins.add("inferred" if course.inferred else "logged")
+        made.samples += len(course.t_s)
+        made.tasks.extend(_task_rows(course.name, course.legs))
+        made.cards.append(_card(session, course, made.part))
+        made.stays.append(seen.stays)
+
+
+@dataclass(frozen=True)
+class _Course:
+    """What the robot did in one execution.
+
+    Attributes:
+        name: Of the execution.
+        complete: The log shows all of it.
+        t_s: Times of its samples, shape (T,).
+        robot: The robot there; None without a robot log.
+        inferred: Its scaling was inferred and not logged.
+        legs: Its tasks.
+        goals_m: Where each of them ends, shape (L, 3), metres.
+    """
+
+    name: str
+    complete: bool
+    t_s: Vector
+    robot: Sampled | None
+    inferred: bool
+    legs: Sequence[Leg]
+    goals_m: Points
+
+    @property
+    def tcp_m(self) -> Points:
+        """The TCP at each sample, shape (T, 3), NaN = unknown."""
+        return np.full((len(self.t_s), 3), np.nan) if self.robot is None else self.robot.xyz_m
+
+
+def _courses(work: Work, dwells: Mapping[str, Dwell], places: Mapping[str, Place], cell: Cell) -> Iterator[_Course]:
+    """Yield the executions that last long enough for a sample, one at a time: all of them may be large."""
+    session = work.session
+    for number, execution in enumerate(work.executions if work.runs else [None], 1):
+        name = f"{session.name}.{number:03d}"
+        if execution is None:
+            course = _Course(name, False, _times(name, *session.span_s, cell), None, False, [], np.empty((0, 3)))
+        else:
+            run = work.runs[execution.run]
+            legs = account(run, execution, work.stands, dwells) if execution.visits else []
+            ends = (legs[0].start_s, legs[-1].end_s) if legs else (run.time_at(0), run.time_at(run.rows - 1))
+            robot = sampled(run, _times(name, *ends, cell))
+            goals_m = np.array([places[leg.goal_place].xyz_m for leg in legs]).reshape(-1, 3)
+            course = _Course(name, execution.complete, robot.t_s, robot, run.is_inferred, legs, goals_m)
+        if len(course.t_s):
+            yield course
+
+
+def _times(name: str, start: float, end: float, cell: Cell) -> Vector:
+    if (end - start) * cell.rate_hz > _MOST_SAMPLES:
+        msg = f"{name}: lasts {(end - start) / 86400:.0f} days, more than {_MOST_SAMPLES:,} samples"
+        raise EstimateError(msg, cure="Look for a time that jumps ahead with `cyclekit inspect`, or cut the log.")
+    return np.asarray(start + np.arange(int((end - start) * cell.rate_hz + 1e-6) + 1) / cell.rate_hz)
+
+
+def _columns(course: _Course, seen: Seen, rows: slice) -> SampleRows:
+    t = course.t_s[rows]
+    columns: dict[str, Any] = {"execution": [course.name] * len(t), "t_s": t}
+    if course.robot is not None:
+        columns |= {f"robot_{axis}_m": course.robot.xyz_m[rows, k] for k, axis in enumerate("xyz")}
+        columns |= _scaling_columns(course.robot, rows, inferred=course.inferred)
+    return SampleRows(len(t), columns | _task_columns(t, course) | seen.columns(rows))
+
+
+def _scaling_columns(found: Sampled, rows: slice, *, inferred: bool) -> dict[str, Any]:
+    scaling = found.scaling[rows]
+    known = np.isfinite(scaling)
+    return {
+        "scaling": scaling,
+        "scaling_sd": found.deviation[rows],
+        "slider": found.slider[rows],
+        "scaling_origin": Coded(np.where(known, 1 if inferred else 0, -1), ("logged", "inferred")),
+        "scaling_gap": Coded(np.where(known, -1, found.gap[rows]), schema.SCALING_GAPS),
+    }
+
+
+def _task_columns(t: Vector, course: _Course) -> dict[str, Any]:
+    legs = course.legs
+    if not legs:
+        return {}
+    starts = np.array([leg.start_s for leg in legs])
+    index = np.clip(np.searchsorted(starts, t + 1e-9, side="right") - 1, 0, len(legs) - 1)
+    goals = course.goals_m[index]
+    arrivals = np.array([leg.arrival_s for leg in legs])[index]
+    names = [f"{leg.start_place}->{leg.goal_place}" for leg in legs]
+    return {
+        **{f"robot_goal_{axis}_m": goals[:, k] for k, axis in enumerate("xyz")},
+        "robot_task": Coded(index, tuple(names)),
+        "robot_moving": (t < arrivals).tolist(),
+    }
+
+
+def _task_rows(name: str, legs: Sequence[Leg]) -> list[tuple[object, ...]]:
+    return [
+        (
+            name, index, f"{leg.start_place}->{leg.goal_place}", leg.start_place, leg.goal_place, leg.start_s,
+            leg.arrival_s, leg.end_s, leg.nominal_s, leg.slider_loss_s, leg.safety_loss_s, leg.dwell_s, leg.wait_s,
+            "robot", None, None, None, None,
+        )
+        for index, leg in enumerate(legs)
+    ]  # fmt: skip
+
+
+def _card(session: Session, course: _Course, part: str) -> dict[str, Any]:
+    legs = course.legs
+    return {
+        "execution": course.name,
+        "session": session.name,
+        **({} if part == session.name else {"part": part}),
+        "start_s": float(course.t_s[0]),
+        "end_s": float(legs[-1].end_s if legs else course.t_s[-1]),
+        "complete": course.complete,
+        "reference": session.reference,
+        "places": [legs[0].start_place, *(leg.goal_place for leg in legs)] if legs else [],
+    }

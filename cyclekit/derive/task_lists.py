@@ -1,0 +1,153 @@
+"""The tasks of task lists: executions of sessions without a robot's log, and the operator's tasks beside the robot's.
+
+A task list says itself which execution a task belongs to. Beside a robot's log its executions count, and so do its
+tasks: they rest on its motion. Of the list the operator's tasks are then put into the execution that they began in,
+or reach into from the time between two of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.dataset.sessions import LISTED
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from cyclekit.config import Cell
+    from cyclekit.dataset.sessions import Session
+    from cyclekit.dataset.signals import Read
+
+_TIMES = ("t_s", "end_s", "planned_start_s", "planned_end_s")
+
+
+@dataclass(frozen=True)
+class Listed:
+    """One execution as a task list has it.
+
+    Attributes:
+        name: Its name in the dataset.
+        logged_as: Its name in the list; None where that has none.
+        tasks: Its tasks, table TASK_LIST in session time, in order of start.
+    """
+
+    name: str
+    logged_as: str | None
+    tasks: pl.DataFrame
+
+    @property
+    def start_s(self) -> float:
+        """Start of the first task, session time."""
+        return float(self.tasks["t_s"].min())  # type: ignore[arg-type]  # a number
+
+    @property
+    def end_s(self) -> float:
+        """Last time that is known, session time."""
+        return max(float(self.tasks[name].max() or self.start_s) for name in ("t_s", "end_s"))  # type: ignore[arg-type]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every task has an end."""
+        return self.tasks["end_s"].null_count() == 0
+
+    def rows(self) -> list[tuple[object, ...]]:
+        """Return its rows of table TASKS."""
+        return task_rows(self.name, self.tasks)
+
+    def card(self, session: Session) -> dict[str, Any]:
+        """Return what the card of the dataset says about it."""
+        return {
+            "execution": self.name,
+            "session": session.name,
+            "start_s": self.start_s,
+            "end_s": self.end_s,
+            "complete": self.complete,
+            "reference": session.reference,
+            "places": [],
+            "logged_as": self.logged_as,
+        }
+
+
+def task_rows(name: str, tasks: pl.DataFrame) -> list[tuple[object, ...]]:
+    """Return listed tasks of one execution as rows of table TASKS."""
+    numbered = tasks.select(
+        pl.lit(name).alias("execution"),
+        pl.int_range(pl.len()).over("agent_name").alias("index"),
+        "task",
+        "agent",
+        "agent_name",
+        "planned_start_s",
+        "planned_end_s",
+        "outcome",
+        pl.col("t_s").alias("start_s"),
+        "end_s",
+    )
+    return schema.conform(numbered, schema.TASKS).rows()
+
+
+def listed_in(session: Session, read: Read, cell: Cell) -> list[Listed]:
+    """Return the executions that the task lists of a session name, in order of start.
+
+    A list without executions is one, or, where executions are to begin by gaps, begins a new one wherever nobody has a
+    task for longer than a gap.
+    """
+    tasks = _tasks_of(session, read)
+    if tasks is None:
+        return []
+    if tasks["execution"].null_count() == tasks.height:
+        quiet = pl.col("t_s") - pl.max_horizontal("end_s", "t_s").cum_max().shift(1)
+        begins = (quiet > cell.executions.gap_s).fill_null(value=False) & (cell.executions.begin == "gap")
+        groups = tasks.group_by(begins.cum_sum().alias("number"), maintain_order=True)
+        every: list[tuple[str | None, pl.DataFrame]] = [(None, rows) for _, rows in groups]
+    else:
+        named = tasks.drop_nulls("execution").group_by(["execution"], maintain_order=True)
+        every = [(str(name), rows) for (name,), rows in named]
+    return [Listed(f"{session.name}.{number:03d}", name, rows) for number, (name, rows) in enumerate(every, 1)]
+
+
+def operator_rows(session: Session, cards: Sequence[dict[str, Any]], read: Read) -> list[tuple[object, ...]]:
+    """Return the operator's listed tasks as rows of table TASKS, each in the execution that it belongs to.
+
+    What is left out is noted in the entries of the session.
+
+    Args:
+        session: With a robot's log.
+        cards: Its executions.
+        read: Returns a native table of a recording (id, table), None if it has none.
+    """
+    tasks = _tasks_of(session, read)
+    if tasks is None:
+        return []
+    operator = tasks.filter(pl.col("agent") == "operator")
+    found: list[tuple[object, ...]] = []
+    before_s = float("-inf")
+    for card in cards:
+        begins = pl.col("t_s").is_between(card["start_s"], card["end_s"], closed="left")
+        reaches = (pl.col("t_s") < card["start_s"]) & (pl.col("t_s") >= before_s) & (pl.col("end_s") > card["start_s"])
+        found += task_rows(card["execution"], operator.filter(begins | reaches.fill_null(value=False)))
+        before_s = card["end_s"]
+    said = []
+    if robots := tasks.height - operator.height:
+        said.append(f"{robots} tasks of the robot are not used: its log tells its tasks")
+    if outside := operator.height - len(found):
+        said.append(f"{outside} of {operator.height} tasks of the operator lie outside of every execution")
+    for entry in session.entries:
+        if "task_list" in entry["tables"]:
+            kept = [text for text in entry["warnings"] if not text.startswith(LISTED)]
+            entry["warnings"] = [*kept, *(LISTED + text for text in said)]
+    return found
+
+
+def _tasks_of(session: Session, read: Read) -> pl.DataFrame | None:
+    """Return the listed tasks of a session in its time, in order of start; None without a task list."""
+    found = []
+    for entry in session.entries:
+        table = read(entry["id"], "task_list") if "task_list" in entry["tables"] else None
+        if table is not None and table.height:
+            rate, offset_s = entry["clock"]["rate"], entry["clock"]["offset_s"]
+            found.append(table.with_columns(pl.col(name) * rate + offset_s for name in _TIMES))
+    return pl.concat(found).sort("t_s", maintain_order=True) if found else None

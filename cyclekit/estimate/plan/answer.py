@@ -1,0 +1,209 @@
+"""The order found, against the logged ones, and how much of its gain would stay with other operators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit.dataset.unknown_height import said_of_height
+from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.plan.exact import Walker
+from cyclekit.estimate.plan.search import Scorer, best_order, first_order, random_order
+from cyclekit.estimate.resample import resampled
+from cyclekit.estimate.tracks import operator_tracks
+from cyclekit.estimate.transit import transit_table
+from cyclekit.learning.networks.cell import refuse_other_cell
+from cyclekit.parallel.one_thread import one_thread
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.plan.jobs import Jobs
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.transit import TransitTable
+
+    Order = tuple[str, ...]
+
+RANDOM_BASIS = 200
+"""Where none of the logged orders does the same work, so many random ones stand for them."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The order found.
+
+    Attributes:
+        order: The visits in order; of all orders the one with the least sum of mean and its standard error.
+        places: All places in order, `via` included.
+        expected_s: Mean cycle time of it over the logged operators, as `estimate` gives it for these places.
+        against: What it is compared with: `logged orders` or `random orders`.
+        against_s: Mean cycle time of those over the same operators.
+        saves_s: against_s - expected_s, and its 95 % interval from resampling executions, widened by a doubted bias.
+        saves_unseen_s: What an order saves that is chosen by one half of the executions, on the other half (mean of
+            both halves): the part of the saving that is no luck of these logs.
+        searched: `all orders`, `all orders of logged tasks` (others need what was never logged) or `search`.
+        tried: How many orders were scored.
+        executions: Logged executions it rests on.
+        expected_low_s, expected_high_s: 95 % interval of `expected_s`.
+        doubts, alarm: What makes it doubtful, and what belongs above it, as of its estimate.
+        unlogged: Tasks that were never logged with a known speed scaling; orders that need one were left out.
+        notes: What limits the answer, one sentence each.
+    """
+
+    order: tuple[str, ...]
+    places: tuple[str, ...]
+    expected_s: float
+    against: str
+    against_s: float
+    saves_s: tuple[float, float, float]
+    saves_unseen_s: float
+    searched: str
+    tried: int
+    executions: int
+    expected_low_s: float = float("nan")
+    expected_high_s: float = float("nan")
+    doubts: tuple[str, ...] = ()
+    alarm: str | None = None
+    unlogged: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the plan as plain JSON values."""
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
+
+
+@one_thread()
+def plan(
+    model: SafetyModel,
+    dataset: Dataset,
+    jobs: Jobs,
+    *,
+    seed: int = 0,
+    validate: bool = True,
+    check: Check | None = None,
+    other_cell: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> Plan:
+    """Search the order of `jobs` with the least expected cycle time, the surer one where they are alike.
+
+    Args:
+        model: A model of problem `now`.
+        dataset: Logs that hold the tasks of at least one allowed order, and the operator's tracks. Orders that need
+            a task that was never logged are left out.
+        jobs: What is to be visited.
+        seed: Of random orders, stands and resampling.
+        validate: As of `estimate`.
+        check: As of `estimate`.
+        other_cell: As of `estimate`.
+        progress: Told fraction and text.
+
+    Raises:
+        ModelError: The model predicts something else than the present scaling; or as of `estimate`.
+        UnknownName: A place does not exist.
+        EstimateError: Every allowed order needs a task that was never logged, or there is no operator track.
+    """
+    if model.problem != "now":
+        msg = f"the model predicts problem {model.problem!r}; a plan needs the scaling of the present instant"
+        cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
+        raise ModelError(msg, cure=cure)
+    refuse_other_cell(model.card, dataset, other_cell=other_cell)
+    tasks, unlogged = _tasks(jobs, dataset)
+    jobs = replace(jobs, unlogged=frozenset(unlogged))
+    first_order(jobs, lambda _, options: options)  # refused before the tracks are walked
+    length = max(task.nominal_s + task.dwell_s + task.wait_s for task in tasks.values()) * (2 * len(jobs.visit) + 2)
+    tracks = operator_tracks(dataset, horizon_s=3.0 * length)
+    table = transit_table(model, tasks, tracks, progress=progress)
+    every = Scorer(table, jobs, seed=seed, executions=len(set(tracks.executions)))
+    order, searched, tried = best_order(every, seed=seed, progress=progress)
+    against, basis = _basis(dataset, jobs, seed)
+    unseen = _unseen(table, jobs, basis, tracks.executions, seed)
+    looked_up = float(every.means([order])[0])
+    if not np.isfinite(looked_up):
+        raise EstimateError(
+            f"{jobs.shown}: cycles do not end within {3 * length:.0f} s",
+            cure="The operator's tracks leave the robot halted; check the tracker's frame and clock.",
+        )
+    walker = Walker(model, dataset, jobs, seed, other_cell)
+    (found,) = walker.estimates([order], validate=validate, check=check)
+    saved = walker.mean_of(basis, every, found.check) - np.array(found.durations_s)
+    low, high = np.quantile(resampled(tracks.executions, seed) @ saved, (0.025, 0.975)).tolist()
+    doubt_s = _doubt_s(found, float(saved.mean()))
+    return Plan(
+        order=order,
+        places=jobs.places(order),
+        expected_s=found.expected_s,
+        against=against,
+        against_s=found.expected_s + float(saved.mean()),
+        saves_s=(float(saved.mean()), low - doubt_s, high + doubt_s),
+        saves_unseen_s=unseen * found.expected_s / looked_up,  # seconds of the table, made those of the walk
+        searched=searched,
+        tried=tried,
+        executions=len(set(tracks.executions)),
+        expected_low_s=found.expected_low_s,
+        expected_high_s=found.expected_high_s,
+        doubts=found.doubts,
+        alarm=found.check.alarm if found.check else None,
+        unlogged=tuple(unlogged),
+        notes=tuple(said_of_height(dataset.samples(columns=["human_x_m", "human_z_m"]))),
+    )
+
+
+def _doubt_s(found: CycleEstimate, saved_s: float) -> float:
+    """Return what a saving may be off by to either side, s, where the validation doubts the rollout.
+
+    A rollout is off in its safety loss, and orders differ by that: as large a part of the saving is in doubt as of the
+    loss, and never more than the whole bias.
+    """
+    bias_s = found.expected_s * found.check.doubted_bias if found.check else 0.0
+    return min(bias_s, abs(saved_s) * bias_s / found.safety_loss_s) if found.safety_loss_s > 0.0 else bias_s
+
+
+def _tasks(jobs: Jobs, dataset: Dataset) -> tuple[dict[str, NominalTask], list[str]]:
+    """Return every task that an allowed order may need, and those of them that were never logged."""
+    known = nominal_tasks(dataset)
+    for name in (*jobs.visit, jobs.start, jobs.end, jobs.via):
+        if name is not None and name not in dataset.places:
+            raise UnknownName(jobs.shown, "place", name, dataset.places)
+    wanted = jobs.needed()
+    missing = sorted(wanted.difference(known))
+    return {task: known[task] for task in wanted if task in known}, missing
+
+
+def _basis(dataset: Dataset, jobs: Jobs, seed: int) -> tuple[str, list[Order]]:
+    """Return what an order is compared with: the logged orders of the same work, else random ones."""
+    found = []
+    for entry in dataset.card["executions"]:
+        order = tuple(place for place in entry.get("places", ()) if place in jobs.visit)
+        if not entry["complete"] or sorted(order) != sorted(jobs.visit) or not jobs.allowed(order):
+            continue
+        went, wanted = tuple(entry.get("places", ())), jobs.places(order)
+        if went[: len(wanted)] == wanted and len(went) - len(wanted) <= (jobs.end is None):
+            found.append(order)
+    if found:
+        return "logged orders", found
+    rng = np.random.default_rng(seed)
+    return "random orders", [random_order(jobs, rng) for _ in range(RANDOM_BASIS)]
+
+
+def _unseen(table: TransitTable, jobs: Jobs, basis: list[Order], executions: tuple[str, ...], seed: int) -> float:
+    """Mean saving of orders chosen by one half of the executions, on the other half, s."""
+    names = np.unique(np.array(executions))
+    first = np.isin(np.array(executions), np.random.default_rng(seed).permutation(names)[: len(names) // 2])
+    savings = []
+    for mine in (first, ~first):
+        chooser, judge = (
+            Scorer(table, jobs, which=np.flatnonzero(half), seed=seed, executions=len(set(np.array(executions)[half])))
+            for half in (mine, ~mine)
+        )
+        if not mine.any() or mine.all():
+            return float("nan")
+        order, _, _ = best_order(chooser, seed=seed)
+        savings.append(float(judge.means(basis).mean() - judge.means([order])[0]))
+    return float(np.mean(savings))

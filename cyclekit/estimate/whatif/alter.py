@@ -1,0 +1,201 @@
+"""A change made to what a rollout works with: the safety function, the nominal motions, the operator's tracks.
+
+What is approximate: a moved place bends the logged motion by a share of the shift that grows along it, and lengthens
+its time as its path; the controller would plan anew. An operator who comes more or less often is the logged one whose
+time away is cut or stretched; his visits stay as they were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit.errors import EstimateError, UnknownName
+from cyclekit.estimate.safety import Classifier, Dynamics, SafetyModel, around, likeliest_of, scaling_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.estimate.whatif.change import Change
+
+    Vector = NDArray[np.float64]
+
+AWAY = 0.99
+"""The operator is away where the robot may do this part of its best scaling wherever it is."""
+LOOKED_AT = 60
+"""Points of the robot's motions at which it is asked whether the operator slows it."""
+
+
+@dataclass(frozen=True)
+class WrittenSafety:
+    """A safety function written down: a staircase over ||x_r - x_h||, zones on the floor, or the slower of both.
+
+    Thresholds and zones are those at which the robot slows; `margin_m` moves them outwards.
+    """
+
+    change: Change
+    margin_m: float = 0.0
+    problem: str = "now"
+    card: Mapping[str, Any] = field(default_factory=dict)
+    known_everywhere: bool = True
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Its levels, ascending."""
+        return self.change.levels
+
+    def moved_outwards(self, margin_m: float) -> WrittenSafety:
+        """Return what must allow a level for s to rise to it, `margin_m` being the hysteresis."""
+        return replace(self, margin_m=margin_m)
+
+    def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
+        """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
+        levels, margin_m = np.array(self.change.levels), self.margin_m
+        scaling = np.full(len(X), levels[-1])
+        if self.change.thresholds_m:
+            apart = np.linalg.norm(X[:, :3].astype(np.float64) - X[:, 3:6], axis=1)
+            scaling = levels[np.searchsorted(np.array(self.change.thresholds_m) + margin_m, apart, side="left")]
+        for zone in self.change.zones:
+            inside = (X[:, 3] >= zone.x_m[0] - margin_m) & (X[:, 3] <= zone.x_m[1] + margin_m)
+            inside &= (X[:, 4] >= zone.y_m[0] - margin_m) & (X[:, 4] <= zone.y_m[1] + margin_m)
+            scaling[inside] = np.minimum(scaling[inside], zone.level)
+        return np.asarray(scaling)
+
+
+@dataclass(frozen=True)
+class LearnedSafety:
+    """A learned safety function as s falls by it: what was learned lies half the logged hysteresis farther out."""
+
+    model: SafetyModel
+    hysteresis_m: float
+    margin_m: float = 0.0
+    problem: str = "now"
+
+    @property
+    def card(self) -> Mapping[str, Any]:
+        """Of the model."""
+        return self.model.card
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Of the model; empty where it says none."""
+        return getattr(self.model, "levels", ())
+
+    def moved_outwards(self, margin_m: float) -> LearnedSafety:
+        """Return what must allow a level for s to rise to it, `margin_m` being the hysteresis."""
+        return replace(self, margin_m=margin_m)
+
+    def predict(self, X: NDArray[np.float32]) -> Vector:
+        """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
+        outwards_m = self.margin_m - self.hysteresis_m / 2
+        robot_m, human_m = X[:, :3].astype(np.float64), X[:, 3:].astype(np.float64)
+        every = [human_m, *(around(robot_m, human_m, abs(outwards_m)) if outwards_m else ())]
+        found = np.stack([self._level(robot_m, moved) for moved in every])
+        return np.asarray(found.min(axis=0) if outwards_m > 0.0 else found.max(axis=0))
+
+    def _level(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
+        """Return the likeliest level where the model is a classifier: it hesitates within the hysteresis."""
+        if isinstance(self.model, Classifier) and self.model.network == "classifier":
+            return likeliest_of(self.model, robot_m, human_m)[0]
+        return scaling_of(self.model, robot_m, human_m)
+
+
+def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> SafetyModel:
+    """Return the safety function that holds after the change; `logged` is how s followed it before."""
+    if change.levels:
+        return WrittenSafety(change)
+    return LearnedSafety(model, logged.hysteresis_m or 0.0) if "hysteresis_m" in change.dynamics else model
+
+
+def altered_tasks(change: Change, tasks: Mapping[str, NominalTask], dataset: Dataset) -> dict[str, NominalTask]:
+    """Return the nominal tasks with the moved places.
+
+    Raises:
+        UnknownName: A place that is moved does not exist.
+    """
+    places = dataset.places
+    for name in change.places:
+        if name not in places:
+            raise UnknownName(f"change {change.name!r}", "place", name, places)
+    shift = {name: np.array(xyz) - np.array(places[name].xyz_m) for name, xyz in change.places.items()}
+    nowhere = np.zeros(3)
+    found = {}
+    for name, task in tasks.items():
+        start, goal = name.split("->")
+        if start in shift or goal in shift:
+            task = _bent(task, shift.get(start, nowhere), shift.get(goal, nowhere))
+        found[name] = task
+    return found
+
+
+def _bent(task: NominalTask, at_start: Vector, at_goal: Vector) -> NominalTask:
+    share = np.linspace(0.0, 1.0, len(task.xyz_m))
+    share = (share**2 * (3 - 2 * share))[:, None]
+    xyz = task.xyz_m + (1 - share) * at_start + share * at_goal
+    before, after = (float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) for path in (task.xyz_m, xyz))
+    longer = after / before if before > 1e-6 else 1.0
+    return replace(task, xyz_m=xyz, nominal_s=task.nominal_s * longer)
+
+
+def altered_tracks(
+    change: Change, tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: SafetyModel
+) -> OperatorTracks:
+    """Return the operator's tracks as the moved robot sees them, with more or less time between visits.
+
+    Raises:
+        EstimateError: The operator is never away, or is present too much to come as often as asked for.
+    """
+    if change.base_m is not None:
+        tracks = replace(tracks, xyz_m=_seen_from(change, tracks.xyz_m))
+    if change.frequency is not None and change.frequency != 1.0:
+        tracks = _as_often(change.name, change.frequency, tracks, tasks, safety)
+    return tracks
+
+
+def _seen_from(change: Change, xyz_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    turn = np.deg2rad(change.base_yaw_deg)
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray((xyz_m - np.array(change.base_m)) @ rotation)
+
+
+def _as_often(
+    name: str, frequency: float, tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: SafetyModel
+) -> OperatorTracks:
+    away = _away(tracks, tasks, safety)
+    own = np.arange(away.shape[1]) < tracks.logged[:, None]
+    share = float(away[own].mean())
+    stretch = (1 / frequency - (1 - share)) / share if share > 0 else 0.0
+    if share < 0.02 or stretch <= 0:
+        seen = f"change {name!r}: the operator is away {share:.0%} of the time, so he cannot come "
+        raise EstimateError(
+            f"{seen}{frequency:g} times as often",
+            cure=f"At most {1 / max(1 - share, 1e-9):.2f} times is possible.",
+        )
+    ends = np.cumsum(np.where(away, stretch, 1.0), axis=1)
+    samples = np.arange(away.shape[1])
+    at = np.stack([np.minimum(np.searchsorted(row, samples, side="right"), len(samples) - 1) for row in ends])
+    rows = np.arange(len(at))[:, None]
+    logged = np.array([int(np.searchsorted(row, n)) for row, n in zip(at, tracks.logged, strict=True)])
+    goal = None if tracks.goal_m is None else tracks.goal_m[rows, at]
+    return replace(tracks, xyz_m=tracks.xyz_m[rows, at], activity=tracks.activity[rows, at], logged=logged, goal_m=goal)
+
+
+def _away(tracks: OperatorTracks, tasks: Mapping[str, NominalTask], safety: SafetyModel) -> NDArray[np.bool_]:
+    """Tell where the operator slows the robot nowhere on its way, shape (K, T); nobody seen is away."""
+    points = np.concatenate([task.xyz_m for task in tasks.values()])
+    points = points[np.linspace(0, len(points) - 1, min(LOOKED_AT, len(points))).astype(np.int64)]
+    flat = tracks.xyz_m.reshape(-1, 3)
+    cells, code = np.unique(np.round(np.nan_to_num(flat, nan=1e3) / 0.1), axis=0, return_inverse=True)
+    human = cells * 0.1
+    human[human > 1e2] = np.nan  # nobody, or nobody's height
+    least = np.full(len(human), np.inf)
+    for point in points:
+        least = np.minimum(least, scaling_of(safety, np.broadcast_to(point, human.shape), human))
+    away = (least >= AWAY * max(getattr(safety, "levels", ()), default=1.0)) | ~np.isfinite(human[:, 0])
+    return np.asarray(away[code.ravel()].reshape(tracks.xyz_m.shape[:2]))

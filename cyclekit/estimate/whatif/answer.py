@@ -1,0 +1,171 @@
+"""Cycle times before and after a change, against the same operators."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit.errors import EstimateError
+from cyclekit.estimate.resample import resampled
+from cyclekit.estimate.rollout import Altered, estimate
+from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.whatif.alter import altered_safety, altered_tasks, altered_tracks
+from cyclekit.parallel.one_thread import one_thread
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.estimate.whatif.change import Change
+
+NO_PROOF = "This is a forecast of cycle times from logs. It is no safety proof."
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """One sequence under one change.
+
+    Attributes:
+        change: Its name.
+        before, after: The estimates; the sequence's name is in them.
+        saves_s: before - after, mean, and its 95 % interval from resampling executions (common operators).
+        safety: NO_PROOF.
+    """
+
+    change: str
+    before: CycleEstimate
+    after: CycleEstimate
+    saves_s: tuple[float, float, float]
+    safety: str = NO_PROOF
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {
+            "change": self.change,
+            "before": self.before.to_json(),
+            "after": self.after.to_json(),
+            "saves_s": list(self.saves_s),
+            "safety": self.safety,
+        }
+
+
+@one_thread()
+def what_if(
+    model: SafetyModel,
+    dataset: Dataset,
+    sequences: Sequence[TaskSequence],
+    changes: Sequence[Change],
+    *,
+    seed: int = 0,
+    extrapolate: bool = False,
+    validate: bool = True,
+    check: Check | None = None,
+    refused: Callable[[Change, EstimateError], None] | None = None,
+    other_cell: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> list[WhatIf]:
+    """Estimate every sequence as it is and under every change.
+
+    Args:
+        model: A model of problem `now`.
+        dataset: The logs.
+        sequences: What is asked for.
+        changes: Each by itself.
+        seed: As of `estimate`.
+        extrapolate: As of `estimate`.
+        validate: As of `estimate`; what it finds corrects all that rests on the learned safety function.
+        check: As of `estimate`.
+        refused: Told each change that cannot be answered from these logs, and why; the others are answered. None: the
+            first such change is raised.
+        other_cell: As of `estimate`.
+        progress: Told fraction and text.
+
+    Raises:
+        UnknownName: A place does not exist; a change that names it is named.
+        ModelError: As of `estimate`.
+        EstimateError: As of `estimate` for the sequences as they are; or a change cannot be answered, such as an
+            operator who cannot come as often as asked for.
+    """
+    tell = progress or (lambda fraction, text: None)
+    names = [sequence.name for sequence in sequences]
+
+    def estimates(safety: SafetyModel, altered: Altered | None, **given: Any) -> dict[str, CycleEstimate]:  # noqa: ANN401
+        asked = {"seed": seed, "extrapolate": extrapolate, "other_cell": other_cell, **given}
+        return {entry.name: entry for entry in estimate(safety, dataset, sequences, altered=altered, **asked)}
+
+    before = estimates(model, None, validate=validate, check=check)
+    check = next((entry.check for entry in before.values()), None)
+    moved = {
+        name: entry.combined.expected_s / entry.combined.rollout_s for name, entry in before.items() if entry.combined
+    }
+    logged, answers = Dynamics.of(dataset.card), []
+    for number, change in enumerate(changes):
+        tell(number / len(changes), change.name)
+        safety = altered_safety(change, model, logged)
+        try:
+            altered = replace(_altered(change, safety, dataset, logged), moved=moved)
+            after = estimates(safety, altered, check=_check_of(change, check))
+        except EstimateError as error:
+            if refused is None:
+                raise _named(change, error) from error
+            refused(change, _named(change, error))
+            continue
+        answers += [_compared(change, before[name], _marked(change, after[name], logged), seed) for name in names]
+    return answers
+
+
+def _named(change: Change, error: EstimateError) -> EstimateError:
+    if change.name in error.seen:
+        return error
+    return EstimateError(f"change {change.name!r}: {error.seen}", nearest=error.nearest, cure=error.cure)
+
+
+def _check_of(change: Change, check: Check | None) -> Check | None:
+    """Return the validation that holds after the change: a function that is written down has no bias of the network."""
+    return check if check is None or not change.levels else replace(check, own_bias=0.0)
+
+
+def _altered(change: Change, safety: SafetyModel, dataset: Dataset, logged: Dynamics) -> Altered:
+    def tasks_of(tasks: Mapping[str, NominalTask]) -> dict[str, NominalTask]:
+        return altered_tasks(change, tasks, dataset)
+
+    def tracks_of(tracks: OperatorTracks, tasks: Mapping[str, NominalTask]) -> OperatorTracks:
+        return altered_tracks(change, tracks, tasks, safety)
+
+    return Altered(tasks_of, tracks_of, replace(logged, **change.dynamics))
+
+
+def _marked(change: Change, after: CycleEstimate, logged: Dynamics) -> CycleEstimate:
+    found = [NO_PROOF]
+    if change.levels:
+        found.append(_in_time(change, logged))
+    if change.base_m is not None and not change.levels:
+        found.append("the learned safety function is taken to move with the robot's base")
+    if change.places:
+        found.append("motions to moved places are bent and stretched, not planned anew")
+    return replace(after, warnings=(*after.warnings, *found))
+
+
+def _in_time(change: Change, logged: Dynamics) -> str:
+    """Say what is kept of how s followed the safety function of the logs."""
+    kept = {name: value for name, value in vars(logged).items() if value and name not in change.dynamics}
+    if kept:
+        told = ", ".join(f"{name} {value:.3g}" for name, value in kept.items())
+        return f"the changed safety function acts in time as the logged one does: {told}"
+    return "nothing is kept of the logged latency, ramps or hysteresis: none is known, or the change gives them"
+
+
+def _compared(change: Change, before: CycleEstimate, after: CycleEstimate, seed: int) -> WhatIf:
+    saved = np.array(before.durations_s) - np.array(after.durations_s)
+    entries = len(saved) // max(before.executions, 1)
+    weights = resampled([str(k % max(before.executions, 1)) for k in range(len(saved))], seed, together=min(entries, 3))
+    low, high = np.quantile(weights @ saved, (0.025, 0.975)).tolist()
+    return WhatIf(change.name, before, after, (float(saved.mean()), low, high))

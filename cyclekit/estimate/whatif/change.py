@@ -1,0 +1,181 @@
+"""What is changed about the cell, as a file says it.
+
+[[change]]
+name = "thresholds of the new scanner"
+levels = [0.0, 0.25, 0.5, 0.75, 1.0]       # ascending
+thresholds_m = [0.6, 0.8, 1.2, 1.6]        # one fewer; at or below a threshold the slower level holds
+
+[[change]]
+name = "zones"
+levels = [0.0, 0.5, 1.0]
+zones = [{ x_m = [-1.0, 1.0], y_m = [-1.0, 1.0], level = 0.0 }]   # rectangles on the floor, base frame
+
+[[change]]
+name = "thresholds and a zone"                                    # where both slow the robot, the slower holds
+levels = [0.0, 0.5, 1.0]
+thresholds_m = [0.8, 1.5]
+zones = [{ x_m = [1.0, 2.5], y_m = [-1.0, 1.0], level = 0.5 }]
+
+[[change]]
+name = "robot half a metre back, fewer visits"
+base = { xyz_m = [-0.5, 0.0, 0.0], yaw_deg = 0.0 }   # where the base shall stand, in the present base frame
+places = { conveyor = [0.7, 0.0, 0.1] }              # places of the robot that move, in the frame of its base
+frequency = 0.5                                      # visits per hour, against the logged ones
+
+[[change]]
+name = "quicker recovery"        # how s follows the safety function; what is not given stays as it was logged
+ramp_up_per_s = 2.0              # inf: at once
+hysteresis_m = 0.0               # also ramp_down_per_s, latency_s
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.config.toml_file import list_at, read_toml
+from cyclekit.errors import ConfigError, UnknownName
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    Place = tuple[float, float, float]
+
+_DYNAMICS = ("latency_s", "ramp_down_per_s", "ramp_up_per_s", "hysteresis_m")
+_KEYS = ("name", "levels", "thresholds_m", "zones", "base", "places", "frequency", *_DYNAMICS)
+_EXAMPLE = """Add one:
+  [[change]]
+  name = "fewer visits"
+  frequency = 0.5"""
+_CURE = "docs/commands.md shows every key of a change."
+
+
+@dataclass(frozen=True)
+class Zone:
+    """A rectangle on the floor, base frame, m, border included; an operator in it allows at most `level`."""
+
+    x_m: tuple[float, float]
+    y_m: tuple[float, float]
+    level: float
+
+
+@dataclass(frozen=True)
+class Change:
+    """One change of the cell; what is None or empty stays as it was.
+
+    Attributes:
+        name: How the answer names it.
+        levels: Levels of another safety function, ascending.
+        thresholds_m: Its thresholds on ||x_r - x_h||, one fewer than levels.
+        zones: Its zones on the floor; with thresholds as well, the slower of both holds.
+        base_m, base_yaw_deg: Where the robot's base shall stand, in the present base frame.
+        places: Robot places that move: name -> TCP, m, in the frame of the robot's base.
+        frequency: The operator's visits per hour, as a multiple of the logged ones.
+        dynamics: What changes of how s follows the safety function, by the name of `Dynamics`: s, 1/s or m.
+    """
+
+    name: str
+    levels: tuple[float, ...] = ()
+    thresholds_m: tuple[float, ...] = ()
+    zones: tuple[Zone, ...] = ()
+    base_m: Place | None = None
+    base_yaw_deg: float = 0.0
+    places: Mapping[str, Place] = field(default_factory=dict)
+    frequency: float | None = None
+    dynamics: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse what is no safety function or no change.
+
+        Raises:
+            ConfigError: Levels, thresholds or zones do not fit together, or nothing is changed.
+        """
+        if self.levels:
+            rising = all(a < b for a, b in zip(self.levels, self.levels[1:], strict=False))
+            if not rising or not 0 <= self.levels[0] <= self.levels[-1] <= 1:
+                self._refuse(f"levels {list(self.levels)}", "Give levels between 0 and 1, ascending.")
+            if not self.thresholds_m and not self.zones:
+                self._refuse("levels without thresholds_m or zones", _CURE)
+            if self.thresholds_m and len(self.thresholds_m) != len(self.levels) - 1:
+                self._refuse(
+                    f"{len(self.levels)} levels and {len(self.thresholds_m)} thresholds", "Give one threshold fewer."
+                )
+            if list(self.thresholds_m) != sorted(self.thresholds_m):
+                self._refuse(f"thresholds_m {list(self.thresholds_m)}", "Give them ascending, in metres.")
+            if strange := [zone.level for zone in self.zones if zone.level not in self.levels]:
+                self._refuse(f"a zone has level {strange[0]}, which is not among levels", _CURE)
+        elif self.thresholds_m or self.zones:
+            self._refuse("thresholds_m or zones without levels", _CURE)
+        if self.frequency is not None and not 0 < self.frequency < math.inf:
+            self._refuse(f"frequency {self.frequency}", "0.5 means half as many visits per hour as were logged.")
+        self._refuse_dynamics()
+        if not (self.levels or self.base_m or self.places or self.frequency or self.dynamics):
+            self._refuse("nothing is changed", _CURE)
+
+    def _refuse_dynamics(self) -> None:
+        for name, value in self.dynamics.items():
+            if name.startswith("ramp_") and not value > 0:
+                self._refuse(f"{name} {value}", "Give more than 0 per second; inf means at once.")
+            if not name.startswith("ramp_") and not 0 <= value < math.inf:
+                self._refuse(f"{name} {value}", "Give 0 or more.")
+
+    def _refuse(self, seen: str, cure: str) -> None:
+        raise ConfigError(f"change {self.name!r}: {seen}", cure=cure)
+
+
+def load_changes(path: Path) -> list[Change]:
+    """Read a file of changes.
+
+    Raises:
+        ConfigError: The file cannot be read, holds no change, or a change is not one.
+    """
+    raw = read_toml(path)
+    for key in raw:
+        if key != "change":
+            raise UnknownName(str(path), "key", key, ["change"])
+    entries = list_at(str(path), raw, "change")
+    if not entries:
+        raise ConfigError(f"{path}: no [[change]] in it", cure=_EXAMPLE)
+    return [_change(path, entry, number) for number, entry in enumerate(entries)]
+
+
+def _change(path: Path, entry: Any, number: int) -> Change:  # noqa: ANN401 whatever stands in the file
+    where = f"{path} change[{number}]"
+    if not isinstance(entry, dict):
+        raise ConfigError(f"{where}: {entry!r} must be a table", cure="Begin each change with [[change]].")
+    for key in entry:
+        if key not in _KEYS:
+            raise UnknownName(where, "key", key, _KEYS)
+    base = entry.get("base", {})
+    try:
+        return Change(
+            name=str(entry.get("name", f"change {number + 1}")),
+            levels=tuple(map(float, entry.get("levels", ()))),
+            thresholds_m=tuple(map(float, entry.get("thresholds_m", ()))),
+            zones=tuple(_zone(zone) for zone in entry.get("zones", ())),
+            base_m=_place(base.get("xyz_m", (0.0, 0.0, 0.0))) if base else None,
+            base_yaw_deg=float(base.get("yaw_deg", 0.0)),
+            places={str(name): _place(xyz) for name, xyz in entry.get("places", {}).items()},
+            frequency=None if entry.get("frequency") is None else float(entry["frequency"]),
+            dynamics={key: float(entry[key]) for key in _DYNAMICS if key in entry},
+        )
+    except (TypeError, ValueError, AttributeError, KeyError) as error:
+        raise ConfigError(f"{where}: a value is not what it should be ({error})", cure=_CURE) from error
+
+
+def _zone(entry: Mapping[str, Any]) -> Zone:
+    (x_low, x_high), (y_low, y_high) = entry["x_m"], entry["y_m"]
+    if x_low >= x_high or y_low >= y_high:
+        msg = f"zone x_m {entry['x_m']}, y_m {entry['y_m']}: the first of each must be less than the second"
+        raise ValueError(msg)
+    return Zone((float(x_low), float(x_high)), (float(y_low), float(y_high)), float(entry["level"]))
+
+
+def _place(xyz: Any) -> Place:  # noqa: ANN401 whatever stands in the file
+    x, y, z = map(float, xyz)
+    if not all(map(math.isfinite, (x, y, z))):
+        msg = f"{xyz} are not three finite numbers"
+        raise ValueError(msg)
+    return x, y, z

@@ -1,0 +1,294 @@
+"""One log of any supported kind -> one table: at its own rate, or averaged over equal lengths of time.
+
+For looking at a log with other tools. What ingest does with clocks, frames and executions is not done here: the table
+is in the log's own clock and frame, checked as every log is (`plausible`), and what was set aside is counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.dataset.guard import check_output
+from cyclekit.errors import ConfigError, LogError, UnknownName
+from cyclekit.ingest.discover import cell_for, find_all, options_of
+from cyclekit.ingest.read.tool_point import TCP, with_tool_point
+from cyclekit.ingest.registry import adapter_named
+from cyclekit.ingest.validate.validate import examined_parts
+from cyclekit.storage.atomic import replaced
+from cyclekit.text.plain_text import FORMULA
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.adapter import ReadOptions, Recording
+    from cyclekit.config import Cell
+    from cyclekit.ingest.discover import Log
+
+    Vector = NDArray[np.float64]
+
+TABLES: Mapping[str, Mapping[str, schema.Column]] = {
+    "robot": schema.ROBOT,
+    "people": schema.PEOPLE,
+    "events": schema.EVENTS,
+    "task_list": schema.TASK_LIST,
+    "safety": schema.SAFETY,
+    "skeletons": schema.SKELETONS,
+}
+GAP_PERIODS, GAP_S = 5.0, 0.25
+"""A silence longer than both is a gap: nothing is averaged across it."""
+
+
+@dataclass(frozen=True)
+class Converted:
+    """What a conversion did."""
+
+    out: Path
+    adapter: str
+    table: str
+    rows: int
+    rows_read: int
+    rows_set_aside: int
+    warnings: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {**vars(self), "out": str(self.out), "warnings": list(self.warnings)}
+
+
+def convert(
+    log: Path | str,
+    out: Path | str,
+    *,
+    table: str | None = None,
+    rate_hz: float | None = None,
+    columns: Sequence[str] = (),
+    cell: Cell | None = None,
+    progress: Callable[[float, str], None] | None = None,
+) -> Converted:
+    """Write one table of a log as Parquet or CSV.
+
+    Args:
+        log: File, or folder that is one log.
+        out: `.parquet` or `.csv`; replaced as a whole.
+        table: robot, people, events, task_list, safety or skeletons; by default the first that the log has.
+        rate_hz: Rows a second: numbers are averaged over the length of one, texts are those in force at its end.
+            By default every row of the log.
+        columns: Columns to write; by default all that hold anything, `t_s` always.
+        cell: What a cell file says about the log (a CSV to be mapped, the arm of a log of joint angles alone); by
+            default that of the cell file beside it.
+        progress: Told the fraction done and what is being done.
+
+    Raises:
+        LogError: The log cannot be used, or has no such table.
+        ConfigError: A name, a rate or the kind of output is not known.
+        OutputError: The output would replace the log, or what no conversion wrote.
+        CyclekitError: The output cannot be written.
+    """
+    log, out = Path(log), Path(out)
+    if out.suffix.lower() not in (".parquet", ".csv"):
+        raise ConfigError(f"{out}: neither .parquet nor .csv", cure="Give --out a name that ends in one of them.")
+    check_output(out, "table-csv" if out.suffix == ".csv" else "table-parquet", [log])
+    if table is not None and table not in TABLES:
+        raise UnknownName("convert", "table", table, TABLES)
+    found, _ = find_all([log], cell or cell_for([log], None), follow_links=True)
+    if len(found) != 1:
+        raise LogError(log, f"holds {len(found)} logs", cure="Convert one at a time, or use `cyclekit ingest`.")
+    computed = found[0].robot is not None and not {*TCP}.isdisjoint(columns)  # from columns that nobody asked for
+    wanted = () if computed else tuple(columns)
+    options = replace(options_of(found[0].source, skeletons=table == "skeletons"), columns=wanted)
+    parts = _Parts(found[0], options)
+    with replaced(out) as temporary:
+        rows = _write(parts, temporary, out, table, rate_hz, columns, progress)
+    about = (found[0].adapter, parts.table, rows, parts.rows_read, parts.set_aside)
+    return Converted(out, *about, warnings=parts.warnings)
+
+
+class _Parts:
+    """The parts of one table of a log, and what else there is to say of it."""
+
+    def __init__(self, log: Log, options: ReadOptions) -> None:
+        self.path, self._robot = log.path, log.robot
+        self._adapter, self._options = adapter_named(log.adapter), options
+        self.table, self.rows_read, self.set_aside, self.warnings = "", 0, 0, tuple[str, ...]()
+
+    def of(self, table: str | None) -> Iterator[pl.DataFrame]:
+        read = self._adapter.parts(self.path, self._options)
+        for part in examined_parts(with_tool_point(read, self._robot)):
+            self._note(part)
+            tables = part.tables()
+            self.table = self.table or table or next((name for name in TABLES if name in tables), "")
+            if self.table not in tables:
+                has = ", ".join(name for name in TABLES if name in tables) or "none"
+                raise LogError(self.path, f"has no table {self.table!r}; its tables: {has}", cure="Choose --table.")
+            yield schema.conform(tables[self.table], TABLES[self.table])
+
+    def _note(self, part: Recording) -> None:
+        self.rows_read += part.rows_read
+        self.set_aside += 0 if part.set_aside is None else part.set_aside.height
+        self.warnings = tuple(dict.fromkeys([*self.warnings, *part.warnings]))
+
+
+def _write(
+    parts: _Parts,
+    temporary: Path,
+    out: Path,
+    table: str | None,
+    rate_hz: float | None,
+    columns: Sequence[str],
+    progress: Callable[[float, str], None] | None,
+) -> int:
+    thin = Thinner(rate_hz) if rate_hz is not None else None
+    writer: _Output | None = None
+    try:
+        for frame in parts.of(table):
+            frame = pl.DataFrame([frame[name] for name in _chosen(frame, columns, parts.table)])
+            ready = thin.add(frame) if thin else frame
+            writer = writer or _Output(temporary, out.suffix.lower(), ready, parts.table)
+            writer.write(ready)
+            if progress:
+                progress(0.5, f"{writer.rows} rows")
+        if writer is not None:
+            if thin:
+                writer.write(thin.rest())
+            writer.close()
+    except BaseException:
+        if writer is not None:
+            writer.abandon()  # before its file is removed
+        raise
+    if writer is None:
+        raise LogError(parts.path, "holds nothing", cure="Record again, or remove the file.")
+    return writer.rows
+
+
+def _chosen(frame: pl.DataFrame, columns: Sequence[str], table: str) -> list[str]:
+    for name in columns:
+        if name not in frame.columns:
+            raise UnknownName(f"table {table}", "column", name, frame.columns)
+    return ["t_s", *(name for name in frame.columns if name != "t_s" and (not columns or name in columns))]
+
+
+class _Output:
+    """A file in the making."""
+
+    def __init__(self, file: Path, suffix: str, first: pl.DataFrame, table: str) -> None:
+        from cyclekit.storage.parquet import TableWriter  # Arrow is imported while the next blocks are parsed
+
+        self.rows = 0
+        known = TABLES[table]
+        columns = {name: known[name] for name in first.columns if name in known}
+        more = [name for name in first.columns if name not in known]
+        as_parquet = partial(TableWriter, file, columns, more=more, made_by="cyclekit convert")
+        self._parquet = as_parquet() if suffix == ".parquet" else None
+        self._file = file
+
+    def write(self, frame: pl.DataFrame) -> None:
+        if self._parquet is not None:
+            self._parquet.write(frame)
+        else:
+            with self._file.open("ab") as handle:
+                _no_formulas(frame).write_csv(handle, include_header=self.rows == 0 and handle.tell() == 0)
+        self.rows += frame.height
+
+    def close(self) -> None:
+        if self._parquet is not None:
+            self._parquet.close()
+
+    def abandon(self) -> None:
+        if self._parquet is not None:
+            self._parquet.abandon()
+
+
+def _no_formulas(frame: pl.DataFrame) -> pl.DataFrame:
+    """Return a table in which no text is a formula for a spreadsheet: an apostrophe stands before those."""
+    for name in [name for name, dtype in frame.schema.items() if dtype == pl.String]:
+        text = pl.col(name)
+        formula = text.str.contains(FORMULA) & text.cast(pl.Float64, strict=False).is_null()
+        frame = frame.with_columns(pl.when(formula).then("'" + text).otherwise(text).alias(name))
+    return frame
+
+
+class Thinner:
+    """Averages a table over equal lengths of time, part after part; never across a gap or a step back of the clock.
+
+    A row's place in the log is that of the last row that went in. Rows of several people are kept apart.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        """Begin.
+
+        Args:
+            rate_hz: Rows a second.
+
+        Raises:
+            ConfigError: It is no rate.
+        """
+        if not 0.0 < rate_hz < 1e5:
+            raise ConfigError(f"a rate of {rate_hz:g} rows a second", cure="Give rows a second, for example 10.")
+        self._rate_hz = rate_hz
+        self._period_s: float | None = None
+        self._waiting: pl.DataFrame | None = None
+
+    def add(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return the rows that are complete now; the rows of the last length of time wait for the next part."""
+        rows = frame if self._waiting is None else pl.concat([self._waiting, frame], rechunk=True)
+        cells = self._cells(rows["t_s"].to_numpy())
+        last = int(np.searchsorted(cells, cells[-1])) if len(cells) else 0
+        self._waiting = rows[last:]
+        return _averaged(rows[:last], cells[:last])
+
+    def rest(self) -> pl.DataFrame:
+        """Return the rows of the last length of time."""
+        rows = self._waiting if self._waiting is not None else pl.DataFrame()
+        return _averaged(rows, self._cells(rows["t_s"].to_numpy()))
+
+    def _cells(self, t_s: Vector) -> NDArray[np.int64]:
+        """Number the lengths of time that the rows lie in, ascending; a gap or a step back begins another one."""
+        steps = np.diff(t_s)
+        if self._period_s is None and (steps > 0).any():
+            self._period_s = float(np.median(steps[steps > 0]))
+        gap = (steps > max(GAP_PERIODS * (self._period_s or 0.0), GAP_S)) | (steps < 0)
+        length = np.floor(t_s * self._rate_hz + 1e-6)
+        new = np.concatenate([[False], gap | (np.diff(length) != 0)]) if len(t_s) else np.zeros(0, bool)
+        return np.cumsum(new)
+
+
+def _averaged(rows: pl.DataFrame, cells: NDArray[np.int64]) -> pl.DataFrame:
+    if rows.is_empty():
+        return rows
+    if "person" in rows.columns:
+        keys = ["\x1fcell", *(name for name in ("person", "joint") if name in rows.columns)]
+        grouped = rows.with_columns(pl.Series("\x1fcell", cells)).group_by(keys, maintain_order=True)
+        kept = grouped.agg(_mean_or_last(name, dtype) for name, dtype in rows.schema.items() if name not in keys)
+        return kept.select(rows.columns)
+    starts = np.flatnonzero(np.diff(cells, prepend=cells[0] - 1))
+    floats = [column for column in rows.get_columns() if column.dtype.is_float()]
+    means = {column.name: column for column in _means(floats, starts)}
+    others = pl.DataFrame([column for column in rows.get_columns() if column.name not in means])
+    in_force = others[np.append(starts[1:], rows.height) - 1] if others.width else others
+    return pl.DataFrame([means[name] if name in means else in_force.get_column(name) for name in rows.columns])
+
+
+def _mean_or_last(name: str, dtype: pl.DataType) -> pl.Expr:
+    return pl.col(name).mean() if dtype.is_float() else pl.col(name).drop_nulls().last()
+
+
+def _means(columns: Sequence[pl.Series], starts: NDArray[np.int64]) -> list[pl.Series]:
+    """Return the mean of what is known from each start to the next, column by column; unknown where nothing is."""
+    values = np.stack([column.to_numpy() for column in columns])
+    counts = np.diff(np.append(starts, values.shape[1]))
+    sums = np.add.reduceat(values, starts, axis=1)
+    if np.isnan(sums).any():
+        known = np.isfinite(values)
+        counts = np.add.reduceat(known, starts, axis=1, dtype=np.int64)
+        sums = np.add.reduceat(np.where(known, values, 0.0), starts, axis=1)
+    means = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    return [pl.Series(column.name, mean, nan_to_null=True) for column, mean in zip(columns, means, strict=True)]

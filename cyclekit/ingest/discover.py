@@ -1,0 +1,282 @@
+"""Which logs there are: files and folders walked, matched with the cell file, given to adapters by content.
+
+Nothing is read here beyond the first bytes that tell a format. Reading is the business of `ingest`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cyclekit import schema
+from cyclekit.adapter import ReadOptions
+from cyclekit.config import Cell, NamedPlace, Robot, Source, load_cell
+from cyclekit.dataset.dataset import CARD, Dataset
+from cyclekit.errors import ConfigError, CyclekitError, LogError
+from cyclekit.ingest.registry import Registered, adapter_named, drafted, find_logs, why_unknown
+from cyclekit.storage.files import resolved
+from cyclekit.storage.inside import fitting, leads_out, real
+from cyclekit.text.plain_text import one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from cyclekit.adapter import Draft
+
+CELL_FILE = "cell.toml"
+_MOST_DRAFTS, _MOST_TRIED = 50, 500
+_OF_USE = {"x", "joints", "scaling", "signal"}
+"""A table in a folder in which none of these is found is no log, most likely."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """One log to be read: where, by whom, with what options, and a key that changes when any of these does."""
+
+    id: str
+    path: Path
+    shown: str
+    adapter: str
+    package: str
+    version: str
+    source: Source | None
+    key: str
+    size: int = 0
+    robot: Robot | None = None
+
+
+@dataclass(frozen=True)
+class Suggested:
+    """A cell file to begin with.
+
+    Attributes:
+        cell: What it says.
+        drafts: Of sources that nobody recognises, by path: what is proposed for them.
+    """
+
+    cell: Cell
+    drafts: Mapping[str, Draft] = field(default_factory=dict)
+
+
+def cell_for(roots: Sequence[Path], given: Path | None) -> Cell:
+    """Return the cell file given, else the one beside the logs, else the defaults.
+
+    Raises:
+        ConfigError: It cannot be followed, or there are two.
+    """
+    if given is not None:
+        return load_cell(given)
+    folders = dict.fromkeys(path if path.is_dir() else path.parent for path in roots)
+    files = [folder / CELL_FILE for folder in folders if (folder / CELL_FILE).is_file()]
+    if len(files) > 1:
+        msg = f"two cell files beside the logs: {files[0]} and {files[1]}"
+        raise ConfigError(msg, cure="Choose one with --cell.")
+    return load_cell(files[0]) if files else Cell(name=resolved(roots[0]).stem)
+
+
+def suggest_cell(paths: Sequence[Path], *, follow_links: bool = False) -> Suggested:
+    """Return the cell file that an ingest of these paths would work with, for a person to complete.
+
+    A dataset gives its places as well; logs give one source each, tables that nobody knows a draft of one.
+
+    Raises:
+        CyclekitError: As `ingest`, for paths that cannot be used.
+    """
+    if len(paths) == 1 and (paths[0] / CARD).is_file():
+        dataset = Dataset.open(paths[0])
+        known = Cell(
+            name=str(dataset.card["name"]),
+            places={name: NamedPlace(p.xyz_m, max(p.radius_m, 0.01)) for name, p in dataset.places.items()},
+            human_places={name: NamedPlace(p.xyz_m, p.radius_m) for name, p in dataset.human_places.items()},
+        )
+        return Suggested(known)
+    cell = cell_for(paths, None)
+    drafts = _drafts(paths, cell, follow_links=follow_links)
+    try:
+        logs, _ = find_all(paths, cell, follow_links=follow_links)
+    except LogError:
+        if not drafts:
+            raise
+        logs = []
+    sources = {source.path: source for log in logs for source in [log.source or Source(log.shown, log.adapter)]}
+    sources |= {shown: Source(shown, adapter) for shown, (adapter, _) in drafts.items()}
+    return Suggested(
+        replace(cell, sources=tuple(sources.values())), {shown: draft for shown, (_, draft) in drafts.items()}
+    )
+
+
+def _drafts(roots: Sequence[Path], cell: Cell, *, follow_links: bool) -> dict[str, tuple[str, Draft]]:
+    """Return what is proposed for files that nobody reads, with the adapter that proposes it, of the first few."""
+    found: dict[str, tuple[str, Draft]] = {}
+    prefixes, tried = _prefixes(roots), 0
+    for root in roots:
+        base = root if root.is_dir() else root.parent
+        for path, registered in _candidates(root, base, cell, follow_links=follow_links):
+            shown, is_text = _as_text(prefixes[base] + path.relative_to(base).as_posix())
+            known = registered is not None or any(matches(shown, path, source.path) for source in cell.sources)
+            if known or not is_text or len(found) >= _MOST_DRAFTS or tried >= _MOST_TRIED:
+                continue
+            if not path.is_file() or not path.stat().st_size or (not follow_links and leads_out(path, root)):
+                continue
+            tried += 1
+            try:
+                proposed = drafted(path)
+            except CyclekitError:  # of a file that was named it is the answer; beside others it is no log
+                if path in roots:
+                    raise
+                continue
+            if proposed is not None and (path in roots or not _OF_USE.isdisjoint(p.key for p in proposed[1].map)):
+                found[shown] = (proposed[0].name, proposed[1])
+    return found
+
+
+def find_all(
+    roots: Sequence[Path], cell: Cell, *, follow_links: bool = False
+) -> tuple[list[Log], list[tuple[str, str]]]:
+    """Return the logs in files and folders, and the files that nobody reads with the reason.
+
+    Args:
+        roots: Files and folders.
+        cell: What is to be ignored, and which adapters are forced.
+        follow_links: Follow links in a folder that lead out of it; else they are among what is not read.
+
+    Raises:
+        UnknownFormat: A file named explicitly is no log.
+        LogError: There is no log at all.
+        UnknownName: The cell file forces an adapter that does not exist.
+    """
+    logs: dict[str, Log] = {}
+    not_read: list[tuple[str, str]] = []
+    unknown: LogError | None = None
+    prefixes = _prefixes(roots)
+    seen: set[str] = set()
+    for root in roots:
+        base = root if root.is_dir() else root.parent
+        for path, registered in _candidates(root, base, cell, follow_links=follow_links):
+            if (here := real(path)) in seen:  # given as a file and once more by its folder
+                continue
+            seen.add(here)
+            shown = path.relative_to(base).as_posix() if path != base else path.name
+            source = next((s for s in cell.sources if matches(shown, path, s.path)), None)
+            shown, is_text = _as_text(prefixes[base] + shown)
+            reader = adapter_named(source.adapter) if source and source.adapter else registered
+            try:
+                away = not follow_links and _leads_out(path, root)
+                known = reader if is_text and not away and (path.is_file() or path.is_dir()) else None
+                log = _log(path, shown, known, source, logs, cell.robot) if known else None
+                if log is None:
+                    unknown = _no_text(path) if not is_text else _no_way_out(path) if away else why_unknown(path)
+            except OSError as error:  # it went away, or was never to be read, since its folder was listed
+                log, unknown = None, LogError(path, f"cannot be read ({error.strerror})", cure="Check the file.")
+            if log is not None:
+                logs[log.id] = log
+            elif unknown is not None:
+                if path in roots:
+                    raise unknown
+                not_read.append((shown, unknown.cause))
+    if not logs:
+        cure = "Give files, or a folder that holds logs; `cyclekit adapters` lists what can be read."
+        cause = f"holds no log that can be read ({_some(not_read)})" if not_read else "holds no file"
+        raise unknown if unknown and len(not_read) == 1 else LogError(roots[0], cause, cure=cure)
+    return list(logs.values()), not_read
+
+
+def _as_text(name: str) -> tuple[str, bool]:
+    """Return a name as it can be written down, in one line, and whether it is text at all."""
+    text = name.encode("utf-8", "backslashreplace").decode()
+    return one_line(text), text == name
+
+
+def _leads_out(path: Path, root: Path) -> bool:
+    """Tell whether a log is elsewhere than in the folder given, as a whole or in part."""
+    if leads_out(path, root):
+        return True
+    return path.is_dir() and any(leads_out(file, path) and leads_out(file, root) for file in files_of(path))
+
+
+def _no_way_out(path: Path) -> LogError:
+    return LogError(path, "a link leads out of the folder of logs; --follow-links reads it all the same")
+
+
+def _no_text(path: Path) -> LogError:
+    return LogError(path, "its name is no text in UTF-8, and could not be written down", cure="Rename it.")
+
+
+def _some(not_read: Sequence[tuple[str, str]], count: int = 3) -> str:
+    """Name the first few files that nobody reads, with the reason."""
+    shown = "; ".join(f"{name}: {reason}" for name, reason in not_read[:count])
+    more = len(not_read) - count
+    return f"{shown}; and {more} more" if more > 0 else shown
+
+
+def _prefixes(roots: Sequence[Path]) -> dict[Path, str]:
+    """What tells the logs of several folders apart, by folder: its path below what all have in common."""
+    bases = dict.fromkeys(root if root.is_dir() else root.parent for root in roots)
+    whole = {base: resolved(base) for base in bases}
+    if len(set(whole.values())) == 1:
+        return dict.fromkeys(bases, "")
+    common = Path(os.path.commonpath(whole.values())) if len({path.drive for path in whole.values()}) == 1 else None
+    below = {base: path.relative_to(common) if common else Path(path.name) for base, path in whole.items()}
+    return {base: "" if path == Path() else f"{path.as_posix()}/" for base, path in below.items()}
+
+
+def _candidates(root: Path, base: Path, cell: Cell, *, follow_links: bool) -> Iterable[tuple[Path, Registered | None]]:
+    for path, registered in find_logs(root, follow_links=follow_links):
+        shown = path.relative_to(base).as_posix() if path != base else path.name
+        if path.name != CELL_FILE and not any(matches(shown, path, pattern) for pattern in cell.ignore):
+            yield path, registered
+
+
+def matches(shown: str, path: Path, pattern: str) -> bool:
+    """Tell whether a log, shown relative to the folder given, is meant by a path or glob of the cell file."""
+    wanted = Path(pattern).as_posix()
+    return shown == wanted or shown.startswith(f"{wanted}/") or fnmatchcase(shown, wanted) or str(path) == pattern
+
+
+def _log(
+    path: Path, shown: str, reader: Registered, source: Source | None, taken: dict[str, Log], robot: Robot | None
+) -> Log:
+    slug = fitting(re.sub(r"[^A-Za-z0-9_.-]+", "_", Path(shown).with_suffix("").as_posix().replace("/", ".")))
+    name, number = slug, 1
+    while name in taken:
+        number += 1
+        name = f"{slug}-{number}"
+    log = Log(name, path, shown, reader.name, reader.package, reader.version, source, "", robot=robot)
+    return replace(log, key=key_of(log), size=sum(file.stat().st_size for file in files_of(log.path)))
+
+
+def key_of(log: Log) -> str:
+    """Return what changes when the log, its reader or its options do.
+
+    Raises:
+        OSError: A file of the log has gone.
+    """
+    facts = [str(resolved(log.path)), log.adapter, log.version, repr(options_of(log.source)), schema.SCHEMA_VERSION]
+    facts += [repr(log.robot)] if log.robot else []
+    stats = [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in files_of(log.path)]
+    return hashlib.sha256(json.dumps([facts, stats]).encode()).hexdigest()
+
+
+def files_of(path: Path) -> list[Path]:
+    """Return the files that make a log: itself, or all in a folder that is one log."""
+    return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+
+
+def options_of(source: Source | None, *, skeletons: bool = False) -> ReadOptions:
+    """Return what an adapter is told about a source of the cell file."""
+    if source is None:
+        return ReadOptions(skeletons=skeletons)
+    return ReadOptions(
+        role=source.role,
+        map=source.map,
+        body=source.body,
+        rate_hz=source.rate_hz,
+        frame_given=source.frame is not None,
+        skeletons=skeletons,
+    )

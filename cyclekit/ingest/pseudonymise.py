@@ -1,0 +1,263 @@
+"""What names a person or tells when somebody was there, taken out of a dataset on demand.
+
+Where an operator stood at which second is personal data in most plants. The estimate needs neither who it was nor the
+date. Tracks become `person_1`, `person_2` ... in order of appearance, logs `recording_1`, `recording_2` ... in order of
+their paths, and every recording begins at 0, whatever its clock counts: the values decide, not what the adapter says of
+them. Positions stay: docs/privacy.md says what that means.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from cyclekit.errors import ConfigError, LogError
+from cyclekit.storage.parquet import shift_times
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from cyclekit.adapter import Recording
+    from cyclekit.config import Cell
+    from cyclekit.ingest.discover import Log
+
+_SHIFTED = {"task_list": ("t_s", "end_s", "planned_start_s", "planned_end_s")}
+"""Columns of times of the log's clock, of tables that have others than `t_s`."""
+GONE = "…"
+"""Stands where a name or a time was."""
+YEAR_S = 366 * 86400.0
+"""Times further apart than this are of two clocks, and their difference tells the date."""
+_QUOTED = re.compile(r"(?<!\w)(?:'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\")(?!\w)")
+_DATE = re.compile(
+    r"(?<!\d)(?<!\d\.)(?:19|20)\d\d(?:([-_./ ]?)[01]\d\1[0-3]\d)"  # 2025-10-09, 20251009
+    r"(?:[T _-]{0,2}[0-2]\d[:._-]?[0-5]\d(?:[:._-]?[0-5]\d(?:[.,]\d+)?)?)?(?:Z|[+-]\d\d:?\d\d)?(?!\.?\d)"
+    r"|(?<!\d)[0-3]?\d([./-])[0-3]?\d\2(?:19|20)\d\d(?!\d)"  # 09.10.2025, 10/9/2025
+    r"|(?<![\d.:])[0-2]?\d:[0-5]\d:[0-5]\d(?:[.,]\d+)?"  # 14:05:12.5
+)
+_NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?:,\d{3})*(?:\.\d+)?(?:[eE][+-]?\d+)?|\d{9,}")
+_PERHAPS = r"\d{9}|\d[eE]\+?\d|(?:19|20)\d\d\D?[01]\d|\d:[0-5]\d|[./-](?:19|20)\d\d"
+"""What every text with a time in it holds, in words that polars searches fast."""
+_UNITS = (1.0, 1e3, 1e6, 1e9)
+_ENDINGS = (".bag", ".bin", ".c3d", ".csv", ".db3", ".gz", ".json", ".jsonl", ".log", ".mcap", ".tsv", ".txt", ".xml")
+"""Of a file name these stay, since they tell the format and nobody's name."""
+
+
+def without_times(text: str) -> str:
+    """Return a text without dates, times of day and numbers that count from 1970, 1601 or year 1."""
+    return _NUMBER.sub(lambda found: GONE if _is_time(found[0]) else found[0], _DATE.sub(GONE, text))
+
+
+def _is_time(number: str) -> bool:
+    """Tell whether a number is a time between 1998 and 2103: seconds since 1970, or ms, us, ns; or ticks of Windows."""
+    value = abs(float(number.replace(",", "")))
+    since_1970 = any(9e8 <= value / unit <= 4.2e9 for unit in _UNITS)
+    return since_1970 or 1.25e17 <= value <= 1.6e17 or 6.3e17 <= value <= 6.7e17
+
+
+class Nameless:
+    """Takes the names out of a recording, part by part: people are numbered, and nothing is quoted from the log."""
+
+    def __init__(self, *, keep: str | None = None) -> None:
+        """Begin.
+
+        Args:
+            keep: A body that is nobody (the one on the robot's flange) and keeps its name.
+        """
+        self._keep = keep
+        self._numbers: dict[str, str] = {}
+        self._execution_numbers: dict[str, str] = {}
+        self._spans: dict[str, tuple[float, float]] = {}
+
+    def part(self, recording: Recording) -> Recording:
+        """Return a part of the recording with numbered people, and without facts."""
+        tables = recording.tables()
+        changed = {name: self._numbered(table) for name, table in tables.items() if "person" in table.columns}
+        if "task_list" in tables:
+            changed["task_list"] = self._nameless_tasks(tables["task_list"])
+        if "safety" in tables:
+            changed["safety"] = tables["safety"].with_columns(self._executions(tables["safety"]))
+        if "events" in tables:
+            changed["events"] = tables["events"].with_columns(map(_timeless, ("signal", "value")))
+        for name, table in tables.items():
+            if table.height:
+                first, last = self._spans.get(name, (float("inf"), -float("inf")))
+                low, high = table["t_s"].min(), table["t_s"].max()
+                self._spans[name] = min(first, float(low)), max(last, float(high))  # type: ignore[arg-type]
+        aside = recording.set_aside
+        if aside is not None and aside.height:
+            aside = aside.with_columns(pl.col("reason").map_elements(self._said, return_dtype=pl.String))
+        warnings = tuple(map(self._said, recording.warnings))
+        facts = {name: self._said(text) for name, text in recording.facts.items() if name == "checksum"}
+        return replace(recording, **changed, set_aside=aside, warnings=warnings, facts=facts)  # type: ignore[arg-type]
+
+    def check(self, path: Path) -> None:
+        """Refuse a log whose clock was set while it was recorded: the size of that step tells the date.
+
+        Raises:
+            LogError: Its times lie more than a year apart.
+        """
+        first = min((span[0] for span in self._spans.values()), default=0.0)
+        last = max((span[1] for span in self._spans.values()), default=0.0)
+        if last - first > YEAR_S:
+            cause = "its times lie more than a year apart, so its clock was set while it recorded; that tells the date"
+            raise LogError(path, cause, cure="Split the log there, or ingest without --pseudonymise.")
+
+    def _nameless_tasks(self, table: pl.DataFrame) -> pl.DataFrame:
+        """Return a task list in which operators and executions are numbered, also in the names of tasks."""
+        operators = table.filter(pl.col("agent") == "operator")["agent_name"].drop_nulls().unique(maintain_order=True)
+        for name in operators:
+            self._numbers.setdefault(name, f"person_{len(self._numbers) + 1}")
+        agents = pl.col("agent_name").replace(self._numbers) if self._numbers else pl.col("agent_name")
+        tasks = pl.col("task").map_elements(self._task, return_dtype=pl.String)
+        return table.with_columns(agents, tasks, _timeless("outcome"), self._executions(table))
+
+    def _task(self, text: str) -> str:
+        for name in sorted(self._numbers, key=len, reverse=True):
+            text = text.replace(name, self._numbers[name]) if len(name) > 2 else text
+        return without_times(text)
+
+    def _executions(self, table: pl.DataFrame) -> pl.Expr:
+        """Return the column of executions, numbered: their names tell when they were, and sometimes whose."""
+        for name in table["execution"].drop_nulls().unique(maintain_order=True):
+            self._execution_numbers.setdefault(name, f"execution_{len(self._execution_numbers) + 1}")
+        if not self._execution_numbers:
+            return pl.col("execution")
+        return pl.col("execution").replace_strict(self._execution_numbers, default=None, return_dtype=pl.String)
+
+    def _numbered(self, table: pl.DataFrame) -> pl.DataFrame:
+        for name in table["person"].drop_nulls().unique(maintain_order=True).to_list():
+            if name not in self._numbers:
+                self._numbers[name] = name if name == self._keep else f"person_{len(self._numbers) + 1}"
+        numbers = pl.col("person").replace_strict(self._numbers, default=None, return_dtype=pl.String)
+        return table.with_columns(numbers) if self._numbers else table
+
+    def _said(self, text: str) -> str:
+        text = _without(_QUOTED.sub(f"'{GONE}'", text), {name: GONE for name in self._numbers if name != self._keep})
+        return without_times(text)
+
+
+def _timeless(column: str) -> pl.Expr:
+    perhaps = pl.col(column).str.contains(_PERHAPS)
+    changed = pl.when(perhaps).then(pl.col(column)).map_elements(without_times, return_dtype=pl.String)
+    return pl.when(perhaps).then(changed).otherwise(pl.col(column)).alias(column)
+
+
+def _without(text: str, names: dict[str, str]) -> str:
+    """Return a text with other names; those of one or two characters could be anything, and stay."""
+    for name in sorted(names, key=len, reverse=True):
+        if len(name) > 2 and name in text:
+            text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", names[name].replace("\\", r"\\"), text)
+    return text
+
+
+def numbered_logs(logs: Sequence[Log]) -> list[Log]:
+    """Return the logs under ids that tell nothing."""
+    digits = len(str(len(logs)))
+    return [replace(log, id=f"recording_{number:0{digits}d}") for number, log in enumerate(logs, 1)]
+
+
+def shown_as(log: Log) -> str:
+    """Return the name of a numbered log's file, in place of its own: the number, and what tells the format."""
+    return f"{log.id}{_ending(log.shown)}"
+
+
+def _ending(name: str) -> str:
+    kept = [suffix for suffix in PurePosixPath(name).suffixes[-2:] if suffix.lower() in _ENDINGS]
+    return "".join(kept)
+
+
+@dataclass(frozen=True)
+class Names:
+    """The names that went into an ingest of numbered logs, and what stands in their place."""
+
+    logs: Sequence[Log]
+    roots: Sequence[Path]
+    cell: Cell
+
+    def said(self, text: str) -> str:
+        """Return a sentence without names of files and bodies, and without times."""
+        return without_times(_without(text, self._known()))
+
+    def not_read(self, files: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+        """Return files that were not read, with the reason, under other names."""
+        found = []
+        for number, (name, reason) in enumerate(files, 1):
+            new = f"not_read_{number}{_ending(name)}"
+            mine = {name: new, PurePosixPath(name).name: new}
+            found.append((new, self.said(_QUOTED.sub(f"'{GONE}'", _without(reason, mine)))))
+        return found
+
+    def settings(self) -> Cell:
+        """Return the settings without names of files and bodies, and without offsets, which would give the time back.
+
+        The cell's name stays where it is not merely that of a folder or file.
+        """
+        unsaid: dict[str, Any] = {
+            "body": None, "sees_as": None, "clock_offset_s": None, "sync_events": (), "start": None,
+            "same_clock_as": None, "map": {},
+        }  # fmt: skip
+        sources = [replace(one, path=f"source_{number}", **unsaid) for number, one in enumerate(self.cell.sources, 1)]
+        folders = {name for root in self.roots for name in (*root.resolve().parts, root.resolve().stem)}
+        name = "cell" if self.cell.name in folders else self.cell.name
+        return replace(self.cell, name=name, sources=tuple(sources), ignore=(), reference=())
+
+    def _known(self) -> dict[str, str]:
+        known = dict.fromkeys((*self.cell.ignore, *self.cell.reference), GONE)
+        for number, source in enumerate(self.cell.sources, 1):
+            known[source.path] = f"source_{number}"
+            known |= {name: GONE for name in (source.body, source.same_clock_as) if name}
+        for log in self.logs:
+            new = shown_as(log)
+            names = {str(log.path), log.shown, log.path.name, PurePosixPath(log.shown).stem}
+            known |= dict.fromkeys(names, new)
+        return known
+
+
+def take_out(entries: Sequence[dict[str, Any]], names: Names, staging: Path) -> None:
+    """Let every recording begin at 0, its tables under `staging` and its entry alike, and its files have other names.
+
+    How it lies in the time of its session stays the same: what the times lose, the clock's offset gains. Stamps of the
+    host are needed for the clocks only, which are known by now.
+
+    Raises:
+        ConfigError: Two recordings of a session lie years apart: the clock of one was not set.
+    """
+    logs = {log.id: log for log in names.logs}
+    for entry in entries:
+        folder, log = staging / "recordings" / entry["id"], logs[entry["id"]]
+        if "stamps" in entry["tables"]:
+            (folder / "stamps.parquet").unlink()
+            entry["tables"] = [name for name in entry["tables"] if name != "stamps"]
+            entry["rows"] = {name: count for name, count in entry["rows"].items() if name != "stamps"}
+        clock, shift_s = entry["clock"], entry["first_s"]
+        for name in entry["tables"] if shift_s else ():
+            for column in _SHIFTED.get(name, ("t_s",)):
+                shift_times(folder / f"{name}.parquet", shift_s, column=column)
+        offset_s = clock["offset_s"] + clock["rate"] * shift_s
+        if abs(offset_s) > YEAR_S:
+            seen = f"{log.shown}: begins more than a year apart from the robot's log; one of their clocks was not set"
+            raise ConfigError(seen, cure="Give its clock_offset_s in the cell file, or leave the log out.")
+        kind = "relative" if clock["kind"] == "epoch" else clock["kind"]
+        entry["clock"] = {**clock, "kind": kind, "offset_s": offset_s}
+        entry["warnings"] = [names.said(_without_span(text, entry)) for text in entry["warnings"]]
+        entry["first_s"], entry["last_s"] = 0.0, entry["last_s"] - shift_s
+        entry["key"] = ""  # made of the paths and times of files; what is pseudonymised is read again anyway
+        for number, source in enumerate(entry["sources"], 1):
+            file = f"{log.id}/file_{number}{_ending(source['path'])}"
+            source["path"] = shown_as(log) if len(entry["sources"]) == 1 else file
+
+
+def _without_span(text: str, entry: dict[str, Any]) -> str:
+    """Return a text without times of a recording that does not begin near 0: seconds of the day, or of a controller."""
+    first_s, last_s = entry["first_s"], entry["last_s"]
+    if first_s < 3600.0:
+        return text
+
+    def said(found: re.Match[str]) -> str:
+        return GONE if first_s <= float(found[0].replace(",", "")) <= last_s else found[0]
+
+    return _NUMBER.sub(said, text)

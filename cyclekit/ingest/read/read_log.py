@@ -1,0 +1,236 @@
+"""One log -> its tables on the disk and its entry of provenance.
+
+The adapter reads, in parts if it can; what cannot be is taken out (`plausible`); the parts are written as they come, so
+a log may be larger than memory.
+"""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+from copy import copy
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.dataset.rates import Rates
+from cyclekit.errors import LogError
+from cyclekit.ingest.discover import Log, options_of
+from cyclekit.ingest.pseudonymise import Nameless, shown_as
+from cyclekit.ingest.read.tool_point import with_tool_point
+from cyclekit.ingest.registry import adapter_named
+from cyclekit.ingest.validate.validate import examined_parts
+from cyclekit.storage.parquet import TableWriter
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cyclekit.adapter import Recording
+    from cyclekit.config import Source
+    from cyclekit.ingest.read.log_checksums import Digests
+
+TABLES = {
+    "robot": schema.ROBOT,
+    "people": schema.PEOPLE,
+    "events": schema.EVENTS,
+    "task_list": schema.TASK_LIST,
+    "safety": schema.SAFETY,
+    "skeletons": schema.SKELETONS,
+    "stamps": schema.STAMPS,
+}
+MAIN = ("robot", "people", "events", "task_list", "safety")
+"""Tables one of which a log must hold; the first there is tells its rate."""
+UNRATED = ("events", "task_list")
+"""Tables whose rows come when something happens."""
+_PLACES = ("tcp_x_m", "x_m")
+_ENDS = ("t_s", "end_s")
+QUARANTINE = "quarantine"
+MAKING = ".making-"
+"""Begins the name of the folder that a recording is written in before it has its own."""
+UNPROTECTED = "none: a flipped bit passes unnoticed unless it makes a value impossible"
+"""What a recording's fact `checksum` says where its adapter knows of none."""
+
+
+@dataclass(frozen=True)
+class How:
+    """What of each log is kept.
+
+    Attributes:
+        pseudonymise: Replace the names that trackers give.
+        skeletons: Keep every joint of every person, where a tracker has them.
+        checksums: Compute the BLAKE3 of each file.
+    """
+
+    pseudonymise: bool = False
+    skeletons: bool = False
+    checksums: bool = True
+
+
+@dataclass(frozen=True)
+class Kept:
+    """The entry of a recording whose tables are on the disk."""
+
+    entry: dict[str, Any]
+
+
+def keep_or_error(log: Log, digests: Digests, *, staging: Path, how: How) -> Kept | LogError:
+    """Read a log into `staging/recordings/<id>`, or return why that cannot be; then nothing of it is left there.
+
+    The folder has its name when it is whole, so that reading a log twice does no harm.
+    """
+    place = staging / "recordings" / log.id
+    folder = place.with_name(f"{MAKING}{secrets.token_hex(6)}")
+    try:
+        kept = _keep(log, digests, folder, how)
+        _put(folder, place)
+    except LogError as error:
+        problem = copy(error)  # without what hangs on it: frames, tables, the error that it came from
+    except (OSError, MemoryError) as error:
+        if _is_ours(error, folder):
+            raise
+        told = getattr(error, "strerror", None) or str(error) or "too large for the memory"
+        problem = LogError(log.path, f"cannot be read ({told})", cure="Check the file.")
+    else:
+        return kept
+    shutil.rmtree(folder, ignore_errors=True)
+    return problem
+
+
+def _put(folder: Path, place: Path) -> None:
+    try:
+        folder.rename(place)
+    except OSError as error:
+        if not place.is_dir():
+            raise OSError(error.errno, error.strerror, str(place)) from error
+        shutil.rmtree(folder)  # it was read before, by a worker that was lost after that: the same bytes
+
+
+def _is_ours(error: BaseException, folder: Path) -> bool:
+    """Tell whether it was our own file that could not be written, not the log that could not be read."""
+    name = getattr(error, "filename", None)
+    return name is not None and str(folder.parent.parent) in str(name)
+
+
+def _keep(log: Log, digests: Digests, folder: Path, how: How) -> Kept:
+    sources, options = digests.sources(log), options_of(log.source, skeletons=how.skeletons)
+    written: dict[str, _Table] = {}
+    aside, counts, rows_read = None, dict[str, int](), 0
+    last: Recording | None = None
+    nameless = Nameless(keep=log.source.sees_as if log.source else None) if how.pseudonymise else None
+    try:
+        read = adapter_named(log.adapter).parts(log.path, options)
+        for part in examined_parts(with_tool_point(read, log.robot)):
+            last = nameless.part(part) if nameless else part
+            rows_read += last.rows_read
+            for name, frame in last.tables().items():
+                if name not in written:
+                    written[name] = _Table(folder, name, frame)
+                written[name].write(frame)
+            aside_now = last.set_aside
+            if aside_now is not None and aside_now.height:
+                aside = aside or TableWriter(folder / f"{QUARANTINE}.parquet", schema.QUARANTINE)
+                aside.write(_quarantined(aside_now, last.rows_are, log, shown_as(log) if nameless else log.shown))
+                for reason, count in aside_now.group_by("reason", maintain_order=True).len().iter_rows():
+                    counts[reason] = counts.get(reason, 0) + count
+        _check(log, written)
+        if nameless:
+            nameless.check(log.path)
+        for writer in [*(table.writer for table in written.values()), *([aside] if aside else [])]:
+            writer.close()
+    except BaseException:
+        for writer in [*(table.writer for table in written.values()), *([aside] if aside else [])]:
+            writer.abandon()
+        raise
+    if last is None:
+        raise LogError(log.path, "holds nothing", cure="Record again, or remove the file.")
+    return Kept(_entry(log, last, written, sources, rows_read, counts))
+
+
+class _Table:
+    """A table in the making, and what is known of its times."""
+
+    def __init__(self, folder: Path, name: str, first: pl.DataFrame) -> None:
+        self._columns = TABLES[name]
+        joints = sorted(filter(schema.is_joint, first.columns), key=schema.joint_order) if name == "robot" else []
+        self.writer = TableWriter(folder / f"{name}.parquet", self._columns, more=joints)
+        self.first_s, self.last_s = float("inf"), -float("inf")
+        self.rates = None if name in UNRATED else Rates()
+        self.placed = False
+
+    def write(self, frame: pl.DataFrame) -> None:
+        self.writer.write(schema.conform(frame, self._columns))
+        if not frame.height:
+            return
+        times = frame["t_s"].to_numpy()
+        last_s = max(
+            float(np.nanmax(frame[name].to_numpy(), initial=-np.inf)) for name in _ENDS if name in frame.columns
+        )
+        self.first_s, self.last_s = min(self.first_s, float(times.min())), max(self.last_s, last_s)
+        self.placed = self.placed or any(frame[name].count() for name in _PLACES if name in frame.columns)
+        if self.rates is not None:
+            self.rates.add(frame)
+
+
+def _check(log: Log, written: dict[str, _Table]) -> None:
+    if not written.keys() & set(MAIN):
+        raise LogError(
+            log.path, "holds neither robot, people, events, tasks nor an override", cure="Check what was recorded."
+        )
+    if not any(written[name].writer.rows for name in MAIN if name in written):
+        raise LogError(log.path, "holds a header and no data", cure="Record again, or remove the file.")
+
+
+def _quarantined(rows: pl.DataFrame, rows_are: str, log: Log, shown: str) -> pl.DataFrame:
+    named = {"recording": log.id, "file": shown, "row_is": rows_are}
+    rows = rows.with_columns(pl.lit(value).alias(name) for name, value in named.items())
+    return schema.conform(rows, schema.QUARANTINE)
+
+
+def _entry(
+    log: Log,
+    last: Recording,
+    written: dict[str, _Table],
+    sources: list[dict[str, Any]],
+    rows_read: int,
+    set_aside: dict[str, int],
+) -> dict[str, Any]:
+    main = next(written[name] for name in MAIN if name in written and written[name].writer.rows)
+    duration_s = main.last_s - main.first_s
+    rate = main.rates.found() if main.rates is not None else None
+    return {
+        "id": log.id,
+        "session": "",
+        "tables": list(written),
+        "sources": sources,
+        "adapter": log.adapter,
+        "adapter_package": log.package,
+        "adapter_version": log.version,
+        "clock": {"kind": last.clock},
+        "frame": _frame_card(log.source, last),
+        "positions": any(table.placed for name, table in written.items() if name in ("robot", "people")),
+        "up": last.up,
+        "joint_names": list(last.joint_names),
+        "rows": {name: table.writer.rows for name, table in written.items()},
+        "rows_are": last.rows_are,
+        "rows_read": rows_read,
+        "rows_set_aside": [{"reason": reason, "count": count} for reason, count in set_aside.items()],
+        "first_s": main.first_s,
+        "last_s": main.last_s,
+        "duration_s": duration_s,
+        "rate_hz": round(rate.mean_hz, 3) if rate is not None else None,
+        "warnings": list(last.warnings),
+        "facts": {"checksum": UNPROTECTED, **last.facts},
+        "key": log.key,
+    }
+
+
+def _frame_card(source: Source | None, recording: Recording) -> dict[str, Any]:
+    if recording.people is None:
+        return {"method": "robot base"}
+    if source is None or source.frame is None:
+        return {"method": "assumed base frame", "up": recording.up}
+    frame = source.frame
+    return {"method": "cell-file", "up": recording.up, "xyz_m": list(frame.xyz_m), "rotation": list(frame.rotation)}

@@ -1,0 +1,60 @@
+"""The TCP of a log that holds joint angles alone, where the cell file says which arm it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.config.arms import MODELS, Arm, Link, joint_order, joint_points
+from cyclekit.schema import is_joint
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from cyclekit.adapter import Recording
+    from cyclekit.config import Robot
+
+TCP = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
+"""The columns that are computed."""
+
+
+def with_tool_point(parts: Iterable[Recording], robot: Robot | None) -> Iterator[Recording]:
+    """Yield the parts of a log, with the TCP computed by forward kinematics where it was not logged.
+
+    Args:
+        parts: Of one log.
+        robot: The arm; None = nothing is computed.
+    """
+    for part in parts:
+        yield part if robot is None else _computed(part, robot)
+
+
+def _computed(part: Recording, robot: Robot) -> Recording:
+    frame = part.robot
+    if frame is None or any(name in frame.columns and frame[name].count() for name in TCP):
+        return part
+    names = sorted((n for n in frame.columns if is_joint(n) and n.endswith("_rad")), key=lambda n: int(n[1:-4]))
+    arm = _arm(robot)
+    if not names:
+        return part
+    if len(names) != len(arm.links):
+        said = f"[robot] is an arm of {len(arm.links)} joints and the log holds {len(names)}: no TCP is computed"
+        return replace(part, warnings=(*part.warnings, said))
+    order = joint_order(part.joint_names) if len(part.joint_names) == len(names) else range(len(names))
+    angles = np.column_stack([frame[names[i]].cast(pl.Float64).to_numpy() for i in order])
+    points, turn = joint_points(arm, angles)
+    tcp = points[:, -1] + turn @ np.asarray(robot.tool_m)
+    columns = [pl.Series(name, tcp[:, axis], nan_to_null=True) for axis, name in enumerate(TCP)]
+    at = "the flange" if robot.tool_m == (0.0, 0.0, 0.0) else "the tool of the cell file"
+    said = f"the TCP was not logged: computed for {at} from the joint angles ({arm.name})"
+    return replace(part, robot=frame.with_columns(columns), warnings=(*part.warnings, said))
+
+
+def _arm(robot: Robot) -> Arm:
+    if robot.model is not None:
+        return MODELS[robot.model]
+    links = (Link(d, a, float(np.deg2rad(alpha)), float(np.deg2rad(theta))) for d, a, alpha, theta in robot.dh)
+    return Arm("dh of the cell file", tuple(links))

@@ -1,0 +1,299 @@
+"""Which adapters exist, and which one reads this file.
+
+Adapters are found through the entry-point group `cyclekit.adapters`, ours and third parties' alike; cyclekit imports
+none by name. What a file contains is the adapters' business. An adapter that fails costs its own logs and no others.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, cast
+
+from cyclekit import schema
+from cyclekit.adapter import DraftingAdapter, Recording, StreamingAdapter
+from cyclekit.dataset.dataset import CARD
+from cyclekit.errors import BrokenAdapter, CyclekitError, LogError, UnknownFormat, UnknownName, command_line
+from cyclekit.storage.ahead import ahead
+from cyclekit.storage.inside import leads_out
+from cyclekit.storage.mistaken import MODEL_CARD, toml_for
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from cyclekit.adapter import Adapter, Draft, ReadOptions
+
+GROUP = "cyclekit.adapters"
+SMALL_BYTES = 1 << 20
+_CURE = "Check the file."
+_OLE = b"\xd0\xcf\x11\xe0"
+_LFS = b"version https://git-lfs.github.com/spec/"
+
+
+@dataclass(frozen=True)
+class Registered:
+    """An adapter and where it comes from."""
+
+    name: str
+    package: str
+    version: str
+    summary: str
+    adapter: Adapter
+
+    def parts(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        """Yield a log in consecutive parts, each read while the one before it is worked on; one part if need be.
+
+        Of a small file no thread reads ahead: to begin one takes a while, and there may be ten thousand of them.
+
+        Raises:
+            LogError, ConfigError: As the adapter's `read`.
+            BrokenAdapter: The adapter raised something else, or returned no recording.
+        """
+        try:
+            for part in self._parts(path, options):
+                yield _proven(part)
+        except CyclekitError:
+            raise
+        except MemoryError as error:
+            raise LogError(path, "too large for the memory", cure=_CURE) from error
+        except Exception as error:
+            if isinstance(error, OSError) and _is_about(error, path):
+                raise LogError(path, f"cannot be read ({error.strerror or error})", cure=_CURE) from error
+            raise BrokenAdapter(path, self.name, self.package, _told(error)) from error
+
+    def _parts(self, path: Path, options: ReadOptions) -> Iterator[Recording]:
+        if not isinstance(self.adapter, StreamingAdapter):
+            yield self.adapter.read(path, options)
+            return
+        parts = self.adapter.stream(path, options)
+        yield from parts if path.is_file() and path.stat().st_size < SMALL_BYTES else ahead(parts)
+
+
+def _proven(part: object) -> Recording:
+    if not isinstance(part, Recording):
+        msg = f"returned {type(part).__name__}, not a Recording"
+        raise TypeError(msg)
+    for name, frame in part.tables().items():
+        known, have = getattr(schema, name.upper()), getattr(frame, "columns", ())
+        if unknown := [column for column in have if column not in known and not schema.is_joint(column)]:
+            msg = f"returned a table {name!r} with unknown columns {', '.join(unknown)}"
+            raise ValueError(msg)
+        if "t_s" in known and "t_s" not in have:
+            msg = f"returned a table {name!r} without column t_s"
+            raise ValueError(msg)
+    return part
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An adapter that is installed and not used, and why."""
+
+    name: str
+    package: str
+    reason: str
+
+    def __str__(self) -> str:
+        """Return the warning that a person reads."""
+        return f"adapter {self.name!r} of package {self.package!r} is left out: {self.reason}"
+
+
+_broken: dict[str, LeftOut] = {}
+"""Adapters that raised when they were asked whether a file is theirs, by name; not asked again in this process."""
+
+
+def adapters() -> dict[str, Registered]:
+    """Return the adapters that can be used, by name, in order of name; `left_out` has the others."""
+    return {name: entry for name, entry in _loaded()[0].items() if name not in _broken}
+
+
+def left_out() -> tuple[LeftOut, ...]:
+    """Return the adapters that are installed and cannot be used: not imported, or failed when asked about a file."""
+    return (*_loaded()[1], *_broken.values())
+
+
+def noticed() -> tuple[LeftOut, ...]:
+    """Return what `left_out` does if this process has looked for adapters at all, else nothing; loads none."""
+    return left_out() if _loaded.cache_info().currsize else ()
+
+
+@cache
+def _loaded() -> tuple[dict[str, Registered], tuple[LeftOut, ...]]:
+    found, failed = dict[str, Registered](), list[LeftOut]()
+    for point in sorted(entry_points(group=GROUP), key=lambda point: (point.name, _package(point))):
+        if point.name in found:
+            failed.append(LeftOut(point.name, _package(point), f"{found[point.name].package!r} has one of that name"))
+            continue
+        try:
+            found[point.name] = _load(point)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # an import may even leave the process
+            failed.append(LeftOut(point.name, _package(point), f"it cannot be loaded ({_told(error)})"))
+    return found, tuple(failed)
+
+
+def _load(point: EntryPoint) -> Registered:
+    adapter = cast("Adapter", point.load())
+    if isinstance(adapter, type) or not all(callable(getattr(adapter, name, None)) for name in ("recognises", "read")):
+        msg = f"{point.value} is no adapter: an object with recognises and read"
+        raise TypeError(msg)
+    doc = inspect.getdoc(sys.modules.get(point.module)) or ""
+    version = point.dist.version if point.dist else "unknown"
+    return Registered(point.name, _package(point), version, doc.partition("\n")[0].rstrip("."), adapter)
+
+
+def _package(point: EntryPoint) -> str:
+    return point.dist.name if point.dist else point.module
+
+
+def _told(error: BaseException) -> str:
+    """Say an exception in one line."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
+
+
+def _is_about(error: OSError, path: Path) -> bool:
+    """Tell whether it is the log that cannot be read, and not something else that the adapter wants."""
+    return error.filename is None or str(error.filename).startswith(str(path))
+
+
+def adapter_named(name: str) -> Registered:
+    """Return the adapter called `name`.
+
+    Raises:
+        UnknownName: There is none.
+        CyclekitError: It is left out.
+    """
+    known = adapters()
+    for broken in left_out():
+        if broken.name == name and name not in known:
+            raise CyclekitError(str(broken), cure=f"Mend or update package {broken.package}.")
+    if name not in known:
+        raise UnknownName("adapters", "adapter", name, known)
+    return known[name]
+
+
+def find_adapter(path: Path) -> Registered | None:
+    """Return the adapter that recognises `path` (file or folder) by its content, or None."""
+    return next((entry for entry in adapters().values() if _recognises(entry, path)), None)
+
+
+def _recognises(entry: Registered, path: Path) -> bool:
+    try:
+        return bool(entry.adapter.recognises(path))
+    except Exception as error:
+        if not (isinstance(error, OSError) and _is_about(error, path)):
+            _broken[entry.name] = LeftOut(
+                entry.name, entry.package, f"it failed when asked about {path} ({_told(error)})"
+            )
+        return False
+
+
+def drafted(path: Path) -> tuple[Registered, Draft] | None:
+    """Return what an adapter proposes to read a file by that none recognises, and that adapter; None = nothing.
+
+    Raises:
+        LogError: The file cannot be read.
+        BrokenAdapter: An adapter failed on it.
+    """
+    for entry in adapters().values():
+        if not isinstance(entry.adapter, DraftingAdapter):
+            continue
+        try:
+            draft = entry.adapter.draft(path)
+        except CyclekitError:
+            raise
+        except Exception as error:
+            raise BrokenAdapter(path, entry.name, entry.package, _told(error)) from error
+        if draft is not None:
+            return entry, draft
+    return None
+
+
+def find_logs(path: Path, *, follow_links: bool = True) -> Iterator[tuple[Path, Registered | None]]:
+    """Walk `path`; yield each log with the adapter that reads it, None for what nobody reads.
+
+    A folder that is itself a log (a ROS 2 bag, a folder of one file per signal) is yielded as one. Below `path`,
+    hidden files and datasets are passed over, and so is a folder that was seen already: links may lead in circles.
+    Nothing is opened but files: a pipe or a device would wait for ever, or never end.
+
+    Args:
+        path: A file or a folder.
+        follow_links: Follow links below `path` that lead out of it; else each is what nobody reads.
+    """
+    waiting, seen = [path], set[tuple[int, int]]()
+    while waiting:
+        here = waiting.pop()
+        try:
+            if not follow_links and here != path and here.is_symlink() and leads_out(here, path):
+                yield here, None
+                continue
+            is_folder = here.is_dir()
+            found = find_adapter(here) if is_folder or (here.is_file() and here.stat().st_size) else None
+            if found or not is_folder:
+                yield here, found
+                continue
+            about = here.stat()
+            children = sorted(here.iterdir(), reverse=True) if (about.st_dev, about.st_ino) not in seen else []
+            seen.add((about.st_dev, about.st_ino))
+            waiting += [c for c in children if not c.name.startswith(".") and not (c / CARD).is_file()]
+        except OSError:  # a name that is too long, a folder that may not be listed
+            yield here, None
+
+
+def why_unknown(path: Path) -> UnknownFormat:
+    """Return the error for a file that no adapter recognises, with the likeliest reason first."""
+    if path.is_dir():
+        return UnknownFormat(path, "the folder cannot be listed", cure="Check its rights.")
+    if not path.is_file():
+        return UnknownFormat(path, "neither a file nor a folder: a pipe, a socket, a device or a broken link")
+    if not path.stat().st_size:  # of a file of the system (/proc) too, which may take long to read
+        return UnknownFormat(path, "the file is empty", cure="Check the copy, or remove the file.")
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if (whose := find_adapter(path.parent)) is not None:
+        cause = f"it is part of the folder {path.parent.name!r}, which is one log of adapter {whose.name!r}"
+        return UnknownFormat(path, cause, cure="Name the folder.")
+    known = ", ".join(adapters())
+    cure = f"cyclekit reads: {known} (see `cyclekit adapters`)."
+    if head.startswith(_LFS):
+        return UnknownFormat(
+            path, "this is a Git LFS pointer, not the log itself", cure="Fetch the content first: git lfs pull"
+        )
+    if path.suffix.lower() == ".toml":
+        name, taken_by = toml_for(path)
+        return UnknownFormat(path, f"a TOML file and no log; it looks like {name}", cure=f"Use it so: {taken_by}")
+    if path.name in (CARD, MODEL_CARD):
+        look = command_line("inspect", path.parent)
+        return UnknownFormat(path, "part of a dataset or model, and no log", cure=f"Look at it: {look}")
+    if head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"{", b"[")):
+        return UnknownFormat(path, "JSON of a kind that no adapter recognises", cure=cure)
+    cells = max(head.count(separator) for separator in (b",", b";", b"\t")) + 1
+    if len(head) < 4096 and b"\0" not in head and cells > 3 and len(head.strip().splitlines()) == 1:
+        return UnknownFormat(path, "a single line: a header and no rows", cure="Record again, or remove the file.")
+    if head.startswith(_OLE):
+        cause = "an old Excel workbook (.xls), or one with a password"
+        return UnknownFormat(path, cause, cure="Save it as .xlsx without a password, or as CSV.")
+    if _is_table(head):
+        cause = 'no adapter recognises this content, a table: map its columns in cell.toml, with adapter = "csv"'
+        drafts = "`cyclekit inspect FILE --write-cell CELL.toml` drafts that"
+        draft = command_line("inspect", path, "--write-cell", path.with_suffix(".toml"))
+        return UnknownFormat(path, f"{cause} (docs/adapters.md); {drafts}", cure=f"Draft the map: {draft}")
+    return UnknownFormat(path, "no adapter recognises this content", cure=cure)
+
+
+def _is_table(head: bytes) -> bool:
+    """Tell a table: lines of the same number of cells, three or more, or of numbers with blanks between; a workbook."""
+    if head.startswith(b"PK\x03\x04"):
+        return b"[Content_Types].xml" in head or b"xl/" in head
+    lines = head.strip().splitlines()[:12]
+    if b"\0" in head or not lines:
+        return False
+    numbers = {len(line.split()) for line in lines[1:-1] or lines if re.fullmatch(rb"[\s\d.,eE+-]+", line)}
+    return (len(numbers) == 1 and max(numbers) > 2) or any(
+        len({line.count(mark) for line in lines[:3]}) == 1 and lines[0].count(mark) > 1 for mark in (b",", b";", b"\t")
+    )

@@ -1,0 +1,334 @@
+"""The checks themselves: which rows of a window cannot be, and what is to be said of the whole table.
+
+A check sees window after window (`window`), sets rows aside and counts; when the last one was seen it says what it has
+found, one sentence each.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.ingest.validate.motion import PERSON, TCP, Kind, Places
+from cyclekit.ingest.validate.nobody import Nobody
+from cyclekit.ingest.validate.window import HERE, PLACE, judged_rows
+from cyclekit.segmentation.median import median
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.ingest.validate.motion import Track
+
+    Vector = NDArray[np.float64]
+    Mask = NDArray[np.bool_]
+
+ANGLE_RAD = 26.0
+"""Over four turns: no joint angle in radians."""
+SPEED_M_S = 10.0
+DAY_S = 86_400.0
+_NEAR = 8
+LATEST_S = 1e11
+"""The year 5138: no clock shows that."""
+
+
+class Checks:
+    """What all tables have in common: rows set aside, numbers that are none, time."""
+
+    whose = "the log"
+
+    def __init__(self) -> None:
+        self._aside: list[pl.DataFrame] = []
+        self._not_finite: dict[str, int] = {}
+        self._ahead, self._furthest_s = 0, 0.0
+        self._period_s: float | None = None
+
+    def beside(self, frame: pl.DataFrame) -> int:
+        """Return how many rows before and behind a row are its neighbours: itself two, some of which may go."""
+        return _NEAR
+
+    def taken_aside(self) -> list[pl.DataFrame]:
+        """Return the rows set aside since the last call: `source_row`, `reason`."""
+        aside, self._aside = self._aside, []
+        return aside
+
+    def drop(self, frame: pl.DataFrame, bad: Mask, reason: str) -> pl.DataFrame:
+        """Return the rows that are not bad; the bad ones to be judged here are set aside."""
+        if not bad.any():
+            return frame
+        here = frame.filter(pl.Series(bad) & (frame[PLACE] == HERE))
+        if here.height:
+            self._aside.append(here.select("source_row", pl.lit(reason).alias("reason")))
+        return frame.filter(~bad)
+
+    def finite(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Make NaN and infinities unknown, and count them; adapters of text logs have done so already."""
+        names = [name for name, dtype in frame.schema.items() if dtype.is_float() and name != "t_s"]
+        if not names:
+            return frame
+        hit = [name for name in names if not _is_finite(frame[name])]
+        if not hit:
+            return frame
+        here = frame.filter(pl.col(PLACE) == HERE)
+        for name in hit:
+            self._not_finite[name] = self._not_finite.get(name, 0) + int((~here[name].is_finite()).sum())
+        return frame.with_columns(pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in hit)
+
+    def timed(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Set rows without a possible time aside, and note where time jumps ahead."""
+        frame = self.drop(frame, ~(np.abs(column(frame, "t_s")) < LATEST_S), "its time is no number that a clock shows")
+        steps = np.diff(column(frame, "t_s"))
+        far = steps[(steps > DAY_S) & (is_here(frame)[1:])]
+        if len(far):
+            self._ahead, self._furthest_s = self._ahead + len(far), max(self._furthest_s, float(far.max()))
+        if self._period_s is None and (steps > 0).sum() >= 10:
+            self._period_s = float(median(steps[steps > 0]))
+        return frame
+
+    def _said_of_numbers(self) -> list[str]:
+        if not self._not_finite:
+            return []
+        told = ", ".join(f"{name} in {count} rows" for name, count in self._not_finite.items())
+        return [f"NaN or infinite: {told}; unknown there"]
+
+    def _said_of_time(self) -> list[str]:
+        if not self._ahead:
+            return []
+        return [
+            f"the time of {self.whose} jumps ahead by {self._furthest_s / DAY_S:.1f} days: a clock set while "
+            "recording, or two recordings in one file; split the log there"
+        ]
+
+    def _said_of_periods(self) -> list[str]:
+        period = self._period_s
+        if period is not None and period > 1.5:
+            unit = "milliseconds taken for seconds? give time_unit"
+            return [f"robot rows lie {period:.3g} s apart: {unit}"]
+        if period is not None and period < 5e-5:
+            return [f"robot rows lie {period:.3g} s apart: is the unit of time right? give time_unit"]
+        return []
+
+
+NO_TCP = (
+    "the log holds joint angles and no TCP, so neither places nor tasks can be found: log the TCP pose too "
+    '(UR actual_TCP_pose, Franka O_T_EE, KUKA RIst), or name the arm in cell.toml ([robot] model = "UR5e")'
+)
+"""Said of a robot whose joints alone were logged."""
+
+
+class EventChecks(Checks):
+    """Events: only their time can be impossible."""
+
+    whose = "an event"
+
+    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return the window without what cannot be."""
+        return self.timed(frame)
+
+    def warnings(self) -> list[str]:
+        """Say what was found, once all was seen."""
+        return self._said_of_time()
+
+
+class SafetyChecks(Checks):
+    """Override and distance of a safety system."""
+
+    whose = "the safety system"
+
+    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return the window without what cannot be."""
+        return self.timed(self.finite(frame))
+
+    def warnings(self) -> list[str]:
+        """Say what was found, once all was seen."""
+        return [*self._said_of_numbers(), *self._said_of_time()]
+
+
+class RobotChecks(Checks):
+    """A robot's rows."""
+
+    whose = "the robot"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._places = Places(TCP)
+        self._fractions = {"scaling": _Beyond(), "slider": _Beyond()}
+        self._speed = _Beyond()
+        self._turned: str | None = None
+        self._joints = self._tcp = False
+
+    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return the window without what cannot be."""
+        frame = scaling_while_playing(self.timed(self.finite(frame)))
+        times = column(frame, "t_s")
+        frame = self.drop(frame, repeated(times), "repeats the time of the row before it")
+        bad = stray_times(column(frame, "t_s"))
+        frame = self.drop(frame, bad, "its time does not fit between its neighbours")
+        frame = placed(self, frame, self._places, tracks(frame))
+        for name, seen in self._fractions.items():
+            value = column(frame, name)
+            frame = seen.look(frame, name, value, (value < 0.0) | (value > 1.001))
+        speed = column(frame, "tcp_speed_m_s")
+        frame = self._speed.look(frame, "tcp_speed_m_s", speed, (speed > SPEED_M_S) | (speed < 0))
+        self._tcp = self._tcp or bool(np.isfinite(column(frame, "tcp_x_m")).any())
+        self._joints = self._joints or bool(np.isfinite(column(frame, "q0_rad")).any())
+        if self._turned is None:
+            angles = [name for name in frame.columns if name.startswith("q") and name.endswith("_rad")]
+            self._turned = next((n for n in angles if (np.abs(column(frame, n)) > ANGLE_RAD).any()), None)
+        return frame
+
+    def warnings(self) -> list[str]:
+        """Say what was found, once all was seen."""
+        said = [*self._said_of_numbers(), *self._said_of_time(), *self._said_of_periods()]
+        still, others = self._places.warnings()
+        said += others
+        for name, seen in self._fractions.items():
+            if seen.rows:
+                percent = 1.5 < seen.most <= 200.0
+                likely = "likely percent, say scaling_max = 100" if percent else "no fraction"
+                said.append(f"{name} reaches {seen.most:g} in {seen.rows} rows: {likely}; unknown there")
+        if self._speed.rows:
+            likely = "likely mm/s" if self._speed.rows > 0.1 * self._speed.known else "garbled"
+            top, rows = f"{self._speed.most:.4g}", self._speed.rows
+            said.append(f"tcp_speed_m_s reaches {top} m/s in {rows} rows: {likely}; unknown there")
+        if self._turned:
+            said.append(f'{self._turned} exceeds {ANGLE_RAD:.0f} rad: likely degrees; say joint_unit = "deg"')
+        if self._joints and not self._tcp:
+            said.append(NO_TCP)
+        return [*said, *still]
+
+
+class PeopleChecks(Checks):
+    """The people of a tracker; neighbours are rows of one person."""
+
+    whose = "a person"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._places = Places(PERSON)
+        self._nobody = Nobody()
+
+    def beside(self, frame: pl.DataFrame) -> int:
+        """Return how many rows hold the neighbours of every person that is there."""
+        if "person" not in frame.columns:
+            return _NEAR
+        return _NEAR * frame["person"].n_unique()
+
+    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return the window without what cannot be."""
+        frame = self.timed(self._nobody.look(self.finite(frame)))
+        groups, times = tracks(frame), column(frame, "t_s")
+        if any((np.diff(times[rows]) <= 0.0).any() for rows in groups):  # else no time is twice there, or stray
+            frame = self._in_order(frame)
+            groups = tracks(frame)
+        return placed(self, frame, self._places, groups)
+
+    def _in_order(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Set aside what repeats a time of its person, and single times that do not fit between their neighbours."""
+        twice = frame.select(~pl.struct("t_s", "person").is_first_distinct()).to_series().to_numpy()
+        frame = self.drop(frame, twice, "repeats person and time of a row before it")
+        bad = np.zeros(frame.height, bool)
+        for rows in tracks(frame):
+            bad[rows] = stray_times(column(frame, "t_s")[rows])
+        return self.drop(frame, bad, "its time does not fit between its neighbours")
+
+    def warnings(self) -> list[str]:
+        """Say what was found, once all was seen."""
+        still, others = self._places.warnings()
+        return [*self._said_of_numbers(), *self._said_of_time(), *self._nobody.warnings(), *others, *still]
+
+
+class _Beyond:
+    """Counts the values of a column that cannot be, and makes them unknown."""
+
+    def __init__(self) -> None:
+        self.rows, self.known, self.most = 0, 0, -np.inf
+
+    def look(self, frame: pl.DataFrame, name: str, value: Vector, wrong: Mask) -> pl.DataFrame:
+        here = is_here(frame)
+        self.known += int((np.isfinite(value) & here).sum())
+        if not wrong.any():
+            return frame
+        self.rows += int((wrong & here).sum())
+        self.most = max(self.most, float(value[wrong].max()))
+        return frame.with_columns(pl.when(pl.Series(~wrong)).then(pl.col(name)).alias(name))
+
+
+def scaling_while_playing(frame: pl.DataFrame) -> pl.DataFrame:
+    """Return robot rows whose scaling is unknown where the program is known not to run.
+
+    A controller writes what it likes for a program that is paused or stopped, mostly 0: that is no safety stop.
+    """
+    if not {"scaling", "state"}.issubset(frame.columns) or not (frame["state"] != "playing").any():
+        return frame
+    halted = (pl.col("state") != "playing").fill_null(value=False)
+    return frame.with_columns(pl.when(~halted).then("scaling").alias("scaling"))
+
+
+def placed(checks: Checks, frame: pl.DataFrame, places: Places, groups: Sequence[Track]) -> pl.DataFrame:
+    """Set aside positions out of reach and single positions that nothing can have jumped to."""
+    kind: Kind = places.kind
+    times, xyz = column(frame, "t_s"), positions(frame, kind)
+    beyond = places.out_of_reach(xyz, is_here(frame))
+    reason = f"{kind.whose} more than {kind.reach_m:.0f} m away: no such place"
+    if beyond.any():
+        frame = checks.drop(frame, beyond, reason)
+        groups = tracks(frame)
+        times, xyz = times[~beyond], xyz[:, ~beyond]
+    stray = places.strays(times, xyz, groups, is_here(frame))
+    places.look_still(xyz[:, judged_rows(frame)])
+    jumped = f"{kind.whose} cannot have jumped there and back (faster than {kind.speed_m_s:.0f} m/s)"
+    return checks.drop(frame, stray, jumped)
+
+
+def column(frame: pl.DataFrame, name: str) -> Vector:
+    """Return a column, shape (N,), NaN = unknown; all NaN where there is none."""
+    if name not in frame.columns:
+        return np.full(frame.height, np.nan)
+    values = frame.get_column(name)
+    return (values if values.dtype == pl.Float64 else values.cast(pl.Float64)).to_numpy()  # null becomes NaN
+
+
+def positions(frame: pl.DataFrame, kind: Kind) -> Vector:
+    """Return the positions of a table, shape (3, N), metres."""
+    return np.stack([column(frame, name) for name in kind.columns])
+
+
+def _is_finite(values: pl.Series) -> bool:
+    """Tell whether no value is NaN or infinite; the sum shows it, unless it is too large itself."""
+    total = values.sum()
+    return bool(np.isfinite(float(total))) or bool(values.is_finite().all())
+
+
+def is_here(frame: pl.DataFrame) -> Mask:
+    """Tell which rows of a window are judged now."""
+    return np.asarray(frame[PLACE].to_numpy() == HERE)
+
+
+def repeated(times: Vector) -> Mask:
+    """Tell which rows repeat the time of the row before."""
+    return np.concatenate([[False], np.diff(times) == 0.0])[: len(times)]
+
+
+def stray_times(times: Vector) -> Mask:
+    """Rows whose time lies outside that of their neighbours, which fit each other: a garbled number, no restart."""
+    bad = np.zeros(len(times), bool)
+    if len(times) < 3:
+        return bad
+    before, here, after = times[:-2], times[1:-1], times[2:]
+    back = (after > before) & (here < before)
+    ahead = (after > before) & (here > after)
+    bad[1:-1] = back | (ahead & ~np.append(back[1:], False))
+    return bad
+
+
+def tracks(frame: pl.DataFrame) -> Sequence[Track]:
+    """Row numbers of each person, in order; all rows where the table has no persons."""
+    if "person" not in frame.columns:
+        return [slice(None)]
+    grouped = frame.lazy().with_row_index("__row").group_by("person", maintain_order=True).agg("__row").collect()
+    rows = grouped["__row"].explode().to_numpy().astype(np.int64)
+    return np.split(rows, np.cumsum(grouped["__row"].list.len().to_numpy())[:-1])

@@ -1,0 +1,164 @@
+"""Positions that cannot be: out of reach, jumped to and back from, or never changing by a hair."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.segmentation.median import median
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+    Mask = NDArray[np.bool_]
+    Track = NDArray[np.int64] | slice
+
+STILL_ROWS = 100
+"""A value that stays the same over fewer rows says nothing."""
+NOWHERE_M = 1e9
+NEAR_M = 0.02
+"""Nobody, and no tool, is never farther from the origin than this: a robot has a base, a tracker a camera there."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Which columns are a position, and what is possible there.
+
+    Attributes:
+        speed_m_s: Nothing at the end of a robot arm, and nobody on foot, is faster.
+        slack_m: A shorter step is no jump however short the time: clocks jitter, tracks move from head to hip.
+        reach_m: Farther away than this is no robot on a gantry, and nobody in the same hall.
+        likely: What a jump that stays comes from.
+    """
+
+    whose: str
+    columns: tuple[str, str, str]
+    speed_m_s: float
+    slack_m: float
+    reach_m: float
+    likely: str
+
+
+TCP = Kind("the TCP", ("tcp_x_m", "tcp_y_m", "tcp_z_m"), 10.0, 0.05, 30.0, "a changed tool, or two recordings in one")
+PERSON = Kind("a person", ("x_m", "y_m", "z_m"), 20.0, 0.3, 150.0, "a track that changed its person")
+
+
+class Places:
+    """The positions of one table, window after window."""
+
+    def __init__(self, kind: Kind) -> None:
+        self.kind = kind
+        self._scale_off: bool | None = None  # whether most of the first positions are out of reach: another unit
+        self._far_rows, self._far_m = 0, 0.0
+        self._usual_s: float | None = None
+        self._jumps = 0
+        self._same: Vector | None = None
+        self._still, self._seen = True, 0
+        self._most_m = 0.0
+
+    def out_of_reach(self, xyz: Vector, here: Mask) -> Mask:
+        """Tell which positions, shape (3, N), are out of reach; none where most are, for then the unit is another.
+
+        As a whole such a table is consistent, and only a person knows what it is.
+        """
+        far = _length(_without_nan(np.clip(xyz, -NOWHERE_M, NOWHERE_M)))
+        beyond = far > self.kind.reach_m
+        if self._scale_off is None and (known := int(np.isfinite(xyz[0]).sum())):
+            self._scale_off = bool(beyond.sum() > 0.5 * known)
+            self._far_m = float(np.median(far[beyond])) if self._scale_off else 0.0
+        if self._scale_off:
+            self._far_rows += int((beyond & here).sum())
+            return np.zeros(len(far), bool)
+        return np.asarray(beyond)
+
+    def strays(self, times: Vector, xyz: Vector, groups: Sequence[Track], here: Mask) -> Mask:
+        """Tell which positions are single strays of their track, and count the jumps that remain without them."""
+        bad = np.zeros(len(times), bool)
+        if self._scale_off:
+            return bad
+        xyz = np.clip(xyz, -NOWHERE_M, NOWHERE_M)
+        for rows in groups:
+            stray, jumps = self._of_track(times[rows], xyz[:, rows], here[rows])
+            bad[rows] = stray
+            self._jumps += jumps
+        return bad
+
+    def _of_track(self, times: Vector, xyz: Vector, here: Mask) -> tuple[Mask, int]:
+        bad = np.zeros(len(times), bool)
+        seen = np.flatnonzero(np.isfinite(xyz[0]) & np.isfinite(xyz[1]))
+        if len(seen) < 2:
+            return bad, 0
+        t, p = times, xyz
+        if len(seen) < len(times):
+            t, p = times[seen], xyz[:, seen]
+        p = _without_nan(p)
+        steps = np.diff(t)
+        if self._usual_s is None and (steps > 0).any():
+            self._usual_s = float(median(steps[steps > 0]))
+        jump = self._cannot(t, p)
+        if not jump.any():
+            return bad, 0
+        if len(seen) > 2:
+            across = ~self._cannot(t, p, apart=2)
+            bad[seen[1:-1][jump[:-1] & jump[1:] & across]] = True
+        kept = ~bad[seen]
+        return bad, int((self._cannot(t[kept], p[:, kept]) & here[seen][kept][1:]).sum())
+
+    def _cannot(self, t: Vector, p: Vector, apart: int = 1) -> Mask:
+        """Tell of each row and the one `apart` rows later whether the way between them is impossible."""
+        step = t[apart:] - t[:-apart]
+        way = _length(p[:, apart:] - p[:, :-apart])
+        possible = self.kind.slack_m + self.kind.speed_m_s * np.maximum(step, self._usual_s or 0.0)
+        return np.asarray((way > possible) & (step > 0))
+
+    def look_still(self, xyz: Vector) -> None:
+        """Note how far away it was and whether it ever changed; a sensor has noise, even of who stands still."""
+        known = np.isfinite(xyz[0]) & np.isfinite(xyz[1])
+        if not known.all():
+            xyz = xyz[:, known]
+        if not xyz.shape[1]:
+            return
+        if self._same is None:
+            self._same = xyz[:2, 0].copy()  # else all the others are kept with it
+        self._seen += xyz.shape[1]
+        self._most_m = max(self._most_m, -float(np.nanmin(xyz)), float(np.nanmax(xyz)))
+        x, y = self._same
+        self._still = self._still and bool(((xyz[0] == x) & (xyz[1] == y)).all())
+
+    def warnings(self) -> tuple[list[str], list[str]]:
+        """Say whether the position never changed, and all else."""
+        kind, said = self.kind, []
+        if self._far_rows:
+            said.append(
+                f"{kind.whose} is {self._far_m:.0f} m away in {self._far_rows} rows: likely millimetres; "
+                'say length_unit = "mm", or the unit in the export'
+            )
+        if 0.0 < self._most_m < NEAR_M and self._seen >= STILL_ROWS:
+            said.append(
+                f"{kind.whose} is never farther than {1e3 * self._most_m:.1f} mm from the origin on any axis: likely "
+                "metres that are said to be millimetres; correct the unit"
+            )
+        if self._jumps:
+            said.append(f"{kind.whose} jumps faster than {kind.speed_m_s:.0f} m/s {self._jumps} time(s): {kind.likely}")
+        if self._same is None or not self._still or self._seen < STILL_ROWS:
+            return [], said
+        x, y = self._same
+        return [
+            f"{kind.whose} stays at exactly ({x:g}, {y:g}) m in all {self._seen} rows: is the right signal logged?"
+        ], said
+
+
+def _without_nan(values: Vector) -> Vector:
+    """Return values with 0 for what is unknown; themselves where nothing is."""
+    return np.asarray(np.where(np.isnan(values), 0.0, values)) if np.isnan(values.sum()) else values
+
+
+def _length(vectors: Vector) -> Vector:
+    """Return the lengths of vectors, shape (3, N); row by row, which is several times faster than across."""
+    x, y, z = vectors
+    return np.asarray(np.sqrt(x * x + y * y + z * z))

@@ -1,0 +1,115 @@
+"""Places that trackers write where they see nobody: 0, 0, 0; -1, -1, -1; 9999, 9999, 9999.
+
+Taken for places they are a person at the robot's base, or far away. No measurement is exactly the same on three axes,
+so such a row is one in which the person is not seen. Of a tracker that knows x and y only it is believed where the
+person was, or goes on, right beside it: one may well walk across the middle of a floor that is counted in centimetres.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.ingest.validate.window import BEFORE, HERE, PLACE
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+    Mask = NDArray[np.bool_]
+
+AXES = ("x_m", "y_m", "z_m")
+WRITTEN = (0.0, -1.0, -99.0, *(sign * number for number in (999.0, 9999.0, 99999.0) for sign in (1.0, -1.0)))
+UNITS_M = (1.0, 0.01, 0.001, 0.0254)
+STANDS_FOR_NOBODY = np.unique(np.outer(UNITS_M, WRITTEN))
+"""Metres of WRITTEN in each unit of length."""
+BESIDE_M = 0.3
+"""From one row to the next nobody walks farther."""
+
+
+class Nobody:
+    """Finds such rows, window after window, and makes their places unknown."""
+
+    def __init__(self) -> None:
+        self._rows: dict[float, int] = {}
+        self._seen = 0
+        self._last: dict[str | None, tuple[float, float]] = {}  # where each person was seen last
+
+    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return the window with unknown places where nobody is seen."""
+        here = frame[PLACE].to_numpy() == HERE
+        self._seen += int(here.sum())
+        if not {"x_m", "y_m"}.issubset(frame.columns):
+            return frame
+        x, y, z = (
+            frame[axis].cast(pl.Float64).to_numpy() if axis in frame.columns else np.full(len(here), np.nan)
+            for axis in AXES
+        )
+        flat = np.isnan(z)
+        odd = (x == y) & (flat | (z == x))
+        odd[odd] = _stands_for_nobody(x[odd])
+        if (odd & flat).any():
+            odd &= ~(flat & self._beside(frame, x, y, odd))
+        if flat.any() and "person" in frame.columns:
+            self._remember(frame.filter(here & ~odd & np.isfinite(x)))
+        if not odd.any():
+            return frame
+        for value, count in zip(*np.unique(x[odd & here] + 0.0, return_counts=True), strict=True):
+            self._rows[float(value)] = self._rows.get(float(value), 0) + int(count)
+        known = pl.Series(~odd)
+        return frame.with_columns(pl.when(known).then(pl.col(a)).alias(a) for a in AXES if a in frame.columns)
+
+    def _beside(self, frame: pl.DataFrame, x: Vector, y: Vector, odd: Mask) -> Mask:
+        """Tell which odd rows lie beside where their person was seen before, or is seen next."""
+        beside, judged = np.zeros(len(x), bool), frame[PLACE].to_numpy() != BEFORE
+        for person, rows in _rows_of(frame).items():
+            mine = odd[rows]
+            before, after = _neighbours(mine)
+            for other in (before, after):
+                at = rows[np.maximum(other, 0)]
+                near = np.hypot(x[rows] - x[at], y[rows] - y[at]) <= BESIDE_M
+                beside[rows] |= mine & (other >= 0) & near
+            if person in self._last:
+                last_x, last_y = self._last[person]
+                near = np.hypot(x[rows] - last_x, y[rows] - last_y) <= BESIDE_M
+                beside[rows] |= mine & (before < 0) & judged[rows] & near
+        return beside
+
+    def _remember(self, seen: pl.DataFrame) -> None:
+        last = seen.group_by("person").agg(pl.col("x_m").last(), pl.col("y_m").last())
+        self._last |= {person: (x, y) for person, x, y in last.iter_rows()}
+
+    def warnings(self) -> list[str]:
+        """Say which places stood for nobody, and how often."""
+        return [
+            f"a person is at exactly {value:g} m on every axis in {count} of {self._seen} rows: "
+            "that stands for nobody seen; unknown there"
+            for value, count in sorted(self._rows.items(), key=lambda item: -item[1])
+        ]
+
+
+def _stands_for_nobody(values: Vector) -> Mask:
+    """Tell which values are one of STANDS_FOR_NOBODY, but for the rounding of a change of unit."""
+    at = np.clip(np.searchsorted(STANDS_FOR_NOBODY, values), 1, len(STANDS_FOR_NOBODY) - 1)
+    nearest = np.minimum(np.abs(values - STANDS_FOR_NOBODY[at]), np.abs(values - STANDS_FOR_NOBODY[at - 1]))
+    return np.asarray(nearest <= 1e-12 * np.abs(values))
+
+
+def _rows_of(frame: pl.DataFrame) -> Mapping[str | None, NDArray[np.int64]]:
+    """Return the rows of each person, in order."""
+    if "person" not in frame.columns:
+        return {None: np.arange(frame.height)}
+    groups = frame.select("person", row=pl.int_range(pl.len())).group_by("person", maintain_order=True).agg("row")
+    return {person: np.array(rows, np.int64) for person, rows in groups.iter_rows()}
+
+
+def _neighbours(odd: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return of each row the last one before it and the first one behind it that is not odd; -1 = none."""
+    at = np.arange(len(odd))
+    before = np.maximum.accumulate(np.where(odd, -1, at))
+    after = np.minimum.accumulate(np.where(odd, len(odd), at)[::-1])[::-1]
+    return before, np.where(after < len(odd), after, -1)

@@ -1,0 +1,80 @@
+"""What is odd about a task list as a whole: tasks without an end, tasks of one agent at the same time, wrong units.
+
+No row is set aside for it: a planner may well start an agent's next task before the last one is booked as done.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.ingest.validate.checks import Checks
+from cyclekit.ingest.validate.window import HERE, PLACE
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+LONGEST_S, SHORTEST_S = 86_400.0, 1e-3
+"""Half of the tasks of a list lie between these, unless its unit of time is another."""
+SHOWN = 6
+"""Agents that are named."""
+TOUCH_S = 1e-3
+"""A task may start so much before its agent's last one has ended: clocks are rounded."""
+_READ = ("t_s", "end_s", "agent_name")
+
+
+class TaskChecks(Checks):
+    """A task list: days may lie between its tasks."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._rows: list[pl.DataFrame] = []
+
+    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return the window without what cannot be."""
+        frame = self.timed(self.finite(frame))
+        here = frame.filter(pl.col(PLACE) == HERE)
+        self._rows.append(here.select(name for name in _READ if name in here.columns))
+        return frame
+
+    def warnings(self) -> list[str]:
+        """Say what was found, once all was seen."""
+        said = self._said_of_numbers()
+        rows = pl.concat(self._rows) if self._rows else pl.DataFrame()
+        if rows.is_empty() or set(rows.columns) != set(_READ):
+            return said
+        if open_ends := rows["end_s"].null_count():
+            said.append(f"{open_ends} of {rows.height} tasks have no end: how long they took is unknown")
+        said += self._said_of_overlaps(overlaps_of(rows, ["agent_name"]).filter(pl.col("overlaps") > 0))
+        median_s = (rows["end_s"] - rows["t_s"]).median()
+        if isinstance(median_s, float) and (median_s > LONGEST_S or 0.0 < median_s < SHORTEST_S):
+            said.append(f"half of the tasks take {median_s:.3g} s: is the unit of time right? give time_unit")
+        return said
+
+    def _said_of_overlaps(self, agents: pl.DataFrame) -> list[str]:
+        said = [
+            f"{count} of {tasks} tasks of {name!r} start before its last one has ended, by up to {most:.1f} s"
+            for name, tasks, count, most in agents[:SHOWN].iter_rows()
+        ]
+        return [*said, f"so do tasks of {agents.height - SHOWN} other agents"] if agents.height > SHOWN else said
+
+
+def overlaps_of(rows: pl.DataFrame, by: Sequence[str]) -> pl.DataFrame:
+    """Return how many tasks of each agent start before all of its earlier ones have ended.
+
+    Args:
+        rows: Columns `t_s`, `end_s`, `agent_name`, and those of `by`.
+        by: What makes one agent in one clock; `agent_name` is among them.
+
+    Returns:
+        Columns `agent_name`, `tasks`, `overlaps`, `overlap_s` (by how much at most), in order of appearance.
+    """
+    before = pl.col("end_s").cum_max().shift(1).forward_fill().over(by)
+    late = rows.sort("t_s", maintain_order=True).with_columns(over_s=before - pl.col("t_s"))
+    over = pl.col("over_s").filter(pl.col("over_s") > TOUCH_S)
+    found = late.group_by("agent_name", maintain_order=True).agg(
+        tasks=pl.len(), overlaps=over.len(), overlap_s=over.max().fill_null(0.0)
+    )
+    order = rows.select(pl.col("agent_name").unique(maintain_order=True))
+    return order.join(found, on="agent_name", how="left", maintain_order="left", nulls_equal=True)

@@ -1,0 +1,102 @@
+"""What cannot be: values of a recording that no cell produces, found, named with the likely cure, and kept out.
+
+Many containers have no checksum, so a flipped bit or a slip of units passes every reader; only the values can give it
+away. A row whose time or position is impossible beside its neighbours is set aside; a column that looks wrong as a
+whole (millimetres read as metres) is named and left as it is, because only a person knows. The thresholds are far
+beyond what people and robots do. A recording may come in parts: what is found does not depend on where they were cut.
+Reading is the adapters' business, time and frame that of `derive`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.adapter import whole
+from cyclekit.ingest.validate.checks import EventChecks, PeopleChecks, RobotChecks, SafetyChecks
+from cyclekit.ingest.validate.task_lists import TaskChecks
+from cyclekit.ingest.validate.window import Sliding, let_through
+from cyclekit.text.columns import in_one_line
+from cyclekit.text.plain_text import one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from cyclekit.adapter import Recording
+
+_TEXTS = {
+    "people": ("person",),
+    "events": ("signal", "value"),
+    "skeletons": ("person", "joint"),
+    "task_list": ("agent", "agent_name", "task", "execution", "outcome"),
+    "safety": ("execution",),
+}
+"""Columns of names and values as logs have them."""
+
+
+def examined(recording: Recording) -> Recording:
+    """Return the recording without its impossible rows and values, which it lists and names.
+
+    Args:
+        recording: As an adapter returned it; columns may be absent.
+    """
+    return whole(examined_parts([recording]))
+
+
+def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
+    """Yield the parts of a recording without their impossible rows and values; the last one has the warnings.
+
+    A row stands in the part in which it could be judged, which may be the one after that in which it came.
+    """
+    checks: dict[str, RobotChecks | PeopleChecks | EventChecks | TaskChecks | SafetyChecks]
+    checks = {
+        "robot": RobotChecks(),
+        "people": PeopleChecks(),
+        "events": EventChecks(),
+        "task_list": TaskChecks(),
+        "safety": SafetyChecks(),
+    }
+    sliding = {name: Sliding(check.beside) for name, check in checks.items()}
+    parts = iter(parts)
+    part = next(parts, None)
+    while part is not None:
+        part = _named_in_lines(part)
+        after = next(parts, None)
+        tables, aside = {}, [] if part.set_aside is None or part.set_aside.is_empty() else [_reasons(part.set_aside)]
+        for name, check in checks.items():
+            table = part.tables().get(name)
+            if table is not None:
+                window = sliding[name].with_neighbours(_numbered(table), last=after is None)
+                window = check.look(window)
+                tables[name], dropped = let_through(window), check.taken_aside()
+                aside += [_reasons(rows) for rows in dropped]
+        said = tuple(text for check in checks.values() for text in check.warnings()) if after is None else ()
+        new = tuple(text for text in said if text not in part.warnings)
+        yield replace(
+            part,
+            **tables,  # type: ignore[arg-type]  # the names are those of the fields
+            set_aside=pl.concat(aside) if aside else None,
+            warnings=(*part.warnings, *new),
+        )
+        part = after
+
+
+def _named_in_lines(part: Recording) -> Recording:
+    """Return a part in which every name and value is one line, its controls escaped: a message may quote it."""
+    changed = {}
+    for table, columns in _TEXTS.items():
+        frame = part.tables().get(table)
+        if frame is not None:
+            changed[table] = in_one_line(frame, columns)
+    said = tuple(map(one_line, part.warnings))
+    return replace(part, warnings=said, **changed)  # type: ignore[arg-type]  # the names are those of the fields
+
+
+def _reasons(set_aside: pl.DataFrame) -> pl.DataFrame:
+    return set_aside.select(pl.col("source_row").cast(pl.Int64), pl.col("reason").cast(pl.String))
+
+
+def _numbered(frame: pl.DataFrame) -> pl.DataFrame:
+    return frame if "source_row" in frame.columns else frame.with_columns(source_row=pl.lit(None, pl.Int64))

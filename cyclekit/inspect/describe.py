@@ -1,0 +1,253 @@
+"""What a log, a dataset or a model is, as facts a person checks before trusting an answer.
+
+Rates, durations, gaps, what is known and what was set aside, counted out of the tables. Nothing is judged and nothing
+is mended here; how the facts look on a screen is the command line's business.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from cyclekit.adapter import Recording
+from cyclekit.dataset.dataset import CARD, Dataset
+from cyclekit.errors import LogError
+from cyclekit.ingest.discover import cell_for, find_all, options_of
+from cyclekit.ingest.read.tool_point import with_tool_point
+from cyclekit.ingest.registry import adapter_named
+from cyclekit.ingest.validate.validate import examined_parts
+from cyclekit.inspect.facts import (
+    DatasetDescription,
+    Description,
+    Gap,
+    LogFacts,
+    LogsDescription,
+    ModelDescription,
+    TableFacts,
+)
+from cyclekit.inspect.lists import SafetySurvey, task_list_facts
+from cyclekit.inspect.survey import TableSurvey
+from cyclekit.learning.networks.saved import CARD as MODEL_CARD
+from cyclekit.learning.networks.saved import load_model
+from cyclekit.storage.atomic import recover
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from cyclekit.ingest.discover import Log
+    from cyclekit.inspect.facts import SafetyFacts, TaskListFacts
+
+    Progress = Callable[[float, str], None]
+
+__all__ = [
+    "DatasetDescription",
+    "Description",
+    "Gap",
+    "LogFacts",
+    "LogsDescription",
+    "ModelDescription",
+    "TableFacts",
+    "describe",
+]
+
+MAIN = ("robot", "people", "events", "task_list", "safety")
+UNRATED = ("events", "task_list")
+_OF_SAMPLES = ("scaling", "scaling_sd", "scaling_gap", "scaling_origin", "step", "robot_moving", "human_x_m")
+
+
+def describe(
+    path: Path, *, cell: Path | None = None, progress: Progress | None = None, follow_links: bool = False
+) -> Description:
+    """Return what is at `path`: logs, a dataset or a model, told apart by content.
+
+    Args:
+        path: A file or a folder.
+        cell: Cell file that says how logs are read; by default the one beside them.
+        progress: Called with the fraction done and what is being looked at.
+        follow_links: Look at what links in a folder of logs lead to outside of it.
+
+    Raises:
+        LogError: There is nothing there, or nothing that can be read.
+        ConfigError: The cell file cannot be followed.
+        DatasetError: The dataset is of another schema version.
+        ModelError: The model is of another schema version, or damaged.
+    """
+    recover(path)
+    if not path.exists():
+        raise LogError(path, "no such file or folder", cure="Check the path.")
+    if (path / CARD).is_file():
+        return _describe_dataset(Dataset.open(path), progress)
+    if (path / MODEL_CARD).is_file():
+        return _describe_model(path)
+    return _describe_logs(path, cell, progress, follow_links=follow_links)
+
+
+def _describe_model(path: Path) -> ModelDescription:
+    model = load_model(path)
+    count = model.weights.count
+    return ModelDescription(path, model.problem, model.network, model.horizon_s, model.levels, count, model.card)
+
+
+def _describe_logs(path: Path, cell: Path | None, progress: Progress | None, *, follow_links: bool) -> LogsDescription:
+    found, passed_over = find_all([path], cell_for([path], cell), follow_links=follow_links)
+    logs, not_read, failed = [], [(Path(name), reason) for name, reason in passed_over], None
+    for done, log in enumerate(found):
+        if progress:
+            progress(done / len(found), log.shown)
+        try:
+            logs.append(_describe_log(log))
+        except LogError as error:
+            failed = error
+            not_read.append((log.path, error.cause))
+    if failed is not None and not logs:
+        raise failed
+    return LogsDescription(path, tuple(logs), tuple(not_read))
+
+
+def _describe_log(log: Log) -> LogFacts:
+    entry = adapter_named(log.adapter)
+    surveys, set_aside, rows_read = dict[str, TableSurvey](), dict[str, int](), 0
+    warnings: dict[str, None] = {}
+    last, tasks, safety = Recording(), list[pl.DataFrame](), SafetySurvey()
+    read = entry.parts(log.path, options_of(log.source))
+    for part in examined_parts(with_tool_point(read, log.robot)):
+        last, rows_read = part, rows_read + part.rows_read
+        for name, table in part.tables().items():
+            surveys.setdefault(name, TableSurvey(rated=name not in UNRATED)).add(table)
+        tasks += [] if part.task_list is None else [part.task_list]
+        if part.safety is not None:
+            safety.add(part.safety)
+        if part.set_aside is not None:
+            for reason, count in part.set_aside.group_by("reason").len().iter_rows():
+                set_aside[reason] = set_aside.get(reason, 0) + count
+        warnings |= dict.fromkeys(part.warnings)
+    levels, share = surveys["robot"].levels() if "robot" in surveys else ((), ())
+    return LogFacts(
+        path=log.path,
+        adapter=entry.name,
+        package=f"{entry.package} {entry.version}",
+        clock=last.clock,
+        rows_read=rows_read,
+        tables={name: surveys[name].facts() for name in MAIN if name in surveys},
+        set_aside=dict(sorted(set_aside.items(), key=lambda item: (-item[1], item[0]))),
+        levels=levels,
+        level_share=share,
+        warnings=tuple(warnings),
+        facts=dict(last.facts),
+        task_list=task_list_facts(pl.concat(tasks)) if tasks else None,
+        safety=safety.facts() if last.safety is not None else None,
+    )
+
+
+def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDescription:
+    executions, samples = dataset.executions, dataset.samples(columns=_OF_SAMPLES)
+    scaling = samples["scaling"].drop_nulls()
+    levelled = samples["step"].drop_nulls()
+    share = [float((levelled == index).sum()) / max(1, len(levelled)) for index in range(len(dataset.levels))]
+    rows = max(1, samples.height)
+    inferred = (samples["scaling_origin"] == "inferred").sum()
+    records, every = dataset.recordings, dataset.every_task()
+    return DatasetDescription(
+        path=dataset.path,
+        schema_version=int(dataset.card["schema_version"]),
+        recordings=len(records),
+        sources=sum(len(record.get("sources", [])) for record in records),
+        set_aside=_set_aside(records),
+        executions=executions.height,
+        executions_complete=int(executions["complete"].sum()),
+        duration_s=float(executions["duration_s"].sum()),
+        samples=samples.height,
+        rate_hz=dataset.rate_hz,
+        places={
+            name: {"xyz_m": p.xyz_m, "radius_m": p.radius_m, "inferred": p.inferred}
+            for name, p in dataset.places.items()
+        },
+        human_places={
+            name: {"xyz_m": p.xyz_m, "radius_m": p.radius_m, "inferred": p.inferred}
+            for name, p in dataset.human_places.items()
+        },
+        tasks=tuple(_task_rows(every.filter(pl.col("start_place").is_not_null()))),
+        task_list=_listed(dataset, every),
+        safety=_safety(dataset),
+        positions=dataset.positions,
+        levels=dataset.levels,
+        level_share=tuple(share),
+        on_level=len(levelled) / rows,
+        scaling_known=len(scaling) / rows,
+        scaling_inferred=float(inferred) / max(1, len(scaling)),
+        operator_seen=samples["human_x_m"].count() / rows,
+        gaps=_recording_gaps(dataset, progress),
+        warnings=tuple(_warnings(dataset)),
+        clocks={str(record["id"]): dict(record["clock"]) for record in records},
+        operator={str(record["id"]): dict(record["operator"]) for record in records if "operator" in record},
+        **_coverage(samples),
+    )
+
+
+def _listed(dataset: Dataset, tasks: pl.DataFrame) -> TaskListFacts | None:
+    """Return what the task lists in a dataset say; None without any."""
+    listed = tasks.drop_nulls("agent_name").rename({"start_s": "t_s"})
+    if listed.is_empty():
+        return None
+    return task_list_facts(listed.join(dataset.executions.select("execution", "session"), on="execution", how="left"))
+
+
+def _safety(dataset: Dataset) -> dict[str, SafetyFacts]:
+    """Return what each recording of a safety system's log says."""
+    found = {}
+    for record in dataset.recordings:
+        rows = dataset.recorded(record["id"], "safety") if "safety" in record["tables"] else None
+        if rows is not None:
+            survey = SafetySurvey()
+            survey.add(rows)
+            found[str(record["id"])] = survey.facts()
+    return found
+
+
+def _coverage(samples: pl.DataFrame) -> dict[str, Any]:
+    """Return how much of the scaling is known, why the rest is not, and how sure what was inferred is."""
+    moving = samples.filter("robot_moving")["scaling"]
+    deviation = samples.filter(pl.col("scaling_origin") == "inferred")["scaling_sd"].median()
+    reasons = samples["scaling_gap"].drop_nulls().value_counts(sort=True, name="samples")
+    return {
+        "scaling_gaps": dict(reasons.iter_rows()),
+        "motion_covered": moving.count() / max(1, len(moving)),
+        "scaling_sd": deviation if isinstance(deviation, float) else None,
+    }
+
+
+def _set_aside(records: list[dict[str, Any]]) -> dict[str, int]:
+    total: dict[str, int] = {}
+    for record in records:
+        for entry in record.get("rows_set_aside", []):
+            total[entry["reason"]] = total.get(entry["reason"], 0) + int(entry["count"])
+    return total
+
+
+def _warnings(dataset: Dataset) -> list[str]:
+    own = list(dataset.card.get("warnings", []))
+    return own + [f"{record['id']}: {text}" for record in dataset.recordings for text in record["warnings"]]
+
+
+def _task_rows(tasks: pl.DataFrame) -> list[dict[str, Any]]:
+    means = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
+    grouped = tasks.group_by("task").agg(pl.len().alias("count"), *(pl.col(name).mean() for name in means))
+    return grouped.sort("count", "task", descending=[True, False]).to_dicts()
+
+
+def _recording_gaps(dataset: Dataset, progress: Progress | None) -> dict[str, tuple[Gap, ...]]:
+    found, records = {}, dataset.recordings
+    for done, record in enumerate(records):
+        if progress:
+            progress(done / len(records), str(record["id"]))
+        for name in record["tables"]:
+            if name not in ("robot", "people"):
+                continue
+            survey = TableSurvey()
+            for part in dataset.times(record["id"], name):
+                survey.add(part)
+            if gaps := survey.facts().gaps:
+                found[f"{record['id']}/{name}"] = gaps
+    return found

@@ -1,0 +1,135 @@
+"""Facts of task lists and of safety systems' logs: who did what for how long; which override held for how long."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from cyclekit.dataset.rates import GAP_PERIODS, GAP_S
+from cyclekit.ingest.validate.task_lists import overlaps_of
+from cyclekit.inspect.facts import AgentFacts, ListedTask, SafetyFacts, Span, TaskListFacts
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+
+_AGENT = ("agent_name", "agent", "tasks", "overlaps", "overlap_s")
+_DECIMALS = 4
+"""An override is told apart to so many: integer percent, and finer."""
+_MANY = 10_000
+"""More values than these are a continuous quantity, of which each hundredth counts as one value."""
+
+
+def task_list_facts(tasks: pl.DataFrame) -> TaskListFacts:
+    """Return what a task list says.
+
+    Args:
+        tasks: Table TASK_LIST; with a column `session`, times of one session are one clock.
+    """
+    tasks = tasks.with_columns(took_s=pl.col("end_s") - pl.col("t_s"))
+    clocks = [name for name in ("session",) if name in tasks.columns]
+    told = tasks.group_by("agent_name", maintain_order=True).agg(pl.col("agent").first())
+    agents = overlaps_of(tasks, ["agent_name", *clocks]).join(told, on="agent_name", how="left", maintain_order="left")
+    kinds = tasks.group_by("agent_name", "task", maintain_order=True).agg(
+        pl.len().alias("count"),
+        pl.col("took_s").mean().alias("mean"),
+        pl.col("took_s").std().alias("sd"),
+        pl.col("took_s").min().alias("least"),
+        pl.col("took_s").max().alias("most"),
+        (pl.col("outcome") == "failed").sum().alias("failed"),
+        pl.col("end_s").is_null().sum().alias("open"),
+    )
+    named = (
+        tasks.drop_nulls("execution").group_by("execution").agg(begin=pl.col("t_s").min(), end=pl.col("end_s").max())
+    )
+    lasted = (named["end"] - named["begin"]).drop_nulls().to_numpy()
+    return TaskListFacts(
+        agents=tuple(AgentFacts(*row) for row in agents.select(_AGENT).iter_rows()),
+        tasks=tuple(ListedTask(*row) for row in kinds.sort("agent_name", "task").iter_rows()),
+        executions=named.height,
+        execution_s=span_of(lasted),
+        failed=int((tasks["outcome"] == "failed").sum()),
+        no_end=tasks["end_s"].null_count(),
+        planned=tasks.height - tasks["planned_start_s"].null_count(),
+    )
+
+
+def span_of(values: Vector) -> Span | None:
+    """Return least, median and most of some values; None of none."""
+    if not len(values):
+        return None
+    return Span(float(values.min()), float(np.median(values)), float(values.max()))
+
+
+class _Held(NamedTuple):
+    value: float
+    seconds: float
+
+
+class SafetySurvey:
+    """Takes in table SAFETY, part after part."""
+
+    def __init__(self) -> None:
+        self._held: dict[float, float] = {}
+        self._last: tuple[float, float] | None = None
+        self._period_s: float | None = None
+        self._distances: list[Vector] = []
+        self._last_m, self._repeats, self._measured = np.nan, 0, 0
+
+    def add(self, frame: pl.DataFrame) -> None:
+        """Take in a part, in the order of the log."""
+        times = frame["t_s"].to_numpy()
+        if not len(times):
+            return
+        steps = np.diff(times)
+        if self._period_s is None and (steps > 0).any():
+            self._period_s = float(np.median(steps[steps > 0]))
+        if frame["override"].count():
+            self._add_override(times, frame["override"].fill_null(np.nan).to_numpy())
+        if frame["distance_m"].count():
+            self._add_distance(frame["distance_m"].drop_nulls().to_numpy())
+
+    def _add_override(self, times: Vector, values: Vector) -> None:
+        """Count how long each value held: until the next row, or for a gap's length where the log falls silent."""
+        if self._last is not None:
+            times, values = np.r_[self._last[0], times], np.r_[self._last[1], values]
+        self._last = float(times[-1]), float(values[-1])
+        most_s = max(GAP_PERIODS * (self._period_s or 0.0), GAP_S)
+        lasted = np.clip(np.diff(times), 0.0, most_s)
+        decimals = _DECIMALS if len(self._held) < _MANY else 2
+        told, which = np.unique(np.round(values[:-1], decimals), return_inverse=True)
+        for value, seconds in zip(told.tolist(), np.bincount(which, lasted, len(told)).tolist(), strict=True):
+            if np.isfinite(value):
+                self._held[value] = self._held.get(value, 0.0) + seconds
+        if np.isfinite(last := round(float(values[-1]), decimals)):
+            self._held.setdefault(last, 0.0)
+
+    def _add_distance(self, values: Vector) -> None:
+        self._repeats += int((np.diff(values, prepend=self._last_m) == 0.0).sum())
+        self._last_m, self._measured = float(values[-1]), self._measured + len(values)
+        self._distances.append(values)
+
+    def facts(self) -> SafetyFacts:
+        """Return what was counted."""
+        held = sorted((_Held(*item) for item in self._held.items()), key=lambda one: -one.seconds)
+        total = sum(one.seconds for one in held)
+        distances = np.concatenate([np.empty(0), *self._distances])
+        return SafetyFacts(
+            override=span_of(self._weighted(held)) if held else None,
+            override_values=tuple((one.value, one.seconds) for one in held),
+            override_s=total,
+            distance_m=span_of(distances),
+            distance_repeats=self._repeats / max(self._measured, 1),
+        )
+
+    def _weighted(self, held: Sequence[_Held]) -> Vector:
+        """Return values of which least, median and most are those of the override over time."""
+        values = np.array([one.value for one in sorted(held)])
+        seconds = np.cumsum([one.seconds for one in sorted(held)])
+        median = values[np.searchsorted(seconds, seconds[-1] / 2)] if seconds[-1] else float(np.median(values))
+        return np.array([values[0], median, values[-1]])

@@ -1,0 +1,193 @@
+"""Has the cell changed since the model was trained? Its safety function and the operator's habits, by newer logs.
+
+Neighbouring samples are nearly equal, so executions are what is counted: a change is one that executions of the newer
+logs show against the scatter between executions. Many places are looked at, so a place is named only beyond NAMED
+standard errors and LEAST in size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from cyclekit.errors import ModelError, command_line
+from cyclekit.learning.windows import build_samples
+from cyclekit.parallel.one_thread import one_thread
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.learning.networks.saved import TrainedModel
+
+NAMED = 4.0
+"""Standard errors beyond which a difference is named."""
+LEAST_SCALING = 0.01
+"""A mean error of the scaling that has changed by less is not worth a new training."""
+LEAST_SHARE = 0.03
+"""A share of time that has changed by less (3 percent points) is not a new habit."""
+
+
+@dataclass(frozen=True)
+class Shift:
+    """One figure, before and after: means over executions, their difference in standard errors.
+
+    Attributes:
+        what: What is looked at: a place, a task, an activity, or `everywhere`.
+        before, after: Mean over the executions.
+        z: Difference in standard errors.
+        changed: Whether it is more than chance and large enough to matter.
+    """
+
+    what: str
+    before: float
+    after: float
+    z: float
+    changed: bool
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Newer logs against those of the training.
+
+    Attributes:
+        safety: Mean absolute error of the predicted scaling: everywhere, and by robot task and operator's activity.
+        habits: Share of the time per operator's activity (floor quarter, where activities are unknown), and cycle time
+            in seconds over its mean before.
+        executions: Number of executions before (held out from the training) and after.
+    """
+
+    safety: tuple[Shift, ...]
+    habits: tuple[Shift, ...]
+    executions: tuple[int, int]
+
+    @property
+    def safety_changed(self) -> bool:
+        """Whether the safety function is no longer the learned one."""
+        return any(shift.changed for shift in self.safety)
+
+    @property
+    def habits_changed(self) -> bool:
+        """Whether the operator's habits are no longer those of the training."""
+        return any(shift.changed for shift in self.habits)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {
+            "safety_changed": self.safety_changed,
+            "habits_changed": self.habits_changed,
+            "safety": [vars(shift) for shift in self.safety],
+            "habits": [vars(shift) for shift in self.habits],
+            "executions": list(self.executions),
+        }
+
+
+@one_thread()
+def drift(model: TrainedModel, trained_on: Dataset, newer: Dataset) -> Drift:
+    """Compare newer logs with those that the model was trained on.
+
+    Args:
+        model: A model of problem `now`.
+        trained_on: The dataset of its training; of it, the executions held out are judged by.
+        newer: The newer logs.
+
+    Raises:
+        ModelError: The model predicts something else than the present scaling, or was not trained on that dataset.
+    """
+    if model.problem != "now":
+        msg = f"the model predicts problem {model.problem!r}; drift is read from the scaling of the present instant"
+        cure = f"Train one: {command_line('train', trained_on.place, '--problem', 'now', '--out', 'MODEL')}"
+        raise ModelError(msg, cure=cure)
+    split = model.card.get("split") or {}
+    names = set(trained_on.executions["execution"].to_list())
+    if not split.get("test") or not names.issuperset(split["test"]):
+        msg = f"{trained_on.path}: not the dataset that the model was trained on"
+        raise ModelError(msg, cure="Give the dataset named in the model's card with --trained-on.")
+    return drift_between(model, trained_on, newer, split["test"], newer.executions["execution"].to_list())
+
+
+@one_thread()
+def drift_between(
+    model: TrainedModel, older: Dataset, newer: Dataset, judged_before: Sequence[str], judged_after: Sequence[str]
+) -> Drift:
+    """Compare two sets of executions.
+
+    Args:
+        model: A model of problem `now`.
+        older: The earlier executions.
+        newer: The later ones.
+        judged_before: Those of `older` by which the model's errors are judged: none that it learned from.
+        judged_after: Those of `newer`, likewise.
+    """
+    before, after = older.samples(), newer.samples()
+    judged = [
+        frame.filter(pl.col("execution").is_in(list(names)))
+        for frame, names in ((before, judged_before), (after, judged_after))
+    ]
+    rates = (older.rate_hz, newer.rate_hz)
+    safety = _safety(*(_errors(model, frame, rate_hz) for frame, rate_hz in zip(judged, rates, strict=True)))
+    habits = _habits(before, after)
+    cycles = [frame.executions.filter("complete")["duration_s"].to_numpy() for frame in (older, newer)]
+    if min(len(part) for part in cycles) > 1:
+        usual = float(cycles[0].mean())
+        habits.append(_shift("cycle time, part of its mean before", cycles[0] / usual, cycles[1] / usual, LEAST_SHARE))
+    counts = (judged[0]["execution"].n_unique(), judged[1]["execution"].n_unique())
+    return Drift(tuple(safety), tuple(habits), counts)
+
+
+def _safety(old: pl.DataFrame, new: pl.DataFrame) -> list[Shift]:
+    found = [_shift("everywhere", _by_execution(old), _by_execution(new), LEAST_SCALING)]
+    for column in ("robot_task", "human_task"):
+        for name in sorted(set(new[column].drop_nulls()) & set(old[column].drop_nulls())):
+            was, now = (_by_execution(frame.filter(pl.col(column) == name)) for frame in (old, new))
+            found.append(_shift(f"{column.replace('_', ' ')} {name}", was, now, LEAST_SCALING))
+    return found
+
+
+def _errors(model: TrainedModel, frame: pl.DataFrame, rate_hz: float) -> pl.DataFrame:
+    """One row per sample that can be judged: execution, tasks, absolute error."""
+    known = frame.filter(pl.all_horizontal(pl.col(name).is_not_null() for name in (*model.inputs, "scaling")))
+    rows = build_samples(known, model.problem, model.horizon_s, model.levels, rate_hz=rate_hz)
+    error = np.abs(model.predict(rows.X) - rows.scaling) if len(rows) else np.zeros(0)
+    return known.select("execution", "robot_task", "human_task").with_columns(error=pl.Series(error))
+
+
+def _by_execution(errors: pl.DataFrame) -> NDArray[np.float64]:
+    means = errors.group_by("execution", maintain_order=True).agg(pl.col("error").mean())
+    return means["error"].to_numpy()
+
+
+def _habits(before: pl.DataFrame, after: pl.DataFrame) -> list[Shift]:
+    """Share of the time of each activity (or quarter of the floor) per execution."""
+    known = before["human_task"].is_not_null().any() and after["human_task"].is_not_null().any()
+    middle = before.select(pl.col("human_x_m", "human_y_m").median()).row(0)
+    front = pl.when(pl.col("human_x_m") > (middle[0] or 0.0)).then(pl.lit("front")).otherwise(pl.lit("back"))
+    side = pl.when(pl.col("human_y_m") > (middle[1] or 0.0)).then(pl.lit("left")).otherwise(pl.lit("right"))
+    place = pl.col("human_task") if known else pl.format("floor {} {}", front, side)
+    old, new = (_shares(frame.with_columns(where=place)) for frame in (before, after))
+    names = sorted(set(old) | set(new))
+    nobody = [np.zeros(frame["execution"].n_unique()) for frame in (before, after)]
+    return [_shift(name, old.get(name, nobody[0]), new.get(name, nobody[1]), LEAST_SHARE) for name in names]
+
+
+def _shares(frame: pl.DataFrame) -> Mapping[str, NDArray[np.float64]]:
+    counts = frame.drop_nulls("where").group_by("execution", "where").len()
+    wide = counts.pivot("where", index="execution", values="len").fill_null(0)
+    names = [name for name in wide.columns if name != "execution"]
+    total = wide.select(pl.sum_horizontal(names).alias("all"))["all"].to_numpy()
+    return {name: wide[name].to_numpy() / np.maximum(total, 1) for name in names}
+
+
+def _shift(what: str, before: NDArray[np.float64], after: NDArray[np.float64], least: float) -> Shift:
+    """Compare two groups of executions; with one execution on either side nothing can be told from chance."""
+    old, new = float(before.mean()), float(after.mean())
+    if min(len(before), len(after)) < 2:
+        return Shift(what, old, new, 0.0, changed=False)
+    error = float(np.sqrt(before.var(ddof=1) / len(before) + after.var(ddof=1) / len(after)))
+    z = (new - old) / max(error, 1e-9)
+    return Shift(what, old, new, z, changed=bool(abs(z) > NAMED and abs(new - old) > least))

@@ -1,0 +1,257 @@
+"""How good is a model, and compared with what: its errors on executions it never saw, beside simple rivals.
+
+A figure alone says little: the same error is excellent in one cell and poor in another. So the constant mean, the best
+staircase over the distance, and gradient boosting learn from the same executions and are judged by the same rows. How
+a model is trained is the business of `train`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.unknown_height import said_of_height
+from cyclekit.errors import DatasetError, ModelError, command_line
+from cyclekit.learning.evaluation.baselines import rivals
+from cyclekit.learning.evaluation.drift import Drift, drift
+from cyclekit.learning.labelling import without_slider
+from cyclekit.learning.networks.beaten import Better, better_rival
+from cyclekit.learning.networks.cell import fingerprint, refuse_other_cell
+from cyclekit.learning.networks.metrics import Metrics, measure
+from cyclekit.learning.networks.saved import load_model
+from cyclekit.learning.out_of_core import memory_rows, some_executions
+from cyclekit.learning.windows import Samples, build_samples
+from cyclekit.parallel.one_thread import one_thread
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from cyclekit.learning.networks.saved import TrainedModel
+
+__all__ = ["Evaluation", "LevelRow", "Row", "evaluate", "evaluate_at"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the comparison: mean squared error of the scaling, and what was done."""
+
+    name: str
+    mse: float
+    note: str
+
+
+@dataclass(frozen=True)
+class LevelRow:
+    """How well one level is predicted, over the rows that were truly on it.
+
+    Attributes:
+        level: The level.
+        rows: How many rows were on it.
+        recall: Part of them whose step was named rightly; None without rows.
+        precision: Part of the rows named as this step that were on it; None where it was never named.
+        bias: Mean of predicted - true scaling; None without rows.
+    """
+
+    level: float
+    rows: int
+    recall: float | None
+    precision: float | None
+    bias: float | None
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A model judged on a dataset.
+
+    Attributes:
+        problem: The model's problem.
+        network: The model's network.
+        held_out: True when these executions were kept from the model while it learned.
+        executions: The executions it was judged on.
+        metrics: Errors over all their usable rows.
+        mse: Mean squared errors, the model's own read-outs first, then the rivals: name, mse, note.
+        confusion: Rows by true (first index) and predicted step, shape (P, P); None for an average.
+        levels: One entry per level, ascending; empty for an average.
+        dropped: Rows left out, by reason.
+        notes: What limits the comparison, one sentence each.
+        better: The rival that is better than the model beyond chance; None where none is.
+    """
+
+    problem: str
+    network: str
+    held_out: bool
+    executions: tuple[str, ...]
+    metrics: Metrics
+    mse: tuple[Row, ...]
+    confusion: tuple[tuple[int, ...], ...] | None
+    levels: tuple[LevelRow, ...]
+    dropped: Mapping[str, int]
+    notes: tuple[str, ...] = ()
+    better: Better | None = None
+
+    @property
+    def accuracy(self) -> float | None:
+        """Part of the rows on a level whose step is named rightly."""
+        return self.metrics.accuracy
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything as JSON values."""
+        return {
+            "problem": self.problem,
+            "network": self.network,
+            "held_out": self.held_out,
+            "executions": list(self.executions),
+            **self.metrics.to_json(),
+            "mse": [vars(row) for row in self.mse],
+            "confusion": None if self.confusion is None else [list(row) for row in self.confusion],
+            "levels": [vars(row) for row in self.levels],
+            "dropped": dict(self.dropped),
+            "notes": list(self.notes),
+            "better": None if self.better is None else vars(self.better),
+        }
+
+
+@one_thread()
+def evaluate(
+    model: TrainedModel,
+    dataset: Dataset,
+    *,
+    boosting: bool = True,
+    other_cell: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> Evaluation:
+    """Judge `model` on the executions of `dataset` that it never saw.
+
+    When it was trained on this dataset, those are the ones held out at training, and the rivals learn from the ones
+    the model learned from. Otherwise they are all executions, and there are no rivals: nothing here may be learned
+    from.
+
+    Args:
+        model: Any model.
+        dataset: With the scaling known.
+        boosting: Also fit scikit-learn's gradient boosting, which takes a few seconds.
+        other_cell: Judge a model of another cell too.
+        progress: Told fraction and text.
+
+    Raises:
+        DatasetError: No row of these executions can be used.
+        ModelError: The model is of another cell, or its card does not say what was held out, though it was trained on
+            this dataset.
+    """
+    tell = progress or (lambda fraction, text: None)
+    refuse_other_cell(model.card, dataset, other_cell=other_cell)
+    same = model.card.get("dataset_sha256") == fingerprint(dataset)
+    executions = _held_out(model) if same else tuple(dataset.executions["execution"].to_list())
+    every = len(executions)
+    executions = some_executions(dataset, executions, memory_rows())
+    tell(0.02, "reading the executions to judge by")
+    rows = _rows(model, dataset, executions)
+    if not len(rows):
+        why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "it is empty"
+        msg = f"{dataset.path}: no sample can be judged ({why})"
+        raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
+    tell(0.2, f"judging {len(rows)} samples")
+    metrics = measure(model, rows)
+    table, notes, better = list(_read_outs(metrics)), list[str](), None
+    if len(executions) < every:
+        notes.append(f"{len(executions)} of {every} executions are judged, drawn at random: memory takes no more")
+    notes += said_of_height(dataset.samples(executions, columns=["human_x_m", "human_z_m"]))
+    if same:
+        tell(0.4, "reading what the rivals learn from")
+        learned = _rows(model, dataset, some_executions(dataset, model.card["split"]["train"], memory_rows()))
+        tell(0.6, f"fitting the rivals to {len(learned)} samples")
+        others = rivals(learned, rows, model.levels, boosting=boosting)
+        table += [Row(other.name, float(other.squared.mean()), other.note) for other in others]
+        squared = (model.predict(rows.model_inputs) - rows.scaling) ** 2
+        better = better_rival(model.card, squared, {other.name: other.squared for other in others}, rows.execution)
+    else:
+        notes.append("not the dataset the model was trained on: all executions are judged, without rivals")
+    tell(0.95, "naming levels")
+    confusion = _confusion(model, rows) if model.levels and model.problem != "average" else None
+    return Evaluation(
+        model.problem,
+        model.network,
+        same,
+        executions,
+        metrics,
+        tuple(table),
+        None if confusion is None else tuple(tuple(int(count) for count in row) for row in confusion),
+        () if confusion is None else _per_level(model, rows, confusion),
+        dict(rows.dropped),
+        tuple(notes),
+        better,
+    )
+
+
+def evaluate_at(
+    model: str,
+    *,
+    dataset: str,
+    trained_on: str | None = None,
+    other_cell: bool = False,
+    progress: Callable[[float, str], None] | None = None,
+) -> tuple[Evaluation, Drift | None]:
+    """Judge the model of one place, as a task of an engine; where `trained_on` is given, also what has changed since.
+
+    With `trained_on` the two datasets are to be compared, so the cell may have changed in any way between them.
+    `progress` is told fraction and text; for work in this process only.
+
+    Raises:
+        CyclekitError: As `evaluate` and `drift`.
+    """
+    opened, judged = load_model(model), Dataset.open(dataset)
+    changed = None if trained_on is None else drift(opened, Dataset.open(trained_on), judged)
+    return evaluate(opened, judged, other_cell=other_cell or trained_on is not None, progress=progress), changed
+
+
+def _held_out(model: TrainedModel) -> tuple[str, ...]:
+    split = model.card.get("split")
+    if not isinstance(split, dict) or not isinstance(split.get("test"), list) or not split.get("train"):
+        msg = "the model's card does not say which executions were held out"
+        raise ModelError(msg, cure="Train it again: cyclekit train DATASET --out MODEL")
+    return tuple(str(name) for name in split["test"])
+
+
+def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) -> Samples:
+    frame, _ = without_slider(dataset, dataset.samples(executions))
+    known, history = model.weights.known, model.history
+    learned_hz = float(model.card.get("rate_hz", dataset.rate_hz))
+    if history != (1, 1) and learned_hz != dataset.rate_hz:
+        msg = f"the model looks back at samples of {learned_hz:g} Hz, and {dataset.path} has {dataset.rate_hz:g} Hz"
+        raise ModelError(msg, cure=f"Ingest the logs with --rate {learned_hz:g}, or train on this dataset.")
+    return build_samples(
+        frame, model.problem, model.horizon_s, model.levels, rate_hz=dataset.rate_hz, allow=known, history=history
+    )
+
+
+def _read_outs(metrics: Metrics) -> list[Row]:
+    rows = [Row("model", metrics.mse_mean, "best estimate: mean of the levels under their probabilities, or the value")]
+    if metrics.mse_argmax is not None:
+        rows.append(Row("model, step named", metrics.mse_argmax, "the level of the likeliest step"))
+    return rows
+
+
+def _confusion(model: TrainedModel, rows: Samples) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
+    count, known = len(model.levels), rows.step >= 0
+    cell = rows.step[known].astype(np.int64) * count + model.steps(rows.where(known).model_inputs)
+    return np.bincount(cell, minlength=count**2).reshape(count, count)
+
+
+def _per_level(
+    model: TrainedModel, rows: Samples, confusion: np.ndarray[tuple[int, int], np.dtype[np.int64]]
+) -> tuple[LevelRow, ...]:
+    error = model.predict(rows.model_inputs) - rows.scaling
+    true, named, right = confusion.sum(axis=1), confusion.sum(axis=0), confusion.diagonal()
+    return tuple(
+        LevelRow(
+            level,
+            int(true[i]),
+            float(right[i] / true[i]) if true[i] else None,
+            float(right[i] / named[i]) if named[i] else None,
+            float(error[rows.step == i].mean()) if true[i] else None,
+        )
+        for i, level in enumerate(model.levels)
+    )

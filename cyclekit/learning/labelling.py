@@ -1,0 +1,61 @@
+"""Self-labelling of a dataset: its speed scaling in unbroken stretches of time, and the staircase in it.
+
+How levels are found in a series of values is the business of `steps`; here it is decided which values belong together
+in time (one execution, no gap) and whether the cell file has fixed the levels.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.learning.windows import stretches
+from cyclekit.scaling.levels import Staircase, find_staircase
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.dataset import Dataset
+
+
+def scaling_in_time(frame: pl.DataFrame, rate_hz: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the scaling of every row of SAMPLES (NaN = unknown) and its stretch, shape (N,) each."""
+    return frame["scaling"].fill_null(np.nan).to_numpy(), stretches(frame, rate_hz)
+
+
+def fixed_levels(dataset: Dataset) -> tuple[float, ...] | None:
+    """Return the levels that the cell file of the dataset fixes, None where it leaves them to be found."""
+    settings = dataset.card.get("settings")
+    levels = settings.get("levels") if isinstance(settings, dict) else None
+    return tuple(float(level) for level in levels) if levels else None
+
+
+def without_slider(dataset: Dataset, frame: pl.DataFrame) -> tuple[pl.DataFrame, str | None]:
+    """Return the rows with the operator's slider taken out of their scaling, where it differs between executions.
+
+    Args:
+        dataset: Whose rows.
+        frame: All rows of some executions; an execution's slider is seen in its own rows.
+
+    Returns:
+        The rows, and what was done in one sentence; the same rows and None where no slider is seen.
+    """
+    found = staircase_of(dataset, frame)
+    if found.slider is None:
+        return frame, None
+    said = next(text for text in found.warnings if "slider" in text)
+    return frame.with_columns(scaling=pl.col("scaling") / pl.Series(found.slider).fill_nan(None)), said
+
+
+def staircase_of(dataset: Dataset, frame: pl.DataFrame, method: str = "plateau") -> Staircase:
+    """Find the staircase in rows of a dataset, or label them by the levels that its cell file fixes.
+
+    Args:
+        dataset: Whose rows.
+        frame: Table SAMPLES or a part of it, rows of one execution together and in order of time.
+        method: One of `steps.METHODS`.
+    """
+    scaling, run = scaling_in_time(frame, dataset.rate_hz)
+    return find_staircase(scaling, run=run, method=method, levels=fixed_levels(dataset), rate_hz=dataset.rate_hz)

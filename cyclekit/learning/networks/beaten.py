@@ -1,0 +1,163 @@
+"""The best staircase over the distance, and whether a rival beats a model beyond chance.
+
+Samples of one execution are alike, so executions are what is counted: the errors of both in each of them, in pairs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit.errors import command_line
+from cyclekit.learning.networks.spec import RECURRENT, ModelSpec
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.learning.networks.saved import TrainedModel
+    from cyclekit.learning.windows import Samples
+
+STAIRCASE = "distance staircase"
+LEAST = 1.25
+"""A rival is named from this ratio of the mean squared errors on."""
+CHANCE = 0.01
+"""A rival is named if executions would show such a difference by chance less often than this."""
+LEAST_EXECUTIONS = 3
+_BINS = 4096
+
+
+@dataclass(frozen=True)
+class Better:
+    """A rival that is better than the model beyond chance.
+
+    Attributes:
+        name: Of the rival.
+        mse, model_mse: Mean squared errors of both.
+        executions: By how many they were judged.
+        otherwise: Options of the training that should give a better model.
+    """
+
+    name: str
+    mse: float
+    model_mse: float
+    executions: int
+    otherwise: tuple[str, ...]
+
+    def said(self, dataset: object, out: object) -> str:
+        """Say so in one line, with the command that trains again, from the places of dataset and model."""
+        words = ("train", dataset, "--out", out, *self.otherwise)
+        return (
+            f"the {self.name} is better than the model beyond chance: MSE {self.mse:.2e} against {self.model_mse:.2e} "
+            f"on {self.executions} held-out executions; train again: {command_line(*words)}"
+        )
+
+
+def _otherwise(card: Mapping[str, Any]) -> list[str]:
+    """Return the options of a training like that of the card but with the distance or, if it had that, another seed."""
+    spec = card.get("spec") or {}
+    usual = ModelSpec.of(str(spec.get("problem", "now")))
+    words = [] if usual.problem == "now" else ["--problem", usual.problem, "--horizon", f"{spec['horizon_s']:g}s"]
+    for name in ("network", "norm", "balance"):
+        chosen = str(spec.get(name, getattr(usual, name)))
+        words += [] if chosen == getattr(usual, name) else [f"--{name}", chosen]
+    words += ["--noise", f"{spec['noise_m']:g}"] if spec.get("noise_m") else []
+    if spec.get("network") not in RECURRENT:
+        words += ["--features", "distance"]
+    if spec.get("network") in RECURRENT or spec.get("features") == "distance":
+        return [*words, "--seed", str(int(spec.get("seed", 0)) + 1)]
+    return [*words, "--seed", str(spec["seed"])] if spec.get("seed") else words
+
+
+def staircase_if_better(model: TrainedModel, spec: ModelSpec, learn: Samples, judge: Samples) -> Better | None:
+    """Return the staircase over the distance, fitted to rows to learn from, if it is better than the model.
+
+    Args:
+        model: The model, its card not yet written.
+        spec: Of its training.
+        learn: Rows to learn from; to rows in files nothing is fitted.
+        judge: Rows that it has not seen.
+    """
+    if len(model.levels) < 2 or learn.in_files:
+        return None
+    thresholds = fit_thresholds(distance_of(learn), learn.scaling, model.levels)
+    squared = (staircase_at(thresholds, model.levels, judge) - judge.scaling) ** 2
+    mine = (model.predict(judge.model_inputs) - judge.scaling) ** 2
+    return better_rival({"spec": asdict(spec)}, mine, {STAIRCASE: squared}, judge.execution)
+
+
+def better_rival(
+    card: Mapping[str, Any],
+    model: NDArray[np.float64],
+    rivals: Mapping[str, NDArray[np.float64]],
+    execution: NDArray[np.int64],
+) -> Better | None:
+    """Return the rival of least error among those that are better beyond chance; None where there is none.
+
+    Args:
+        card: Of the model.
+        model: Its squared errors, shape (N,).
+        rivals: Those of each rival at the same rows, by its name.
+        execution: Which execution each row is of, shape (N,).
+    """
+    from scipy.special import stdtrit
+
+    _, which, rows = np.unique(execution, return_inverse=True, return_counts=True)
+    count, found = len(rows), list[Better]()
+    if count < LEAST_EXECUTIONS:
+        return None
+    for name, squared in rivals.items():
+        lead = np.bincount(which, model - squared) / rows
+        sure = lead.mean() > stdtrit(count - 1, 1.0 - CHANCE) * lead.std(ddof=1) / count**0.5
+        if sure and model.mean() > LEAST * squared.mean():
+            found.append(Better(name, float(squared.mean()), float(model.mean()), count, tuple(_otherwise(card))))
+    return min(found, key=lambda better: better.mse, default=None)
+
+
+def fit_thresholds(
+    distance_m: NDArray[np.float64], scaling: NDArray[np.float64], levels: Sequence[float]
+) -> NDArray[np.float64]:
+    """Return the distances at which a rising staircase of given levels fits best.
+
+    Exact to one of 4096 equally filled bins of distance: a dynamic programme over bins and levels.
+
+    Args:
+        distance_m: Shape (N,), N > 0.
+        scaling: Shape (N,).
+        levels: Ascending, shape (P,).
+
+    Returns:
+        Shape (P - 1,), ascending, m: from threshold i on, level i + 1 holds. Minus or plus infinity at an end where
+        a level is never used.
+    """
+    order = np.argsort(distance_m, kind="stable")
+    ends = np.unique(np.linspace(0, order.size, min(_BINS, order.size) + 1).astype(np.int64))
+    edges = distance_m[order][ends[:-1]]
+    error = (scaling[order][:, None] - np.asarray(levels)[None, :]) ** 2
+    total = np.concatenate([np.zeros((1, len(levels))), np.cumsum(error, axis=0)])[ends]  # (bins + 1, P)
+    best, cut = total[:, 0], np.zeros((len(levels), len(ends)), np.int64)
+    for level in range(1, len(levels)):  # best[b]: least error of the first b bins with levels 0..level
+        ahead = best - total[:, level]
+        lowest = np.minimum.accumulate(ahead)
+        first = np.flatnonzero(np.diff(lowest, prepend=np.inf) < 0)
+        cut[level] = first[np.searchsorted(first, np.arange(len(ends)), side="right") - 1]
+        best = lowest + total[:, level]
+    thresholds, stop = np.empty(len(levels) - 1), len(ends) - 1
+    for level in range(len(levels) - 1, 0, -1):
+        stop = int(cut[level][stop])
+        thresholds[level - 1] = -np.inf if stop == 0 else np.inf if stop == len(edges) else edges[stop]
+    return thresholds
+
+
+def staircase_at(thresholds: NDArray[np.float64], levels: Sequence[float], rows: Samples) -> NDArray[np.float64]:
+    """Return the level at each row by its distance, shape (N,)."""
+    return np.asarray(np.array(levels)[np.searchsorted(thresholds, distance_of(rows), side="right")])
+
+
+def distance_of(rows: Samples) -> NDArray[np.float64]:
+    """Return ||x_r - x_h|| of every row, shape (N,), m; infinite where nobody is there."""
+    apart = np.linalg.norm((rows.X[:, 0:3] - rows.X[:, 3:6]).astype(np.float64), axis=1)
+    return np.asarray(np.where(np.isnan(apart), np.inf, apart))

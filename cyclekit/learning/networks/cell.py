@@ -1,0 +1,136 @@
+"""The cell that a model was learned in, as its card knows it, and whether a dataset is of the same cell.
+
+The learned function is one of positions in the base frame of one robot. Beside another cell it answers all the same,
+and wrongly. A dataset is of the same cell where it holds a log that the model was trained on, in the same frame: then
+it may have grown, or have been ingested again or at another rate. Newer logs are judged by places and levels.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.dataset.dataset import Dataset
+
+PLACE_M = 0.05
+"""A place has not moved where it is found again within this, and the radii of both."""
+LEVEL = 0.05
+"""Two levels are the same within this."""
+SAME = 0.5
+"""The part of the places, and of the levels, that must be found again."""
+FRAME_M, FRAME_TURN = 0.05, 0.05
+"""A frame has moved beyond this many metres, or where an entry of its rotation differs by more than this."""
+
+
+def fingerprint(dataset: Dataset) -> str:
+    """Return the SHA-256 of what the dataset says about itself: same fingerprint, same data."""
+    text = json.dumps(dataset.card, sort_keys=True, ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def cell_of(dataset: Dataset) -> dict[str, Any]:
+    """Return what is known of the cell of a dataset, as JSON values: name, places, levels, and logs with their frames.
+
+    `places` by name: x, y, z, radius in m, and whether it was found in the logs; `logs` by the checksum of each file:
+    where the origin of its frame stands in the base frame, x, y, z in m and the rotation by rows; None: unknown.
+    """
+    return {
+        "name": str(dataset.card.get("name") or dataset.path.name),
+        "places": {name: [*place.xyz_m, place.radius_m, place.inferred] for name, place in dataset.places.items()},
+        "levels": list(dataset.levels),
+        "logs": {
+            str(checksum): _frame(record.get("frame") or {})
+            for record in dataset.recordings
+            for source in record["sources"]
+            if (checksum := source.get("blake3") or source.get("sha256"))
+        },
+    }
+
+
+def refuse_other_cell(card: Mapping[str, Any], dataset: Dataset, *, other_cell: bool = False) -> None:
+    """Refuse a model, by its card, that was learned in another cell than that of the dataset, unless that is meant.
+
+    A model whose card names no cell was written by hand (`load_model` reads no other), and is not judged.
+
+    Raises:
+        ModelError: It was learned in another cell.
+        DatasetError: The dataset has no positions.
+    """
+    dataset.require_positions()
+    reason = None if other_cell else other_cell_of(card, dataset)
+    if reason is not None:
+        learned = card["cell"]["name"]
+        raise ModelError(
+            f"{dataset.path}: not the cell {learned!r} that the model was learned in: {reason}",
+            cure="Train a model of this cell: cyclekit train DATASET --out MODEL; or add --other-cell where another "
+            "cell is meant (from Python other_cell=True).",
+        )
+
+
+def other_cell_of(card: Mapping[str, Any], dataset: Dataset) -> str | None:
+    """Return by what a dataset shows another cell than the model's; None where it is the same one."""
+    learned = card.get("cell")
+    if learned is None or card.get("dataset_sha256") == fingerprint(dataset):
+        return None
+    here = cell_of(dataset)
+    common = sorted(set(learned["logs"]) & set(here["logs"]))
+    for log in common:
+        if _moved(learned["logs"][log], here["logs"][log]):
+            return "the same logs stand in another frame"
+    if common:
+        return None
+    return _other_places(learned["places"], here["places"]) or _other_levels(learned["levels"], here["levels"])
+
+
+def _other_places(learned: Mapping[str, Sequence[Any]], here: Mapping[str, Sequence[Any]]) -> str | None:
+    """Return which places are not those of the training; the cell with fewer of them is looked for in the other."""
+    if not learned or not here:
+        return None
+    lost = [name for name in here if not _found(name, here[name], learned)]
+    gone = [name for name in learned if not _found(name, learned[name], here)]
+    if min(len(lost) / len(here), len(gone) / len(learned)) <= 1 - SAME:
+        return None
+    first = lost[0]
+    shown = ", ".join(f"{value + 0.0:.2f}" for value in here[first][:3])
+    was = (
+        f", and was at ({', '.join(f'{value + 0.0:.2f}' for value in learned[first][:3])})" if first in learned else ""
+    )
+    return f"{len(lost)} of {len(here)} places are not where it was trained, such as {first} at ({shown}) m{was}"
+
+
+def _found(name: str, place: Sequence[Any], others: Mapping[str, Sequence[Any]]) -> bool:
+    """Tell whether a place is among others: under its name where people gave it, else wherever it stands."""
+    there = others.get(name)
+    named = there is not None and not there[4] and not place[4]
+    candidates = [there] if there is not None and named else list(others.values())
+    return any(math.dist(place[:3], other[:3]) <= PLACE_M + place[3] + other[3] for other in candidates)
+
+
+def _other_levels(learned: Sequence[float], here: Sequence[float]) -> str | None:
+    if not learned or not here:
+        return None
+    known = [level for level in here if any(abs(level - other) <= LEVEL for other in learned)]
+    if len(known) >= SAME * len(here):
+        return None
+    told, seen = (", ".join(f"{level:.2f}" for level in levels) for levels in (learned, here))
+    return f"the speed scaling has the levels {seen}, and had {told}"
+
+
+def _frame(frame: Mapping[str, Any]) -> list[float] | None:
+    if "xyz_m" not in frame or "rotation" not in frame:
+        return None
+    return [round(float(value), 4) for row in (frame["xyz_m"], *frame["rotation"]) for value in row]
+
+
+def _moved(before: Sequence[float] | None, after: Sequence[float] | None) -> bool:
+    if before is None or after is None:
+        return (before is None) != (after is None)
+    turned = max(abs(a - b) for a, b in zip(before[3:], after[3:], strict=True))
+    return math.dist(before[:3], after[:3]) > FRAME_M or turned > FRAME_TURN

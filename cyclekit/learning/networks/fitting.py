@@ -1,0 +1,279 @@
+"""The training loop: slices of one tensor, a fused AdamW, one rise and fall of the learning rate, the best epoch kept.
+
+A loader that hands out rows one by one is what makes small networks slow; here the rows are one tensor on the device
+and a batch is a pick of it. Same rows, spec and seed give the same weights on a CPU, and torch's global random state is
+left as it was.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import nn
+
+from cyclekit.errors import ConfigError
+from cyclekit.learning.networks.calibration import best_temperature
+from cyclekit.learning.networks.folding import fold
+from cyclekit.learning.networks.network import Forecasting, build
+from cyclekit.learning.networks.optimiser import Steps
+from cyclekit.learning.networks.rows import DISTANCE_1_M, DISTANCE_M, Rows, rows_on, standardisation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.learning.networks.spec import ModelSpec
+    from cyclekit.learning.networks.weights import Weights
+    from cyclekit.learning.windows import Samples
+
+    Progress = Callable[[float, str], None]
+
+_BLOCK = 16_384
+_STEPS, _EPOCHS = 12_000, (8, 100)
+"""Where no number of epochs is asked for: as many as make this many steps, within these bounds."""
+_CENTRE_ROWS = 200_000
+_DECAY_ROWS, _MOST_DECAY = 3000, 0.1
+"""Where no weight decay is asked for: this many divided by the training rows. Few rows need it, many hardly any."""
+
+
+class CutOff(ConfigError):
+    """A network answers 0, or 1, whatever it is asked: outputs are cut there and have no slope to learn by."""
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """One pass over the training rows: mean loss, and weighted MSE of the best estimate on the validation part."""
+
+    epoch: int
+    loss: float
+    validation_mse: float
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What fitting gives.
+
+    Attributes:
+        spec: What was trained, with what was left to the number of rows.
+        weights: The best epoch's network as matrices on raw inputs.
+        history: One entry per epoch.
+        mean: Mean of every input, shape (F,), m.
+        scale: 1/deviation of every input, shape (F,), 1/m; 0 for an input that does not vary.
+        temperature: By what the logits of a classifier were divided so that its probabilities hold on the validation
+            part (Guo et al. 2017); 1 for the others.
+    """
+
+    spec: ModelSpec
+    weights: Weights
+    history: tuple[Epoch, ...]
+    mean: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    temperature: float = 1.0
+
+
+def fit(
+    spec: ModelSpec,
+    rows: Samples,
+    validation: Samples,
+    levels: Sequence[float],
+    progress: Progress | None = None,
+    *,
+    known: Sequence[str] = (),
+) -> Fitted:
+    """Train a network.
+
+    Args:
+        spec: What to train.
+        rows: Rows to learn from; a classifier leaves out those on no level.
+        validation: Rows that decide which epoch is kept, and the temperature of a classifier.
+        levels: Staircase levels, ascending.
+        progress: Told the fraction done and the validation error after each epoch.
+        known: Groups of inputs that may be unknown.
+
+    Raises:
+        ConfigError: Training diverged.
+        CutOff: All outputs were cut off at the end. Where the optimiser was left to the rows, AdamW is tried first:
+            beside Muon the other weights take larger steps, and one of those may throw a whole network.
+    """
+    standard = standardisation(rows.X)
+    device = torch.device("cuda" if torch.cuda.is_available() and not rows.in_files else "cpu")
+    names_steps = spec.network == "classifier"
+    if names_steps and not rows.in_files:  # what is in files has been left out before
+        rows = rows.where(rows.step >= 0)
+    asked, spec = spec, spec.for_rows(len(rows))
+    learn = rows_on(device, rows, spec, standard, known)
+    check = rows_on(device, validation, spec, standard, known)
+    with torch.random.fork_rng(devices=[]), one_fast_thread():
+        steps = torch.tensor(levels, device=device)
+        network = _fresh(spec, rows, levels, known, standard[1]).to(device)
+        try:
+            history = _run(network, spec, learn, check, steps, progress)
+        except CutOff:
+            if (asked.optimiser, spec.optimiser) != ("auto", "muon"):
+                raise
+            spec = replace(asked, optimiser="adamw").for_rows(len(rows))
+            network = _fresh(spec, rows, levels, known, standard[1]).to(device)
+            history = _run(network, spec, learn, check, steps, progress)
+        if spec.centre and not names_steps:
+            _centre(network, spec, learn)
+        on_level = validation.step >= 0
+        temperature = 1.0
+        if names_steps and on_level.any():
+            temperature = best_temperature(_outputs(network, check).cpu().numpy()[on_level], validation.step[on_level])
+    distance = (DISTANCE_M, DISTANCE_1_M) if spec.features == "distance" else None
+    folded = fold(network, *standard, known, temperature=temperature, distance=distance)
+    return Fitted(spec, folded, history, *standard, temperature)
+
+
+def _fresh(
+    spec: ModelSpec, rows: Samples, levels: Sequence[float], known: Sequence[str], scale: NDArray[np.float64]
+) -> nn.Module:
+    torch.manual_seed(spec.seed)
+    return build(spec, rows.X.shape[1], levels, known, scale)
+
+
+@contextmanager
+def one_fast_thread() -> Iterator[None]:
+    """Keep torch to one core: layers this small gain little from a second, and lose everything if that one is busy.
+
+    Threads wait for each other after every layer; with another program on one of the cores, training took 40 times as
+    long. On one core the result does not depend on the machine's number of cores either. Numbers below 1e-38, which the
+    gradients of rows that are quite sure are full of, count as zero: a processor takes many times longer over them.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(False)
+        torch.set_num_threads(threads)
+
+
+def _run(
+    network: nn.Module,
+    spec: ModelSpec,
+    learn: Rows,
+    check: Rows,
+    levels: torch.Tensor,
+    progress: Progress | None,
+) -> tuple[Epoch, ...]:
+    """Train in place and leave the weights of the best epoch in `network`."""
+    batches = max(len(learn) // spec.batch, 1)
+    epochs = spec.epochs or min(max(round(_STEPS / batches), _EPOCHS[0]), _EPOCHS[1])
+    decay = min(_DECAY_ROWS / len(learn), _MOST_DECAY) if spec.weight_decay is None else spec.weight_decay
+    steps = Steps(network, spec, decay, max(batches * epochs, 20))  # fewer cannot rise and fall
+    balance = _balance(learn, len(levels)) if spec.balance == "classes" and spec.network == "classifier" else None
+    history: list[Epoch] = []
+    spread = _spread(check)
+    best, best_state, since = float("inf"), copy.deepcopy(network.state_dict()), 0
+    for number in range(1, epochs + 1):
+        network.train()
+        total = torch.zeros((), device=learn.scaling.device)
+        for count, part in enumerate(learn.batches(batches), (number - 1) * batches):
+            if count >= (spec.freeze_norm_after or 0.0) * epochs * batches:
+                freeze_norm(network)
+            loss = _loss(network, spec, learn, part, balance)
+            steps.take(loss)
+            total += loss.detach()
+        mse = _validation_mse(network, check, levels if spec.network == "classifier" else None)
+        history.append(Epoch(number, float(total) / batches, mse))
+        since += 1
+        if mse < best:
+            best, best_state, since = mse, copy.deepcopy(network.state_dict()), 0
+        if progress:
+            progress(number / epochs, f"epoch {number} of {epochs}, validation MSE {mse:.2e}")
+        if spec.patience is not None and since >= spec.patience:
+            break
+    if mse > spread and spec.network != "classifier" and (value := _cut_off(network, check)) is not None:
+        msg = f"training failed: after {number} epochs the network answers {value:g} whatever it is asked"
+        raise CutOff(msg, cure="Choose another --seed, --optimiser adamw or --norm none.")
+    if not math.isfinite(best):
+        msg = f"training diverged: the validation error is {mse} after {epochs} epochs"
+        raise ConfigError(msg, cure="Choose a lower learning rate.")
+    network.load_state_dict(best_state)
+    return tuple(history)
+
+
+def _loss(
+    network: nn.Module, spec: ModelSpec, learn: Rows, part: torch.Tensor, balance: torch.Tensor | None
+) -> torch.Tensor:
+    """Return the weighted mean loss of a batch."""
+    x = learn.inputs(part, spec.noise_m)
+    out, weight = network(x), learn.weight[part]
+    if spec.network == "classifier":
+        step = learn.step[part]
+        each = nn.functional.cross_entropy(out, step, reduction="none")
+        weight = weight if balance is None else weight * balance[step]
+    else:
+        each = ((out - learn.scaling[part]) ** 2)[:, 0]
+    if isinstance(network, Forecasting) and learn.ahead is not None and network.forecast is not None:
+        seen = learn.ahead_known[part]
+        off = ((network.forecast - learn.ahead[part]) ** 2).mean(dim=1)
+        each = each + spec.forecast_weight * torch.where(seen, off, torch.zeros_like(off))
+    return (each * weight).sum() / weight.sum()
+
+
+def _balance(learn: Rows, count: int) -> torch.Tensor:
+    """Return the weight of every level with which all count alike, shape (P,); mean over the rows 1."""
+    rows = torch.bincount(learn.step, minlength=count).clamp(min=1).to(torch.float32)
+    return float(len(learn)) / (count * rows)
+
+
+def freeze_norm(network: nn.Module) -> None:
+    """Let batch normalisation keep the statistics that it has, instead of measuring every batch anew."""
+    for module in network.modules():
+        if isinstance(module, nn.BatchNorm1d):
+            module.eval()
+
+
+def _centre(network: nn.Module, spec: ModelSpec, learn: Rows) -> None:
+    """Shift the output so that its mean error over (some of) the rows it learned from is zero.
+
+    One Newton step: rows that are cut to 0 or 1 do not move.
+    """
+    network.eval()
+    last = [module for module in network.modules() if isinstance(module, nn.Linear)][-1]
+    every = torch.arange(0, len(learn), math.ceil(len(learn) / _CENTRE_ROWS), device=learn.scaling.device)
+    off, moved = torch.zeros(2, device=learn.scaling.device).unbind()
+    with torch.inference_mode():
+        for part in torch.split(every, _BLOCK):
+            out = network(learn.inputs(part, spec.noise_m))[:, 0]
+            off = off + ((out - learn.scaling[part, 0]) * learn.weight[part]).sum()
+            moved = moved + (((out > 0) & (out < 1)) * learn.weight[part]).sum()
+    if moved > 0:
+        with torch.no_grad():
+            last.bias.sub_(off / moved)
+
+
+def _cut_off(network: nn.Module, check: Rows) -> float | None:
+    """Return the bound that all outputs on the validation part are at or beyond, None if they are not."""
+    out = _outputs(network, check)
+    return 1.0 if bool((out >= 1.0).all()) else 0.0 if bool((out <= 0.0).all()) else None
+
+
+def _spread(check: Rows) -> float:
+    """Return the weighted variance of the scaling in the validation part: the error of its mean."""
+    weight = check.weight / check.weight.sum()
+    off = check.scaling[:, 0] - (check.scaling[:, 0] * weight).sum()
+    return float((off**2 * weight).sum())
+
+
+def _outputs(network: nn.Module, rows: Rows) -> torch.Tensor:
+    network.eval()
+    with torch.inference_mode():
+        every = torch.arange(len(rows), device=rows.scaling.device)
+        return torch.cat([network(rows.inputs(part, 0.0)) for part in torch.split(every, _BLOCK)])
+
+
+def _validation_mse(network: nn.Module, check: Rows, levels: torch.Tensor | None) -> float:
+    out = _outputs(network, check)
+    values = torch.softmax(out, dim=1) @ levels[:, None] if levels is not None else out.clamp(0.0, 1.0)
+    return float(((values - check.scaling)[:, 0] ** 2 * check.weight).sum() / check.weight.sum())

@@ -1,0 +1,273 @@
+"""A trained model as a thing to keep and to ask: two files on the disk, numpy to predict.
+
+    MODEL/model.json           what it is: problem, levels, layer sizes, and the card of its training
+    MODEL/weights.safetensors  the numbers, float32, batch normalisation and input scaling folded in
+
+Data, never code: no pickle is read, whatever a file claims to be. Everything about a file is checked before its numbers
+are used, and a file that fails is refused, never read by another route. How a model comes about is `train`'s business.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit import schema
+from cyclekit.dataset.cards import BadCard, ModelCard, checked, read_json
+from cyclekit.dataset.unknown_height import inputs_in_plane
+from cyclekit.errors import ModelError, ShapeError, command_line
+from cyclekit.learning.networks.layout import Layout, NotAModel
+from cyclekit.learning.networks.tensors import parse_weights, sizes_of, to_safetensors
+from cyclekit.learning.windows import GROUPS, INPUTS
+from cyclekit.parallel.one_thread import one_thread
+from cyclekit.storage.atomic import recover, staged
+from cyclekit.storage.mistaken import MODEL_CARD, toml_for, what_is
+from cyclekit.storage.outputs import check_writable_folder
+from cyclekit.storage.remote.folders import is_url, local, published
+from cyclekit.text.plain_text import all_in_one_line
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from cyclekit.learning.networks.weights import Weights
+
+FORMAT, MODEL_VERSION = "cyclekit-model", 3
+CARD, WEIGHTS = MODEL_CARD, "weights.safetensors"
+_MAX_CARD_BYTES = 16 << 20
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """A network with its weights.
+
+    Attributes:
+        problem: `now`, `ahead` or `average`.
+        network: `classifier`, `regressor`, `mixed`, `lstm-1` or `lstm-2`.
+        horizon_s: How far ahead the target lies or reaches, s.
+        levels: Staircase levels, shape (P,), ascending; empty for a regressor of a scaling without levels.
+        weights: The numbers, and which groups of inputs may be unknown.
+        card: How it came about: split, seed, metrics, data fingerprint, versions, `scaling_without_operator`.
+        history: Samples that the network sees, and rows between them at the rate of the samples; (1, 1) = only the
+            present one.
+    """
+
+    problem: str
+    network: str
+    horizon_s: float
+    levels: tuple[float, ...]
+    weights: Weights
+    card: dict[str, Any] = field(default_factory=dict)
+    history: tuple[int, int] = (1, 1)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the F inputs, in the order of the columns of X."""
+        return INPUTS[self.problem]
+
+    @one_thread()
+    def predict(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Return the scaling with the least expected squared error.
+
+        For a classifier that is the mean of the levels under its probabilities, not the level of the likeliest step.
+
+        Args:
+            X: Inputs, metres, base frame; columns as in `inputs`. Shape (N, F), of a recurrent network (N, K, F), the
+                oldest sample first. All must be known, but for the groups in `weights.known`: where nobody is there
+                and the logs never showed that, `card["scaling_without_operator"]` is None as well. A height of the
+                operator alone may be unknown: then that of the TCP stands for it.
+
+        Returns:
+            Shape (N,), in [0, 1].
+
+        Raises:
+            ShapeError: X has another shape, or holds a value that is not finite where it must be known.
+            ModelError: The weights are too large for numbers to come out.
+        """
+        out = self._run(X)
+        values = np.matmul(out, np.array(self.levels)) if self.network == "classifier" else out[:, 0]
+        return np.asarray(np.clip(values, 0.0, 1.0), np.float64)
+
+    def probabilities(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+        """Return the probability of every step, shape (N, P); rows sum to 1.
+
+        Raises:
+            ModelError: The network is no classifier.
+            ShapeError: As `predict`.
+        """
+        if self.network != "classifier":
+            msg = f"a {self.network} gives one value and no probabilities"
+            raise ModelError(msg, cure="Train a classifier: cyclekit train DATASET --network classifier --out MODEL")
+        return self._run(X).astype(np.float64)
+
+    def steps(self, X: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
+        """Return the index of the likeliest step (of a regressor: of the level nearest to its value), shape (N,).
+
+        Raises:
+            ModelError: The model knows no levels.
+            ShapeError: As `predict`.
+        """
+        if self.network == "classifier":
+            return np.asarray(self._run(X).argmax(axis=1), np.int64)
+        if not self.levels:
+            msg = "the model knows no levels, so it cannot name a step"
+            raise ModelError(msg)
+        levels = np.array(self.levels)
+        return np.searchsorted((levels[1:] + levels[:-1]) / 2, self.predict(X)).astype(np.int64)
+
+    def _run(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+        """Return the last layer's output: (N, P) probabilities of a classifier, (N, 1) otherwise."""
+        wanted = ("N", len(self.inputs)) if self.history[0] == 1 else ("N", self.history[0], len(self.inputs))
+        if X.ndim != len(wanted) or X.shape[1:] != wanted[1:]:
+            msg = f"inputs {X.shape} must be ({', '.join(map(str, wanted))}): {', '.join(self.inputs)}"
+            raise ShapeError(msg)
+        if np.isfinite(X).all():
+            return self._finite(X)
+        X = inputs_in_plane(X)
+        needed = np.ones(len(self.inputs), np.bool_)
+        for group in self.weights.known:
+            needed[GROUPS[group]] = False
+        bad = ~np.isfinite(X) & (needed | ~np.isnan(X))
+        if bad.any():
+            rows = int(bad.reshape(len(X), -1).any(axis=1).sum())
+            msg = f"{rows} of {len(X)} rows hold an unknown input (NaN or infinite)"
+            raise ShapeError(msg, cure="Leave these rows out; where nobody is there, use scaling_without_operator.")
+        return self._finite(X)
+
+    def _finite(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+        """Run the network; weights may be finite and still so large that no number comes out.
+
+        Raises:
+            ModelError: That is so.
+        """
+        out = self.weights.run(X)
+        if not np.isfinite(out).all():
+            bad = int((~np.isfinite(out)).any(axis=1).sum())
+            msg = f"the network gives no number in {bad} of {len(out)} rows: its weights are too large"
+            raise ModelError(msg, cure=f"Train it again: {command_line('train', 'DATASET', '--out', 'MODEL')}")
+        return out
+
+
+def check_model_output(place: Path | str) -> None:
+    """Refuse a place at which `save_model` could not put a model, before one is trained.
+
+    Raises:
+        ModelError: The path is there already and is no model.
+        CyclekitError: The place cannot be written.
+    """
+    check_writable_folder(place)
+    if not is_url(place):
+        _refuse_other(Path(place))
+
+
+def save_model(place: Path | str, model: TrainedModel) -> None:
+    """Write `model` as a folder, at a path or a URL: the old model or the new one is there at any time, never half.
+
+    Raises:
+        ModelError: The path is there already and is no model; it is left as it is.
+        CyclekitError: The place cannot be written.
+    """
+    with published(place) as path:
+        _save(path, model)
+
+
+def _save(path: Path, model: TrainedModel) -> None:
+    recover(path)
+    _refuse_other(path)
+    weights = to_safetensors(model.weights)
+    about = {
+        "format": FORMAT,
+        "model_version": MODEL_VERSION,
+        "schema_version": schema.SCHEMA_VERSION,
+        "problem": model.problem,
+        "network": model.network,
+        "horizon_s": model.horizon_s,
+        "levels": list(model.levels),
+        "history": list(model.history),
+        **sizes_of(model.weights),
+        "weights_sha256": hashlib.sha256(weights).hexdigest(),
+        "card": model.card,
+    }
+    text = json.dumps(about, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    with staged(path) as folder:
+        for name, content in ((WEIGHTS, weights), (CARD, text.encode())):
+            with (folder / name).open("wb") as handle:
+                handle.write(content)
+                handle.flush()
+                os.fsync(handle.fileno())
+
+
+def _refuse_other(path: Path) -> None:
+    if path.exists() and not (path.is_dir() and ((path / CARD).is_file() or not any(path.iterdir()))):
+        msg = f"{path}: is there already and is no model, so it is not replaced"
+        raise ModelError(msg, cure="Choose another folder with --out.")
+
+
+def load_model(place: Path | str) -> TrainedModel:
+    """Open the model at a path or a URL.
+
+    Raises:
+        ModelError: It is no model, is of another version, or any of its content is not what it should be.
+        StorageError: The URL cannot be read.
+    """
+    path = local(place)
+    recover(path)
+    file = path / CARD
+    try:
+        about = read_json(file, most_bytes=_MAX_CARD_BYTES)
+        _check_versions(about)
+        card = checked(about, ModelCard)
+        layout = Layout.of(card)
+        file = path / WEIGHTS
+        weights = parse_weights(file, layout, card.weights_sha256)
+    except (BadCard, NotAModel) as cause:
+        msg = f"{file}: {cause}"
+        again = command_line("train", "DATASET", "--out", place)
+        raise ModelError(msg, cure=f"Train it again: {again}") from cause
+    except (FileNotFoundError, NotADirectoryError) as cause:
+        raise _no_model(path) from cause
+    except OSError as cause:
+        msg = f"{file}: cannot be read ({cause.strerror or cause})"
+        raise ModelError(msg, cure="Check the path and its permissions.") from cause
+    made = (layout.problem, layout.network, layout.horizon_s, layout.levels)
+    return TrainedModel(*made, weights, all_in_one_line(dict(about["card"])), layout.history)
+
+
+def _no_model(path: Path) -> ModelError:
+    """Return the error for a place that holds no model, with what it is instead."""
+    found = what_is(path)
+    if found == "nothing":
+        train = command_line("train", "DATASET", "--out", path)
+        return ModelError(f"{path}: no such folder", cure=f"Check the path, or train a model: {train}")
+    seen = f"{path}: {found}, and a model was expected (a folder with {CARD})"
+    if found == "a folder of models":
+        return ModelError(seen, cure=f"Choose one of them: {', '.join(models_in(str(path)))}.")
+    if found == "a dataset":
+        return ModelError(seen, cure=f"Train a model on it: {command_line('train', path, '--out', 'MODEL')}")
+    if found == "a TOML file":
+        name, taken_by = toml_for(path)
+        return ModelError(seen, cure=f"It looks like {name}: {taken_by}")
+    return ModelError(seen, cure=f"Train one: {command_line('train', 'DATASET', '--out', 'MODEL')}")
+
+
+def models_in(place: str) -> list[str]:
+    """Return the models of a folder that is none itself, by name; else, and for a URL, the place."""
+    path = Path(place)
+    if is_url(place) or not path.is_dir() or (path / CARD).is_file():
+        return [place]
+    return sorted(str(file.parent) for file in path.glob(f"*/{CARD}")) or [place]
+
+
+def _check_versions(about: dict[str, Any]) -> None:
+    if about.get("format") != FORMAT:
+        raise NotAModel("not the card of a cyclekit model")
+    expected = {"model_version": MODEL_VERSION, "schema_version": schema.SCHEMA_VERSION}
+    for name, ours in expected.items():
+        if about.get(name) != ours:
+            kind = name.replace("_", " ")
+            raise NotAModel(f"a model of {kind} {about.get(name)!r}; this cyclekit reads {kind} {ours}")

@@ -1,0 +1,230 @@
+"""What to train: the problem, the network, and the settings of the training run.
+
+    now      classifier, regressor
+    ahead    classifier, regressor, lstm-1, lstm-2
+    average  mixed, regressor
+
+What differs from the paper is an option with its own name, and its default says whether it was measured better.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, get_args
+
+from cyclekit.dataset.time_grid import samples_in
+from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.learning.windows import PROBLEMS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Norm = Literal["batch", "none"]
+Balance = Literal["none", "classes"]
+Optimiser = Literal["auto", "adamw", "muon"]
+Features = Literal["auto", "positions", "distance"]
+
+NETWORKS: Mapping[str, tuple[str, ...]] = {
+    "now": ("classifier", "regressor"),
+    "ahead": ("classifier", "regressor", "lstm-1", "lstm-2"),
+    "average": ("mixed", "regressor"),
+}
+"""Networks that can be trained for each problem, the default first."""
+HIDDEN: Mapping[str, tuple[int, ...]] = {
+    "classifier": (64,) * 4,
+    "regressor": (64,) * 5,
+    "mixed": (64,) * 5,
+    "lstm-1": (64,) * 5,
+    "lstm-2": (64,) * 5,
+}
+"""Widths of the hidden layers in the paper; `mixed` has a sixth, as wide as there are levels; the first two of `lstm-1`
+are LSTM layers; `lstm-2` has an LSTM layer of that width before them."""
+RECURRENT = ("lstm-1", "lstm-2")
+HISTORY, HISTORY_S = 6, 1.0
+"""What a recurrent network sees where nothing else is asked for: six samples over one second, fewer where the rate is
+less than 5 Hz."""
+HORIZON_S: Mapping[str, float] = {"now": 0.0, "ahead": 2.0, "average": 14.0}
+"""Horizon where none is given: that of the paper's figures."""
+MUON_ROWS = 100_000
+"""From this many rows to learn from on Muon is the default for `now` and `ahead`. Measured for `now`, MSE x 1e4: 3.4
+with AdamW and 2.2 with Muon on 700 000 rows, 3.3 and 2.1 on 140 000, but 5.5 and 7.4 on 28 000. For averages, most
+of which is the operator's luck, Muon is 1 % worse."""
+FREEZE_NORM_AFTER: Mapping[str, float] = {"muon": 0.1, "adamw": 0.25}
+"""Where no part of the run is given, by optimiser."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelSpec:
+    """One training run, resolved. Use `ModelSpec.of` to have the defaults filled in.
+
+    Attributes:
+        problem: `now`, `ahead` or `average`.
+        network: One of `NETWORKS[problem]`.
+        horizon_s: How far the target lies ahead or reaches; 0 for `now`.
+        hidden: Widths of the hidden layers.
+        norm: `batch` normalises inside the network as the paper does; `none` leaves that out.
+        seed: Of the split, the first weights and the order of the rows. Same data and seed, same model (on a CPU).
+        epochs: Passes over the training rows, None for as many as the rows need (see `fitting`); the learning rate
+            rises and falls once over all of them.
+        patience: Epochs without a better validation error after which training stops; None = never: the learning rate
+            falls to the end, and the last epochs gain most. The best epoch's weights are kept in either case.
+        batch: Rows per step.
+        learning_rate: The highest learning rate of the run.
+        test_fraction: Part of the executions held out to judge by.
+        validation_fraction: Part of the remaining executions that decides which epoch's weights are kept.
+        noise_m: Noise of the operator's position, standard deviation per axis, m, that is added afresh to every row
+            in every epoch: for logs that are cleaner than what the model will be asked about.
+        optimiser: `muon` for the square matrices and AdamW for the rest (Jordan et al. 2024), `adamw` for all, or
+            `auto` for the one that was measured better for the problem and that many rows (`MUON_ROWS`).
+        features: `distance` gives the network ||x_r - x_h|| beside the positions. The paper's networks see `positions`
+            only. `auto` is the distance for `now`, see `with_features`.
+        balance: `classes` weighs every level alike in a classifier's loss, however rare; its probabilities then say
+            nothing about how often a level is in force, so `none` is the default.
+        history: Samples that a recurrent network sees, and rows between them; (1, 1) for the others. None for the
+            usual ones at the rate of the dataset, see `at_rate`.
+        forecast_weight: How much `lstm-2` is held to forecast where the operator will be, beside the scaling: weight of
+            that squared error, in standard deviations.
+        weight_decay: How strongly weights are drawn to zero (as AdamW), None for what suits the number of rows.
+        freeze_norm_after: Part of the run after which batch normalisation keeps its statistics; 1 = never, as usual;
+            None for what suits the optimiser.
+            Statistics that change with every batch shake the boundaries between levels, which is what limits the
+            network in the end; with the default the error is less than half as large after the same time.
+        centre: Shift the output of a network that answers with a value so that its mean error over the rows it learned
+            from is zero: the epoch that is kept may come from the middle of the run, where every step moves the mean.
+    """
+
+    problem: str
+    network: str
+    horizon_s: float
+    hidden: tuple[int, ...]
+    norm: Norm = "batch"
+    seed: int = 0
+    epochs: int | None = None
+    batch: int = 1024
+    learning_rate: float = 6e-3
+    test_fraction: float = 0.2
+    validation_fraction: float = 0.1
+    freeze_norm_after: float | None = None
+    weight_decay: float | None = None
+    patience: int | None = None
+    noise_m: float = 0.0
+    optimiser: Optimiser = "auto"
+    features: Features = "auto"
+    balance: Balance = "none"
+    history: tuple[int, int] | None = None
+    forecast_weight: float = 0.02
+    centre: bool = True
+
+    def __post_init__(self) -> None:
+        """Check what was asked for, before any data is read.
+
+        Raises:
+            UnknownName: There is no such problem, network or norm.
+            ConfigError: Network or horizon do not suit the problem, or a number is out of its range.
+        """
+        check_network(self.problem, self.network)
+        if self.norm not in get_args(Norm):
+            raise UnknownName("the model", "norm", self.norm, get_args(Norm))
+        if not math.isfinite(self.horizon_s) or self.horizon_s < 0 or (self.horizon_s == 0) != (self.problem == "now"):
+            msg = f"problem {self.problem!r} with a horizon of {self.horizon_s} s"
+            cure = "`now` has no horizon." if self.problem == "now" else "Give one in seconds, for example 2s or 14s."
+            raise ConfigError(msg, cure=cure)
+        if not self.hidden or min(*self.hidden, self.epochs or 1) < 1 or self.batch < 2 or not self.learning_rate > 0:
+            msg = f"hidden {self.hidden}, epochs {self.epochs}, batch {self.batch}, rate {self.learning_rate}"
+            raise ConfigError(msg, cure="All must be positive, and a batch needs at least two rows.")
+        self._check_extras()
+        parts = (self.test_fraction, self.validation_fraction, self.freeze_norm_after or 0.0)
+        if (
+            not all(0 < part < 1 for part in parts[:2])
+            or not 0 <= parts[2] <= 1
+            or self.seed < 0
+            or not (self.weight_decay or 0) >= 0
+        ):
+            msg = f"test, validation and freezing part {parts}, seed {self.seed}, weight decay {self.weight_decay}"
+            raise ConfigError(msg, cure="Parts lie between 0 and 1; seed and weight decay are not negative.")
+
+    def _check_extras(self) -> None:
+        for name, kinds in (("balance", Balance), ("optimiser", Optimiser), ("features", Features)):
+            if getattr(self, name) not in get_args(kinds):
+                raise UnknownName("the model", name, getattr(self, name), get_args(kinds))
+        recurrent = self.network in RECURRENT
+        count, every = self.history or ((2, 1) if recurrent else (1, 1))
+        if recurrent and self.features == "distance":
+            raise ConfigError(f"a {self.network} with features {self.features!r}", cure="It sees positions only.")
+        if not (count > 1 if recurrent else count == 1) or not 1 <= every <= 1000 or count > 1000:
+            msg = f"a {self.network} with a history of {count} samples, {every} rows apart"
+            cure = "lstm-1 and lstm-2 need 2 to 1000 samples; the others see one, (1, 1)."
+            raise ConfigError(msg, cure=cure)
+        if self.network == "lstm-1" and len(self.hidden) < 3:
+            msg = f"lstm-1 with {len(self.hidden)} hidden layers"
+            raise ConfigError(msg, cure="Its first two are LSTM layers, so it needs at least three.")
+        numbers = (self.noise_m, self.forecast_weight)
+        if not all(0 <= number < math.inf for number in numbers) or (self.patience is not None and self.patience < 1):
+            msg = f"noise {self.noise_m} m, forecast weight {self.forecast_weight}, patience {self.patience}"
+            raise ConfigError(msg, cure="Noise and weight are not negative; patience is at least one epoch.")
+
+    @classmethod
+    def of(
+        cls,
+        problem: str = "now",
+        network: str | None = None,
+        horizon_s: float | None = None,
+        *,
+        hidden: tuple[int, ...] | None = None,
+        norm: Norm = "batch",
+        **settings: float | str | tuple[int, int] | None,
+    ) -> ModelSpec:
+        """Return a spec with the paper's network, widths and horizon where none are given.
+
+        `settings` are the numbers of the training run (seed, epochs, batch, ...), as the attributes of this class.
+        """
+        if problem not in NETWORKS:
+            raise UnknownName("the model", "problem", problem, PROBLEMS)
+        network = network or NETWORKS[problem][0]
+        check_network(problem, network)
+        horizon_s = HORIZON_S[problem] if horizon_s is None else horizon_s
+        fields = {"hidden": hidden or HIDDEN[network], "norm": norm, **settings}
+        return cls(problem=problem, network=network, horizon_s=horizon_s, **fields)  # type: ignore[arg-type]
+
+    def at_rate(self, rate_hz: float) -> ModelSpec:
+        """Return this with the history that a recurrent network sees of samples of that rate, where none was given."""
+        if self.history is not None:
+            return self
+        every = samples_in(HISTORY_S / (HISTORY - 1), rate_hz)
+        count = min(HISTORY, samples_in(HISTORY_S, rate_hz) // every + 1)
+        return replace(self, history=(max(count, 2), every) if self.network in RECURRENT else (1, 1))
+
+    def with_features(self) -> ModelSpec:
+        """Return this with what the network sees, where that was left open: the distance too for `now`, else positions.
+
+        Measured with few executions, by fresh ones: the distance lowers the error where the safety function is one of
+        the distance, where it is one of zones, and where it is both (docs/models.md).
+        """
+        if self.features != "auto":
+            return self
+        return replace(self, features="distance" if self.problem == "now" else "positions")
+
+    def for_rows(self, count: int) -> ModelSpec:
+        """Return this with the optimiser for so many rows to learn from, and the part of the run that goes with it."""
+        best: Optimiser = "muon" if self.problem != "average" and count >= MUON_ROWS else "adamw"
+        optimiser = best if self.optimiser == "auto" else self.optimiser
+        after = FREEZE_NORM_AFTER[optimiser] if self.freeze_norm_after is None else self.freeze_norm_after
+        return replace(self, optimiser=optimiser, freeze_norm_after=after)
+
+
+def check_network(problem: str, network: str) -> None:
+    """Refuse a network that does not exist or does not suit the problem.
+
+    Raises:
+        UnknownName: There is no such problem or network.
+        ConfigError: The network exists but not for this problem.
+    """
+    if problem not in NETWORKS:
+        raise UnknownName("the model", "problem", problem, PROBLEMS)
+    suits = ", ".join(NETWORKS[problem])
+    if network not in HIDDEN:
+        raise UnknownName("the model", "network", network, HIDDEN, cure=f"For problem {problem!r} there are: {suits}.")
+    if network not in NETWORKS[problem]:
+        msg = f"network {network!r} does not solve problem {problem!r}"
+        raise ConfigError(msg, cure=f"For problem {problem!r} there are: {suits}.")

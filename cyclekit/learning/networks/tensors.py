@@ -1,0 +1,112 @@
+"""The weights of a model as a safetensors file, and back: byte for byte what the layout calls for, or refused.
+
+No other loader is ever tried, and no number is read before sizes, names, shapes and checksum agree.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from cyclekit.learning.networks.layout import Layout, NotAModel
+from cyclekit.learning.networks.weights import Weights
+from cyclekit.learning.windows import INPUTS
+from cyclekit.storage.files import regular
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_MAX_HEADER_BYTES = 64 * 2**10
+
+
+def parse_weights(file: Path, layout: Layout, sha256: str) -> Weights:
+    """Return the weights of `layout`.
+
+    Raises:
+        NotAModel: The file is not exactly the safetensors file that the layout calls for.
+        OSError: It cannot be read.
+    """
+    shapes = _shapes(layout)
+    numbers = 4 * sum(math.prod(shape) for shape in shapes.values())
+    if not file.exists():
+        raise NotAModel("no such file")
+    with regular(file).open("rb") as handle:
+        content = handle.read(8 + _MAX_HEADER_BYTES + numbers + 1)
+    header = int.from_bytes(content[:8], "little")
+    if len(content) < 8 or header > _MAX_HEADER_BYTES or len(content) != 8 + header + numbers:
+        raise NotAModel(f"not a safetensors file of {numbers} bytes of weights, as {file.parent.name} calls for")
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise NotAModel("changed since the model was saved: its checksum is not the one in model.json")
+    try:
+        found = load(content)
+    except (SafetensorError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise NotAModel(f"not a safetensors file ({error})") from error
+    if {name: (array.shape, array.dtype) for name, array in found.items()} != {
+        name: (shape, np.dtype(np.float32)) for name, shape in shapes.items()
+    }:
+        raise NotAModel("holds other arrays than the layers in model.json")
+    if not all(np.isfinite(array).all() for array in found.values()):
+        raise NotAModel("holds weights that are not finite")
+    return _weights(layout, found)
+
+
+def to_safetensors(weights: Weights) -> bytes:
+    """Return the weights as the content of a safetensors file."""
+    arrays: dict[str, NDArray[np.float32]] = {}
+    for i, (weight, bias) in enumerate(weights.layers):
+        arrays |= {f"layer{i}.weight": weight, f"layer{i}.bias": bias}
+    for i, (weight, state, bias) in enumerate(weights.recurrent):
+        arrays |= {f"lstm{i}.weight": weight, f"lstm{i}.state": state, f"lstm{i}.bias": bias}
+    if weights.forecast is not None:
+        arrays |= {"forecast.weight": weights.forecast[0], "forecast.bias": weights.forecast[1]}
+    if weights.known:
+        arrays["middle"] = weights.middle
+    return save({name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()})
+
+
+def sizes_of(weights: Weights) -> dict[str, Any]:
+    """Return what `model.json` says about the sizes of the weights."""
+    return {
+        "layers": [list(weight.shape) for weight, _ in weights.layers],
+        "recurrent": [[weight.shape[0], state.shape[0]] for weight, state, _ in weights.recurrent],
+        "forecast": None if weights.forecast is None else list(weights.forecast[0].shape),
+        "known": list(weights.known),
+        "distance": weights.distance,
+    }
+
+
+def _shapes(layout: Layout) -> dict[str, tuple[int, ...]]:
+    shapes: dict[str, tuple[int, ...]] = {}
+    for i, (inputs, outputs) in enumerate(layout.layers):
+        shapes |= {f"layer{i}.weight": (inputs, outputs), f"layer{i}.bias": (outputs,)}
+    for i, (inputs, width) in enumerate(layout.recurrent):
+        shapes[f"lstm{i}.weight"], shapes[f"lstm{i}.state"] = (inputs, 4 * width), (width, 4 * width)
+        shapes[f"lstm{i}.bias"] = (4 * width,)
+    if layout.forecast is not None:
+        shapes |= {"forecast.weight": layout.forecast, "forecast.bias": (layout.forecast[1],)}
+    if layout.known:
+        shapes["middle"] = (len(INPUTS[layout.problem]),)
+    return shapes
+
+
+def _weights(layout: Layout, found: Mapping[str, NDArray[np.float32]]) -> Weights:
+    return Weights(
+        tuple((found[f"layer{i}.weight"], found[f"layer{i}.bias"]) for i in range(len(layout.layers))),
+        layout.softmax_after,
+        tuple(
+            (found[f"lstm{i}.weight"], found[f"lstm{i}.state"], found[f"lstm{i}.bias"])
+            for i in range(len(layout.recurrent))
+        ),
+        (found["forecast.weight"], found["forecast.bias"]) if layout.forecast is not None else None,
+        layout.known,
+        layout.distance,
+        found["middle"] if layout.known else np.empty(0, np.float32),
+    )

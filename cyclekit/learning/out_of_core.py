@@ -1,0 +1,161 @@
+"""Datasets larger than memory: which executions are looked at, and training rows that stay in files.
+
+Some answers need no more than a good part of the logs: levels, held-out errors, operator tracks. For those, executions
+are drawn at random until they hold as many rows as memory takes. A training reads all the rest: part by part its rows
+are built from the Parquet files and appended to plain files, which are mapped into memory and read block by block.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from cyclekit.errors import ConfigError, DatasetError
+from cyclekit.learning.windows import Samples
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.dataset import Dataset
+
+_IN_MEMORY_ROWS = 10_000_000
+PART_ROWS = 250_000
+"""Samples that are turned into rows at once."""
+
+
+def memory_rows() -> int:
+    """Return how many samples are worked on in memory: 10 million, some 7 GB, or what CYCLEKIT_MEMORY_ROWS says.
+
+    Raises:
+        ConfigError: That is set to something else than a number of 1000 or more.
+    """
+    given = os.environ.get("CYCLEKIT_MEMORY_ROWS")
+    if not given:
+        return _IN_MEMORY_ROWS
+    if not given.isdecimal() or int(given) < 1000:
+        raise ConfigError(f"CYCLEKIT_MEMORY_ROWS is {given!r}", cure="Set it to a number of samples, 1000 or more.")
+    return int(given)
+
+
+def rows_of(dataset: Dataset) -> int:
+    """Return about how many samples the executions of a dataset have, by their durations."""
+    seconds = dataset.executions["duration_s"].sum()
+    return round(float(seconds) * dataset.rate_hz)
+
+
+def some_executions(dataset: Dataset, names: Sequence[str], rows: int, *, seed: int = 0) -> tuple[str, ...]:
+    """Return executions drawn at random until they have about so many samples, in the given order.
+
+    Args:
+        dataset: Whose executions.
+        names: Which of them.
+        rows: Samples to have.
+        seed: Same names and seed, same choice.
+    """
+    rate_hz = dataset.rate_hz
+    lasts_s = dict(dataset.executions.select("execution", "duration_s").iter_rows())
+    order = np.random.default_rng(seed).permutation(len(names))
+    ends = np.cumsum([lasts_s[names[number]] * rate_hz for number in order])
+    chosen = set(order[: max(int(np.searchsorted(ends, rows, side="right")), 1)].tolist())
+    return tuple(name for number, name in enumerate(names) if number in chosen)
+
+
+def in_memory(dataset: Dataset, *, seed: int = 0) -> tuple[Dataset, str | None]:
+    """Return the dataset, or as much of it as memory takes and what was left out in a sentence.
+
+    Of each task, at least one execution is kept, however rare it is. What is a part already stays as it is.
+    """
+    if dataset.is_part or rows_of(dataset) <= memory_rows():
+        return dataset, None
+    names = dataset.executions["execution"].to_list()
+    chosen = set(some_executions(dataset, names, memory_rows(), seed=seed))
+    done = dataset.done_tasks()
+    seen = set(done.filter(pl.col("execution").is_in(list(chosen)))["task"])
+    rare = done.filter(~pl.col("task").is_in(list(seen))).sort("execution").group_by("task").first()
+    chosen |= set(rare["execution"])
+    said = f"{len(chosen)} of {len(names)} logged executions were looked at, drawn at random: memory takes no more"
+    return dataset.only([name for name in names if name in chosen]), said
+
+
+def frames(dataset: Dataset, names: Sequence[str], rows: int = PART_ROWS) -> Iterator[pl.DataFrame]:
+    """Yield the samples of executions in parts of whole executions, about `rows` in each."""
+    rate_hz = dataset.rate_hz
+    lasts_s = dict(dataset.executions.select("execution", "duration_s").iter_rows())
+    part: list[str] = []
+    held = 0.0
+    for name in names:
+        part.append(name)
+        held += lasts_s[name] * rate_hz
+        if held >= rows:
+            yield dataset.samples(part)
+            part, held = [], 0.0
+    if part:
+        yield dataset.samples(part)
+
+
+def in_files(parts: Iterable[Samples], folder: Path) -> Samples:
+    """Append rows to files of a folder and return them as arrays that are mapped into memory, not read.
+
+    Names, times and executions of the rows are not kept: a training does not ask for them.
+    """
+    columns = _Columns(folder)
+    dropped, base, first = Counter[str](), 0, None
+    for part in parts:
+        first = first or part
+        dropped.update(part.dropped)
+        columns.add("X", part.X)
+        columns.add("step", part.step.astype(np.int64))
+        columns.add("scaling", part.scaling.astype(np.float32))
+        columns.add("weight", part.weight)
+        if part.table is not None and part.before is not None and part.ahead is not None:
+            columns.add("table", part.table)
+            columns.add("before", part.before + base)
+            columns.add("ahead", part.ahead + base)
+            base += len(part.table)
+    if first is None:
+        raise DatasetError("no execution to learn from", cure="Log more executions.")
+    found = columns.mapped()
+    count = found["scaling"].shape
+    unknown, never = np.broadcast_to(np.int64(0), count), np.broadcast_to(np.float64(0), count)
+    return Samples(
+        found["X"], found["step"], found["scaling"], unknown, (), never, first.inputs,
+        found["weight"], found.get("table"), found.get("before"), found.get("ahead"), dict(dropped), in_files=True,
+    )  # fmt: skip
+
+
+def filled(
+    file: Path, shape: tuple[int, int], block: Callable[[slice], NDArray[np.float32]], rows: int = PART_ROWS
+) -> NDArray[np.float32]:
+    """Return a new array that lives in a file, made block by block of rows."""
+    made = np.memmap(file, np.float32, "w+", shape=shape)
+    for first in range(0, shape[0], rows):
+        part = slice(first, min(first + rows, shape[0]))
+        made[part] = block(part)
+    return made
+
+
+class _Columns:
+    """Arrays that grow in files."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._known = folder, dict[str, tuple[np.dtype[np.generic], tuple[int, ...], int]]()
+
+    def add(self, name: str, rows: NDArray[np.generic]) -> None:
+        _, _, count = self._known.get(name, (rows.dtype, rows.shape[1:], 0))
+        self._known[name] = (rows.dtype, rows.shape[1:], count + len(rows))
+        with (self._folder / name).open("ab") as file:
+            np.ascontiguousarray(rows).tofile(file)
+
+    def mapped(self) -> dict[str, Any]:
+        return {
+            name: np.memmap(self._folder / name, dtype, "r+", shape=(count, *shape))
+            for name, (dtype, shape, count) in self._known.items()
+            if count
+        }

@@ -1,0 +1,11 @@
+"""The safety function read back from logs and network: levels, thresholds in metres, zones on the floor, hysteresis.
+
+fit     which gamma(x_r, x_h) explains the scaling: a distance or the place on the floor; thresholds and how sure
+answer  what `cyclekit zones` says
+picture the same as SVG
+"""
+
+from cyclekit.learning.safety_function.answer import Zones, read_zones
+from cyclekit.learning.safety_function.picture import zones_svg
+
+__all__ = ["Zones", "read_zones", "zones_svg"]

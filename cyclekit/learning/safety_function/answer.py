@@ -1,0 +1,182 @@
+"""What `cyclekit zones` says: the safety function as far as the logs show it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE, said_of_height
+from cyclekit.errors import DatasetError, ModelError, command_line
+from cyclekit.learning.networks.cell import refuse_other_cell
+from cyclekit.learning.safety_function.fit import (
+    DISTANCES,
+    FLOOR_M,
+    Rows,
+    Threshold,
+    by_distance,
+    by_place,
+    explained,
+    floor_cells,
+    hysteresis,
+    thresholds,
+)
+from cyclekit.parallel.one_thread import one_thread
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.learning.networks.saved import TrainedModel
+
+LEAST_ROWS = 500
+BY_DISTANCE = 0.02
+"""A distance is taken for the rule where it leaves at most this much more unexplained than the best other rule."""
+SAME = 0.003
+"""Distances that explain the same within this cannot be told apart by noisy logs: the first of DISTANCES is taken."""
+LEAST_SEEN = 5
+"""A cell of the floor with fewer samples is left blank."""
+
+
+@dataclass(frozen=True)
+class Zones:
+    """The safety function read back.
+
+    Attributes:
+        levels: Staircase levels, ascending.
+        shares: Part of the samples on each level.
+        rule: The gamma that explains the scaling best: a distance's name, or `place on the floor`.
+        is_distance: Whether that is a distance.
+        explained: By rule, the part of the scaling's variance explained; `network` is the model's own.
+        thresholds: On the best distance; they mean little where `is_distance` is false.
+        thresholds_of_network: The same fitted to the network's predictions, m.
+        hysteresis_m: How much farther out s rises than it falls; None where it cannot be seen.
+        hysteresis_origin: `dynamics` of the dataset, or `approaching against leaving`.
+        floor_m: Corners x, y (base frame, m) of cells of the floor with samples, shape (C, 2), FLOOR_M wide.
+        floor_scaling: Median scaling while the operator is in each cell, shape (C,).
+        rows: Samples used.
+        executions: Executions they come from.
+        notes: What limits the answer.
+    """
+
+    levels: tuple[float, ...]
+    shares: tuple[float, ...]
+    rule: str
+    is_distance: bool
+    explained: Mapping[str, float]
+    thresholds: tuple[Threshold, ...]
+    thresholds_of_network: tuple[float, ...]
+    hysteresis_m: float | None
+    hysteresis_origin: str
+    floor_m: NDArray[np.float64]
+    floor_scaling: NDArray[np.float64]
+    rows: int
+    executions: int
+    notes: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything as plain JSON values."""
+        out = dict(vars(self))
+        out["explained"] = dict(self.explained)
+        out["thresholds"] = [dict(vars(entry)) for entry in self.thresholds]
+        out["floor_m"], out["floor_scaling"] = self.floor_m.tolist(), self.floor_scaling.tolist()
+        out["floor_cell_m"] = FLOOR_M
+        return out
+
+
+@one_thread()
+def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_cell: bool = False) -> Zones:
+    """Read the safety function back from logged samples and a network trained on them.
+
+    Args:
+        model: A model of problem `now` with levels.
+        dataset: Logs with positions and scaling.
+        seed: Of the resampling behind the intervals.
+        other_cell: Ask a model of another cell too.
+
+    Raises:
+        ModelError: The model predicts something else than the present scaling, knows no levels, or is of another cell.
+        DatasetError: Too few samples have positions and a scaling.
+    """
+    if model.problem != "now" or len(model.levels) < 2:
+        msg = f"the model (problem {model.problem!r}, {len(model.levels)} levels) shows no staircase"
+        cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
+        raise ModelError(msg, cure=cure)
+    refuse_other_cell(model.card, dataset, other_cell=other_cell)
+    rows, told = _rows(dataset)
+    if len(rows.scaling) < LEAST_ROWS:
+        msg = f"{dataset.path}: {len(rows.scaling)} samples have both positions and a scaling; {LEAST_ROWS} are needed"
+        raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
+    levels = model.levels
+    predicted = _predicted(model, rows)
+    in_space = bool((rows.human_m[:, 2] != rows.robot_m[:, 2]).any())  # else both distances to the TCP are one
+    fits = {name: by_distance(rows, levels, name)[1] for name in list(DISTANCES)[not in_space :]}
+    nearest = next(name for name in fits if fits[name] >= max(fits.values()) - SAME)
+    parts = {**fits, "place on the floor": by_place(rows), "network": explained(rows.scaling, predicted)}
+    is_distance = fits[nearest] >= max(parts["network"], parts["place on the floor"]) - BY_DISTANCE
+    rule = nearest if is_distance or fits[nearest] >= parts["place on the floor"] else "place on the floor"
+    network = by_distance(Rows(rows.robot_m, rows.human_m, predicted, rows.execution, rows.t_s), levels, nearest)[0]
+    said = (dataset.card.get("dynamics") or {}).get("hysteresis_m")
+    corner, scaling = _floor(rows)
+    share = np.bincount(np.abs(rows.scaling[:, None] - np.array(levels)).argmin(axis=1), minlength=len(levels))
+    return Zones(
+        levels=levels,
+        shares=tuple((share / share.sum()).tolist()),
+        rule=rule,
+        is_distance=is_distance,
+        explained=parts,
+        thresholds=tuple(thresholds(rows, levels, nearest, seed=seed)),
+        thresholds_of_network=tuple(network.tolist()),
+        hysteresis_m=hysteresis(rows, levels, nearest) if said is None else float(said),
+        hysteresis_origin="approaching against leaving" if said is None else "dynamics",
+        floor_m=corner,
+        floor_scaling=scaling,
+        rows=len(rows.scaling),
+        executions=len(np.unique(rows.execution)),
+        notes=(*told, *_notes(rule, is_distance=is_distance, parts=parts)),
+    )
+
+
+def _rows(dataset: Dataset) -> tuple[Rows, list[str]]:
+    """Return the samples, and what is to be said of heights that are unknown."""
+    robots, humans = ([f"{who}_{axis}_m" for axis in "xyz"] for who in ("robot", "human"))
+    rows = dataset.samples(columns=["execution", "t_s", "scaling", *robots, *humans])
+    told = said_of_height(rows)
+    rows = rows.with_columns(human_z_m=HUMAN_Z_IN_PLANE)
+    known = rows.drop_nulls(["robot_x_m", *humans, "scaling"])
+    robot, human = (known.select(names).to_numpy() for names in (robots, humans))
+    code = known["execution"].rle_id().cast(pl.Int64).to_numpy()
+    return Rows(robot, human, known["scaling"].to_numpy(), code, known["t_s"].to_numpy()), told
+
+
+def _predicted(model: TrainedModel, rows: Rows) -> NDArray[np.float64]:
+    inputs = np.concatenate([rows.robot_m, rows.human_m], axis=1).astype(np.float32)
+    parts = [model.predict(inputs[first : first + 2048]) for first in range(0, len(inputs), 2048)]
+    return np.concatenate(parts)
+
+
+def _floor(rows: Rows) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    cell, code = np.unique(floor_cells(rows.human_m), axis=0, return_inverse=True)
+    code = code.ravel()
+    order = np.argsort(code, kind="stable")
+    parts = np.split(rows.scaling[order], np.cumsum(np.bincount(code))[:-1])
+    seen = np.array([len(part) >= LEAST_SEEN for part in parts])
+    medians = np.array([np.median(part) for part in parts])
+    return np.asarray(cell[seen] * FLOOR_M), medians[seen]
+
+
+def _notes(rule: str, *, is_distance: bool, parts: Mapping[str, float]) -> tuple[str, ...]:
+    found = []
+    if not is_distance:
+        best = max((name for name in DISTANCES if name in parts), key=lambda name: parts[name])
+        found.append(
+            f"distance is not enough: the best one ({best}) explains {parts[best]:.1%} of the scaling's variance, "
+            f"{rule if rule not in DISTANCES else 'the network'} "
+            f"{parts[rule] if rule not in DISTANCES else parts['network']:.1%}; thresholds in metres mean little here"
+        )
+    found.append("read from logs where nobody measured the safety system: no safety proof")
+    return tuple(found)

@@ -1,0 +1,236 @@
+"""Which gamma(x_r, x_h) explains the scaling, and at which values of it the level changes.
+
+Candidates are distances (of the TCP in space and on the floor, of the robot's base) and the operator's place on the
+floor alone. Each is judged by the part of the scaling's variance that its best staircase explains.
+
+The staircase with the least error has its thresholds to the millimetre where positions are exact. Where they are noisy
+it has not: more samples stray in from the side of a threshold where the operator is more often. When the level changes
+is known from the scaling alone, so the mean of the noisy distances at those instants is the threshold (`crossings`);
+where the two differ, that is believed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.learning.networks.beaten import fit_thresholds
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+
+FLOOR_M = 0.2
+"""Edge of a cell of the floor."""
+RESAMPLES = 40
+MOST_ROWS = 60_000
+CROSSINGS = 60
+"""Fewer changes of the level than this say nothing about where a threshold lies."""
+AROUND_S, FASTEST_M_S, BEND_M = 0.25, 4.0, 0.1
+"""Speeds at a change are taken over twice this time. Nobody walks faster, and where four samples lie farther off a
+straight line than this (median) they are too far apart, or too noisy, to say what was between them."""
+BETWEEN = 0.05
+"""The mean of crossings may be off by this part of the way in a sampling step: when in a step the level changed is not
+known. On simulated cells it was off by up to 0.03 of it."""
+MOVING_M_S = 0.2
+"""A distance that changes faster than this is approaching or leaving."""
+
+DISTANCES: Mapping[str, Callable[[NDArray[np.float64], NDArray[np.float64]], Vector]] = {
+    "distance TCP to operator": lambda robot, human: _norm(robot - human),
+    "distance TCP to operator on the floor": lambda robot, human: _norm((robot - human)[:, :2]),
+    "distance robot base to operator on the floor": lambda _robot, human: _norm(human[:, :2]),
+}
+"""Distances gamma by name, of TCP (N, 3) and operator (N, 3) in the base frame, m."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Logged samples: x_r and x_h (N, 3), m; s (N,); execution number (N,); session time (N,)."""
+
+    robot_m: NDArray[np.float64]
+    human_m: NDArray[np.float64]
+    scaling: Vector
+    execution: NDArray[np.int64]
+    t_s: Vector
+
+    def of(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> Rows:
+        """Return some rows."""
+        return Rows(*(part[rows] for part in vars(self).values()))
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """Where the scaling changes from one level to the next: value and 95 % interval, m; NaN bounds where unknown."""
+
+    slower: float
+    faster: float
+    metres: float
+    low: float
+    high: float
+
+
+def explained(scaling: Vector, predicted: Vector) -> float:
+    """Return the part of the scaling's variance that a prediction explains; negative: worse than the mean."""
+    around = float(np.mean((scaling - scaling.mean()) ** 2))
+    return 1.0 - float(np.mean((scaling - predicted) ** 2)) / around if around > 0 else 0.0
+
+
+def by_distance(rows: Rows, levels: Sequence[float], distance: str) -> tuple[Vector, float]:
+    """Return the best thresholds on a distance, shape (P - 1,), m, and what their staircase explains."""
+    gamma = DISTANCES[distance](rows.robot_m, rows.human_m)
+    cuts = fit_thresholds(gamma, rows.scaling, levels)
+    return cuts, explained(rows.scaling, np.array(levels)[np.searchsorted(cuts, gamma, side="right")])
+
+
+def by_place(rows: Rows) -> float:
+    """Return what the operator's place on the floor explains: the mean of each cell, judged by other executions."""
+    cell = floor_cells(rows.human_m)
+    _, code = np.unique(cell, axis=0, return_inverse=True)
+    code = code.ravel()
+    odd = rows.execution % 2 == 1
+    predicted = np.full(len(code), rows.scaling.mean())
+    for judge in (odd, ~odd):
+        count = np.bincount(code[~judge], minlength=code.max() + 1)
+        total = np.bincount(code[~judge], rows.scaling[~judge], minlength=code.max() + 1)
+        means = np.where(count > 0, total / np.maximum(count, 1), rows.scaling.mean())
+        predicted[judge] = means[code[judge]]
+    return explained(rows.scaling, predicted)
+
+
+def floor_cells(human_m: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the cell of the floor of each position, shape (N, 2), FLOOR_M wide."""
+    return np.asarray(np.floor(human_m[:, :2] / FLOOR_M).astype(np.int64))
+
+
+def thresholds(rows: Rows, levels: Sequence[float], distance: str, *, seed: int = 0) -> list[Threshold]:
+    """Return the thresholds on a distance with their intervals, from executions drawn again.
+
+    They are those of the staircase with the least error, or those of the crossings if one of these speaks against it.
+    """
+    best, _ = by_distance(rows, levels, distance)
+    rng = np.random.default_rng(seed)
+    by_execution = [np.flatnonzero(rows.execution == e) for e in np.unique(rows.execution)]
+    picks = [rng.integers(0, len(by_execution), len(by_execution)) for _ in range(RESAMPLES)]
+    drawn = []
+    for pick in picks:
+        some = np.concatenate([by_execution[i] for i in pick.tolist()])
+        if some.size > MOST_ROWS:
+            some = rng.choice(some, MOST_ROWS)
+        drawn.append(by_distance(rows.of(some), levels, distance)[0])
+    low, high = np.quantile(np.array(drawn), (0.025, 0.975), axis=0, method="nearest")
+    crossed = crossings(rows, levels, distance)
+    fitted = [
+        Threshold(levels[i], levels[i + 1], float(best[i]), float(low[i]), float(high[i])) for i in range(len(best))
+    ]
+    others = [_by_crossings(entry, crossed.of(i), picks) for i, entry in enumerate(fitted)]
+    if any(not other.low <= entry.metres <= other.high for entry, other in zip(fitted, others, strict=True) if other):
+        return [other or entry for entry, other in zip(fitted, others, strict=True)]
+    return fitted
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """Instants at which the level changed by one.
+
+    Attributes:
+        threshold: Number of the threshold that was passed, shape (N,).
+        metres: Distance in the middle of the sampling step, less what its curvature adds, shape (N,).
+        speed_m_s: How fast the distance grew, shape (N,).
+        way_m: How far it went in the sampling step, shape (N,).
+        execution: Which, as a number from 0, shape (N,).
+    """
+
+    threshold: NDArray[np.int64]
+    metres: Vector
+    speed_m_s: Vector
+    way_m: Vector
+    execution: NDArray[np.int64]
+
+    def of(self, threshold: int) -> Crossings:
+        """Return those of one threshold."""
+        mine = self.threshold == threshold
+        return Crossings(*(part[mine] for part in vars(self).values()))
+
+    def metres_at_rest(self, times: NDArray[np.int64] | None = None) -> float:
+        """Return the distance at which a level changes for whoever stands still; each counts `times` often (1), (N,).
+
+        A scaling that answers late, or a clock that is off, moves each crossing by that time at its speed: a straight
+        line over the speed, with what lies off it by more than three deviations left out.
+        """
+        counts = np.ones(len(self.metres)) if times is None else times
+        near = counts > 0
+        at_rest, late_s = float("nan"), 0.0
+        for _ in range(5):
+            weight = np.sqrt(counts[near])
+            columns = np.column_stack([weight, self.speed_m_s[near] * weight])
+            at_rest, late_s = np.linalg.lstsq(columns, self.metres[near] * weight, rcond=None)[0].tolist()
+            off = np.abs(self.metres - at_rest - late_s * self.speed_m_s)
+            near = (counts > 0) & (off <= 3 * 1.4826 * np.median(off[near]) + 1e-9)
+        return float(at_rest)
+
+
+def crossings(rows: Rows, levels: Sequence[float], distance: str) -> Crossings:
+    """Return where the level changed by one between two samples of one execution that follow each other at once."""
+    gamma = DISTANCES[distance](rows.robot_m, rows.human_m)
+    step = np.abs(rows.scaling[:, None] - np.array(levels)).argmin(axis=1)
+    number = np.unique(rows.execution, return_inverse=True)[1].ravel()
+    took_s = np.diff(rows.t_s)
+    period_s = float(np.median(took_s[took_s > 0])) if (took_s > 0).any() else 1.0
+    around = max(2, round(AROUND_S / period_s))
+    at = np.flatnonzero((np.abs(np.diff(step)) == 1) & (np.abs(np.diff(gamma)) <= FASTEST_M_S * period_s))
+    at = at[(at >= around - 1) & (at + around < len(gamma))]
+    first, last = at - around + 1, at + around
+    whole = (number[first] == number[last]) & (rows.t_s[last] - rows.t_s[first] < (2 * around - 0.5) * period_s)
+    at, first, last = at[whole], first[whole], last[whole]
+    bend = (gamma[at - 1] - gamma[at] - gamma[at + 1] + gamma[at + 2]) / 2
+    if len(at) and np.median(np.abs(bend)) > BEND_M:
+        at, bend, first, last = at[:0], bend[:0], first[:0], last[:0]
+    return Crossings(
+        threshold=np.minimum(step[at], step[at + 1]),
+        metres=(gamma[at] + gamma[at + 1]) / 2 - bend / 12,
+        speed_m_s=(gamma[last] - gamma[first]) / (rows.t_s[last] - rows.t_s[first]),
+        way_m=np.abs(gamma[at + 1] - gamma[at]),
+        execution=number[at],
+    )
+
+
+def _by_crossings(fitted: Threshold, crossed: Crossings, picks: Sequence[NDArray[np.int64]]) -> Threshold | None:
+    """Return the same threshold by its crossings, with its interval; None where they are too few."""
+    drawn = []
+    for pick in picks if len(crossed.metres) >= CROSSINGS else ():
+        times = np.bincount(pick, minlength=len(pick))[crossed.execution]
+        if (times > 0).sum() >= CROSSINGS // 2:
+            drawn.append(crossed.metres_at_rest(times))
+    if not drawn or not np.isfinite(fitted.metres):
+        return None
+    metres, slack = crossed.metres_at_rest(), BETWEEN * float(np.median(crossed.way_m))
+    low, high = np.quantile(drawn, (0.025, 0.975), method="nearest").tolist()
+    return replace(fitted, metres=metres, low=min(low, metres) - slack, high=max(high, metres) + slack)
+
+
+def hysteresis(rows: Rows, levels: Sequence[float], distance: str) -> float | None:
+    """Return how much farther out the level rises than it falls, median over the thresholds, m.
+
+    From thresholds fitted to samples where the distance grows and where it shrinks. A latency looks the same: it adds
+    itself times twice the speed of approach. None where either kind is rare or a level is never used.
+    """
+    gamma = DISTANCES[distance](rows.robot_m, rows.human_m)
+    step = np.diff(gamma, prepend=np.nan)
+    took_s = np.where(np.diff(rows.execution, prepend=-1) != 0, np.nan, np.diff(rows.t_s, prepend=np.nan))
+    broken = ~(took_s <= 1.5 * np.nanmedian(took_s)) if np.isfinite(took_s).any() else np.ones(len(step), np.bool_)
+    speed = np.where(broken, np.nan, step) / took_s
+    leaving, coming = speed > MOVING_M_S, speed < -MOVING_M_S
+    if min(leaving.sum(), coming.sum()) < 500:
+        return None
+    out, into = (by_distance(rows.of(part), levels, distance)[0] for part in (leaving, coming))
+    known = np.isfinite(out) & np.isfinite(into)
+    return float(np.median((out - into)[known])) if known.any() else None
+
+
+def _norm(way: NDArray[np.float64]) -> Vector:
+    return np.asarray(np.linalg.norm(way, axis=1))

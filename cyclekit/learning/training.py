@@ -1,0 +1,326 @@
+"""Learn the speed scaling from a dataset: find the levels, divide the executions, fit the network, judge it.
+
+Executions are divided three ways: most to learn from, some of those to decide which epoch's weights are kept, and a
+held-out part that is only looked at once, for the metrics in the model's card. The levels are found in the executions
+to learn from alone. How a network is built is in `models.network`; what comes out needs no torch any more.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import cyclekit
+from cyclekit import schema
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.dataset.guard import check_output
+from cyclekit.dataset.time_grid import samples_in
+from cyclekit.dataset.unknown_height import said_of_height
+from cyclekit.errors import DatasetError, MissingExtra, command_line
+from cyclekit.learning.labelling import scaling_in_time, staircase_of, without_slider
+from cyclekit.learning.networks.beaten import staircase_if_better
+from cyclekit.learning.networks.cell import cell_of, fingerprint
+from cyclekit.learning.networks.metrics import measure
+from cyclekit.learning.networks.saved import MODEL_VERSION, TrainedModel, check_model_output, save_model
+from cyclekit.learning.out_of_core import PART_ROWS, frames, in_files, memory_rows, rows_of, some_executions
+from cyclekit.learning.windows import (
+    GROUPS,
+    Samples,
+    build_samples,
+    groups_seen_both_ways,
+    scaling_without_operator,
+    split_executions,
+)
+from cyclekit.parallel.one_thread import one_thread
+from cyclekit.scaling.levels import Staircase, second_opinion
+from cyclekit.storage.scratch import Scratch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    import polars as pl
+
+    from cyclekit.learning.networks.fitting import Fitted
+    from cyclekit.learning.networks.metrics import Metrics
+    from cyclekit.learning.networks.spec import ModelSpec
+
+    Progress = Callable[[float, str], None]
+
+LEAST_S = 10.0
+"""Less log than this teaches nothing."""
+MIN_EXECUTIONS = 3
+"""One to learn from, one to choose the epoch, one to judge by."""
+
+
+@dataclass(frozen=True)
+class Split:
+    """Which executions served for what, by name."""
+
+    train: tuple[str, ...]
+    validation: tuple[str, ...]
+    test: tuple[str, ...]
+
+
+@one_thread()
+def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None) -> TrainedModel:
+    """Train the network of `spec` on `dataset` and judge it on held-out executions.
+
+    Of a dataset with more samples than `memory_rows`, the rows to learn from are kept in temporary files and read in
+    blocks, so that memory does not grow with them; levels are found in some of the executions.
+
+    Args:
+        dataset: With a speed scaling, logged or inferred, and positions of robot and operator.
+        spec: What to train.
+        progress: Told the fraction done and the validation error after every epoch.
+
+    Returns:
+        The model with the weights of its best epoch. Its card holds `metrics` on the held-out executions, the
+        `split`, `levels` with their shares, `history`, what was `dropped` and why, and where the data came from.
+
+    Raises:
+        DatasetError: The dataset lacks what training needs; the message says what.
+        MissingExtra: torch is not installed.
+    """
+    dataset.require_positions()
+    need_torch()
+    from cyclekit.learning.networks.fitting import fit  # here, so that this module can be imported without torch
+
+    spec = spec.at_rate(dataset.rate_hz).with_features()
+    with Scratch() as scratch:
+        if rows_of(dataset) <= memory_rows():
+            found = _in_memory(dataset, spec)
+        else:
+            found = _in_parts(dataset, spec, scratch.path, memory_rows())
+        _check_learnable(dataset, found.learn, found.check, found.held_out, spec)
+        fitted = fit(spec, found.learn, found.check, found.levels, progress, known=found.known)
+        made = (spec.problem, spec.network, spec.horizon_s, found.levels, fitted.weights)
+        model = TrainedModel(*made, history=spec.history or (1, 1))
+        card = _card(dataset, found, fitted, measure(model, found.held_out))
+        better = staircase_if_better(model, fitted.spec, found.learn, found.held_out)
+        card["warnings"] += [better.said(dataset.place, "MODEL")] if better else []
+    return replace(model, card=json.loads(json.dumps(card)))  # as it will be read back: lists, no tuples
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """What a model learns from and is judged by.
+
+    Attributes:
+        seen: Samples of executions to learn from (some of them, where there are very many), for levels and the like.
+        notes: What was done to them, one sentence each.
+    """
+
+    learn: Samples
+    check: Samples
+    held_out: Samples
+    split: Split
+    staircase: Staircase
+    levels: tuple[float, ...]
+    known: tuple[str, ...]
+    seen: pl.DataFrame
+    notes: tuple[str, ...]
+    dropped: Mapping[str, int]
+
+
+def _builder(dataset: Dataset, spec: ModelSpec) -> Callable[..., Samples]:
+    rate_hz, history = dataset.rate_hz, spec.history or (1, 1)
+    return partial(build_samples, problem=spec.problem, horizon_s=spec.horizon_s, rate_hz=rate_hz, history=history)
+
+
+def _in_memory(dataset: Dataset, spec: ModelSpec) -> _Rows:
+    frame = dataset.samples(dataset.executions["execution"].to_list())
+    frame, slider = without_slider(dataset, frame)
+    build = _builder(dataset, spec)
+    everything = build(frame, levels=(), allow=GROUPS)
+    enough = samples_in(LEAST_S / 2, dataset.rate_hz)
+    either = groups_seen_both_ways(everything, enough)
+    usable = _enough(dataset, frame, build(frame, levels=(), allow=either))
+    split = _split(dataset, [usable.executions[i] for i in np.unique(usable.execution)], spec)
+    seen = frame.filter(frame["execution"].is_in([*split.train, *split.validation]))
+    staircase = _staircase(dataset, seen, spec)
+    levels = _rounded(staircase)
+    known = groups_seen_both_ways(everything.of(split.train), enough)
+    rows = _enough(dataset, frame, build(frame, levels=levels, allow=known))
+    learn, check, held_out = (rows.of(part) for part in (split.train, split.validation, split.test))
+    notes = (slider,) if slider else ()
+    return _Rows(learn, check, held_out, split, staircase, levels, known, seen, notes, rows.dropped)
+
+
+def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -> _Rows:
+    """Do as `_in_memory` for more samples than memory takes: rows to learn from stay in files of `folder`.
+
+    Levels and what may be unknown are found in as many executions as memory takes. Of those held out there are no more
+    than that either: a tenth of it already tells an error to a hundredth of itself.
+    """
+    most = most_rows / 10 / rows_of(dataset)
+    parts = (min(spec.test_fraction, most), min(spec.validation_fraction, most))
+    smaller = replace(spec, test_fraction=parts[0], validation_fraction=parts[1])
+    split = _split(dataset, dataset.executions["execution"].to_list(), smaller)
+    some = some_executions(dataset, [*split.train, *split.validation], most_rows // 2, seed=spec.seed)
+    seen, slider = without_slider(dataset, dataset.samples(some))
+    build = _builder(dataset, spec)
+    known = groups_seen_both_ways(build(seen, levels=(), allow=GROUPS), samples_in(LEAST_S / 2, dataset.rate_hz))
+    staircase = _staircase(dataset, seen, spec)
+    levels = _rounded(staircase)
+    _enough(dataset, seen, build(seen, levels=levels, allow=known))
+
+    def rows(frame: pl.DataFrame) -> Samples:
+        found = build(without_slider(dataset, frame)[0] if slider else frame, levels=levels, allow=known)
+        on_level = found.where(found.step >= 0) if spec.network == "classifier" else found
+        return replace(on_level, dropped=found.dropped)
+
+    learn = in_files((rows(frame) for frame in frames(dataset, split.train, min(PART_ROWS, most_rows))), folder)
+    check, held_out = (
+        build(without_slider(dataset, frame)[0] if slider else frame, levels=levels, allow=known)
+        for frame in (dataset.samples(split.validation), dataset.samples(split.test))
+    )
+    dropped = sum((Counter(part.dropped) for part in (learn, check, held_out)), Counter[str]())
+    note = f"more samples than memory takes: levels were found in {len(some)} executions, rows learned from in files"
+    notes = (*((slider,) if slider else ()), note)
+    return _Rows(learn, check, held_out, split, staircase, levels, known, seen, notes, dict(dropped))
+
+
+def _rounded(staircase: Staircase) -> tuple[float, ...]:
+    return tuple(round(float(level), 6) for level in staircase.levels)
+
+
+def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: Metrics) -> dict[str, Any]:
+    shares = zip(found.levels, found.staircase.share, strict=True)
+    sizes = {"train": len(found.learn), "validation": len(found.check), "test": len(found.held_out)}
+    return {
+        **_origin(dataset, fitted.spec),
+        "metrics": metrics.to_json(),
+        "levels": [{"value": v, "share": round(float(s), 6)} for v, s in shares],
+        "warnings": [
+            *found.notes,
+            *said_of_height(found.seen),
+            *found.staircase.warnings,
+            *_other_opinion(dataset, found.seen, found.staircase),
+        ],
+        "rate_hz": dataset.rate_hz,
+        "temperature": fitted.temperature,
+        "may_be_unknown": list(found.known),
+        "scaling_without_operator": scaling_without_operator(found.seen),
+        "mean_scaling": float(found.learn.scaling.mean()),
+        "rows": sizes,
+        "dropped": dict(found.dropped),
+        "inputs": list(found.learn.inputs),
+        "standardisation": {"mean_m": fitted.mean.tolist(), "scale_1_m": fitted.scale.tolist()},
+        "split": asdict(found.split),
+        "history": [asdict(epoch) for epoch in fitted.history],
+    }
+
+
+@dataclass(frozen=True)
+class Training:
+    """One model to train, as a task of an engine: the places of dataset and model, and what to train."""
+
+    dataset: str
+    spec: ModelSpec
+    out: str
+
+
+def train_at(what: Training, *, progress: Progress | None = None) -> dict[str, Any]:
+    """Train a model and put it in its place; return its card.
+
+    Raises:
+        OutputError: The model would replace what is no model, or lie in the dataset.
+        CyclekitError: As `train`, or the model cannot be written.
+    """
+    check_output(what.out, "model", [what.dataset])
+    check_model_output(what.out)
+    model = train(Dataset.open(what.dataset), what.spec, progress=progress)
+    save_model(what.out, model)
+    return model.card
+
+
+def need_torch() -> None:
+    """Refuse to begin what ends in a training that cannot be.
+
+    Raises:
+        MissingExtra: torch is not installed.
+    """
+    try:
+        import torch  # noqa: F401
+    except ImportError as error:
+        raise MissingExtra("torch", "train", "training") from error
+
+
+def _origin(dataset: Dataset, spec: ModelSpec) -> dict[str, Any]:
+    return {
+        "cyclekit": cyclekit.__version__,
+        "schema_version": schema.SCHEMA_VERSION,
+        "model_version": MODEL_VERSION,
+        "spec": asdict(spec),
+        "problem": spec.problem,
+        "network": spec.network,
+        "horizon_s": spec.horizon_s,
+        "seed": spec.seed,
+        "dataset": dataset.path.name,
+        "dataset_sha256": fingerprint(dataset),
+        "cell": cell_of(dataset),
+    }
+
+
+def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
+    """Return the rows, or refuse if they are too few to learn from."""
+    if frame["scaling"].is_null().all():
+        cure = "Log the scaling, or give a reference run without the operator in cell.toml so that it can be inferred."
+        msg = f"{dataset.path}: the speed scaling is unknown in all {frame.height} samples, so nothing can be learned"
+        raise DatasetError(msg, cure=cure)
+    if len(rows) < (least := samples_in(LEAST_S, dataset.rate_hz)):
+        why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "the log is that short"
+        msg = f"{dataset.path}: only {len(rows)} of {frame.height} samples can be learned from ({why})"
+        look = command_line("inspect", dataset.place)
+        raise DatasetError(msg, cure=f"At least {least} are needed, {LEAST_S:g} s. See what the logs lack: {look}")
+    return rows
+
+
+def _check_learnable(dataset: Dataset, learn: Samples, check: Samples, held_out: Samples, spec: ModelSpec) -> None:
+    """Refuse when the split leaves too little to learn from: executions may be of very different length."""
+    count = int((learn.step >= 0).sum()) if spec.network == "classifier" else len(learn)
+    if count < samples_in(LEAST_S / 2, dataset.rate_hz):
+        what = "samples on a level" if spec.network == "classifier" else "usable samples"
+        msg = f"{dataset.path}: the executions to learn from hold only {count} {what}"
+        raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
+    for rows, purpose in ((check, "to stop at"), (held_out, "to judge by")):
+        if not len(rows):
+            msg = f"{dataset.path}: the executions {purpose} hold no usable sample"
+            raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
+
+
+def _other_opinion(dataset: Dataset, frame: pl.DataFrame, staircase: Staircase) -> list[str]:
+    scaling, _ = scaling_in_time(frame, dataset.rate_hz)
+    other = second_opinion(scaling, staircase)
+    return [] if other is None else [other]
+
+
+def _split(dataset: Dataset, names: Sequence[str], spec: ModelSpec) -> Split:
+    if len(names) < MIN_EXECUTIONS:
+        msg = f"{dataset.path}: {len(names)} usable execution(s); at least {MIN_EXECUTIONS} are needed"
+        cure = "One to learn from, one to stop at, one to judge by: log more, or mark in cell.toml how they begin."
+        raise DatasetError(msg, cure=cure)
+    learn, test = split_executions(names, test_fraction=spec.test_fraction, seed=spec.seed)
+    if len(learn) < 2:
+        learn, test = (*learn, *test[1:]), test[:1]
+    fit, validation = split_executions(learn, test_fraction=spec.validation_fraction, seed=spec.seed)
+    return Split(fit, validation, test)
+
+
+def _staircase(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Staircase:
+    """Find the levels; a network that names steps needs at least two of them."""
+    scaling, _ = scaling_in_time(frame, dataset.rate_hz)
+    staircase = staircase_of(dataset, frame)
+    if np.nanmax(scaling) - np.nanmin(scaling) < 1e-6:
+        msg = f"{dataset.path}: the speed scaling is {np.nanmax(scaling):.2f} throughout, so there is nothing to learn"
+        raise DatasetError(msg, cure="Log executions in which the operator comes near enough to slow the robot.")
+    if spec.network in ("classifier", "mixed") and (staircase.levels.size < 2 or not staircase.is_staircase):
+        msg = f"{dataset.path}: a {spec.network} needs at least two levels, but {'; '.join(staircase.warnings)}"
+        raise DatasetError(msg, cure="Train a network that needs none: --network regressor")
+    return staircase

@@ -1,0 +1,295 @@
+"""Turn samples into the arrays a network learns from, for each of the paper's three problems.
+
+    now      x_r, x_h              -> s_i                        what holds at this instant
+    ahead    x_r, x_h, g_r, g_h    -> s_{i+w}                    what will hold w samples later
+    average  x_r, x_h, g_r, g_h    -> mean of s_i ... s_{i+w}    what a task will be slowed to (w + 1 samples)
+
+A window never crosses from one execution into the next, nor a gap in the log, and neither does the history that a
+recurrent network sees. A row with an unknown target is left out and counted, never filled; so is one with an unknown
+input, unless the network has an input that says "known or not" for it (`GROUPS`). Where only the height of the operator
+is unknown, that of the TCP stands for it (`height`). How executions are divided into those
+to learn from and those to judge by is decided here too: by execution, never by row, because neighbouring rows are
+nearly equal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+import polars as pl
+
+from cyclekit.dataset.unknown_height import inputs_in_plane
+from cyclekit.errors import DatasetError, ShapeError, UnknownName
+from cyclekit.scaling.levels import UNKNOWN, label_in_time, unbroken
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+Problem = Literal["now", "ahead", "average"]
+PROBLEMS: tuple[Problem, ...] = get_args(Problem)
+
+_POSITIONS = tuple(f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz")
+_GOALS = tuple(f"{who}_goal_{axis}_m" for who in ("robot", "human") for axis in "xyz")
+INPUTS: Mapping[str, tuple[str, ...]] = {
+    "now": _POSITIONS,
+    "ahead": _POSITIONS + _GOALS,
+    "average": _POSITIONS + _GOALS,
+}
+"""Input columns of every problem, in the order of the columns of X."""
+GROUPS: Mapping[str, slice] = {"human": slice(3, 6), "robot_goal": slice(6, 9), "human_goal": slice(9, 12)}
+"""Columns of X that may be unknown together: an operator who is not there, a goal that nobody has said."""
+_MODEL_ERROR = 0.05
+"""Error of a prediction against which the uncertainty of an inferred scaling is weighed."""
+_GAP = 1.5
+"""Two samples farther apart than this many periods have a gap between them."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Rows ready for a network: N rows, F inputs.
+
+    Attributes:
+        X: Inputs, shape (N, F), float32, metres, base frame; columns as in `inputs`.
+        step: Level of the target, shape (N,), int32; -1 where the target is on no level (always for `average`).
+        scaling: Target, shape (N,): s_i, s_{i+w} or the mean of s_i ... s_{i+w}.
+        execution: Which execution, shape (N,), index into `executions`.
+        executions: Names of the executions.
+        t_s: Session time of the row (of its inputs), shape (N,), s.
+        inputs: Names of the F input columns.
+        weight: How much each row counts in training, shape (N,), in (0, 1]; below 1 where the scaling was inferred.
+        table: Inputs of all rows that a history may reach into, shape (M, F); None where there is no history.
+        before: Rows of `table` that a recurrent network sees for each row, the oldest first, shape (N, K); None
+            where there is no history.
+        ahead: Row of `table` at the end of each row's window, shape (N,): where the operator will be; with a history.
+        dropped: Rows left out, by reason.
+        in_files: The arrays are mapped from files and may be larger than memory (`out_of_core`).
+    """
+
+    X: NDArray[np.float32]
+    step: NDArray[np.int32]
+    scaling: NDArray[np.float64]
+    execution: NDArray[np.int64]
+    executions: tuple[str, ...]
+    t_s: NDArray[np.float64]
+    inputs: tuple[str, ...]
+    weight: NDArray[np.float32]
+    table: NDArray[np.float32] | None = None
+    before: NDArray[np.int64] | None = None
+    ahead: NDArray[np.int64] | None = None
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    in_files: bool = False
+
+    def __len__(self) -> int:
+        """Return N."""
+        return int(self.scaling.size)
+
+    @property
+    def model_inputs(self) -> NDArray[np.float32]:
+        """What a model predicts from: X, or with a history shape (N, K, F)."""
+        return self.X if self.table is None or self.before is None else self.table[self.before]
+
+    def of(self, executions: Iterable[str]) -> Samples:
+        """Return the rows of some executions; `dropped` is not divided and stays empty."""
+        wanted = set(executions)
+        keep = np.isin(self.execution, [i for i, name in enumerate(self.executions) if name in wanted])
+        return self.where(keep)
+
+    def where(self, keep: NDArray[np.bool_]) -> Samples:
+        """Return the rows for which `keep`, shape (N,), is true; `dropped` stays empty."""
+        names = ("X", "step", "scaling", "execution", "t_s", "weight")
+        parts = {name: getattr(self, name)[keep] for name in names}
+        parts |= {name: getattr(self, name)[keep] for name in ("before", "ahead") if getattr(self, name) is not None}
+        return replace(self, **parts, dropped={})
+
+
+def build_samples(
+    frame: pl.DataFrame,
+    problem: str,
+    horizon_s: float,
+    levels: Sequence[float],
+    *,
+    rate_hz: float,
+    allow: Collection[str] = (),
+    history: tuple[int, int] = (1, 1),
+) -> Samples:
+    """Build the rows of one problem.
+
+    Args:
+        frame: Table SAMPLES, rows of one execution together and in order of time. A column `scaling_sd`, one standard
+            deviation of an inferred scaling (0 or null where it was logged), becomes the weight.
+        problem: `now`, `ahead` or `average`.
+        horizon_s: How far ahead the target lies or reaches; must be 0 for `now`.
+        levels: Staircase levels, ascending, to name the step of a target; none for rows in transition.
+        rate_hz: Rate of `frame`.
+        allow: Groups (see `GROUPS`) whose columns may be unknown (NaN in X). An operator who is hidden or whose log is
+            over is not absent: those rows are left out all the same.
+        history: How many samples a recurrent network sees, and how many rows lie between them. Where a stretch has
+            just begun, its first sample stands for those before it.
+
+    Raises:
+        UnknownName: There is no such problem.
+        ShapeError: The horizon does not suit the problem.
+    """
+    if problem not in INPUTS:
+        raise UnknownName("the model", "problem", problem, PROBLEMS)
+    width = round(horizon_s * rate_hz)
+    if (problem == "now") != (width == 0) or horizon_s < 0:
+        msg = f"problem {problem!r} with a horizon of {horizon_s} s: `now` has none, the others need one"
+        raise ShapeError(msg, cure=f"Give a horizon of at least {1 / rate_hz:g} s for ahead and average, 0 for now.")
+    inputs = INPUTS[problem]
+    X = inputs_in_plane(frame.select(pl.col(inputs).cast(pl.Float32)).to_numpy())
+    scaling = frame["scaling"].fill_null(np.nan).to_numpy()
+    run = stretches(frame, rate_hz)
+    target, whole = _target(problem, scaling, run, width)
+    unknown = _unknown_inputs(frame, X, allow)
+    keep, dropped = _usable({"window leaves the execution or crosses a gap": ~whole, **unknown}, target)
+    names = frame["execution"].unique(maintain_order=True).to_list()
+    code = frame["execution"].replace_strict(names, list(range(len(names))), return_dtype=pl.Int64).to_numpy()
+    step = np.full(target.shape, UNKNOWN, np.int32)
+    if problem != "average" and len(levels):
+        now = label_in_time(scaling, levels, unbroken(run, np.isfinite(scaling)), rate_hz=rate_hz)
+        step[: len(step) - width] = now[width:]
+    table, before, ahead = None, None, None
+    if history != (1, 1):
+        ahead = np.minimum(np.arange(len(X)) + width, len(X) - 1)
+        table, before = X, _history(run, np.logical_or.reduce(list(unknown.values())), history)
+    time, weight = frame["t_s"].to_numpy(), _weight(frame, width, problem)
+    every = Samples(X, step, target, code, tuple(names), time, inputs, weight, table, before, ahead)
+    return replace(every.where(keep), dropped=dropped)
+
+
+def _weight(frame: pl.DataFrame, width: int, problem: str) -> NDArray[np.float32]:
+    """Return the weight of every row: error variance of a prediction over that plus the target's own variance."""
+    if "scaling_sd" not in frame.columns:
+        return np.ones(frame.height, np.float32)
+    variance = frame["scaling_sd"].fill_null(0.0).fill_nan(0.0).to_numpy() ** 2
+    mine = np.zeros_like(variance)
+    if problem == "average":  # neighbours err alike, so the mean is no surer than they are
+        total = np.concatenate([[0.0], np.cumsum(variance)])
+        mine[: variance.size - width] = (total[width + 1 :] - total[: variance.size - width]) / (width + 1)
+    else:
+        mine[: variance.size - width] = variance[width:]
+    return np.asarray(_MODEL_ERROR**2 / (_MODEL_ERROR**2 + mine), np.float32)
+
+
+def _history(run: NDArray[np.int64], unusable: NDArray[np.bool_], history: tuple[int, int]) -> NDArray[np.int64]:
+    """Return which rows each row looks back at, the oldest first, shape (T, K): never past a gap or an unusable row."""
+    count, every = history
+    at = np.arange(run.size)
+    first = np.concatenate([[True], (run[1:] != run[:-1]) | unusable[1:] | unusable[:-1]])
+    begin = np.maximum.accumulate(np.where(first, at, 0))
+    back = every * np.arange(count - 1, -1, -1)
+    return np.asarray(np.maximum(at[:, None] - back[None, :], begin[:, None]))
+
+
+def stretches(frame: pl.DataFrame, rate_hz: float) -> NDArray[np.int64]:
+    """Return the number of the unbroken stretch (one execution, no gap) of every row of SAMPLES, shape (N,)."""
+    step = pl.col("t_s").diff()
+    new = (pl.col("execution") != pl.col("execution").shift()) | (step > _GAP / rate_hz) | (step <= 0)
+    return frame.select(new.fill_null(value=True).cum_sum().cast(pl.Int64)).to_series().to_numpy()
+
+
+def _target(
+    problem: str, scaling: NDArray[np.float64], run: NDArray[np.int64], width: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the target of each row (NaN = unknown) and whether its window lies inside one unbroken run."""
+    count = scaling.size
+    if width == 0:
+        return scaling, np.ones(count, np.bool_)
+    target, whole = np.full(count, np.nan), np.zeros(count, np.bool_)
+    if count <= width:
+        return target, whole
+    whole[:-width] = run[width:] == run[:-width]
+    if problem == "ahead":
+        target[:-width] = scaling[width:]
+        return target, whole
+    known = np.isfinite(scaling)
+    total = np.concatenate([[0.0], np.cumsum(np.where(known, scaling, 0.0))])
+    holes = np.concatenate([[0], np.cumsum(~known)])
+    mean = (total[width + 1 :] - total[: -width - 1]) / (width + 1)
+    target[:-width] = np.where(holes[width + 1 :] == holes[: -width - 1], mean, np.nan)
+    return target, whole
+
+
+def _unknown_inputs(
+    frame: pl.DataFrame, X: NDArray[np.float32], allow: Collection[str]
+) -> dict[str, NDArray[np.bool_]]:
+    """Return by reason which rows lack an input that they need."""
+
+    def unknown(columns: NDArray[np.float32]) -> NDArray[np.bool_]:
+        total: NDArray[np.float32] = columns.sum(axis=1)  # NaN in any column makes it NaN
+        return np.isnan(total)
+
+    nobody = unknown(X[:, GROUPS["human"]])
+    if "human" in allow:
+        absent = (frame["human_gap"] == "absent").fill_null(value=False).to_numpy()
+        nobody = nobody & ~absent
+    goal = np.zeros(len(X), np.bool_)
+    for group in ("robot_goal", "human_goal"):
+        if X.shape[1] > GROUPS[group].start and group not in allow:
+            goal |= unknown(X[:, GROUPS[group]])
+    return {"robot position unknown": unknown(X[:, :3]), "operator absent or not seen": nobody, "goal unknown": goal}
+
+
+def _usable(
+    unknown: Mapping[str, NDArray[np.bool_]], target: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], dict[str, int]]:
+    """Return which rows can be used, and how many are left out for each reason (the first that applies)."""
+    keep, dropped = np.ones(target.size, np.bool_), {}
+    for reason, bad in {**unknown, "scaling unknown": np.isnan(target)}.items():
+        if lost := int((keep & bad).sum()):
+            dropped[reason] = lost
+        keep &= ~bad
+    return keep, dropped
+
+
+def groups_seen_both_ways(rows: Samples, least: int) -> tuple[str, ...]:
+    """Return the groups of inputs that are known in at least `least` rows and unknown in as many."""
+    found = []
+    for group, columns in GROUPS.items():
+        if rows.X.shape[1] > columns.start:
+            unknown = int(np.isnan(rows.X[:, columns].sum(axis=1)).sum())
+            if least <= unknown <= len(rows) - least:
+                found.append(group)
+    return tuple(found)
+
+
+def nobody_there() -> pl.Expr:
+    """Tell of rows of SAMPLES whether no operator is there; one who is hidden, or whose log is over, may well be."""
+    unknown = pl.col("human_gap").is_in(["occluded", "outside"]).fill_null(value=False)
+    return pl.col("human_x_m").is_null() & ~unknown
+
+
+def scaling_without_operator(frame: pl.DataFrame) -> float | None:
+    """Return the scaling that holds while nobody is there (median), None where the logs never show it.
+
+    The networks need a position of the operator; this is what holds when there is none.
+    """
+    absent = frame.filter(nobody_there() & pl.col("scaling").is_not_null())
+    middle = absent["scaling"].median()
+    return float(middle) if isinstance(middle, float) else None
+
+
+def split_executions(
+    names: Sequence[str], *, test_fraction: float = 0.2, seed: int = 0
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Divide executions at random into those to learn from and those held out, both in the given order.
+
+    Args:
+        names: Executions, each once.
+        test_fraction: Part held out, in (0, 1); at least one execution is held out, and one is kept.
+        seed: Same names and seed, same split, in whatever order the names come.
+
+    Raises:
+        DatasetError: There are fewer than two executions.
+    """
+    if len(names) < 2:
+        msg = f"{len(names)} execution: nothing can be held out to judge by"
+        raise DatasetError(msg, cure="Log the process at least twice, or mark in cell.toml how executions begin.")
+    count = min(max(round(test_fraction * len(names)), 1), len(names) - 1)
+    held_out = set(np.random.default_rng(seed).permutation(sorted(names))[:count].tolist())
+    return tuple(n for n in names if n not in held_out), tuple(n for n in names if n in held_out)

@@ -1,0 +1,141 @@
+"""Engine `local`: worker processes of this machine, each at the end of a pipe.
+
+A pool of the standard library gives everything up when one of its processes dies. Here each worker has a pipe of its
+own, so that it is known which item a dead one was at: a new worker takes its place, and the item is done again.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections import Counter, deque
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection, wait
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.errors import EngineError
+from cyclekit.parallel.engine import ONE_THREAD, RETRIES, Done, in_chunks
+from cyclekit.parallel.worker import outcomes, packed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+
+def map_in_processes(function: Callable[[Any], Any], items: Sequence[Any], jobs: int) -> Iterator[Done[Any, Any]]:
+    """Do `Engine.map` with `jobs` processes."""
+    waiting = deque(in_chunks(len(items), jobs))
+    lost = Counter[int]()
+    crew = [_Worker(packed(function)) for _ in range(min(jobs, len(waiting)))]
+    try:
+        while waiting or any(worker.at for worker in crew):
+            for worker in crew:
+                if waiting and not worker.at:
+                    worker.give(waiting.popleft(), items)
+            for worker in _with_news([worker for worker in crew if worker.at]):
+                if (outcome := worker.outcome()) is not None:
+                    number = worker.at.popleft()
+                    yield Done(number, items[number], *outcome)
+                    continue
+                crew[crew.index(worker)] = _Worker(packed(function))
+                number, *rest = worker.end()
+                waiting.extendleft([[other] for other in reversed(rest)])
+                lost[number] += 1
+                if lost[number] <= RETRIES:
+                    waiting.append([number])  # after the others: what kills workers shall not hold them up
+                else:
+                    yield Done(number, items[number], None, gave_up(worker.exit_code))
+    finally:
+        for worker in crew:
+            worker.end()
+
+
+def gave_up(exit_code: int | None) -> EngineError:
+    """Return the error of an item whose worker died each time."""
+    how = "" if exit_code is None else f" (exit code {exit_code})"
+    seen = f"the process that worked on it died {RETRIES + 1} times{how}"
+    return EngineError(seen, cure="Often the memory is not enough: give fewer --jobs, or a machine with more memory.")
+
+
+class _Worker:
+    """A process, the pipe to it, and the numbers of the items that it has been given and not answered."""
+
+    def __init__(self, function: bytes) -> None:
+        context = get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs, function), daemon=False)
+        with _one_thread_each():
+            self._process.start()
+        theirs.close()
+        self.at: deque[int] = deque()
+
+    @property
+    def pipe(self) -> Connection:
+        return self._pipe
+
+    @property
+    def exit_code(self) -> int | None:
+        return self._process.exitcode
+
+    def give(self, numbers: list[int], items: Sequence[Any]) -> None:
+        self.at.extend(numbers)
+        with suppress(OSError):  # it has died; its end of the pipe will say so
+            self._pipe.send([items[number] for number in numbers])
+
+    def outcome(self) -> tuple[Any, Exception | None] | None:
+        """Return result and error of its next item, None if it has died."""
+        try:
+            return self._pipe.recv()  # type: ignore[no-any-return]
+        except (EOFError, OSError):
+            return None
+
+    def end(self) -> list[int]:
+        """End the process, whatever it does; return the items that it leaves."""
+        self._process.terminate()
+        self._process.join()
+        self._pipe.close()
+        left, self.at = list(self.at), deque()
+        return left
+
+
+def _with_news(workers: Sequence[_Worker]) -> list[_Worker]:
+    ready = wait([worker.pipe for worker in workers])
+    return [worker for worker in workers if worker.pipe in ready]
+
+
+def _serve(pipe: Connection, function: bytes) -> None:
+    """Answer item by item what comes through the pipe, until nobody is at its other end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interruption is the parent's to handle, who ends its workers
+    _end_with_parent()
+    with suppress(EOFError, OSError):
+        while True:
+            for outcome in outcomes(function, pipe.recv()):
+                pipe.send(outcome)
+
+
+def _end_with_parent() -> None:
+    """End this worker when its parent was killed; else it would write where nobody asked any more."""
+    parent = parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Let a process that is started meanwhile find ONE_THREAD in its environment."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,119 @@
+"""Engine `ray`: the same map as Ray core tasks, on a cluster that runs or on one of our own on this machine.
+
+Ray is imported here only, when it is asked for. It does again what a lost worker or machine was at (`max_retries`).
+Workers import cyclekit themselves: it must be installed on every machine, in the same version.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.errors import EngineError, MissingExtra
+from cyclekit.parallel.engine import ONE_THREAD, RETRIES, Done, cores, in_chunks
+from cyclekit.parallel.worker import outcomes, packed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+_AHEAD = 2
+"""Parts that wait at the cluster for each that is worked on: a worker that is done finds the next one there."""
+_REACH_S = 5.0
+
+
+def map_in_cluster(
+    function: Callable[[Any], Any], items: Sequence[Any], jobs: int | None, address: str | None
+) -> Iterator[Done[Any, Any]]:
+    """Do `Engine.map` on Ray."""
+    if not items:
+        return
+    ray = _connected(jobs, address)
+    workers = min(jobs or len(items), max(int(ray.cluster_resources().get("CPU", 1)), 1))
+    ahead = workers if jobs else _AHEAD * workers  # jobs is a promise not to use more
+    task = ray.remote(num_cpus=1, max_retries=RETRIES)(_task)
+    told = (packed(function), str(Path.cwd()), version("cyclekit"))
+    waiting = in_chunks(len(items), workers)[::-1]
+    under_way: dict[Any, list[int]] = {}
+    try:
+        while waiting or under_way:
+            while waiting and len(under_way) < ahead:
+                chunk = waiting.pop()
+                under_way[task.remote([items[number] for number in chunk], *told)] = chunk
+            ready, _ = ray.wait(list(under_way), num_returns=1)
+            chunk = under_way.pop(ready[0])
+            try:
+                done = ray.get(ready[0])
+            except ray.exceptions.RayError as error:
+                if len(chunk) > 1:  # one of them kills workers: each for itself
+                    waiting.extend([number] for number in chunk)
+                else:
+                    yield Done(chunk[0], items[chunk[0]], None, _gave_up(error))
+                continue
+            for number, outcome in zip(chunk, done, strict=True):
+                yield Done(number, items[number], *outcome)
+    finally:
+        for reference in under_way:
+            ray.cancel(reference, force=True)
+
+
+def _task(items: Sequence[Any], function: bytes, folder: str, theirs: str) -> list[tuple[Any, Exception | None]]:
+    """Do a part of the items in a worker of Ray; its environment is set before anything heavy is imported."""
+    os.environ.update(ONE_THREAD)
+    with suppress(OSError):
+        os.chdir(folder)  # where there is none of that name, paths must be absolute
+    if (ours := version("cyclekit")) != theirs:
+        seen = f"{socket.gethostname()} has cyclekit {ours} installed, and the work comes from cyclekit {theirs}"
+        return [(None, EngineError(seen, cure="Install the same version on every machine.")) for _ in items]
+    return list(outcomes(function, items))
+
+
+def _connected(jobs: int | None, address: str | None) -> Any:  # noqa: ANN401 - the module of a package without types
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # before the import: it reports usage otherwise
+    if address not in (None, "auto") and (Path.home() / ".ray" / "auth_token").is_file():
+        os.environ.setdefault("RAY_AUTH_MODE", "token")  # as Ray does for a cluster that it has found by itself
+    try:
+        import ray
+    except ImportError as error:
+        raise MissingExtra("ray", "ray", "--engine ray") from error
+    if ray.is_initialized():
+        return ray
+    if address is None:
+        level = logging.ERROR
+        ray.init("local", num_cpus=jobs or cores(), include_dashboard=False, logging_level=level, log_to_driver=False)
+        return ray
+    _reach(address)
+    try:
+        ray.init(address=address, logging_level=logging.ERROR, log_to_driver=False)
+    except (ConnectionError, RuntimeError, ValueError, TimeoutError, ray.exceptions.RayError) as error:
+        raise _out_of_reach(address, str(error).strip().partition("\n")[0]) from error
+    return ray
+
+
+def _reach(address: str) -> None:
+    """Refuse at once an address where nobody listens; Ray itself would try for minutes.
+
+    Raises:
+        EngineError: Nobody listens there, or it is no address.
+    """
+    if address == "auto" or "://" in address:
+        return
+    host, _, port = address.rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_REACH_S).close()
+    except (OSError, ValueError) as error:
+        raise _out_of_reach(address, str(error)) from error
+
+
+def _out_of_reach(address: str, why: str) -> EngineError:
+    cure = "Start one with `ray start --head`, and give --ray-address auto there or HOST:6379 elsewhere."
+    return EngineError(f"no Ray cluster can be reached at {address!r} ({why})", cure=cure)
+
+
+def _gave_up(error: Exception) -> EngineError:
+    seen = f"its worker was lost {RETRIES + 1} times ({type(error).__name__})"
+    return EngineError(seen, cure="Often the memory is not enough: give fewer --jobs, or machines with more memory.")

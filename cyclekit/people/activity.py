@@ -1,0 +1,295 @@
+"""What the operator did: x_h, task and goal of every sample of every execution.
+
+The tracks of a session are brought into its time and the base frame; goals come from its events if there are any,
+else from where the operator stays, which all sessions together tell. How a single track is sampled is the business of
+`people`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import polars as pl
+
+from cyclekit import schema
+from cyclekit.alignment.frames import to_base
+from cyclekit.dataset.dataset import Place
+from cyclekit.people.silence import Silence
+from cyclekit.people.tracks import (
+    REASONS,
+    Track,
+    find_spots,
+    find_stays,
+    gap_reasons,
+    goals_from_events,
+    ids_are_real,
+    link_by_motion,
+    nearest_person,
+    spot,
+    without_jumps,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.config import Cell, Source
+    from cyclekit.dataset.sessions import Session
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+    Read = Callable[[str, str], pl.DataFrame | None]
+
+GOAL_SIGNAL = "goal"
+"""An event whose signal name holds this word tells the operator's goal."""
+
+
+_HUMAN = tuple(f"human_{axis}_m" for axis in "xyz")
+HEIGHT_M = 1.5
+"""By more than this nobody's height changes while he works; floor axes change by metres. Over ENOUGH positions."""
+ENOUGH = 100
+OPERATOR = "operator: "
+"""How a warning of a recording begins that was found here, and not when its log was read."""
+
+
+@dataclass(frozen=True)
+class _Log:
+    """The tracks that one recording saw, in session time and base frame."""
+
+    entry: dict[str, Any]
+    tracks: list[Track]
+    silence: Silence
+
+
+@dataclass(frozen=True)
+class Stays:
+    """Where the operator stayed in one execution.
+
+    Attributes:
+        samples: How many samples the execution has.
+        spans: First and last sample of each stay.
+        at_m: Where it was, shape (M, 3), metres.
+        goals: The goal that events tell in the middle of each; empty where no event tells goals in this session.
+        told: Events tell the goals of this session.
+    """
+
+    samples: int
+    spans: list[tuple[int, int]]
+    at_m: Points
+    goals: list[str | None]
+    told: bool
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The operator at the samples of one execution.
+
+    Attributes:
+        human_m: x_h, shape (T, 3), NaN = unknown.
+        reasons: Whether any log of the session sees somebody, and why not, shape (T,), indices into REASONS; None =
+            nobody was to be tracked.
+        goals: The goal that events tell, T of them; empty where none tells goals in this session.
+        stays: Where the operator stayed.
+    """
+
+    human_m: Points
+    reasons: NDArray[np.int8] | None
+    goals: list[str | None]
+    stays: Stays
+
+    def columns(self, rows: slice) -> dict[str, Any]:
+        """Return the columns of table SAMPLES that tell of the operator, at some of the samples; NaN = null."""
+        human_m = self.human_m[rows]
+        columns: dict[str, Any] = {name: human_m[:, k] for k, name in enumerate(_HUMAN)}
+        if self.reasons is not None:
+            columns["human_gap"] = _why_unseen(human_m, self.reasons[rows])
+        if self.goals:
+            columns["human_task"] = self.goals[rows]
+        return columns
+
+
+class Watch:
+    """The people of one session, looked at execution by execution."""
+
+    def __init__(self, session: Session, sources: Mapping[str, Source | None], read: Read, cell: Cell) -> None:
+        """Bring the tracks into session time and base frame.
+
+        Args:
+            session: The session.
+            sources: What the cell file says about each recording, by id.
+            read: Returns a native table of a recording (id, table), None if it has none.
+            cell: How long gaps are bridged, and the rate.
+        """
+        self._logs, self._events = _operator_logs(session, sources, read)
+        self._tracks = [track for log in self._logs for track in log.tracks]
+        self._counts = [np.zeros(len(REASONS), np.int64) for _ in self._logs]
+        self._cell = cell
+
+    def during(self, t_s: Vector, tcp_m: Points) -> Seen:
+        """Return the operator in one execution.
+
+        Args:
+            t_s: Times of its samples, shape (T,).
+            tcp_m: The TCP there, shape (T, 3), NaN = unknown.
+        """
+        found = [_seen_by(log, t_s, self._cell) for log in self._logs]
+        for counts, reasons in zip(self._counts, found, strict=True):
+            counts += np.bincount(reasons, minlength=len(REASONS))
+        bridge_s, width_s = self._cell.bridge_s, 1.0 / self._cell.rate_hz
+        human_m = nearest_person(self._tracks, t_s, tcp_m, bridge_s=bridge_s, width_s=width_s)
+        goals = goals_from_events(*self._events, t_s) if len(self._events[0]) else []
+        spans = find_stays(t_s, human_m)
+        at_m = np.array([np.median(human_m[a : b + 1], axis=0) for a, b in spans]).reshape(-1, 3)
+        # The middle decides: at the end of a stay the next button is pressed before the operator is seen to walk.
+        middles = [goals[(a + b) // 2] for a, b in spans] if goals else []
+        stays = Stays(len(t_s), spans, at_m, middles, told=bool(goals))
+        return Seen(human_m, np.min(found, axis=0) if found else None, goals, stays)
+
+    @property
+    def silences(self) -> list[Silence]:
+        """How each log of people begins, ends and pauses."""
+        return [log.silence for log in self._logs]
+
+    def note(self) -> None:
+        """Note in the entries of the session how many samples saw the operator, and why the others did not."""
+        for log, counts in zip(self._logs, self._counts, strict=True):
+            log.entry["operator"] |= dict(zip(REASONS, counts.tolist(), strict=True))
+
+
+def operator_places(stays: Sequence[Stays], cell: Cell) -> dict[str, Place]:
+    """Return the operator's places: those of the cell file, and those of goals that only a button names.
+
+    Where nothing tells goals and the cell file names no place, they are where the operator stays.
+
+    Args:
+        stays: Of every execution of every session.
+        cell: Places that it names.
+    """
+    spots = {name: Place(name, p.xyz_m, p.radius_m, inferred=False) for name, p in cell.human_places.items()}
+    if not any(mine.told for mine in stays):
+        spots = spots or find_spots(np.concatenate([np.empty((0, 3)), *(mine.at_m for mine in stays)]))
+    at: dict[str, list[Vector]] = {}
+    for mine in stays:
+        for name, xyz_m in zip(mine.goals, mine.at_m, strict=False):  # without goals there is nothing to name
+            if name is not None and name not in spots:
+                at.setdefault(name, []).append(xyz_m)
+    return spots | {name: spot(name, np.array(points)) for name, points in sorted(at.items())}
+
+
+def with_goals(samples: pl.DataFrame, goals: Sequence[str | None], spots: Mapping[str, Place]) -> pl.DataFrame:
+    """Return samples with the operator's task and g_h.
+
+    Args:
+        samples: Rows of table SAMPLES, from `Seen`.
+        goals: The goal at each of them, by name.
+        spots: All places of the operator.
+    """
+    nowhere = (np.nan, np.nan, np.nan)
+    at = np.array([spots[name].xyz_m if name and name in spots else nowhere for name in goals]).reshape(-1, 3)
+    columns = (pl.Series(f"human_goal_{axis}_m", at[:, k], nan_to_null=True) for k, axis in enumerate("xyz"))
+    return samples.with_columns(*columns, pl.Series("human_task", goals, dtype=pl.String))
+
+
+def _operator_logs(
+    session: Session, sources: Mapping[str, Source | None], read: Read
+) -> tuple[list[_Log], tuple[Vector, list[str]]]:
+    logs: list[_Log] = []
+    times, values = [np.empty(0)], []
+    for entry in session.entries:
+        clock = entry["clock"]
+        if "people" in entry["tables"]:
+            logs.append(_log(entry, read, sources[entry["id"]]))
+        said = read(entry["id"], "events") if "events" in entry["tables"] else None
+        if said is not None:
+            said = said.filter(pl.col("signal").str.contains(GOAL_SIGNAL, literal=True)).sort("t_s")
+            times.append(said["t_s"].to_numpy() * clock["rate"] + clock["offset_s"])
+            values += said["value"].to_list()
+    t_event = np.concatenate(times)
+    order = np.argsort(t_event, kind="stable")
+    return logs, (t_event[order], [values[i] for i in order.tolist()])
+
+
+def _log(entry: dict[str, Any], read: Read, source: Source | None) -> _Log:
+    """Return the tracks of the people in a recording, without what cannot have been.
+
+    A body on the robot's flange is nobody. Ids that do not last are replaced by tracks linked by motion.
+    """
+    entry["warnings"] = [text for text in entry["warnings"] if not text.startswith(OPERATOR)]
+    t, xyz, numbers, names = _positions(entry, read, source)
+    if not ids_are_real(numbers):
+        told = f"{len(names)} track ids in {len(np.unique(t))} frames last for no longer than a frame or two"
+        numbers = link_by_motion(t, xyz)
+        names = [f"linked_{number + 1}" for number in range(int(numbers.max(initial=-1)) + 1)]
+        entry["warnings"].append(f"{OPERATOR}{told}: linked by motion into {len(names)} tracks")
+    tracks: list[Track] = []
+    disbelieved = 0
+    for rows in _rows_of_each(numbers):
+        alone = len(rows) == len(t)  # of many hours a copy is much
+        own = (t, xyz) if alone else (t[rows], xyz[rows])
+        parts, dropped = without_jumps(Track(names[numbers[rows[0]]], *own))
+        tracks += parts
+        disbelieved += dropped
+    if disbelieved:
+        told = f"{disbelieved} positions are not believed, since nobody moves at over 20 m/s"
+        entry["warnings"].append(f"{OPERATOR}{told}: unknown there")
+    if (height_m := _height_range(tracks)) > HEIGHT_M:
+        told = f"the height of a person changes by {height_m:.1f} m: check which axis points up, and frame in cell.toml"
+        entry["warnings"].append(f"{OPERATOR}{told}")
+    if tracks and all(np.isnan(track.xyz_m[:, 2]).all() for track in tracks):
+        entry["warnings"].append(f"{OPERATOR}heights are unknown: distances are those in the plane")
+    entry["operator"] = {"not_believed": disbelieved}
+    return _Log(entry, tracks, Silence.of(t, xyz, None if source is None else source.silence))
+
+
+def _height_range(tracks: Sequence[Track]) -> float:
+    """Return by how much the height of one track changes at most, without its lowest and highest twentieth, m."""
+    heights = [height[np.isfinite(height)] for track in tracks for height in [track.xyz_m[:, 2]]]
+    ranges = [float(np.subtract(*np.quantile(height, [0.95, 0.05]))) for height in heights if len(height) >= ENOUGH]
+    return max(ranges, default=0.0)
+
+
+def _positions(
+    entry: dict[str, Any], read: Read, source: Source | None
+) -> tuple[Vector, Points, NDArray[np.int64], list[str]]:
+    """Return what a recording saw, in the order of time: times (N,), positions (N, 3), whose (N,), and the names."""
+    people = read(entry["id"], "people")
+    people = schema.empty(schema.PEOPLE) if people is None else people
+    people = people.select("t_s", "x_m", "y_m", "z_m", pl.col("person").fill_null(""))
+    if source is not None and source.sees is not None:
+        rides = pl.col("person") == source.sees_as if source.sees_as is not None else pl.lit(value=True)
+        people = people.filter(~rides)
+    if not people["t_s"].is_sorted():
+        people = people.sort("t_s", maintain_order=True)
+    t_s, xyz = people["t_s"].to_numpy(), people.select("x_m", "y_m", "z_m").to_numpy()
+    whose = people["person"]
+    del people  # of many hours: what is left of it is copied several times
+    names = whose.unique().sort().to_list()
+    one = len(names) == 1
+    numbers = np.zeros(len(whose), np.int64) if one else whose.rank("dense").cast(pl.Int64).to_numpy() - 1
+    clock = entry["clock"]
+    xyz = to_base(xyz, source.frame if source else None, up=entry["up"])
+    return t_s * clock["rate"] + clock["offset_s"], xyz, numbers, names
+
+
+def _rows_of_each(numbers: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Return the rows of each number (N,) that is not negative, those of the first to come first."""
+    order = np.argsort(numbers, kind="stable")
+    parts = np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1) if len(order) else []
+    return sorted((rows for rows in parts if numbers[rows[0]] >= 0), key=lambda rows: int(rows[0]))
+
+
+def _seen_by(log: _Log, times: Vector, cell: Cell) -> NDArray[np.int8]:
+    """Return whether the recording saw somebody at each sample, and why not."""
+    clock = log.entry["clock"]
+    first, last = (log.entry[key] * clock["rate"] + clock["offset_s"] for key in ("first_s", "last_s"))
+    return gap_reasons(log.tracks, times, (first, last), bridge_s=cell.bridge_s)
+
+
+def _why_unseen(human_m: Points, reasons: NDArray[np.int8]) -> list[str | None]:
+    """Return why x_h is unknown at each sample; None where it is known."""
+    unseen = np.isnan(human_m[:, 0])
+    least = np.maximum(reasons, REASONS.index("occluded"))  # a position that is not believed was hidden
+    return [REASONS[reason] if hidden else None for reason, hidden in zip(least, unseen, strict=True)]

@@ -1,0 +1,50 @@
+"""One figure, drawn off-screen and written in place of an older one as a whole; the same data give the same bytes."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.errors import ConfigError
+from cyclekit.storage.atomic import replaced
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+KINDS = (".svg", ".png", ".pdf")
+
+
+@contextmanager
+def canvas(path: Path, width_in: float, height_in: float, columns: int = 1) -> Iterator[list[Any]]:
+    """Give the axes of a new figure, and write it to `path` when the block ends without an error.
+
+    Args:
+        path: File to write; its suffix says what kind.
+        width_in: Width of the figure, inches.
+        height_in: Height, inches.
+        columns: How many axes, side by side.
+
+    Raises:
+        ConfigError: The suffix is of no kind that can be drawn.
+    """
+    from io import BytesIO
+
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    if path.suffix.lower() not in KINDS:
+        msg = f"{path}: a picture of kind {path.suffix!r} cannot be drawn"
+        raise ConfigError(msg, cure=f"End its name in one of {', '.join(KINDS)}.")
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    yield list(figure.subplots(1, columns, squeeze=False)[0])
+    content = BytesIO()
+    with mpl.rc_context({"svg.hashsalt": "cyclekit"}):
+        kind = path.suffix[1:].lower()
+        about: dict[str, str | None] = {"Software" if kind == "png" else "Creator": "written by cyclekit"}
+        about |= {"Date": None} if kind == "svg" else {}
+        figure.savefig(content, format=kind, dpi=120, metadata=about)
+    with replaced(path) as staging:
+        staging.write_bytes(content.getvalue())

@@ -1,0 +1,50 @@
+"""Labels for places on a picture: one for `left_1` to `left_5`, not five that hide each other.
+
+Places are put under one label when their names differ only in a number at the end and they lie close together. Drawing
+the labels is the business of `replay` and `report`.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from cyclekit.dataset.dataset import Place
+
+CLOSE_M = 0.6
+"""Neighbours of one family further apart than this keep their own labels."""
+
+_NUMBERED = re.compile(r"^(?P<stem>.*?)[ _-]?(?P<number>\d+)$")
+
+
+@dataclass(frozen=True)
+class Label:
+    """A text and where it belongs, metres, base frame."""
+
+    text: str
+    xyz_m: tuple[float, float, float]
+
+
+def place_labels(places: Mapping[str, Place]) -> list[Label]:
+    """Return the labels of `places`, families of close numbered places under one."""
+    families: dict[str, list[Place]] = {}
+    for place in places.values():
+        found = _NUMBERED.match(place.name)
+        families.setdefault(f"{found['stem']}#" if found else place.name, []).append(place)
+    return [label for family in families.values() for label in _labels(family)]
+
+
+def _labels(family: list[Place]) -> list[Label]:
+    family = sorted(family, key=lambda place: (len(place.name), place.name))
+    points = np.array([place.xyz_m for place in family])
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    if len(family) < 2 or steps.max() > CLOSE_M:
+        return [Label(place.name, place.xyz_m) for place in family]
+    x_m, y_m, z_m = points.mean(axis=0).tolist()
+    return [Label(f"{family[0].name} … {family[-1].name}", (x_m, y_m, z_m))]

@@ -1,0 +1,253 @@
+"""Infer the speed override of a log that did not record it.
+
+The source paper: "the ratio between the measured velocity and the velocity obtained from a run without the human
+presence". Here that ratio is the rate at which the nominal time of the motion's path advances: each repetition of a
+motion is matched to the path by place (`path`), the path's nominal time comes from runs with nobody in the cell or from
+the fastest pace of all repetitions at each place (`reference`), and the rate is fitted as what it is, piecewise
+constant with ramps (`advance`). Where it cannot be known it is unknown, with the reason.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from itertools import groupby, pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cyclekit.parallel.engine import LOCAL, Engine
+from cyclekit.scaling.infer.advance import advance
+from cyclekit.scaling.infer.path import along
+from cyclekit.scaling.infer.reference import (
+    AMONG,
+    Reference,
+    Repetition,
+    is_common_stop,
+    is_elsewhere,
+    reference_of,
+    takes_another,
+    with_dynamics,
+)
+from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, TOO_SLOW, Part
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.segmentation.executions import Execution
+    from cyclekit.segmentation.motion import Run
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+
+__all__ = ["Reference", "infer_overrides"]
+
+UNSURE = 0.1
+"""An inferred scaling of a larger standard deviation is not told."""
+LEAST_SD = 3e-4
+"""What the reference itself is known to."""
+EDGE_SD = 0.05
+"""In a ramp one scaling for several rows is wrong by up to what it changes from row to row; at an edge by this."""
+SLOW = 0.2
+"""A repetition whose logged scaling is lower tells nothing about the pace at full speed."""
+PATHS = 4
+"""Between two places so many different paths are looked for."""
+LEAST_NOISE = 1e-6
+"""Noise of a coordinate (rad or m) that shows none: logs are written with so many digits."""
+HALTED, CRAWL_M_S = 0.02, 6e-3
+"""Scaling below this is a halt, and a robot that is halted does not go faster than so, or than twice that share of its
+usual speed."""
+_NOISE_LEGS, _NOISE_ROWS = 40, 4000
+_AT_ONCE = 64
+_NONE, _NO_GAPS = np.empty(0), np.empty(0, np.int8)
+
+
+class _Leg(NamedTuple):
+    """A motion between two visits, rows `first` to `last` of a run, and how long it lasts."""
+
+    task: str
+    run: int
+    first: int
+    last: int
+    lasts_s: float
+
+
+def infer_overrides(
+    runs: Sequence[Run],
+    executions: Sequence[Execution],
+    alone: Sequence[int] = (),
+    progress: Callable[[float], None] = lambda _: None,
+    engine: Engine = LOCAL,
+) -> tuple[list[list[Part]], dict[str, list[Reference]]]:
+    """Return the scaling of each run that does not know it, where the robot was on its way.
+
+    Args:
+        runs: All runs; those that know their scaling serve as references too.
+        executions: Their executions, from `segment`.
+        alone: Numbers of runs recorded with nobody in the cell: where a motion occurs there, they are the reference.
+        progress: Told the fraction done.
+        engine: Who matches the motions to their references.
+
+    Returns:
+        Of each run its parts (none for a run that knows its scaling); and the references of each task, one per path.
+    """
+    left = _legs(runs, executions)
+    noise = _noise(runs, left)
+    found: dict[str, list[Reference]] = {leg.task: [] for leg in left}
+    parts: list[tuple[_Leg, Part, int]] = []
+    asked = set(found)
+    for attempt in range(PATHS):
+        tried = _references(runs, [leg for leg in left if leg.task in asked], set(alone), noise)
+        todo = _chunks(runs, [leg for leg in left if leg.task in tried])
+        results: dict[_Leg, Part | None] = {}
+        for done in engine.map(partial(_matched, references=tried, noise=noise), todo):
+            results |= zip(done.item.legs, done.get(), strict=True)
+            progress((attempt + len(results) / len(left)) / PATHS)
+        parts += [(leg, part, attempt) for leg in left if (part := results.get(leg)) is not None]
+        others = [leg for leg in left if results.get(leg) is None]
+        asked = {leg.task for leg, _, which in parts if which == attempt}
+        for task in asked:
+            found[task].append(tried[task])
+        left = others
+        if not asked or not left:
+            break
+    references = _with_shares({task: mine for task, mine in found.items() if mine})
+    return _told(runs, parts, left, references), references
+
+
+def _legs(runs: Sequence[Run], executions: Sequence[Execution]) -> list[_Leg]:
+    """Return every motion, in the order of time."""
+    legs = []
+    for execution in sorted(executions, key=lambda e: (e.run, e.visits[0].first if e.visits else 0)):
+        run = runs[execution.run]
+        for start, goal in pairwise(execution.visits):
+            if goal.first - start.last >= 4:
+                lasts_s = run.time_at(goal.first) - run.time_at(start.last)
+                legs.append(_Leg(f"{start.place}->{goal.place}", execution.run, start.last, goal.first, lasts_s))
+    return legs
+
+
+class _Chunk(NamedTuple):
+    """Motions of one run that are looked at together."""
+
+    run: Run
+    legs: list[_Leg]
+
+
+def _chunks(runs: Sequence[Run], legs: Sequence[_Leg]) -> list[_Chunk]:
+    """Return motions, in the order of time, in parts: each stretch of a log is read once."""
+    found: list[_Chunk] = []
+    for _, mine in groupby(legs, key=lambda leg: leg.run):
+        every = list(mine)
+        found += [_Chunk(runs[every[0].run], every[i : i + _AT_ONCE]) for i in range(0, len(every), _AT_ONCE)]
+    return found
+
+
+def _matched(chunk: _Chunk, *, references: Mapping[str, Reference], noise: Mapping[int, Vector]) -> list[Part | None]:
+    return [_inferred(chunk.run, leg, references[leg.task], noise) for leg in chunk.legs]
+
+
+def _noise(runs: Sequence[Run], legs: Sequence[_Leg]) -> dict[int, Vector]:
+    """Return the noise of each coordinate, by their number: third differences are free of any smooth motion."""
+    thirds: dict[int, list[Points]] = {}
+    for leg in legs[:: max(1, len(legs) // _NOISE_LEGS)]:
+        points, _ = runs[leg.run].posture(leg.first, min(leg.last, leg.first + _NOISE_ROWS))
+        fresh = points[np.concatenate([[True], (np.diff(points, axis=0) != 0).any(axis=1)])]
+        if len(fresh) > 8:
+            thirds.setdefault(points.shape[1], []).append(np.diff(fresh, 3, axis=0))
+    spread = {
+        count: 1.4826 * np.nanmedian(np.abs(np.concatenate(parts)), axis=0) / np.sqrt(20.0)
+        for count, parts in thirds.items()
+    }
+    return {count: np.maximum(values, LEAST_NOISE) for count, values in spread.items()}
+
+
+def _repetition(run: Run, leg: _Leg, noise: Mapping[int, Vector]) -> Repetition | None:
+    """Return a motion, None where its coordinates are not known all along."""
+    part = run.window(leg.first, leg.last)
+    points, slider = run.posture(leg.first, leg.last)
+    if points.shape[1] not in noise or not np.isfinite(points).all():
+        return None
+    known = part.scaling if run.knows_scaling else np.ones(len(slider))
+    over_noise = points / noise[points.shape[1]]
+    return Repetition(part.t_s, over_noise, part.xyz_m, slider * np.where(known >= SLOW, known, np.nan))
+
+
+def _references(
+    runs: Sequence[Run], legs: Sequence[_Leg], alone: set[int], noise: Mapping[int, Vector]
+) -> dict[str, Reference]:
+    """Return the reference of each task's path that its fastest repetitions take, where there is one."""
+    by_task: dict[str, list[_Leg]] = {}
+    for leg in legs:
+        by_task.setdefault(leg.task, []).append(leg)
+    found = {}
+    for task, mine in by_task.items():
+        sure = [leg for leg in mine if leg.run in alone or runs[leg.run].knows_scaling]
+        fastest = sorted(sure or mine, key=lambda leg: leg.lasts_s)[: 2 * AMONG]
+        in_order = sorted(fastest, key=lambda leg: (leg.run, leg.first))
+        repetitions = [_repetition(runs[leg.run], leg, noise) for leg in in_order]
+        reference = reference_of([r for r in repetitions if r is not None], alone=bool(sure))
+        if reference is not None:
+            found[task] = reference
+    return found
+
+
+def _with_shares(found: Mapping[str, Sequence[Reference]]) -> dict[str, list[Reference]]:
+    """Return the references with the share of full speed at which each motion was always run."""
+    shares = iter(with_dynamics([reference for mine in found.values() for reference in mine]))
+    return {task: [replace(reference, slowed=next(shares)) for reference in mine] for task, mine in found.items()}
+
+
+def _told(
+    runs: Sequence[Run],
+    parts: Sequence[tuple[_Leg, Part, int]],
+    left: Sequence[_Leg],
+    found: Mapping[str, Sequence[Reference]],
+) -> list[list[Part]]:
+    """Return the parts of each run that does not know its scaling; of motions without a reference only the reason."""
+    told: list[list[Part]] = [[] for _ in runs]
+    for leg, part, number in parts:
+        never_full = found[leg.task][number].slowed < 1.0
+        told[leg.run].append(_unknown(leg, NEVER_FULL) if never_full else part)
+    for leg in left:
+        told[leg.run].append(_unknown(leg, OTHER_PATH if leg.task in found else NO_REFERENCE))
+    return [[] if run.knows_scaling else mine for run, mine in zip(runs, told, strict=True)]
+
+
+def _unknown(leg: _Leg, why: int) -> Part:
+    nothing = np.full(leg.last + 1 - leg.first, np.nan, np.float32)
+    return Part(leg.first, nothing, nothing, np.full(len(nothing), why, np.int8))
+
+
+def _inferred(run: Run, leg: _Leg, reference: Reference, noise: Mapping[int, Vector]) -> Part | None:
+    """Return the scaling of one repetition, unknown with its reason where it cannot be known.
+
+    None where it takes another path, or cannot be seen. Of a run that knows its scaling nothing is inferred.
+    """
+    repetition = _repetition(run, leg, noise)
+    if repetition is None or repetition.points.shape[1] != reference.path.points.shape[1]:
+        return None
+    if run.knows_scaling:
+        return None if takes_another(reference.path, repetition) else Part(leg.first, _NONE, _NONE, _NO_GAPS)
+    place = along(reference.path, repetition.t_s, repetition.points)
+    if is_elsewhere(reference.path, place.off):
+        return None
+    nominal = np.interp(place.own_s, reference.path.own_s, reference.path.nominal_s)
+    rate, deviation = advance(repetition.t_s, nominal, place.variance_s2)
+    rate, deviation = rate / repetition.slider, deviation / repetition.slider
+    deviation = np.hypot(np.hypot(deviation, LEAST_SD), np.minimum(np.abs(np.gradient(rate)), EDGE_SD))
+    row = np.clip(np.searchsorted(reference.path.own_s, place.own_s), 0, len(reference.confirmed) - 1)
+    gap = np.zeros(len(rate), np.int8)
+    gap[deviation > UNSURE] = TOO_SLOW
+    gap[~reference.confirmed[row] | is_common_stop(reference, repetition.t_s, rate, place.own_s)] = NO_REFERENCE
+    gap[(rate < HALTED) & _goes(run.window(leg.first, leg.last).speed_m_s)] = NO_REFERENCE
+    known = np.where(gap == 0, np.array([np.clip(rate, 0.0, 1.0), deviation]), np.nan).astype(np.float32)
+    return Part(leg.first, known[0], known[1], gap)
+
+
+def _goes(speed_m_s: Vector) -> NDArray[np.bool_]:
+    """Tell in which rows of a motion, speeds (T,), the robot is too fast to be halted."""
+    usual = float(np.nanquantile(speed_m_s, 0.9)) if np.isfinite(speed_m_s).any() else 0.0
+    return np.asarray(speed_m_s > max(CRAWL_M_S, 2.0 * HALTED * usual))

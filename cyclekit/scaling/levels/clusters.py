@@ -1,0 +1,160 @@
+"""From plateaus (or bare values) to levels: clusters, how sure their means are, sliders, and round numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.dataset.time_grid import samples_in
+from cyclekit.scaling.levels.dbscan import dbscan_1d
+from cyclekit.scaling.levels.kmeans import by_elbow, by_silhouette, condense
+from cyclekit.scaling.levels.mixtures import by_hdbscan, by_mixture
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.scaling.levels.plateaus import Plateaus
+
+    Vector = NDArray[np.float64]
+
+_LEAST_EPS = 0.01
+_USUAL_HOLD_S = 1.5
+"""How long a short plateau lasts; how far its mean may lie from the level's is what eps must bridge."""
+_GRIDS = (0.05, 0.01)
+"""Steps in which people choose speed levels."""
+_SIGMAS = 2.5
+_SLIDERS_DIFFER = 0.02
+_LOWEST_SLIDER = 0.1
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """P levels, ascending.
+
+    Attributes:
+        value: Mean of the samples of each level, shape (P,).
+        deviation: Standard error of that mean, shape (P,); None where it is not known (then nothing is rounded).
+        spread: Width of the middle 90 % of what was clustered, in eps, shape (P,); 0 where it was not looked at.
+    """
+
+    value: Vector
+    deviation: Vector | None
+    spread: Vector
+
+    @classmethod
+    def fixed(cls, levels: Sequence[float]) -> Cluster:
+        """Return levels that somebody gave."""
+        value = np.unique(np.asarray(levels, np.float64))
+        return cls(value, None, np.zeros(value.size))
+
+
+def usual_eps(noise: float, rate_hz: float) -> float:
+    """Return how far the means of short plateaus of one level lie apart, for the noise of one sample."""
+    return float(max(_LEAST_EPS, 3.5 * noise / samples_in(_USUAL_HOLD_S, rate_hz) ** 0.5))
+
+
+def of_plateaus(plateaus: Plateaus, value: Vector, eps: float, min_samples: int) -> Cluster:
+    """Cluster the values of plateaus by density, weighted by how many samples each is held.
+
+    Args:
+        plateaus: K of them.
+        value: Their values, shape (K,): `plateaus.value`, or that without the operator's slider.
+        eps: Values this near to each other are one level; see `usual_eps`.
+        min_samples: Samples that make a level.
+    """
+    weight = plateaus.samples.astype(np.float64)
+    cluster = dbscan_1d(value, eps=eps, min_samples=min_samples, weight=weight)
+    return _clusters(value, cluster, weight, eps, plateaus.noise)
+
+
+def cluster_values(values: Vector, method: str, eps: float | None, min_samples: int, noise: float) -> Cluster:
+    """Cluster bare values by one of the literature's methods.
+
+    Args:
+        values: Shape (T,), finite.
+        method: `dbscan`, `kmeans-silhouette`, `kmeans-elbow`, `hdbscan` or `gmm-bic`.
+        eps: Of DBSCAN; None: 3.5 deviations of the noise, at least 0.01.
+        min_samples: Of DBSCAN.
+        noise: Standard deviation of one value.
+    """
+    eps = max(_LEAST_EPS, 3.5 * noise) if eps is None else eps
+    if values.size == 0:
+        return Cluster(np.empty(0), None, np.empty(0))
+    if method == "dbscan":
+        cluster = dbscan_1d(values, eps=eps, min_samples=min_samples)
+    elif method.startswith("kmeans"):
+        points = condense(values)
+        cluster = (by_silhouette if method == "kmeans-silhouette" else by_elbow)(points)[points.of]
+    else:
+        cluster = by_hdbscan(values) if method == "hdbscan" else by_mixture(values)
+    found = _clusters(values, cluster, np.ones(values.size), eps, noise)
+    return Cluster(found.value, None, found.spread)
+
+
+def _clusters(value: Vector, cluster: NDArray[np.int64], weight: Vector, eps: float, noise: float) -> Cluster:
+    """Return mean, standard error and spread of every cluster that has a member, by rising mean."""
+    member = cluster >= 0
+    names, index = np.unique(cluster[member], return_inverse=True)
+    x, w = value[member], weight[member]
+    mass = np.bincount(index, weights=w, minlength=names.size)
+    mean = np.bincount(index, weights=w * x, minlength=names.size) / np.maximum(mass, 1e-300)
+    order = np.argsort(mean)
+    line = np.lexsort((x, index))
+    parts = np.split(x[line], np.cumsum(np.bincount(index, minlength=names.size))[:-1]) if names.size else []
+    width = np.array([float(np.diff(np.quantile(part, (0.05, 0.95)))[0]) for part in parts]) / eps
+    return Cluster(mean[order], (noise / np.sqrt(np.maximum(mass, 1)))[order], width[order])
+
+
+def rounded(value: Vector, deviation: Vector) -> Vector:
+    """Return the levels as round numbers where the well-known ones show that they were chosen so.
+
+    People choose levels in steps of 5 % or 1 %. Where at least two levels inside (0, 1) are known to a fifth of such a
+    step and every level lies within 2.5 standard errors of it, all are taken to lie on it; a level that was held for
+    two seconds in noise is then known far better than its own samples tell. Otherwise the means stay as they are.
+
+    Args:
+        value: Means, shape (P,), ascending.
+        deviation: Their standard errors, shape (P,).
+    """
+    for grid in _GRIDS:
+        near = np.round(value / grid) * grid
+        inside = (near > grid / 2) & (near < 1 - grid / 2) & (_SIGMAS * deviation < grid / 5)
+        allowed = np.minimum(np.maximum(_SIGMAS * deviation, 0.0005), grid / 2)
+        if inside.sum() >= 2 and (np.abs(value - near) <= allowed).all() and np.unique(near).size == near.size:
+            return np.round(near, 6)
+    return value
+
+
+def operator_sliders(
+    plateaus: Plateaus, run: NDArray[np.generic], found: Cluster, eps: float, min_samples: int
+) -> tuple[Vector | None, Cluster]:
+    """Tell whether the values are levels times a slider that differs between runs.
+
+    The slider of a run is the highest value it holds: full speed. That is believed only where dividing by it leaves
+    fewer levels than there were, none of them doubtful.
+
+    Args:
+        plateaus: K of them.
+        run: Run of every known sample, shape (T,).
+        found: The levels without a slider.
+        eps: As in `of_plateaus`.
+        min_samples: As in `of_plateaus`.
+
+    Returns:
+        The slider of every known sample, shape (T,), or None; and the levels, without the slider where there is one.
+    """
+    names, at = np.unique(run, return_inverse=True)
+    owner = at[plateaus.first] if plateaus.first.size else np.empty(0, np.int64)
+    long = plateaus.samples >= min(min_samples, int(plateaus.samples.max(initial=0)))
+    top = np.zeros(names.size)
+    np.maximum.at(top, owner[long], plateaus.value[long])
+    if names.size < 2 or found.value.size < 3 or (top < _LOWEST_SLIDER).any() or np.ptp(top) < _SLIDERS_DIFFER:
+        return None, found
+    without = of_plateaus(plateaus, plateaus.value / top[owner], eps, min_samples)
+    if not 2 <= without.value.size < found.value.size or without.value[-1] < 0.95:
+        return None, found
+    return top[at], without

@@ -1,0 +1,171 @@
+"""Find the staircase in a speed scaling: which levels the safety system uses, and which one is in force when.
+
+A safety system does not slow a robot by a little; it switches between a few speeds that somebody chose in a risk
+assessment. In the log these are values that are held. So plateaus are found in time first (`plateaus`) and their values
+clustered by density, weighted by how long each is held; a cluster is a level and its mean the level's value. The
+literature clusters the bare values instead; those methods are here by name (`METHODS`). Why a level is in force is not
+asked here; that is what the networks learn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.dataset.time_grid import USUAL_HZ, samples_in
+from cyclekit.errors import ShapeError, UnknownName
+from cyclekit.parallel.one_thread import one_thread
+from cyclekit.scaling.levels.clusters import (
+    Cluster,
+    cluster_values,
+    of_plateaus,
+    operator_sliders,
+    rounded,
+    usual_eps,
+)
+from cyclekit.scaling.levels.doubts import doubts
+from cyclekit.scaling.levels.kmeans import by_silhouette, condense
+from cyclekit.scaling.levels.labels import label_in_time, unbroken
+from cyclekit.scaling.levels.plateaus import Plateaus, find_plateaus
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+LEAST_HELD_S = 1.0
+"""A level is held for at least so long, all plateaus together; short, so that a rare level survives."""
+METHODS = ("plateau", "dbscan", "kmeans-silhouette", "kmeans-elbow", "hdbscan", "gmm-bic")
+"""Ways to find the levels, the default first; all but `plateau` look at the values without their order in time."""
+
+
+@dataclass(frozen=True)
+class Staircase:
+    """The levels of a speed scaling, and the level of every sample.
+
+    Attributes:
+        levels: Level values, shape (P,), ascending, fractions of full speed.
+        label: Index into `levels` of every sample, shape (T,), int32; -1 = unknown or in transition between levels.
+        share: Part of the known samples that is on each level, shape (P,).
+        warnings: Why this may be no staircase, one sentence each; empty when all is well.
+        means: Mean of the samples behind each level, shape (P,): `levels` before they were rounded.
+        slider: The operator's slider of every sample, shape (T,), where the values are levels times a slider that
+            differs between runs; None where there is none.
+        noise: Standard deviation of the noise of one sample.
+        is_staircase: False where the values are not held on a few levels: then learn them by regression.
+    """
+
+    levels: NDArray[np.float64]
+    label: NDArray[np.int32]
+    share: NDArray[np.float64]
+    warnings: tuple[str, ...] = ()
+    means: NDArray[np.float64] | None = None
+    slider: NDArray[np.float64] | None = None
+    noise: float = 0.0
+    is_staircase: bool = True
+
+
+@one_thread()
+def find_staircase(
+    scaling: ArrayLike,
+    *,
+    run: ArrayLike | None = None,
+    method: str = "plateau",
+    levels: Sequence[float] | None = None,
+    eps: float | None = None,
+    min_samples: int | None = None,
+    rate_hz: float = USUAL_HZ,
+) -> Staircase:
+    """Find the levels of a speed scaling and label every sample.
+
+    Args:
+        scaling: Speed scaling, shape (T,), fractions, in the order of time; NaN = unknown.
+        run: Number of the unbroken stretch (execution, no gap) of every sample, shape (T,); None: all is one stretch,
+            broken where the scaling is unknown.
+        method: One of `METHODS`.
+        levels: Fixed by whoever knows the safety configuration; then nothing is searched, only labelled.
+        eps: Values this near to each other are the same value; None takes it from the noise: 3.5 deviations of a
+            plateau of 1.5 s (`plateau`) or of one sample (`dbscan`), at least 0.01.
+        min_samples: A level needs this many held samples; None: those of one second, three at
+            least.
+        rate_hz: Rate of the samples: what is long enough for a plateau or a level is told in seconds.
+
+    Returns:
+        The staircase. P = 0 when no value is held often enough; the warnings then say so.
+
+    Raises:
+        ShapeError: `scaling` or `run` is not one row.
+        UnknownName: There is no such method.
+    """
+    values = np.asarray(scaling, dtype=np.float64)
+    runs = np.zeros(values.shape, np.int64) if run is None else np.asarray(run)
+    if values.ndim != 1 or runs.shape != values.shape:
+        msg = f"scaling and run must be (T,), not {values.shape} and {runs.shape}"
+        raise ShapeError(msg)
+    if method not in METHODS:
+        raise UnknownName("self-labelling", "method", method, METHODS)
+    known = np.isfinite(values)
+    stretch = unbroken(runs, known)
+    most_noise = np.inf if levels is None else float(np.diff(np.unique(levels)).min(initial=1.0)) / 8
+    plateaus = find_plateaus(values[known], stretch[known], rate_hz=rate_hz, most_noise=most_noise)
+    least = samples_in(LEAST_HELD_S, rate_hz, least=3) if min_samples is None else min_samples
+    if levels is not None:
+        return _finish(values, stretch, plateaus, Cluster.fixed(levels), None)
+    if method != "plateau":
+        found = cluster_values(values[known], method, eps, least, plateaus.noise)
+        return _finish(values, stretch, plateaus, found, None)
+    near = usual_eps(plateaus.noise, rate_hz) if eps is None else eps
+    slider, found = None, of_plateaus(plateaus, plateaus.value, near, least)
+    if run is not None:
+        slider, found = operator_sliders(plateaus, runs[known], found, near, least)
+    whole = None
+    if slider is not None:
+        whole = np.full(values.shape, np.nan)
+        whole[known] = slider
+    return _finish(values, stretch, plateaus, found, whole)
+
+
+@one_thread()
+def second_opinion(scaling: ArrayLike, staircase: Staircase) -> str | None:
+    """Return a warning where K-means with silhouette finds another number of levels in the samples on plateaus.
+
+    Args:
+        scaling: What the staircase was found in, shape (T,).
+        staircase: By `plateau`; ramps, which mislead K-means, are left out by its labels.
+    """
+    values = np.asarray(scaling, dtype=np.float64)
+    if staircase.slider is not None:
+        values = values / staircase.slider
+    held = values[staircase.label >= 0]
+    if held.size < 2 or staircase.levels.size < 2:
+        return None
+    other = int(by_silhouette(condense(held)).max()) + 1
+    if other == staircase.levels.size:
+        return None
+    return (
+        f"{staircase.levels.size} levels by plateaus in time, {other} by K-means with silhouette: look at the levels, "
+        "and fix them in cell.toml where you know them"
+    )
+
+
+def _finish(
+    values: NDArray[np.float64],
+    stretch: NDArray[np.int64],
+    plateaus: Plateaus,
+    found: Cluster,
+    slider: NDArray[np.float64] | None,
+) -> Staircase:
+    """Round the levels where that is sure, label every sample, and say what is doubtful."""
+    levels = found.value if found.deviation is None else rounded(found.value, found.deviation)
+    seen = values if slider is None else values / slider
+    labels = label_in_time(seen, levels, stretch, plateaus=plateaus)
+    known = int(np.isfinite(values).sum())
+    share = np.bincount(labels[labels >= 0], minlength=levels.size) / max(known, 1)
+    held = float(plateaus.samples.sum()) / max(known, 1)
+    said, stairs = doubts(levels, share, found.spread, known=known, held=held, noise=plateaus.noise)
+    if slider is not None:
+        each = ", ".join(f"{value:.2f}" for value in np.unique(np.round(slider[np.isfinite(slider)], 2))[:8])
+        said.append(f"the values are levels times an operator slider ({each}); the levels are given without it")
+    return Staircase(levels, labels, share, tuple(said), found.value, slider, plateaus.noise, stairs)

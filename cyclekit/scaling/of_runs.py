@@ -1,0 +1,137 @@
+"""Which scaling each run has: the one that was logged, else the one that its motion tells."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit.scaling.infer.override import infer_overrides
+from cyclekit.scaling.levels import find_staircase
+from cyclekit.segmentation.arrivals import stands_of
+from cyclekit.segmentation.dwell import usual_dwells
+from cyclekit.segmentation.motion import Part
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.dataset import Place
+    from cyclekit.dataset.sessions import Session
+    from cyclekit.parallel.engine import Engine
+    from cyclekit.scaling.infer.override import Reference
+    from cyclekit.segmentation.arrivals import Stands
+    from cyclekit.segmentation.executions import Execution
+    from cyclekit.segmentation.motion import Run
+
+LEAVING_S = 2.0
+"""How soon after a departure the scaling must be known to say whether the robot left slowed."""
+SPARSE = 10
+"""Levels are looked for in every tenth row: they are held for seconds."""
+
+
+def with_scaling(
+    runs: Sequence[Run],
+    executions: Sequence[Execution],
+    places: Mapping[str, Place],
+    sessions: Sequence[Session],
+    progress: Callable[[float, str], None],
+    engine: Engine,
+) -> tuple[list[Run], list[str]]:
+    """Return the runs, with the scaling inferred where none was logged, and what is to be said about that.
+
+    Args:
+        runs: All runs.
+        executions: Their executions, from `segment`.
+        places: All places.
+        sessions: Which runs were recorded with nobody in the cell.
+        progress: Told fraction and text.
+        engine: Who infers.
+    """
+    silent = [number for number, run in enumerate(runs) if not run.knows_scaling]
+    if not silent:
+        return list(runs), []
+    alone = [number for session in sessions if session.reference for number in session.runs]
+    parts, references = infer_overrides(runs, executions, alone, lambda done: progress(done, "speed override"), engine)
+    said = "no log holds a" if len(silent) == len(runs) else f"{len(silent)} of {len(runs)} runs hold no"
+    said += " valid speed scaling"
+    if not references:
+        return list(runs), [f"{said}, and no motion repeats, so it could not be inferred either"]
+    done = [run if run.knows_scaling else run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
+    slowest = slowest_speed([part.scaling for n in silent for part in sorted(parts[n], key=lambda part: part.first)])
+    mine = [execution for execution in executions if execution.run in set(silent)]
+    watched = {number for session in sessions if _sees_people(session) for number in session.runs}
+    mine = [execution for execution in mine if execution.run in watched]
+    halts = halts_at_places(done, mine, stands_of(done, mine, places), slowest)
+    for number in silent:
+        done[number] = runs[number].with_scaling([*parts[number], *halts[number]])
+    return done, [f"{said}: inferred from velocity ratios against {_how(references)}"]
+
+
+def _sees_people(session: Session) -> bool:
+    """Tell whether people were logged: without them a standstill is no sign that anybody halted the robot."""
+    return any("people" in entry["tables"] for entry in session.entries)
+
+
+def _how(references: Mapping[str, Sequence[Reference]]) -> str:
+    """Say what the references are."""
+    flat = [reference for found in references.values() for reference in found]
+    alone = sum(reference.alone for reference in flat)
+    slowed = sorted(task for task, found in references.items() if any(reference.slowed < 1.0 for reference in found))
+    many = f"{len(flat)} motions"
+    how = f"runs without the operator ({many})" if alone == len(flat) else f"the fastest repetitions ({many})"
+    if 0 < alone < len(flat):
+        how = f"runs without the operator ({alone} motions) and the fastest repetitions ({len(flat) - alone} motions)"
+    seen = f"; never seen at full speed, so unknown: {', '.join(slowed)}" if slowed else ""
+    return how + seen
+
+
+def halts_at_places(
+    runs: Sequence[Run], executions: Sequence[Execution], stands: Stands, slowest: float
+) -> list[list[Part]]:
+    """Return where the inferred scaling of each run is 0, since a stand was prolonged by a halt and not by waiting.
+
+    Both look alike. But who halted the robot is still near when it may leave, so it leaves at the
+    lowest speed there is; a robot that waited for a part leaves at whatever speed is allowed. A cell that knows only
+    halt and full speed cannot be told apart so: there the excess stays waiting. Ask only where people were logged: a
+    standstill alone tells no scaling.
+
+    Args:
+        runs: Runs of inferred scaling.
+        executions: Their executions.
+        stands: Their stands.
+        slowest: Speeds below this are the lowest there is, from `slowest_speed`.
+
+    Returns:
+        Of each run, the rows at which it was halted so.
+    """
+    usual = usual_dwells(executions, stands)
+    halts: list[list[Part]] = [[] for _ in runs]
+    for execution in executions:
+        run = runs[execution.run]
+        for visit in execution.visits[1:-1]:
+            stand = stands[execution.run, visit.first, visit.last]
+            since_s = usual[visit.place].overdue_s(stand)
+            if since_s is None:
+                continue
+            last_s = run.time_at(visit.last)  # it may leave before it is seen to: what is seen to move was not halted
+            times = [since_s, min(stand.left_s, last_s), last_s + LEAVING_S]
+            begin, left, end = run.row_at(np.array(times)).tolist()
+            leaving = run.window(visit.last, end).scaling
+            known = leaving[np.isfinite(leaving)]
+            if len(known) and float(known[0]) < slowest and begin <= left:
+                none = np.zeros(left + 1 - begin)
+                halts[execution.run].append(Part(begin, none, none, none.astype(np.int8)))
+    return halts
+
+
+def slowest_speed(scaling: Sequence[NDArray[np.floating[Any]]]) -> float:
+    """Return a bound between the lowest and the next level above halt; 0 where there are not two of them.
+
+    Args:
+        scaling: Scaling of stretches of motion, in the order of time.
+    """
+    levels = find_staircase(np.concatenate([values[::SPARSE] for values in scaling] or [np.empty(0)])).levels
+    moving = [float(level) for level in levels if level > 0.02]
+    return 0.5 * (moving[0] + moving[1]) if len(moving) > 1 else 0.0

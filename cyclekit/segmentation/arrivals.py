@@ -1,0 +1,238 @@
+"""When a robot arrived at a place and when it left, to a few hundredths of a second.
+
+A jerk-limited motion begins with a way that grows with the cube of nominal time (the time that the path would take at
+full speed), so its first tenths of a second, slowed to a quarter, are lost in the noise of the position. What is seen
+of it is followed back: the cube root of the way is a straight line over nominal time, and where it is zero the motion
+began. Over nominal time a halt has no length, so a robot that was halted a hair after it left, or a hair before it
+arrived, is told as well; only a halt in which it left, or nearer than noise, is an interval and not an instant.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cyclekit.segmentation.median import median
+from cyclekit.segmentation.motion import RobotRun, lengths
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.dataset import Place
+    from cyclekit.segmentation.executions import Execution, Visit
+    from cyclekit.segmentation.motion import Run
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+
+BEYOND_S = 1.0
+"""So much of the motion before and after a stand is looked at."""
+SMOOTH_S = 0.024
+"""Positions are averaged over so long."""
+REST_M = 1e-5
+"""Farther than this (or three times its jitter) from where it rests, a standing robot is still or again on its way."""
+STILL_S = 0.1
+"""To tell rest from a halt very near to it, they are averaged over so long."""
+REST_S = 0.2
+"""A robot that is at a place for so long rests there, and not where else it stands for longer."""
+SEEN = 64.0
+"""The beginning of a motion is followed from the shortest way that is seen to so many times that."""
+SLOW = 0.05
+"""At a lower scaling the way does not tell how a motion began."""
+BLOCKED = 1e-6
+"""Scaling at or below this is a halt."""
+VAGUE_S, INFERRED_S = 0.004, 0.03
+"""The beginning of a motion is known to about so much nominal time; where the scaling was inferred, which does not
+tell the ramp after a halt, to so much."""
+_LONG_ROWS = 1 << 18
+
+
+class Stand(NamedTuple):
+    """A stand at a place, session seconds.
+
+    Attributes:
+        stopped_s, arrived_s: Between these the robot arrived; they differ where safety halted it just there.
+        free_s, left_s: Between these it left, likewise.
+        changes: When each logged signal last changed while it stood, of those that did.
+    """
+
+    stopped_s: float
+    arrived_s: float
+    free_s: float
+    left_s: float
+    changes: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def halted(self) -> bool:
+        """Whether it arrived or left in a halt, so that only the halt is known."""
+        return self.left_s > self.free_s or self.arrived_s > self.stopped_s
+
+    @property
+    def lasts_s(self) -> float:
+        """How long it stood at most."""
+        return self.left_s - self.stopped_s
+
+    def process(self, usual_s: float, ready_s: float | None = None) -> tuple[float, float]:
+        """Return when it arrived and when it left; in doubt it stood as long as the process usually takes.
+
+        Args:
+            usual_s: How long that is.
+            ready_s: When the process was over, where a signal tells.
+        """
+        if self.left_s > self.free_s:
+            over_s = self.stopped_s + usual_s if ready_s is None else ready_s
+            return self.stopped_s, min(max(over_s, self.free_s), self.left_s)
+        over_s = self.left_s if ready_s is None else min(ready_s, self.left_s)
+        return min(max(over_s - usual_s, self.stopped_s), self.arrived_s), self.left_s
+
+
+Stands = dict[tuple[int, int, int], Stand]
+"""Stands by run, first and last row."""
+
+
+def stands_of(
+    runs: Mapping[int, Run] | Sequence[Run], executions: Sequence[Execution], places: Mapping[str, Place]
+) -> Stands:
+    """Return when the robot arrived and left at every visit of the executions."""
+    found: Stands = {}
+    for execution in executions:
+        for visit in execution.visits:
+            key = (execution.run, visit.first, visit.last)
+            if key not in found:
+                found[key] = stand_of(runs[execution.run], visit, np.asarray(places[visit.place].xyz_m))
+    return found
+
+
+def stand_of(run: Run, visit: Visit, place_m: Vector) -> Stand:
+    """Return when the robot arrived at a place and left it; of a stand of many minutes its two ends are looked at.
+
+    Args:
+        run: The run.
+        visit: The rows in which it is not seen to move.
+        place_m: The place, shape (3,), metres.
+    """
+    ends = run.time_at(visit.first) - BEYOND_S, run.time_at(visit.last) + BEYOND_S
+    before, after = run.row_at(np.array(ends)).tolist()
+    first, last = visit.first, visit.last
+    head = run.window(before, min(last, first + _LONG_ROWS // 2))
+    tail = run.window(max(first, last - _LONG_ROWS // 2), min(after + 1, run.rows - 1))
+    vague_s = INFERRED_S if run.is_inferred else VAGUE_S
+    back = RobotRun(-head.t_s[::-1], head.xyz_m[::-1], head.speed_m_s[::-1], head.scaling[::-1])
+    arrived, stopped = _left(back, head.rows - 1 - (first - before), place_m, vague_s)
+    free, left = _left(tail, last - max(first, last - _LONG_ROWS // 2), place_m, vague_s)
+    stopped, left = -stopped, max(left, -stopped)
+    changes = ((name, _last(when, stopped, left)) for name, when in run.changes.items())
+    told = tuple((name, at_s) for name, at_s in changes if at_s is not None)
+    return Stand(stopped, min(-arrived, left), max(free, stopped), left, told)
+
+
+def _last(when: Vector, first_s: float, last_s: float) -> float | None:
+    """Return the last of some times (ascending) that is between two others, None if there is none."""
+    before = int(np.searchsorted(when, last_s, side="right"))
+    return float(when[before - 1]) if before and when[before - 1] >= first_s else None
+
+
+def _left(part: RobotRun, at: int, place_m: Vector, vague_s: float) -> tuple[float, float]:
+    """Return when the robot left a place, not before and not after; row `at` is the last one in which it stands."""
+    t_s, scaling = part.t_s, part.scaling
+    period_s = max(float(median(t_s[1:] - t_s[:-1])), 1e-4) if len(t_s) > 1 else 1.0
+    off, reach = _off(part, at, place_m, SMOOTH_S, period_s)
+    wide, wide_reach = _off(part, at, place_m, STILL_S, period_s)  # tells a halt from rest that is hardly away from it
+    resting = np.flatnonzero(wide[: at + 1] <= wide_reach)
+    rest = int(resting[-1]) if len(resting) else at
+    half = max(1, round(0.5 * STILL_S / period_s))
+    s = _known(scaling, wide, wide_reach, half)
+    nominal = np.concatenate([[0.0], np.cumsum(s[:-1] * np.diff(t_s))])
+    seen = _seen(off, s, np.isnan(scaling) & (s == 0.0), reach, rest, half)
+    still = np.flatnonzero(off[rest:] > reach)
+    jumped = rest + (int(still[0]) - 1 if len(still) else 0) + (round(SMOOTH_S / period_s) | 1) // 2
+    jumped = min(max(jumped, 0), len(nominal) - 1)  # averages see a jump half their length earlier
+    began = float(nominal[jumped])
+    if len(seen) >= 3 and np.ptp(nominal[seen]) > 0.0:
+        slope, level = np.polyfit(nominal[seen], np.cbrt(off[seen]), 1)
+        if slope > 0.0:
+            began = min(float(-level / slope), began)
+    return _instant(
+        t_s,
+        nominal,
+        (s <= BLOCKED) & (wide <= wide_reach) & (np.abs(nominal - began) <= max(vague_s, 1.5 * period_s)),
+        began,
+    )
+
+
+def _seen(off: Vector, s: Vector, midway: NDArray[np.bool_], reach: float, rest: int, half: int) -> NDArray[np.int64]:
+    """Return the rows that tell how the motion began; if they are enough, those before it was halted `midway`.
+
+    How a scaling that was not logged fell to a halt and rose again is not known, so it is not looked across one.
+    """
+    row = np.arange(rest + 1, len(off))
+    far = row[off[row] >= SEEN * reach][:1]
+    seen = row[(row < (far[0] if len(far) else len(off))) & (s[row] > SLOW) & (off[row] > reach)]
+    halt = row[midway[row]][:1]
+    before = seen[seen < halt[0] - half] if len(halt) else seen
+    return before if len(before) >= 3 else seen
+
+
+def _instant(t_s: Vector, nominal: Vector, halted: NDArray[np.bool_], began: float) -> tuple[float, float]:
+    """Return when nominal time was `began`: an instant, or the halt in which it was, the rows `halted`."""
+    halt = np.flatnonzero(halted)
+    if len(halt):
+        last = min(int(halt[-1]) + 1, len(t_s) - 1)
+        return float(t_s[int(halt[0])]), float(t_s[last])
+    rising = np.concatenate([[True], np.diff(nominal) > 0.0])
+    when = float(np.interp(began, nominal[rising], t_s[rising]))
+    return when, when
+
+
+def _off(part: RobotRun, at: int, place_m: Vector, over_s: float, period_s: float) -> tuple[Vector, float]:
+    """Return how far each row is from where the robot rests, averaged over so long, and how far rest may be, metres."""
+    over = round(over_s / period_s) | 1
+    smooth = _averaged(part.xyz_m, over)
+    stood = smooth[: at + 1]
+    jitter = float(median(lengths(stood[over:] - stood[:-over]))) if at >= over else 0.0
+    reach = max(REST_M, 3.0 * jitter)
+    rest_m = _rest(stood, part.scaling[: at + 1], place_m, reach, round(REST_S / period_s))
+    return lengths(smooth - rest_m), reach
+
+
+def _averaged(xyz_m: Points, rows: int) -> Points:
+    """Return the means over so many rows (odd) around each; at the ends over those that there are."""
+    half = min(rows // 2, (len(xyz_m) - 1) // 2)
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(xyz_m - xyz_m[0], axis=0)])
+    row = np.arange(len(xyz_m))
+    reach = np.minimum(half, np.minimum(row, len(xyz_m) - 1 - row))
+    return np.asarray(xyz_m[0] + (total[row + reach + 1] - total[row - reach]) / (2 * reach + 1)[:, None])
+
+
+def _rest(xyz_m: Points, scaling: Vector, place_m: Vector, reach: float, enough: int) -> Vector:
+    """Return where a robot rests that may have been halted on its way there, or when it had just left.
+
+    That is at the place, if so many rows as are `enough` are there; else where it is most of the time.
+    """
+    free = ~(scaling <= BLOCKED)  # unknown counts as free
+    among = xyz_m[free] if free.any() else xyz_m
+    distance = lengths(among - place_m)
+    near = among[distance <= max(reach, 2.0 * float(distance.min()))]
+    return median(near if len(near) >= min(enough, len(among)) else among)
+
+
+def _known(scaling: Vector, off: Vector, reach: float, half: int) -> Vector:
+    """Return the scaling with its unknown rows filled by the nearest known one; 0 where the robot is halted midway."""
+    known = np.flatnonzero(scaling > BLOCKED)  # a halt is where it was seen, and nowhere else
+    s = fill_nearest(scaling, known) if len(known) else np.ones(len(scaling))
+    s = np.where(scaling <= BLOCKED, 0.0, s)
+    row = np.arange(len(s))
+    moved = np.abs(off[np.minimum(row + half, len(s) - 1)] - off[np.maximum(row - half, 0)])
+    return np.where(np.isnan(scaling) & (off > reach) & (moved < reach), 0.0, s)
+
+
+def fill_nearest(s: Vector, known: NDArray[np.int64]) -> Vector:
+    """Return `s` (T,) with every unknown entry replaced by the nearest of the `known` ones (indices, ascending)."""
+    row = np.arange(len(s))
+    right = np.minimum(np.searchsorted(known, row), len(known) - 1)
+    left = np.maximum(right - 1, 0)
+    nearer = np.where(np.abs(known[left] - row) <= np.abs(known[right] - row), known[left], known[right])
+    return np.asarray(s[nearer])

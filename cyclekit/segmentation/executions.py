@@ -1,0 +1,119 @@
+"""What the robot was doing: visits to places and executions, out of its standstills.
+
+What the slow-down costs is computed in `account`; the operator is the business of `people`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.errors import UnknownName
+from cyclekit.segmentation.motion import pieces
+from cyclekit.segmentation.places import MERGE_M
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.config import Executions
+    from cyclekit.dataset.dataset import Place
+    from cyclekit.segmentation.motion import Run
+    from cyclekit.segmentation.standstills import Stop
+
+    Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Visit:
+    """A stop (or several joined) at a place, rows `first`..`last` of its run."""
+
+    place: str
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Execution:
+    """Consecutive visits of one run that make one execution of the process."""
+
+    run: int
+    visits: tuple[Visit, ...]
+    complete: bool
+
+
+def find_visits(stops: Sequence[Stop], places: Mapping[str, Place], runs: Sequence[Run]) -> list[list[Visit]]:
+    """Return, per run, its visits to places in order; stops at one place without leaving it are one visit."""
+    visits: list[list[Visit]] = [[] for _ in runs]
+    names = list(places)
+    centres = np.array([places[name].xyz_m for name in names]).reshape(-1, 3)
+    radii = np.array([places[name].radius_m for name in names])
+    for stop in stops:
+        if not names:
+            break
+        distance = np.linalg.norm(centres - np.asarray(stop.xyz_m), axis=1)
+        best = int(distance.argmin())
+        if distance[best] > radii[best]:
+            continue
+        seen = visits[stop.run]
+        if seen and seen[-1].place == names[best] and _stayed(runs[stop.run], seen[-1].last, stop.first):
+            seen[-1] = Visit(names[best], seen[-1].first, stop.last)
+        else:
+            seen.append(Visit(names[best], stop.first, stop.last))
+    return visits
+
+
+def _stayed(run: Run, a: int, b: int) -> bool:
+    begin = run.window(a, a).xyz_m[0]
+    parts = (part.xyz_m for _, part in pieces(run, a, b))
+    return all(float(np.linalg.norm(xyz - begin, axis=1).max()) <= MERGE_M for xyz in parts)
+
+
+def find_executions(
+    visits: Sequence[Sequence[Visit]], places: Mapping[str, Place], how: Executions, marks: Sequence[Rows]
+) -> list[Execution]:
+    """Cut the visits of each run into executions, as the cell file says they begin.
+
+    An execution goes from the departure at its first visit to the arrival at its last; consecutive ones share a visit.
+    It is complete when the run shows both the place it left from and a place it ended at.
+
+    Args:
+        visits: Of each run, in order.
+        places: All places, for the message.
+        how: What begins an execution.
+        marks: Of each run the rows at which a register or output says that one begins.
+
+    Raises:
+        UnknownName: `how.home` is no place of this cell.
+    """
+    if how.home is not None and how.home not in places:
+        raise UnknownName("cell.toml [executions] home", "place", how.home, places)
+    firsts = [seen[0].place for seen in visits if seen]
+    home = how.home or max(sorted(set(firsts)), key=firsts.count, default="")
+    found = []
+    for number, (seen, marked) in enumerate(zip(visits, marks, strict=True)):
+        cuts = _begins(seen, how, home, marked)
+        for a, b in pairwise(cuts):
+            by_home = how.begin in {"auto", "home"} and len(cuts) > 2
+            whole = not by_home or (seen[a].place == home and seen[b].place == home)
+            found.append(Execution(number, tuple(seen[a : b + 1]), whole))
+    return found
+
+
+def _begins(seen: Sequence[Visit], how: Executions, home: str, marked: Rows) -> list[int]:
+    """Indices of the visits at which an execution begins, with the last visit as the end; ascending."""
+    if len(seen) < 2:
+        return []
+    last = len(seen) - 1
+    if how.begin in {"file", "gap"}:
+        return [0, last]
+    if how.begin in {"register", "digital-output", "signal"}:
+        departures = np.array([visit.last for visit in seen])
+        begins = {int(np.searchsorted(departures, row)) for row in [-1, *marked.tolist()]}
+        return sorted({b for b in begins if b < last} | {last})
+    cuts = [i for i, visit in enumerate(seen) if visit.place == home]
+    return sorted({*cuts, last}) if cuts else [0, last]

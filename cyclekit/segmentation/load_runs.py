@@ -1,0 +1,124 @@
+"""The robot's runs: which rows of which recordings, when their program did not play, and what marks a new cycle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit import schema
+from cyclekit.dataset.signals import OUTPUT, REGISTER, event_times, every_change
+from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.segmentation.motion import COLUMNS
+from cyclekit.segmentation.stored_run import runs_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.config import Cell
+    from cyclekit.dataset.sessions import Session
+    from cyclekit.dataset.signals import Read, Stored
+    from cyclekit.segmentation.stored_run import StoredRun
+    from cyclekit.storage.parquet import StoredTable
+
+    Vector = NDArray[np.float64]
+    Rows = NDArray[np.int64]
+
+WHERE = "[executions] signal"
+LATE_S = 0.25
+"""A signal may come so much later than the departure that it stands for."""
+
+
+def load_runs(session: Session, read: Read, stored: Stored, cell: Cell) -> tuple[list[StoredRun], list[Rows]]:
+    """Return every run of a session, and of each the rows at which something logged says that a cycle begins.
+
+    Args:
+        session: In one clock.
+        read: Returns a native table of a recording (id, table), None if it has none.
+        stored: Opens the robot table of a recording (id, columns).
+        cell: What begins an execution.
+
+    Raises:
+        ConfigError: Executions are to begin by a register or output that was not logged.
+    """
+    entry = session.entries[0]
+    if not entry["rows"].get("robot"):
+        return [], []
+    table = stored(entry["id"], COLUMNS)
+    marked = _marked(session, read, stored, cell)
+    more, states = _more(stored, entry["id"], table.names), _not_playing(stored, entry["id"])
+    gap_s = cell.executions.gap_s if cell.executions.begin != "file" else np.inf
+    runs = runs_of(table, entry["clock"]["offset_s"], gap_s=gap_s, more=more, states=states)
+    ends = [(run.time_at(0), run.time_at(run.rows - 1)) for run in runs]
+    marks = [marked[(marked > first) & (marked <= last)] - LATE_S for first, last in ends]
+    changes = _changes(session, read, stored)
+    runs = [
+        replace(run, changes={name: t[(t >= first) & (t <= last)] for name, t in changes.items()})
+        for run, (first, last) in zip(runs, ends, strict=True)
+    ]
+    return runs, [run.row_at(mine) for run, mine in zip(runs, marks, strict=True)]
+
+
+def _changes(session: Session, read: Read, stored: Stored) -> dict[str, Vector]:
+    """Return when each signal of the session's recordings changes, session time."""
+    found: dict[str, Vector] = {}
+    for entry in session.entries:
+        clock = entry["clock"]
+        for name, times in every_change(entry, read, stored).items():
+            both = np.concatenate([found.get(name, times[:0]), times * clock["rate"] + clock["offset_s"]])
+            found[name] = np.sort(both)
+    return found
+
+
+def _more(stored: Stored, recording: str, names: Sequence[str]) -> StoredTable | None:
+    """Open the joint angles and the slider of a recording, as far as they are known all along."""
+    names = [name for name in names if schema.is_joint(name) and not name.startswith("qd")]
+    table = stored(recording, [*names, "slider"])
+    joints = [name for name in names if table.unknown(name) == 0]
+    slider = ["slider"] if table.unknown("slider") < table.rows else []
+    known = [*(joints if len(joints) == len(names) else []), *slider]
+    return stored(recording, known) if known else None
+
+
+def _not_playing(stored: Stored, recording: str) -> list[tuple[int, int, str]]:
+    """Return where the program does not play: first and last row of the table, and its state."""
+    table = stored(recording, ("state",))
+    if table.unknown("state") == table.rows:
+        return []
+    return [(first, last, state) for first, last, state in table.states("state") if state != "playing"]
+
+
+def _marked(session: Session, read: Read, stored: Stored, cell: Cell) -> Vector:
+    """Return when something logged says that an execution begins, session time."""
+    how, entry = cell.executions, session.entries[0]
+    signal = {"register": REGISTER, "digital-output": f"{OUTPUT}{how.bit}"}.get(how.begin, how.signal)
+    if signal is None:
+        return np.empty(0)
+    name = signal.partition("=")[0]
+    if name == REGISTER or name.startswith(OUTPUT):
+        column = REGISTER if name == REGISTER else "digital_out_bits"
+        table = stored(entry["id"], (column,))
+        if table.unknown(column) == table.rows:
+            said = signal if how.begin == "signal" else how.begin
+            seen = f"{entry['sources'][0]['path']}: executions are to begin by {said}, and that was not logged"
+            raise ConfigError(seen, cure='Log it, or set begin = "auto" in [executions] of the cell file.')
+    else:
+        entry = _holding(name, session, read)
+    clock = entry["clock"]
+    times = event_times(entry, signal, read, stored, WHERE)
+    return np.asarray(times * clock["rate"] + clock["offset_s"])
+
+
+def _holding(name: str, session: Session, read: Read) -> dict[str, Any]:
+    """Return the recording of a session whose events hold a signal."""
+    known: list[str] = []
+    for entry in session.entries:
+        events = read(entry["id"], "events") if "events" in entry["tables"] else None
+        names = [] if events is None else events["signal"].unique(maintain_order=True).to_list()
+        if name in names:
+            return entry
+        known += names
+    raise UnknownName(f"{session.name}, {WHERE}", "signal", name, [*known, f"{OUTPUT}0", REGISTER])

@@ -1,0 +1,222 @@
+"""The places of a cell, out of the standstills of its robot.
+
+A place is a spot where the robot stands although it was allowed to move; where the scaling is not logged, a spot that
+the robot never passes without standing. Motion is asked first; signals (an output, a register, an event) that change
+while the robot stands at places found so, and hardly ever else, tell of places that motion does not show.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.dataset.dataset import Place
+from cyclekit.segmentation.motion import pieces
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.config import NamedPlace
+    from cyclekit.segmentation.motion import Run
+    from cyclekit.segmentation.standstills import Stop
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+    Rows = NDArray[np.int64]
+
+MERGE_M = 0.01
+"""Stops nearer than this to each other are one place (robots repeat to 0.1 mm; two fixtures are never this near)."""
+WORKS, WORKS_AT = 0.9, 0.8
+"""A signal tells of work if so much of its changes happen while the robot stands, and it changes in so many stands at
+some place: one that says that the robot is halted, or moves, changes at the ends of stands and at no place in most."""
+
+
+def find_places(
+    runs: Sequence[Run], stops: Sequence[Stop], named: Mapping[str, NamedPlace], *, all_named: bool = False
+) -> dict[str, Place]:
+    """Return the places of a cell, by name, named ones first and found ones (`place_1`, ...) by first visit.
+
+    A spot is a place when the cell file names it, or the robot stood there while it was free to move (in at least
+    a tenth of its stops), or, where no scaling is known, when it hardly ever passes without standing. The spot at
+    which most recordings begin and end is a place too: a recorder that runs from home to home never sees it stand.
+    So is one in half of whose stops a signal changes that tells of work at the others. With `all_named` none is found.
+    """
+    places: dict[str, Place] = {}
+    xyz = np.array([stop.xyz_m for stop in stops]).reshape(-1, 3)
+    common = _common_edge(stops, xyz)
+    able = np.array([stop.free is not False and not stop.edge for stop in stops], bool)
+    able[common] = True
+    left = able.copy()
+    members: list[Rows] = []
+    for name, place in named.items():
+        near = np.linalg.norm(xyz - np.asarray(place.xyz_m), axis=1) <= place.radius_m
+        near &= able
+        members.append(np.flatnonzero(near))
+        centre = np.median(xyz[near], axis=0) if near.any() else np.asarray(place.xyz_m)
+        places[name] = Place(name, _triple(centre), _radius(xyz[near], centre), inferred=False)
+        left &= np.linalg.norm(xyz - centre, axis=1) > MERGE_M
+    if all_named:
+        return places
+    groups = cluster(xyz, np.flatnonzero(left), MERGE_M)
+    edges = [bool(np.isin(group, common).any()) for group in groups]
+    others = [group for group, edge in zip(groups, edges, strict=True) if not edge]
+    answers = iter(_are_places(runs, stops, xyz, others))
+    found = [group for group, edge in zip(groups, edges, strict=True) if edge or next(answers)]
+    found += _by_signals(runs, stops, xyz, [*members, *found])
+    for number, group in enumerate(sorted(found, key=lambda g: int(g.min())), 1):
+        centre = np.median(xyz[group], axis=0)
+        places[f"place_{number}"] = Place(f"place_{number}", _triple(centre), _radius(xyz[group], centre), True)
+    return places
+
+
+def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: Sequence[Rows]) -> list[Rows]:
+    """Return groups of stops that are places since a signal changes there that tells of work at `known` ones."""
+    telling = _of_work(runs, stops, known)
+    if not telling:
+        return []
+    rests = np.array([not stop.edge for stop in stops], bool)
+    for group in known:
+        if len(group):
+            rests &= np.linalg.norm(xyz - np.median(xyz[group], axis=0), axis=1) > MERGE_M
+    works = rests & np.array([bool(telling & stop.changes.keys()) for stop in stops], bool)
+    groups = cluster(xyz, np.flatnonzero(works), MERGE_M)
+    near = [np.linalg.norm(xyz[rests] - np.median(xyz[group], axis=0), axis=1) <= MERGE_M for group in groups]
+    return [group for group, here in zip(groups, near, strict=True) if 2 * len(group) >= np.count_nonzero(here)]
+
+
+def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Rows]) -> set[str]:
+    """Return the signals that tell of work: see WORKS."""
+    total, inside = Counter[str](), Counter[str]()
+    for run in runs:
+        total.update({name: len(times) for name, times in run.changes.items()})
+    for stop in stops:
+        inside.update(stop.changes)
+    steady: set[str] = set()
+    for group in known:
+        seen = Counter(name for i in group.tolist() for name in stops[i].changes)
+        steady |= {name for name, many in seen.items() if len(group) >= 3 and many >= WORKS_AT * len(group)}
+    return {name for name in steady if inside[name] >= WORKS * total[name]}
+
+
+def _common_edge(stops: Sequence[Stop], xyz: Points) -> NDArray[np.int64]:
+    """Return the edges of recordings that lie at one spot, if at least two and most of all edges do; else none."""
+    edges = np.flatnonzero(np.array([stop.edge for stop in stops], bool))
+    largest = max(cluster(xyz, edges, MERGE_M), key=len, default=edges)
+    return largest if len(largest) >= 2 and 2 * len(largest) > len(edges) else edges[:0]
+
+
+def _triple(xyz: Vector) -> tuple[float, float, float]:
+    x, y, z = (round(float(v), 6) for v in xyz)
+    return x, y, z
+
+
+def _radius(members: Points, centre: Vector) -> float:
+    """Tolerance of a place: what the robot's own repeatability needs, so that a halt just before it is not taken."""
+    spread = float(np.median(np.linalg.norm(members - centre, axis=1))) if len(members) else MERGE_M
+    return round(min(max(6.0 * spread, 5e-4), MERGE_M), 6)
+
+
+def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArray[np.int64]]:
+    """Group positions that lie within `radius_m` of the densest spots, densest first; an unknown one is in no group.
+
+    Nothing depends on where the axes lie: a spot is the median of all that is within half the radius of the position
+    with the most neighbours there.
+
+    Args:
+        xyz: Positions, shape (M, 3), metres.
+        rows: Which of them to group.
+        radius_m: Reach of a group around its spot.
+    """
+    from scipy.spatial import cKDTree  # takes long, and only who looks for places needs it
+
+    groups: list[NDArray[np.int64]] = []
+    rows = rows[np.isfinite(xyz[rows]).all(axis=1)]
+    if not len(rows):
+        return groups
+    points = xyz[rows]
+    tree = cKDTree(points)
+    dense = tree.query_ball_point(points, 0.5 * radius_m, return_length=True)
+    left = np.ones(len(rows), dtype=np.bool_)
+    for seed in np.argsort(-dense, kind="stable").tolist():
+        if not left[seed]:
+            continue
+        around = np.array(tree.query_ball_point(points[seed], 0.5 * radius_m), dtype=np.int64)
+        core = np.median(points[around[left[around]]], axis=0)
+        near = np.array(tree.query_ball_point(core, radius_m), dtype=np.int64)
+        near = np.union1d(near[left[near]], [seed])
+        groups.append(rows[near])
+        left[near] = False
+    return groups
+
+
+def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups: Sequence[Rows]) -> list[bool]:
+    """Tell which groups of stops are places."""
+    centres = [np.median(xyz[group], axis=0) for group in groups]
+    free = [any(stops[i].free for i in group.tolist()) for group in groups]
+    asked = [centre for centre, is_free in zip(centres, free, strict=True) if not is_free]
+    passes = iter(count_passes(runs, np.array(asked).reshape(-1, 3)).tolist())
+    answers = []
+    for group, centre, is_free in zip(groups, centres, free, strict=True):
+        if is_free:
+            near = np.linalg.norm(xyz - centre, axis=1) <= MERGE_M
+            answers.append(bool(len(group) >= 0.1 * np.count_nonzero(near)))
+        else:
+            answers.append(bool(len(group) >= 0.8 * next(passes)))
+    return answers
+
+
+def count_passes(runs: Sequence[Run], centres: Points) -> Rows:
+    """Count how often the robot comes within MERGE_M of each spot, standing or not; centres (C, 3), counts (C,)."""
+    counts = np.zeros(len(centres), np.int64)
+    around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = _packed(_cell(centres)[:, None] + around[None]).ravel()  # of each spot all that it reaches into
+    order = np.argsort(cells, kind="stable")
+    cells, owners = cells[order], order // len(around)
+    for run in runs if len(centres) else ():
+        last = np.full(len(centres), -2, np.int64)
+        for begin, part in pieces(run):
+            spot, row = _near(part.xyz_m, centres, cells, owners)
+            row = row + begin
+            before = np.where(np.diff(spot, prepend=-1) == 0, np.roll(row, 1), last[spot])
+            counts += np.bincount(spot[row != before + 1], minlength=len(centres))
+            np.maximum.at(last, spot, row)
+    return counts
+
+
+def _near(xyz_m: Points, centres: Points, cells: Rows, owners: Rows) -> tuple[Rows, Rows]:
+    """Return which rows are within MERGE_M of which spots, by spot and row.
+
+    Args:
+        xyz_m: Positions, shape (T, 3), metres.
+        centres: The spots, shape (C, 3).
+        cells: Cells that they reach into, ascending.
+        owners: Whose each cell is, an index into the centres.
+    """
+    known = np.flatnonzero(np.isfinite(xyz_m).all(axis=1))
+    cell = _packed(_cell(xyz_m[known]))
+    first, end = np.searchsorted(cells, cell, side="left"), np.searchsorted(cells, cell, side="right")
+    many = end - first
+    row = np.repeat(known, many)
+    within = np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many)
+    spot = owners[np.repeat(first, many) + within]
+    near = np.linalg.norm(xyz_m[row] - centres[spot], axis=1) <= MERGE_M
+    order = np.lexsort((row[near], spot[near]))
+    return spot[near][order], row[near][order]
+
+
+def _cell(xyz_m: Points) -> Rows:
+    """Return in which cube of MERGE_M each position (..., 3) lies, shape (..., 3).
+
+    Neighbours are told by these numbers and not by positions: 0.61 / 0.01 and 0.60 / 0.01 are rounded apart or not.
+    """
+    return np.asarray(np.floor(xyz_m / MERGE_M).astype(np.int64))
+
+
+def _packed(index: Rows) -> Rows:
+    """Return one number for each cube (..., 3), shape (...)."""
+    index = index + (1 << 20)
+    return np.asarray((index[..., 0] << 42) + (index[..., 1] << 21) + index[..., 2])

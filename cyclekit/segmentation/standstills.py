@@ -1,0 +1,200 @@
+"""Where and when a robot stands: its standstills, told from the noise of its own position.
+
+A slow robot is looked at twice: speed says where it may stand, and how far it gets says whether it does.
+A robot program moves from place to place and stands there while the gripper works. A safety halt stands too, but
+somewhere along the way, and only while the scaling is zero. Which standstills are at a place is the business of
+`places`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.segmentation.median import median
+from cyclekit.segmentation.motion import half_window, lengths, pieces
+from cyclekit.segmentation.slow_motion import AXES, MIN_STOP_S, Stillness, quantum_of, stillness_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from cyclekit.segmentation.motion import Run
+
+    Vector = NDArray[np.float64]
+
+TWITCH_S, TWITCH_M = 0.1, 2e-4
+"""A motion that is over within this time (or TWITCH_ROWS) and leads no farther than this is noise of the position."""
+TWITCH_ROWS = 4
+CRAWL_M_S = 3e-3
+"""A robot slower than this may stand: whether it does is told from how far it gets (see `stillness`)."""
+APART_S = 0.5
+"""Slow stretches at one spot with less between them are looked at as one: noise divides them."""
+_CRAWLS = 2_000_000  # speeds that its noise is told from
+_PLACES = 20_000  # positions that the place of a stand is told from
+FREE_S = 0.1
+"""So much nominal time: a dwell of MIN_STOP_S without its edges."""
+EDGE_S = 0.03
+"""Scaling at the edges of a standstill is not judged: speed follows the scaling a few controller cycles later."""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A standstill of one run, rows `first`..`last` inclusive.
+
+    Attributes:
+        free: Scaling was above zero while it stood; None = scaling unknown.
+        edge: The run begins or ends here without a standstill: the recorder was switched while the robot just left
+            or just arrived. It can be a visit to a place, it cannot make one.
+        changes: How often logged signals changed while it stood, those that did.
+    """
+
+    run: int
+    first: int
+    last: int
+    xyz_m: tuple[float, float, float]
+    free: bool | None
+    edge: bool = False
+    changes: Mapping[str, int] = field(default_factory=dict)
+
+
+def standing(run: Run) -> float:
+    """Return the speed below which the robot may stand, m/s: slower than the noise of its own standstill lets see.
+
+    It is four times the median speed below CRAWL_M_S, between 0.1 mm/s and CRAWL_M_S: low, because a motion that starts
+    jerk-limited is slow for its first milliseconds. Where positions have a quantum it is at least that over the time
+    that a speed is taken over: a standing robot between two values shows it.
+    """
+    thin = max(1, run.rows // _CRAWLS)
+    crawls, steps = [np.empty(0)], [np.empty(0)]
+    for _, part in pieces(run):
+        slow = part.speed_m_s < CRAWL_M_S
+        crawls.append(part.speed_m_s[slow][::thin])
+        steps.append(lengths(np.diff(part.xyz_m, axis=0))[slow[1:] | slow[:-1]][::thin])
+    crawl = np.concatenate(crawls)
+    noise = float(median(crawl)) if len(crawl) else 0.0
+    step = min(quantum_of(np.concatenate(steps)), TWITCH_M)
+    over_s = 2 * half_window(run.period_s) * run.period_s
+    return max(min(max(4.0 * noise, 1e-4), CRAWL_M_S), AXES * step / over_s)
+
+
+def find_stops(run: Run, number: int) -> list[Stop]:
+    """Return the standstills of a run of at least MIN_STOP_S and its two edges, in order."""
+    stops, times = [], []
+    slow = _stands(run, standing(run))
+    for stand in _standstills(run, slow, stillness_of(run, [(one.first, one.last) for one in slow])):
+        short = stand.last_s - stand.first_s < MIN_STOP_S
+        if short and stand.first != 0 and stand.last != run.rows - 1:
+            continue
+        x, y, z = _resting_place(run, stand.first, stand.last)
+        stops.append(Stop(number, stand.first, stand.last, (x, y, z), _free(run, stand), short))
+        times.append((stand.first_s, stand.last_s))
+    return _with_changes(run, stops, np.array(times).reshape(-1, 2))
+
+
+def _with_changes(run: Run, stops: list[Stop], times_s: NDArray[np.float64]) -> list[Stop]:
+    """Return the stops with how often each signal changed from the first to the last time (N, 2) of each."""
+    found: list[dict[str, int]] = [{} for _ in stops]
+    for name, when in run.changes.items():
+        many = np.searchsorted(when, times_s[:, 1], side="right") - np.searchsorted(when, times_s[:, 0])
+        for i in np.flatnonzero(many).tolist():
+            found[i][name] = int(many[i])
+    return [replace(stop, changes=mine) if mine else stop for stop, mine in zip(stops, found, strict=True)]
+
+
+@dataclass
+class _Stand:
+    """Rows `first`..`last` in which a robot is slow, with the times and places of both."""
+
+    first: int
+    last: int
+    first_s: float
+    last_s: float
+    first_m: Vector
+    last_m: Vector
+
+
+def _stands(run: Run, slow_m_s: float) -> list[_Stand]:
+    """Return every standstill; a twitch of the measurement does not end one."""
+    found: list[_Stand] = []
+    for begin, part in pieces(run):
+        still = part.speed_m_s < slow_m_s
+        if begin == 0:
+            still[0] = True
+        if begin + part.rows == run.rows:
+            still[-1] = True
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
+        for a, b in edges.reshape(-1, 2).tolist():
+            since, until = float(part.t_s[a]), float(part.t_s[b - 1])
+            here = _Stand(begin + a, begin + b - 1, since, until, part.xyz_m[a], part.xyz_m[b - 1])
+            if found and (found[-1].last + 1 == here.first or _is_twitch(found[-1], here, run.period_s)):
+                found[-1] = _both(found[-1], here)
+            else:
+                found.append(here)
+    return found
+
+
+def _standstills(run: Run, slow: list[_Stand], stillness: Stillness) -> list[_Stand]:
+    """Return where a slow robot stands: a slow motion is none. The edges of the run are kept, be it as a single row."""
+    found: list[_Stand] = []
+    for one in _joined(run, slow, stillness, APART_S):
+        still = stillness.stretches(run, one.first, one.last, one.last_s - one.first_s)
+        ends = [row for row in {0, run.rows - 1} if one.first <= row <= one.last]
+        kept = still + [(row, row) for row in ends if not any(a <= row <= b for a, b in still)]
+        found += [one if (a, b) == (one.first, one.last) else _stand(run, a, b) for a, b in sorted(kept)]
+    return _joined(run, found, stillness, stillness.within_s)
+
+
+def _joined(run: Run, parts: list[_Stand], stillness: Stillness, apart_s: float) -> list[_Stand]:
+    """Return the parts, in order, as one those apart by less than that between which the robot got nowhere."""
+    found: list[_Stand] = []
+    for one in parts:
+        brief = bool(found) and one.first_s - found[-1].last_s < apart_s
+        there = brief and np.linalg.norm(one.first_m - found[-1].last_m) <= stillness.reach_m
+        if found and (there or _is_twitch(found[-1], one, run.period_s)):
+            found[-1] = _both(found[-1], one)
+        else:
+            found.append(one)
+    return found
+
+
+def _both(before: _Stand, after: _Stand) -> _Stand:
+    return replace(before, last=after.last, last_s=after.last_s, last_m=after.last_m)
+
+
+def _stand(run: Run, first: int, last: int) -> _Stand:
+    """Return rows `first` to `last` with the times and places of both."""
+    a, b = run.window(first, first), run.window(last, last)
+    return _Stand(first, last, float(a.t_s[0]), float(b.t_s[0]), a.xyz_m[0], b.xyz_m[0])
+
+
+def _is_twitch(before: _Stand, after: _Stand, period_s: float) -> bool:
+    brief = after.first_s - before.last_s < max(TWITCH_S, TWITCH_ROWS * period_s)
+    return bool(brief and np.linalg.norm(after.first_m - before.last_m) < TWITCH_M)
+
+
+def _resting_place(run: Run, first: int, last: int) -> tuple[float, float, float]:
+    """Return the median position of a stand; of a long one that of every so many rows."""
+    places = [part.xyz_m[:: max(1, (last - first) // _PLACES)] for _, part in pieces(run, first, last)]
+    x, y, z = median(np.concatenate(places))
+    return float(x), float(y), float(z)
+
+
+def _free(run: Run, stand: _Stand) -> bool | None:
+    """Tell whether the robot was allowed to move while it stood, None if that is unknown.
+
+    So where its program would have gone on by FREE_S meanwhile. In less it need not have been seen to move: while
+    the safety system lets go, the scaling is above zero for a while before the motion is fast enough to be told from
+    noise, most of all where the path itself is slow.
+    """
+    known, nominal_s = False, 0.0
+    for _, part in pieces(run, stand.first, stand.last):
+        inside = np.isfinite(part.scaling)
+        inside &= (part.t_s > stand.first_s + EDGE_S) & (part.t_s < stand.last_s - EDGE_S)
+        known = known or bool(inside.any())
+        step_s = np.diff(part.t_s, append=part.t_s[-1:])
+        nominal_s += float((part.scaling[inside] * step_s[inside]).sum())
+    return nominal_s >= FREE_S if known else None

@@ -1,0 +1,195 @@
+"""A run that stays on the disk, in the Parquet table of its recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.segmentation.median import median
+from cyclekit.segmentation.motion import (
+    PAUSED,
+    STOPPED,
+    Halt,
+    Overlay,
+    Part,
+    RobotRun,
+    half_window,
+    moving_slider,
+    slope,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.storage.parquet import StoredTable
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+    Rows = NDArray[np.int64]
+
+
+SHORT_ROWS = 1 << 14
+"""A run of fewer rows is put together once for all that look at windows of it one after the other."""
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRun:
+    """A run that stays on the disk.
+
+    Attributes:
+        table: Table ROBOT of its recording, with COLUMNS.
+        first, end: Its rows of the table: from `first` to before `end`.
+        offset_s: Session time of the log's time 0.
+        period_s: Usual time between rows.
+        has_speed: The TCP speed is logged in every row of the table.
+        knows_scaling: Whether the scaling of any row is known.
+        steps: Rows of the run, every BLOCK_ROWS-th, and the times there: where to look for a time.
+        more: Joint angles and slider of the same rows, as far as they are known; None = neither is.
+        halts: When the program was paused or stopped.
+        inferred: Scaling in place of the logged one; None = as logged.
+        changes: When each logged signal changed, session seconds, ascending.
+    """
+
+    table: StoredTable
+    first: int
+    end: int
+    offset_s: float
+    period_s: float
+    has_speed: bool
+    knows_scaling: bool
+    steps: tuple[Rows, Vector]
+    more: StoredTable | None = None
+    halts: tuple[Halt, ...] = ()
+    inferred: Overlay | None = None
+    changes: Mapping[str, Vector] = field(default_factory=dict)
+
+    @property
+    def rows(self) -> int:
+        """How many rows it has."""
+        return self.end - self.first
+
+    def window(self, first: int, last: int) -> RobotRun:
+        """Return rows `first` to `last`, inclusive; not to be written to."""
+        if self.rows > SHORT_ROWS:
+            return self._window(first, last)
+        return _whole(self).window(first, last)
+
+    def _window(self, first: int, last: int) -> RobotRun:
+        half = 0 if self.has_speed else half_window(self.period_s)
+        begin, after = max(first - half, 0), min(last + 1 + half, self.rows)
+        columns = self.table.read(self.first + begin, self.first + after)
+        t_s = columns["t_s"] + self.offset_s
+        xyz = np.column_stack([columns[f"tcp_{axis}_m"] for axis in "xyz"])
+        speed = columns["tcp_speed_m_s"] if self.has_speed else slope(t_s, xyz, half)
+        inside = slice(first - begin, last + 1 - begin)
+        if self.inferred is not None:
+            return RobotRun(t_s[inside], xyz[inside], speed[inside], *self.inferred.rows(first, last))
+        slider, scaling = self.slider_at(first, last), columns["scaling"][inside]
+        if slider is not None:
+            scaling = np.clip(scaling / moving_slider(slider, len(slider)), 0.0, 1.0)
+        return RobotRun(t_s[inside], xyz[inside], speed[inside], scaling)
+
+    def slider_at(self, first: int, last: int) -> Vector | None:
+        """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None where it was not logged."""
+        if self.more is None or "slider" not in self.more.columns:
+            return None
+        return self.more.column("slider", self.first + first, self.first + last + 1)
+
+    @property
+    def is_inferred(self) -> bool:
+        """Whether its scaling was inferred and not logged."""
+        return self.inferred is not None
+
+    def posture(self, first: int, last: int) -> tuple[Points, Vector]:
+        """Return joint angles (else TCP) of rows `first` to `last`, (T, D), and the slider, (T,), 1 if not logged."""
+        slider = moving_slider(self.slider_at(first, last), last + 1 - first)
+        joints = [name for name in self.more.columns if name != "slider"] if self.more is not None else []
+        if self.more is None or not joints:
+            return self.window(first, last).xyz_m, slider
+        columns = self.more.read(self.first + first, self.first + last + 1)
+        return np.column_stack([columns[name] for name in joints]), slider
+
+    def time_at(self, row: int) -> float:
+        """Return the session time of a row, seconds."""
+        return float(self.table.column("t_s", self.first + row, self.first + row + 1)[0]) + self.offset_s
+
+    def row_at(self, t_s: Vector) -> Rows:
+        """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
+        rows, times = self.steps
+        if len(rows) == 1:
+            return self._last_before(t_s, 0, self.rows)
+        found = np.zeros(len(t_s), np.int64)
+        step = np.clip(np.searchsorted(times, t_s + 1e-9, side="right") - 1, 0, None)
+        for number in np.unique(step).tolist():
+            last = int(rows[number + 1]) if number + 1 < len(rows) else self.rows
+            here = step == number
+            found[here] = self._last_before(t_s[here], int(rows[number]), last)
+        return found
+
+    def _last_before(self, t_s: Vector, first: int, end: int) -> Rows:
+        """Do as `row_at` among rows `first` to before `end`."""
+        times_there = self.table.column("t_s", self.first + first, self.first + end)
+        before = times_there.searchsorted(t_s - self.offset_s + 1e-9, side="right") - 1
+        return np.asarray(first + np.maximum(before, 0))
+
+    def with_scaling(self, parts: Sequence[Part]) -> StoredRun:
+        """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
+        kept = Overlay(parts)
+        return replace(self, inferred=kept, knows_scaling=kept.is_known)
+
+
+@lru_cache(maxsize=4)
+def _whole(run: StoredRun) -> RobotRun:
+    return run._window(0, run.rows - 1)
+
+
+def runs_of(
+    table: StoredTable,
+    offset_s: float,
+    *,
+    gap_s: float,
+    more: StoredTable | None = None,
+    states: Sequence[tuple[int, int, str]] = (),
+) -> list[StoredRun]:
+    """Return the continuous stretches of a log: split where its clock jumps ahead by more than `gap_s` or goes back.
+
+    Args:
+        table: Table ROBOT of its recording, with COLUMNS.
+        offset_s: Session time of the log's time 0.
+        gap_s: Longest silence within a run; infinite = one run, unless the clock goes back.
+        more: The same table with joint angles and slider, as far as they are known.
+        states: Where the program does not play: first and last row of the table, and its state.
+    """
+    cuts, firsts, before, periods = [0], list[tuple[int, float]](), np.nan, []
+    for begin, end in table.groups:
+        t = table.column("t_s", begin, end)
+        between = np.diff(t, prepend=before)
+        cuts += (begin + np.flatnonzero((between > gap_s) | (between <= 0))).tolist()
+        firsts.append((begin, float(t[0])))
+        periods.append(median(between[1:]) if len(between) > 1 else np.nan)
+        before = t[-1]
+    known = [float(period) for period in periods if np.isfinite(period)]
+    period_s = float(np.median(known)) if known else 0.1
+    has_speed = table.unknown("tcp_speed_m_s") == 0
+    logged = table.unknown("scaling") < table.rows
+    found = []
+    for first, end in pairwise([*cuts, table.rows]):
+        if end <= first:
+            continue
+        inside = [(begin - first, t) for begin, t in firsts if first < begin < end]
+        start = float(table.column("t_s", first, first + 1)[0])
+        rows, times = zip((0, start), *inside, strict=True)
+        steps = (np.array(rows, np.int64), np.array(times) + offset_s)
+        halts = tuple(
+            Halt(max(a - first, 0), min(b, end - 1) - first, PAUSED if state == "paused" else STOPPED)
+            for a, b, state in states
+            if a < end and b >= first
+        )
+        found.append(StoredRun(table, first, end, offset_s, period_s, has_speed, logged, steps, more, halts))
+    return found

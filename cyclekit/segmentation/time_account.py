@@ -1,0 +1,128 @@
+"""Where every second of an execution goes: nominal motion, safety loss, process dwell, waiting.
+
+A task is the motion from one place to the next and the stand at its goal. While it moves, the path's nominal time
+advances at the scaling s, so nominal = integral of s, safety loss = integral of (1 - s); an operator's speed slider
+takes its own share, and a paused program waits. A robot that has done its work at a place and is not allowed to leave
+stands there at s = 0: that tail of the stand is safety loss of the next motion, as far as the stand exceeds the place's
+usual dwell. When it arrived and left is the business of `stand`; which executions there are, of `segment`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.segmentation.arrivals import fill_nearest
+from cyclekit.segmentation.dwell import Dwell
+from cyclekit.segmentation.motion import moving_slider
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from cyclekit.segmentation.arrivals import Stands
+    from cyclekit.segmentation.executions import Execution
+    from cyclekit.segmentation.motion import Run
+
+    Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One executed task, all times in session seconds; see table TASKS of `schema` for the split.
+
+    Attributes:
+        start_row, arrival_row: Rows of the run between which the robot was on its way.
+    """
+
+    start_place: str
+    goal_place: str
+    start_s: float
+    arrival_s: float
+    end_s: float
+    nominal_s: float | None
+    slider_loss_s: float | None
+    safety_loss_s: float | None
+    dwell_s: float
+    wait_s: float
+    start_row: int
+    arrival_row: int
+
+
+def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str, Dwell]) -> list[Leg]:
+    """Return the tasks of one execution, in order; they follow each other without a gap."""
+    visits = execution.visits
+    mine = [stands[execution.run, visit.first, visit.last] for visit in visits]
+    legs = []
+    departure, home = mine[0].left_s, visits[0].place
+    for number, (before, visit) in enumerate(pairwise(visits), 1):
+        final, stand = visit is visits[-1], mine[number]
+        lasts_s = 0.0 if final else stand.lasts_s
+        process = dwells.get(visit.place, Dwell(lasts_s, lasts_s))
+        usual, most = process.usual_s, process.most_s
+        arrival, left = stand.process(0.0) if final else stand.process(usual, process.ready_s(stand))
+        arrival = max(departure, arrival)
+        stood = max(left - arrival, 0.0)
+        dwell, wait = (stood, 0.0) if stood <= most else (usual, stood - usual)
+        if final:
+            dwell, wait = 0.0 if visit.place == home else min(stood, usual), 0.0
+        start_row, arrival_row = run.row_at(np.array([departure, arrival])).tolist()
+        motion = motion_time(run, departure, arrival)
+        legs.append(
+            Leg(
+                start_place=before.place,
+                goal_place=visit.place,
+                start_s=departure,
+                arrival_s=arrival,
+                end_s=arrival + dwell + wait,
+                nominal_s=motion.nominal_s,
+                slider_loss_s=motion.slider_loss_s,
+                safety_loss_s=motion.safety_loss_s,
+                dwell_s=dwell,
+                wait_s=wait + motion.paused_s,
+                start_row=start_row,
+                arrival_row=arrival_row,
+            )
+        )
+        departure = arrival + dwell + wait
+    return legs
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How long a motion takes at full speed and what it lost, seconds; None where the scaling is mostly unknown."""
+
+    nominal_s: float | None
+    slider_loss_s: float | None
+    safety_loss_s: float | None
+    paused_s: float
+
+
+def motion_time(run: Run, start_s: float, end_s: float) -> Motion:
+    """Return where the time of a motion went, from `start_s` to `end_s`; the parts add up to it.
+
+    What a row says holds until the next row. Short unknown stretches take the nearest known scaling. While the program
+    is paused nobody is slowed down. A motion at scaling s and slider f advances by s f: what it loses to safety is the
+    integral of 1 - s, and to the slider that of s (1 - f).
+    """
+    first, last = run.row_at(np.array([start_s, end_s])).tolist()
+    part = run.window(first, last)
+    lasts = np.diff(np.append(part.t_s, end_s))
+    lasts[0] -= start_s - part.t_s[0]
+    paused = np.zeros(len(lasts), np.bool_)
+    for halt in run.halts:
+        paused[max(halt.first - first, 0) : max(halt.last + 1 - first, 0)] = True
+    paused_s = float(lasts[paused].sum())
+    s, lasts = part.scaling[~paused], lasts[~paused]
+    known = np.flatnonzero(np.isfinite(s))
+    if len(s) == 0 or len(known) < 0.5 * len(s):
+        return Motion(None, None, None, paused_s)
+    s = fill_nearest(s, known)
+    slider = moving_slider(run.slider_at(first, last), last + 1 - first)[~paused]
+    slider_loss = float((s * (1.0 - slider)) @ lasts)
+    safety_loss = float((1.0 - s) @ lasts)
+    return Motion(end_s - start_s - paused_s - slider_loss - safety_loss, slider_loss, safety_loss, paused_s)

@@ -1,0 +1,359 @@
+"""Results put in place as a whole: the old one or the new one, never half, one writer at a time.
+
+A file or folder is built under a name of its own beside its place, brought to the disk, and renamed. What a killed
+process left beside the place is swept by the next one that writes there. The lock is the operating system's: it ends
+with the process that holds it, however that dies, so a lock left behind never blocks. What is written is the business
+of the rooms that write.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import shutil
+import sys
+import tempfile
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.errors import BusyPlace, CyclekitError
+from cyclekit.storage.files import resolved, shortened
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from typing import IO
+
+COMPLETE = ".complete"
+_MANY = 64
+_CURE = "Check the folder, its permissions and the free space."
+_FAR = 1 << 30  # the locked byte lies beyond the text, which others may read then also on Windows
+
+
+def write_parquet(frame: pl.DataFrame, file: Path) -> None:
+    """Write one table (zstd), to be put in place by `built` or `replaced`; same frame, same bytes.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("wb") as handle:
+        try:
+            frame.write_parquet(handle, compression="zstd", statistics=True)
+        except pl.exceptions.PolarsError as error:  # polars says "out of specification" of a full disk
+            raise OSError(errno.EIO, str(error).rpartition("error: ")[2], str(file)) from error
+
+
+def write_text(file: Path, text: str) -> None:
+    """Write a text file: the old one or the new one.
+
+    Raises:
+        CyclekitError: The target cannot be written; the old file is untouched.
+    """
+    with replaced(file) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as handle:
+        handle.write(text)
+
+
+@contextmanager
+def replaced(file: Path) -> Iterator[Path]:
+    """Give the name of a file to write; on success it takes the place of `file`, on failure nothing changes.
+
+    A link stays a link: the file that it leads to is replaced. What is there and is no regular file, such as a device
+    or a pipe, is written into when all is complete.
+
+    Raises:
+        BusyPlace: Another process has been writing there for several seconds.
+        CyclekitError: The place cannot be written.
+    """
+    if file.exists() and not file.is_file():
+        with _told(file), _poured(file) as temporary:
+            yield temporary
+        return
+    with _told(file):
+        file = Path(os.path.realpath(file))
+    with _told(file), locked(file, wait_s=5.0):
+        _sweep(file, "tmp")
+        temporary = _beside(file, "tmp")
+        try:
+            yield temporary
+            _to_disk(temporary)
+            temporary.replace(file)
+        finally:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _poured(place: Path) -> Iterator[Path]:
+    """Give the name of a file whose content goes into a device or a pipe."""
+    if place.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "it is a folder", str(place))
+    with tempfile.TemporaryDirectory(prefix="cyclekit-", ignore_cleanup_errors=True) as folder:
+        temporary = Path(folder) / "whole"
+        yield temporary
+        with temporary.open("rb") as whole, place.open("wb") as sink:
+            shutil.copyfileobj(whole, sink)
+
+
+@contextmanager
+def staged(path: Path) -> Iterator[Path]:
+    """Give a fresh folder to build in; on success it takes the place of `path`, on failure nothing changes.
+
+    Raises:
+        BusyPlace: Another process is writing there.
+        CyclekitError: The place cannot be written.
+    """
+    with _told(path):
+        path = resolved(path)  # "." has no name to put a folder beside, and a link shall stay a link
+    with _told(path), locked(path):
+        settle(path)
+        with built(path) as staging:
+            yield staging
+
+
+@contextmanager
+def built(path: Path) -> Iterator[Path]:
+    """Do as `staged`, for one who holds the lock of `path` and has settled it.
+
+    The swap is two renames. A process killed between them leaves the new folder complete under its staging name, and
+    `recover` finishes the work at the next opening.
+    """
+    with _told(path):
+        path = resolved(path)
+    staging = _beside(path, "new")
+    with _told(path):
+        try:
+            staging.mkdir(parents=True)
+            yield staging
+            _all_to_disk(staging)
+            (staging / COMPLETE).touch()
+            _swap(staging, path)
+        except OSError:
+            with suppress(OSError):
+                _undo(staging, path)
+            raise
+        finally:
+            if not (staging / COMPLETE).exists():
+                shutil.rmtree(staging, ignore_errors=True)
+
+
+def recover(path: Path) -> None:
+    """Finish the swap of a process killed between its two renames.
+
+    For readers: it acts only where nothing is at `path`, so that it cannot get into the way of a running writer.
+    """
+    with suppress(OSError):
+        path = resolved(path)
+        if path.exists():
+            return
+        finished = [folder for folder in _leftovers(path, "new") if (folder / COMPLETE).is_file()]
+        for folder in [*finished, *_leftovers(path, "old")][:1]:
+            folder.rename(path)
+
+
+def settle(path: Path) -> None:
+    """Finish or undo whatever killed processes left beside `path`; for one who holds its lock."""
+    path = resolved(path)
+    recover(path)
+    for folder in _leftovers(path, "new"):
+        if (folder / COMPLETE).is_file():
+            _swap(folder, path)
+        shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):
+        (path / COMPLETE).unlink(missing_ok=True)
+    _sweep(path, "old")
+
+
+def unsettled(path: Path) -> bool:
+    """Tell whether a killed process (or one at work) has left something beside `path`."""
+    return any(_leftovers(resolved(path), kind) for kind in ("new", "old"))
+
+
+@contextmanager
+def locked(path: Path, *, wait_s: float = 0.2) -> Iterator[None]:
+    """Be the only one who writes at `path`, across processes; where a file system knows no locks, go on without.
+
+    Raises:
+        BusyPlace: Another process is writing there, and still is after `wait_s`.
+        CyclekitError: Nothing can be written beside `path`.
+    """
+    with _told(path):
+        path = resolved(path)
+        lock = beside(path, "lock")
+        path.parent.mkdir(parents=True, exist_ok=True)
+    end = time.monotonic() + wait_s
+    while (handle := _try(lock, path)) is None:
+        if time.monotonic() >= end:
+            raise BusyPlace(path, _holder(lock))
+        time.sleep(0.02)
+    try:
+        yield
+    finally:
+        _give_back(lock, handle)
+
+
+def _give_back(lock: Path, handle: IO[str]) -> None:
+    windows = os.name == "nt"  # where a file that is open, here or elsewhere, is not deleted
+    with suppress(OSError):
+        if not windows:
+            lock.unlink(missing_ok=True)
+    with suppress(OSError):
+        handle.close()
+    with suppress(OSError):
+        if windows:
+            lock.unlink(missing_ok=True)
+
+
+def _holder(lock: Path) -> str:
+    try:
+        return f" (process {int(lock.read_text(encoding='utf-8'))})"
+    except (OSError, ValueError):
+        return ""
+
+
+def _try(lock: Path, path: Path) -> IO[str] | None:
+    """Return the open lock file if it is ours now, None if it is another's."""
+    with _told(path):
+        try:
+            handle = lock.open("a+", encoding="utf-8")
+        except PermissionError:
+            if os.name == "nt" and lock.exists():  # just being deleted
+                return None
+            raise
+    if _take(handle.fileno()) and _is_still(lock, handle):
+        with suppress(OSError):  # a full disk: who we are stays unsaid
+            handle.truncate(0)
+            handle.write(f"{os.getpid()}\n")
+            handle.flush()
+        return handle
+    handle.close()
+    return None
+
+
+def _is_still(lock: Path, handle: IO[str]) -> bool:
+    """Tell whether the open file still has its name: the one before us may have removed it before we took it."""
+    try:
+        return os.fstat(handle.fileno()).st_ino == lock.stat().st_ino
+    except OSError:
+        return False
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    _OTHERS = (errno.EACCES, errno.EDEADLK)
+
+    def lock_open_file(descriptor: int) -> None:
+        """Lock an open file until it is closed or the process ends, without waiting.
+
+        Raises:
+            OSError: Another process holds the lock, or the file system knows none.
+        """
+        os.lseek(descriptor, _FAR, os.SEEK_SET)
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+
+else:
+    import fcntl
+
+    _OTHERS = (errno.EWOULDBLOCK, errno.EACCES)
+
+    def lock_open_file(descriptor: int) -> None:
+        """Lock an open file until it is closed or the process ends, without waiting.
+
+        Raises:
+            OSError: Another process holds the lock, or the file system knows none.
+        """
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _take(descriptor: int) -> bool:
+    """Tell whether the lock is ours now; where a file system knows no locks, it is."""
+    try:
+        lock_open_file(descriptor)
+    except OSError as error:
+        return error.errno not in _OTHERS
+    return True
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        msg = f"{path}: cannot be written ({error.strerror or error})"
+        raise CyclekitError(msg, cure=_CURE) from error
+
+
+def beside(path: Path, kind: str) -> Path:
+    """Return the hidden name beside `path` that something of ours has there, however long the name of `path` is."""
+    return path.with_name(f".{shortened(path.name)}.{kind}")
+
+
+def _beside(path: Path, kind: str) -> Path:
+    return beside(path, f"{kind}-{os.getpid()}-{secrets.token_hex(3)}")
+
+
+def _leftovers(path: Path, kind: str) -> list[Path]:
+    begin = beside(path, f"{kind}-").name
+    try:
+        return sorted(entry for entry in path.parent.iterdir() if entry.name.startswith(begin))
+    except OSError:
+        return []
+
+
+def _sweep(path: Path, kind: str) -> None:
+    for entry in _leftovers(path, kind):
+        if entry.is_dir():
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                entry.unlink(missing_ok=True)
+
+
+def _to_disk(file: Path) -> None:
+    with file.open("rb+") as handle:
+        os.fsync(handle.fileno())
+
+
+def _all_to_disk(folder: Path) -> None:
+    """See every file of a folder on the disk; thousands of them at once, where the system can."""
+    files = [file for file in folder.rglob("*") if file.is_file()]
+    if len(files) > _MANY and hasattr(os, "sync"):
+        os.sync()
+        return
+    for file in files:
+        _to_disk(file)
+
+
+def _swap(staging: Path, path: Path) -> None:
+    if path.exists():
+        path.rename(_beside(path, "old"))
+    with suppress(FileNotFoundError):  # a reader has seen the gap and closed it
+        _patiently(lambda: staging.rename(path))
+    with suppress(OSError):
+        (path / COMPLETE).unlink(missing_ok=True)
+    _sweep(path, "old")
+
+
+def _undo(staging: Path, path: Path) -> None:
+    """Bring the old folder back where the new one could not be renamed."""
+    if not path.exists():
+        for old in _leftovers(path, "old"):
+            old.rename(path)
+    (staging / COMPLETE).unlink(missing_ok=True)
+
+
+def _patiently(do: Callable[[], object]) -> None:
+    """Try again for a second: on Windows a file that anybody has open cannot be renamed."""
+    for _ in range(20 if os.name == "nt" else 0):
+        try:
+            do()
+        except PermissionError:
+            time.sleep(0.05)
+        else:
+            return
+    do()

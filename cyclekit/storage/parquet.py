@@ -1,0 +1,385 @@
+"""Parquet tables larger than memory: written piece by piece, read by ranges of rows.
+
+Same rows in the same pieces, same bytes. Row groups are large enough for a scan to be fast and small enough for a few
+of them to be nothing; numbers are split by bytes before they are compressed, which makes measured values a fifth
+smaller. What the tables mean is the business of `schema`.
+"""
+
+from __future__ import annotations
+
+import errno
+import threading
+from collections import OrderedDict
+from contextlib import contextmanager, suppress
+from functools import lru_cache, partial
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from cyclekit.storage.behind import Behind
+from cyclekit.storage.files import regular
+from cyclekit.storage.parquet_layout import layout_of
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator, Mapping, Sequence
+    from pathlib import Path
+    from types import TracebackType
+    from typing import IO, Self
+
+    from numpy.typing import NDArray
+
+    from cyclekit.schema import Column
+    from cyclekit.storage.parquet_layout import Layout
+
+    Columns = Mapping[str, NDArray[np.float64]]
+
+GROUP_ROWS = 1 << 17
+SMALL_ROWS = 1 << 14
+"""A table of fewer rows is packed by LZ4: zstd makes it a tenth smaller, and takes almost twice as long to begin."""
+_KEPT_BYTES = 64 << 20
+_LEVEL = 1  # of zstd: higher ones take longer and save a hundredth
+
+
+class TableWriter:
+    """One Parquet file in the making. Close it, or leave its `with` block, to have it whole.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+
+    def __init__(
+        self, file: Path, columns: Mapping[str, Column], *, more: Sequence[str] = (), made_by: str | None = None
+    ) -> None:
+        """Open a table.
+
+        Args:
+            file: Where; its folder is made.
+            columns: Its columns, in order.
+            more: Columns of numbers behind them (joints).
+            made_by: Who has written it, if the file shall say so.
+        """
+        self.rows, self._pieces, self._waiting, self._path = 0, list[pl.DataFrame](), 0, file
+        self._types = tuple((name, column.dtype) for name, column in columns.items())
+        self._types += tuple((name, pl.Float64()) for name in more)
+        self._made_by, self._behind = made_by, Behind()
+        self._parquet: pq.ParquetWriter | None = None
+        with _as_os_error(file):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            self._file = file.open("wb")
+
+    def write(self, frame: pl.DataFrame) -> None:
+        """Append rows; the frame has exactly the columns of the table."""
+        self._pieces.append(frame)
+        self._waiting += frame.height
+        self.rows += frame.height
+        while self._waiting >= GROUP_ROWS:
+            self._put(GROUP_ROWS)
+
+    def close(self) -> None:
+        """Write what is left; `atomic.built` sees to it that it is on the disk before it is in place."""
+        try:
+            if self._waiting or self.rows == 0:
+                self._put(self._waiting)
+            self._behind.end()
+            with _as_os_error(self._path):
+                if self._parquet is not None:
+                    self._parquet.close()
+                self._file.close()
+        except BaseException:
+            self.abandon()
+            raise
+
+    def abandon(self) -> None:
+        """Give up: what is there is half a table, and whoever began it removes it."""
+        with suppress(Exception):
+            self._behind.end()
+        if self._parquet is not None:
+            self._parquet.is_open = False  # else it would try to end the file when it is collected, and complain
+        with suppress(Exception):
+            self._file.close()
+
+    def _put(self, count: int) -> None:
+        empty, layout, texts, numbers = _layout_of(self._types)
+        frame = pl.concat(self._pieces) if self._pieces else empty
+        if self._parquet is None:
+            with _as_os_error(self._path):
+                small = frame.height <= SMALL_ROWS
+                self._parquet = _writer(self._file, layout, texts, numbers, small=small)
+                if self._made_by:
+                    self._parquet.add_key_value_metadata({"made_by": self._made_by})
+        rest = frame[count:]
+        self._pieces, self._waiting = ([rest] if rest.height else []), rest.height
+        part = frame[:count]
+        if self.rows > GROUP_ROWS:
+            self._behind.begin(partial(self._write_out, part))
+        else:  # no thread for a small table
+            self._write_out(part)
+
+    def _write_out(self, part: pl.DataFrame) -> None:
+        table = part.to_arrow(compat_level=pl.CompatLevel.oldest())
+        with _as_os_error(self._path):
+            self._parquet.write_table(table, row_group_size=GROUP_ROWS)  # type: ignore[union-attr]  # `_put` made it
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abandon()
+
+
+@lru_cache(maxsize=64)  # thousands of small tables have the same columns
+def _layout_of(types: tuple[tuple[str, pl.DataType], ...]) -> tuple[pl.DataFrame, pa.Schema, list[str], list[str]]:
+    """Return a table without rows, its layout in Arrow's words, and its columns of texts and of numbers."""
+    empty = pl.DataFrame(schema=dict(types))
+    texts = [name for name, dtype in types if dtype == pl.String()]
+    numbers = [name for name, dtype in types if dtype.is_float()]
+    return empty, empty.to_arrow(compat_level=pl.CompatLevel.oldest()).schema, texts, numbers
+
+
+@contextmanager
+def _as_os_error(file: Path) -> Iterator[None]:
+    try:
+        yield
+    except pa.ArrowException as error:
+        raise OSError(errno.EIO, str(error), str(file)) from error
+    except OSError as error:  # from below Parquet, without saying which file
+        raise OSError(error.errno, error.strerror or str(error), str(file)) from error
+
+
+class StoredTable:
+    """Numbers of a Parquet table, read by ranges of rows; what was read last stays decoded, up to a limit (`keeping`).
+
+    The file is open only while it is read: a dataset has thousands of them.
+    """
+
+    def __init__(self, file: Path, columns: Sequence[str]) -> None:
+        """Look at the table.
+
+        Args:
+            file: The Parquet file.
+            columns: The columns that will be read, all of numbers.
+        """
+        self._file, self._key, self._columns = file, str(file), list(columns)
+        self.columns = tuple(columns)
+        about = regular(file).stat()
+        self._written_ns, self._bytes = about.st_mtime_ns, about.st_size
+        layout = self._layout()
+        self.names, self.rows = layout.names, layout.starts[-1]
+        self.groups = [(begin, end) for begin, end in pairwise(layout.starts) if end > begin]
+        self._unknown = {name: layout.unknown[name] for name in columns}
+
+    def _layout(self) -> Layout:
+        return layout_of(self._key, self._written_ns, self._bytes)
+
+    def unknown(self, column: str) -> int:
+        """Return how many rows have no value in a column, as far as the file says; all where it does not."""
+        return self._unknown[column]
+
+    def read(self, first: int, end: int) -> Columns:
+        """Return rows `first` to before `end` as float64, NaN = unknown; not to be written to."""
+        return self._rows(self._columns, first, end)
+
+    def column(self, name: str, first: int, end: int) -> NDArray[np.float64]:
+        """Return one column of these rows, shape (N,), as `read` does, without decoding the others."""
+        return self._rows([name], first, end)[name]
+
+    def _rows(self, names: Sequence[str], first: int, end: int) -> Columns:
+        if len(self.groups) == 1:
+            return {name: values[first:end] for name, values in self._group(0, names).items()}
+        parts = [
+            {name: values[max(first - begin, 0) : end - begin] for name, values in self._group(number, names).items()}
+            for number, (begin, after) in enumerate(self.groups)
+            if begin < end and after > first
+        ]
+        if len(parts) == 1:
+            return parts[0]
+        return {name: np.concatenate([np.empty(0), *(part[name] for part in parts)]) for name in names}
+
+    def whole_numbers(self, number: int, column: str) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Return a column of whole numbers in one row group, all 64 bits of them, and which are known, shape (N,)."""
+        if (whole := self._layout().whole) is not None:
+            begin, end = self.groups[number]
+            values = whole[column][begin:end]
+        else:
+            with pq.ParquetFile(self._file) as parquet:
+                values = pl.DataFrame(parquet.read_row_group(number, columns=[column], use_threads=False))[column]
+        return values.fill_null(0).cast(pl.Int64).to_numpy(), values.is_not_null().to_numpy()
+
+    def states(self, column: str) -> Iterator[tuple[int, int, str]]:
+        """Yield each stretch of equal texts in a column of texts: first and last row, and the text; not the unknown."""
+        pending: tuple[int, int, str] | None = None
+        for first, last, text in self._stretches(column):
+            if pending is not None and pending[2] == text:
+                pending = (pending[0], last, text)
+                continue
+            if pending is not None:
+                yield pending
+            pending = None if text is None else (first, last, text)
+        if pending is not None:
+            yield pending
+
+    def _stretches(self, column: str) -> Iterator[tuple[int, int, str | None]]:
+        """Yield stretches of equal texts in one piece of the table each; the texts themselves are looked at once."""
+        begin = 0
+        with pq.ParquetFile(self._file, read_dictionary=[column]) as parquet:
+            for number in range(len(self.groups)):
+                table = parquet.read_row_group(number, columns=[column], use_threads=False)
+                for piece in table.column(0).chunks:
+                    texts = piece.dictionary.to_pylist()
+                    coded = pl.DataFrame(pa.table({"code": piece.indices}))  # a Series of it would import half of Arrow
+                    index = coded["code"].fill_null(-1).to_numpy()
+                    edges = np.flatnonzero(np.diff(index, prepend=index[:1] - 1, append=index[-1:] - 1))
+                    for first, end in pairwise(edges.tolist()):
+                        at = int(index[first])
+                        yield begin + first, begin + end - 1, texts[at] if at >= 0 else None
+                    begin += len(index)
+
+    def _group(self, number: int, names: Sequence[str]) -> Columns:
+        known = {name: _decoded.get((self._key, name, number)) for name in names}
+        columns = {name: values for name, values in known.items() if values is not None}
+        if missing := [name for name in names if name not in columns]:
+            frame = self._layout().whole
+            if frame is None:
+                with pq.ParquetFile(self._file) as parquet:
+                    table = parquet.read_row_group(number, columns=missing)
+                frame = pl.DataFrame(table)  # not by Arrow's own way to numpy, which imports pandas where there is one
+            else:
+                frame = frame[slice(*self.groups[number])]
+            for name in missing:
+                columns[name] = _floats(frame[name])
+                _decoded.keep((self._key, name, number), columns[name])
+        return columns
+
+
+class _Decoded:
+    """The columns that were decoded last, up to a limit; the latest stays however large it is. For several threads."""
+
+    def __init__(self) -> None:
+        self.most_bytes = _KEPT_BYTES
+        self._parts: OrderedDict[tuple[str, str, int], NDArray[np.float64]] = OrderedDict()
+        self.bytes = 0
+        self._lock = threading.Lock()
+
+    def get(self, key: tuple[str, str, int]) -> NDArray[np.float64] | None:
+        with self._lock:
+            if key in self._parts:
+                self._parts.move_to_end(key)
+            return self._parts.get(key)
+
+    def keep(self, key: tuple[str, str, int], values: NDArray[np.float64]) -> None:
+        with self._lock:
+            before = self._parts.pop(key, None)  # another thread may have read it meanwhile
+            self._parts[key] = values
+            self.bytes += values.nbytes - (0 if before is None else before.nbytes)
+            while len(self._parts) > 1 and self.bytes > self.most_bytes:
+                self.bytes -= self._parts.popitem(last=False)[1].nbytes
+
+    def clear(self) -> None:
+        with self._lock:
+            self._parts.clear()
+            self.bytes = 0
+
+
+_decoded = _Decoded()
+
+
+@contextmanager
+def keeping(most_bytes: int) -> Iterator[None]:
+    """Keep so much of what is decoded, for one who reads the same rows again and again; afterwards what is usual.
+
+    If it is more than that, nothing stays.
+    """
+    _decoded.most_bytes = most_bytes
+    try:
+        yield
+    finally:
+        _decoded.most_bytes = _KEPT_BYTES
+        if _decoded.bytes > _KEPT_BYTES:
+            forget()
+
+
+def forget() -> None:
+    """Give back the memory of what was read last: for one who has other use for it now."""
+    _decoded.clear()
+    pa.default_memory_pool().release_unused()  # else Arrow keeps it for the next table
+
+
+def _floats(values: pl.Series) -> NDArray[np.float64]:
+    return (values if values.dtype == pl.Float64 else values.cast(pl.Float64)).to_numpy()
+
+
+def spans(file: Path, column: str, least: float, most: float) -> list[tuple[int, int]]:
+    """Return the bytes, from and to before, of the row groups that may hold values of a column from `least` to `most`.
+
+    Where the file does not say what a row group holds, it may.
+    """
+    with pq.ParquetFile(file) as parquet:
+        about, place = parquet.metadata, parquet.schema_arrow.get_field_index(column)
+    found = []
+    for number in range(about.num_row_groups):
+        group = about.row_group(number)
+        known = group.column(place).statistics if place >= 0 else None
+        if known is None or not known.has_min_max or (known.min <= most and known.max >= least):
+            parts = [group.column(index) for index in range(group.num_columns)]
+            begins = [part.dictionary_page_offset or part.data_page_offset for part in parts]
+            ends = [begin + part.total_compressed_size for begin, part in zip(begins, parts, strict=True)]
+            found.append((min(begins), max(ends)))
+    return found
+
+
+def unpacked_bytes(file: Path, columns: Container[str]) -> int:
+    """Return how many bytes some columns of a Parquet table have when they are unpacked, not yet decoded."""
+    with pq.ParquetFile(file) as parquet:
+        about = parquet.metadata
+    groups = (about.row_group(number) for number in range(about.num_row_groups))
+    parts = (group.column(index) for group in groups for index in range(group.num_columns))
+    return sum(part.total_uncompressed_size for part in parts if part.path_in_schema in columns)
+
+
+def parts_of(file: Path) -> Iterator[pl.DataFrame]:
+    """Yield a Parquet table in parts; it may be larger than memory."""
+    with pq.ParquetFile(file) as parquet:
+        for group in range(parquet.metadata.num_row_groups):
+            yield pl.DataFrame(parquet.read_row_group(group, use_threads=False))
+
+
+def shift_times(file: Path, shift_s: float, *, column: str = "t_s") -> None:
+    """Subtract `shift_s` from the times in a column of a table that is not in place yet."""
+    import pyarrow.compute as pc  # takes as long to import as a small log to read, and is needed only here
+
+    table = pq.ParquetFile(file)
+    about, part = table.schema_arrow, file.with_suffix(".part")
+    texts = [field.name for field in about if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)]
+    numbers = [field.name for field in about if pa.types.is_floating(field.type)]
+    small = table.metadata.num_rows <= SMALL_ROWS
+    with part.open("wb") as handle, _as_os_error(file), _writer(handle, about, texts, numbers, small=small) as writer:
+        for group in range(table.metadata.num_row_groups):
+            rows = table.read_row_group(group, use_threads=False)
+            place = rows.schema.get_field_index(column)
+            shifted = pc.subtract(rows.column(place), shift_s)
+            writer.write_table(rows.set_column(place, rows.schema.field(place), shifted), row_group_size=GROUP_ROWS)
+    table.close()
+    part.replace(file)
+
+
+def _writer(
+    handle: IO[bytes], layout: pa.Schema, texts: Sequence[str], numbers: Sequence[str], *, small: bool
+) -> pq.ParquetWriter:
+    return pq.ParquetWriter(
+        handle,
+        layout,
+        compression="lz4" if small else "zstd",
+        compression_level=None if small else _LEVEL,
+        use_dictionary=list(texts),
+        use_byte_stream_split=list(numbers),
+        store_schema=False,
+    )

@@ -1,0 +1,170 @@
+"""Datasets and models on shared storage: a folder by its URL, fetched to this machine and published from it.
+
+    s3://bucket/cell-7/dataset      and what else Arrow's file systems know (gs, abfs, hdfs), or fsspec's
+    file:///mnt/plant/dataset       a folder of this machine, used as it is
+
+An object store has no folders and no rename, only objects that are put as a whole. So a folder is published as parts
+named by their content and one manifest that says which part is which file:
+
+    URL/parts/tasks-3f9a….parquet   written once, never changed
+    URL/manifest.json               put last: who reads finds the old folder or the new one, never half
+
+Work is done on a copy in the cache of this machine (CYCLEKIT_CACHE, else the system's place for caches), to which only
+parts that it has not yet are fetched. One writer at a time is the caller's to see to: of two, the last one stays.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cyclekit.errors import OutsideFolder, StorageError
+from cyclekit.storage.atomic import locked
+from cyclekit.storage.atomic import write_text as write_file
+from cyclekit.storage.inside import inside
+from cyclekit.storage.remote.cache import WAIT_S, cached, known_parts, of_file_url
+from cyclekit.storage.remote.file_system import AT_ONCE, URL, content, fetch, files_below, opened, put, said
+from cyclekit.storage.remote.parts import fetched, publish
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pyarrow.fs import FileInfo, FileSystem
+
+
+def is_url(place: Path | str) -> bool:
+    """Tell whether a place is a URL and no path of this machine."""
+    return isinstance(place, str) and URL.match(place) is not None
+
+
+def join(place: Path | str, name: str) -> str:
+    """Return the place of something in a place; what follows a `?` in a URL stays behind it."""
+    if not is_url(place):
+        return str(Path(place) / name)
+    url, mark, options = str(place).partition("?")
+    return f"{url.rstrip('/')}/{name}{mark}{options}"
+
+
+def local(place: Path | str) -> Path:
+    """Return where on this machine the folder of a place stands, fetched if it is elsewhere.
+
+    Raises:
+        StorageError: Nothing is published at the URL, or it cannot be read.
+    """
+    if not is_url(place):
+        return Path(place)
+    url = str(place)
+    if (path := of_file_url(url)) is not None:
+        return path
+    if (folder := fetched(url)) is None:
+        raise StorageError(url, "nothing is published there", cure="Check the address; `--out` of a command publishes.")
+    return folder
+
+
+def reach(url: str) -> None:
+    """Ask a file system once, so that a wrong address or key shows before the work whose result goes there.
+
+    Raises:
+        StorageError: The URL cannot be reached.
+    """
+    if of_file_url(url) is None:
+        with said(url, "reached"):
+            system, path = opened(url)
+            system.get_file_info(path)
+
+
+@contextmanager
+def published(place: Path | str) -> Iterator[Path]:
+    """Give the path to write a folder at; for a URL it holds what is there now, and is published at the end.
+
+    If what is done with it fails, nothing is published.
+
+    Raises:
+        StorageError: The URL cannot be read or written.
+    """
+    path = of_file_url(str(place)) if is_url(place) else Path(place)
+    if path is not None:
+        yield path
+        return
+    url = str(place)
+    path = fetched(url) or cached(url)
+    known_parts(path).unlink(missing_ok=True)  # until it is published it is not what is there
+    yield path
+    publish(path, url)
+
+
+def mirrored(place: Path | str) -> Path:
+    """Return where files that others have put at a place, such as logs, stand on this machine.
+
+    Of a URL, what is new or has another size or time is fetched, and what is gone there goes here.
+
+    Raises:
+        StorageError: There is nothing at the URL, or it cannot be read.
+    """
+    if not is_url(place):
+        return Path(place)
+    url = str(place)
+    if (path := of_file_url(url)) is not None:
+        return path
+    (system, base), target = opened(url), cached(url, "logs")
+    with said(url, "read"), locked(target, wait_s=WAIT_S):
+        files = {_named(target, info.path[len(base) :], url): info for info in files_below(system, base)}
+        for file in [file for file in target.rglob("*") if file.is_file() and file not in files]:
+            file.unlink()
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            list(pool.map(lambda file: _mirror(system, files[file], file), files))
+    if not files:
+        raise StorageError(url, "there is nothing", cure="Check the address.")
+    return target
+
+
+def _named(folder: Path, key: str, url: str) -> Path:
+    try:
+        return inside(folder, *(name for name in key.split("/") if name))
+    except OutsideFolder as error:
+        raise StorageError(url, error.cause, cure="Rename that object, or give an address without it.") from error
+
+
+def _mirror(system: FileSystem, info: FileInfo, target: Path) -> None:
+    changed_ns = info.mtime_ns or 0
+    if target.is_file() and target.stat().st_size == info.size:
+        apart_ns = abs(target.stat().st_mtime_ns - changed_ns)
+        if apart_ns < 1_000_000:  # not every file system keeps nanoseconds
+            return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    part = target.with_name(f".{target.name}.part")
+    fetch(system, info.path, part, None)
+    os.utime(part, ns=(changed_ns, changed_ns))
+    part.replace(target)
+
+
+def read_text(place: str) -> str | None:
+    """Return the text of a file, None where there is none.
+
+    Raises:
+        StorageError: The URL cannot be read.
+    """
+    if not is_url(place) or of_file_url(place) is not None:
+        path = local(place)
+        return path.read_text(encoding="utf-8") if path.is_file() else None
+    system, key = opened(place)
+    with said(place, "read"):
+        found = content(system, key)
+    return None if found is None else found.decode()
+
+
+def write_text(place: str, text: str) -> None:
+    """Write a text file: the old one or the new one.
+
+    Raises:
+        CyclekitError: It cannot be written.
+    """
+    if not is_url(place) or of_file_url(place) is not None:
+        write_file(local(place), text)
+        return
+    system, key = opened(place)
+    with said(place, "written"):
+        put(system, key, text.encode())

@@ -1,0 +1,27 @@
+"""Names in columns of a table, escaped like any other name (`plain_text`): whoever wrote the table may be anybody."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from cyclekit.text.plain_text import NOT_ONE_LINE, one_line
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+def in_one_line(frame: pl.DataFrame, columns: Iterable[str] | None = None) -> pl.DataFrame:
+    """Return the table with every text of some columns, None = of all, as `one_line` makes it."""
+    names = [name for name, dtype in frame.schema.items() if dtype == pl.String] if columns is None else columns
+    odd = [name for name in names if _is_odd(frame, name)]
+    return frame.with_columns(pl.col(odd).map_elements(one_line, return_dtype=pl.String)) if odd else frame
+
+
+def _is_odd(frame: pl.DataFrame, name: str) -> bool:
+    if name not in frame.columns:
+        return False
+    texts = frame[name].cast(pl.String)
+    texts = texts.filter(texts.ne_missing(texts.shift(1))).unique()  # few, as a rule: looking into each takes longer
+    return bool(texts.str.contains(NOT_ONE_LINE).any())

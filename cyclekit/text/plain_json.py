@@ -1,0 +1,33 @@
+"""One JSON document as text: what is not a number becomes null, as JSON has no NaN.
+
+What stands in the document is the business of whoever writes it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+
+from cyclekit.text.plain_text import CONTROL
+
+
+def json_text(document: object, *, ascii_only: bool = False) -> str:
+    """Return `document` as indented JSON; tuples become lists, what JSON does not know becomes its string.
+
+    Args:
+        document: Dictionaries, sequences and values; NaN and infinities become null, keys become strings.
+        ascii_only: Escape everything else, for terminals whose encoding is not known.
+    """
+    text = json.dumps(finite(document), indent=2, ensure_ascii=ascii_only, allow_nan=False, default=str)
+    return CONTROL.sub(lambda found: f"\\u{ord(found[0]):04x}", text)  # only texts hold any: a terminal may show this
+
+
+def finite(value: object) -> object:
+    """Return a document in which null stands for what is not a number, with lists for tuples and texts for keys."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(entry) for entry in value]
+    return value

@@ -1,0 +1,290 @@
+"""Clocks of whole sessions: what the cell file asks for is found in the logs, or refused; measured against the truth.
+
+The cell is box picking, with a tracker whose clock is 0.35 s behind what anybody wrote down and runs 50 ppm fast, and
+which loses frames.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from cyclekit.config import Cell, Source, Sync, load_cell
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import ConfigError, UnknownName
+from cyclekit.ingest.ingest import ingest
+from cyclekit_sim import SimulationOptions, simulate
+
+OFFSET_S, DRIFT, LEAD_S, ROBOT_START_S = 0.35, 50e-6, 6.0, 152.512
+EXECUTIONS = 10
+
+
+def tracker_time(session_s: np.ndarray) -> np.ndarray:
+    """What the tracker's clock shows, as the simulator has it."""
+    return (session_s + LEAD_S) * (1 + DRIFT) - OFFSET_S
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The cell, with two logs more: the gripper as the tracker's input saw it, and the flange as the tracker saw it."""
+    folder = tmp_path_factory.mktemp("clocks") / "logs"
+    options = SimulationOptions(clock_offset_s=OFFSET_S, clock_drift=DRIFT, dropout=0.05, delta_m=0.005)
+    simulate("box-picking", folder, executions=EXECUTIONS, seed=3, options=options)
+    session = folder / "session_000"
+    columns = ["timestamp", "actual_digital_output_bits", *(f"actual_TCP_pose_{i}" for i in range(3))]
+    robot = pl.read_csv(session / "robot.csv", separator=" ", columns=columns).select(columns).to_numpy()
+    session_s = robot[:, 0] - ROBOT_START_S
+    write_gripper(session / "gripper.csv", session_s, robot[:, 1].astype(int))
+    write_flange(session / "flange.csv", session_s, robot[:, 2:])
+    return folder
+
+
+def write_gripper(path: Path, session_s: np.ndarray, bits: np.ndarray) -> None:
+    """Rises of the output with 3 ms of jitter; one in ten is missing, and there are ten that nobody knows."""
+    rng = np.random.default_rng(1)
+    rises = session_s[1:][np.diff(bits & 1) == 1] - 0.004  # the output changed within the control cycle before
+    rises = rises[rng.random(len(rises)) > 0.1]
+    seen = tracker_time(np.concatenate([rises, rng.uniform(0, session_s[-1], 10)]))
+    seen = np.sort(seen + rng.normal(0.0, 0.003, len(seen)))
+    rows = [f"{t:.5f},sync_in,1\n{t + 0.05:.5f},sync_in,0" for t in seen.tolist()]
+    path.write_text("time,signal,value\n" + "\n".join(rows) + "\n", encoding="utf-8")
+
+
+def write_flange(path: Path, session_s: np.ndarray, tcp_m: np.ndarray) -> None:
+    """A rigid body on the flange: 50 Hz, 1 mm of noise, frames lost, and the operator beside it."""
+    rng = np.random.default_rng(2)
+    frames = np.arange(int(session_s[-1] * 50)) / 50
+    at = (frames + OFFSET_S) / (1 + DRIFT) - LEAD_S
+    known = (at > 0) & (np.repeat(rng.random(len(frames) // 10 + 1), 10)[: len(frames)] > 0.05)
+    xyz = np.column_stack([np.interp(at, session_s, tcp_m[:, k]) for k in range(3)])
+    xyz += rng.normal(0.0, 0.001, xyz.shape)
+    head = "Format Version,1.23,Take Name,t,Capture Frame Rate,50.0,Export Frame Rate,50.0"
+    head += f",Total Exported Frames,{len(frames)},Rotation Type,Quaternion,Length Units,Meters,Coordinate Space,Global"
+    lines = [head, "", ",Type" + ",Rigid Body" * 7, ",Name" + ",Flange" * 7, ",ID" + ',"6D79"' * 7]
+    lines += ["," + ",Rotation" * 4 + ",Position" * 3, "Frame,Time (Seconds),X,Y,Z,W,X,Y,Z"]
+    for number, (seen, (x, y, z)) in enumerate(zip(known.tolist(), xyz.tolist(), strict=True)):
+        cells = f"0.0,0.0,0.0,1.0,{x:.5f},{z:.5f},{-y:.5f}" if seen else ",,,,,,"
+        lines.append(f"{number},{number / 50:.6f},{cells}")
+    path.write_text("\r\n".join(lines) + "\r\n", encoding="utf-8", newline="")
+
+
+def cell_with(logs: Path, operator: dict[str, Any], *others: Source, only: bool = True) -> Cell:
+    """The simulated cell, with other words about the operator's clock; buttons as the operator."""
+    cell = load_cell(logs / "cell.toml")
+    robot, people, events = cell.sources
+    silent = {"clock_offset_s": None, "clock_rate": 1.0}
+    tracker = replace(people, **(silent | operator))
+    buttons = replace(events, **(silent | {"same_clock_as": "session_*/operator.csv"}))
+    names = {"gripper.csv", "flange.csv"} - {Path(other.path).name for other in others}
+    ignore = (*cell.ignore, *(f"session_*/{name}" for name in names)) if only else cell.ignore
+    return replace(cell, sources=(robot, tracker, buttons, *others), ignore=ignore)
+
+
+GRIPPER = Source(
+    "session_*/gripper.csv",
+    adapter="csv",
+    role="events",
+    sync=Sync("digital-output 0", "sync_in"),
+    map={"delimiter": ",", "time": "time", "time_unit": "s", "signal": "signal", "value": "value"},
+)
+FLANGE = Source("session_*/flange.csv", role="people", sees="tcp")
+
+
+def ingested(logs: Path, out: Path, cell: Cell, **options: Any) -> tuple[Dataset, dict[str, Any]]:
+    """The dataset, and the operator's recording in it."""
+    ingest([logs], out, cell=cell, **options)
+    dataset = Dataset.open(out)
+    hidden = options.get("pseudonymise", False)  # then only its table tells it
+    operator = (r for r in dataset.recordings if "people" in r["tables"]) if hidden else (
+        r for r in dataset.recordings if r["sources"][0]["path"].endswith("operator.csv")
+    )  # fmt: skip
+    return dataset, next(operator)
+
+
+def worst_s(clock: dict[str, Any], length_s: float) -> float:
+    """How far the clock is off, anywhere in the run."""
+    session_s = np.linspace(0.0, length_s, 50)
+    return float(np.abs(clock["rate"] * tracker_time(session_s) + clock["offset_s"] - session_s).max())
+
+
+def length_s(dataset: Dataset) -> float:
+    return float(max(entry["end_s"] for entry in dataset.card["executions"]))
+
+
+def test_events_of_the_gripper_place_the_tracker_within_two_milliseconds(logs: Path, tmp_path: Path):
+    cell = cell_with(logs, {"same_clock_as": "session_*/gripper.csv"}, GRIPPER)
+    dataset, operator = ingested(logs, tmp_path / "d", cell)
+    clock = operator["clock"]
+    assert clock["method"] == "event-pairs"
+    assert clock["same_as"].endswith("gripper")
+    assert worst_s(clock, length_s(dataset)) < 0.002
+    assert clock["rate"] == pytest.approx(1 / (1 + DRIFT), abs=4e-6)
+    assert clock["residual_s"] == pytest.approx(0.0037, rel=0.25)  # 3 ms of jitter, and where in the cycle it rose
+    assert clock["events"] > 60
+    assert clock["events_rejected"] >= 5
+    assert clock["second_best"] < 0.5
+    assert not any("clock" in text for text in operator["warnings"])
+
+
+def test_the_flange_seen_by_the_tracker_places_it_within_half_a_millisecond_and_is_no_person(
+    logs: Path, tmp_path: Path
+):
+    cell = cell_with(logs, {"same_clock_as": "session_*/flange.csv"}, FLANGE)
+    dataset, operator = ingested(logs, tmp_path / "d", cell)
+    clock = operator["clock"]
+    assert clock["method"] == "motion"
+    assert worst_s(clock, length_s(dataset)) < 0.0005
+    assert clock["rate"] == pytest.approx(1 / (1 + DRIFT), abs=5e-6)
+    assert clock["correlation"] > 0.9
+    assert 0.3 < clock["second_best"] < 0.9  # the cell does one thing after the other, in ever other orders
+    assert clock["residual_s"] < 0.003
+    samples = dataset.samples()
+    apart = (
+        samples.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()
+        - samples.select("human_x_m", "human_y_m", "human_z_m").to_numpy()
+    )
+    assert np.nanmin(np.linalg.norm(apart, axis=1)) > 0.1  # the body on the flange would be at 0
+
+
+def test_the_body_on_the_flange_is_named_where_the_log_holds_others_or_refused(logs: Path, tmp_path: Path):
+    known = replace(FLANGE, sees_as="Flange")
+    _, operator = ingested(logs, tmp_path / "d", cell_with(logs, {"same_clock_as": known.path}, known))
+    assert operator["clock"]["method"] == "motion"
+    unknown = replace(FLANGE, sees_as="Flang")
+    with pytest.raises(ConfigError, match="the nearest is 'Flange'"):
+        ingested(logs, tmp_path / "e", cell_with(logs, {"same_clock_as": known.path}, unknown))
+
+
+def test_a_person_is_no_body_on_the_flange(logs: Path, tmp_path: Path):
+    with pytest.raises(ConfigError, match="never agree"):
+        ingested(logs, tmp_path / "d", cell_with(logs, {"sees": "tcp"}))
+
+
+def test_pairs_of_the_cell_file_place_the_tracker(logs: Path, tmp_path: Path):
+    session_s = np.array([30.0, 400.0, 900.0])
+    pairs = tuple(zip(tracker_time(session_s).tolist(), (session_s + ROBOT_START_S).tolist(), strict=True))
+    dataset, operator = ingested(logs, tmp_path / "d", cell_with(logs, {"sync_events": pairs}))
+    assert operator["clock"]["method"] == "event-pairs"
+    assert operator["clock"]["events"] == 3
+    assert worst_s(operator["clock"], length_s(dataset)) < 1e-6
+
+
+def test_a_wrong_signal_is_refused_with_those_that_are_there(logs: Path, tmp_path: Path):
+    wrong = replace(GRIPPER, sync=Sync("digital-output 0", "sync_out"))
+    with pytest.raises(ConfigError) as caught:
+        ingested(logs, tmp_path / "d", cell_with(logs, {"same_clock_as": GRIPPER.path}, wrong))
+    assert caught.value.nearest == "sync_in"
+    assert "gripper.csv" in str(caught.value)
+    silent = replace(GRIPPER, sync=Sync("digital-output 7", "sync_in"))
+    with pytest.raises(ConfigError, match="0 in the robot's"):
+        ingested(logs, tmp_path / "d", cell_with(logs, {"same_clock_as": GRIPPER.path}, silent))
+    with pytest.raises(ConfigError, match="holds none"):
+        ingested(logs, tmp_path / "d", cell_with(logs, {"sync": Sync("digital-output 0", "sync_in")}))
+    with pytest.raises(UnknownName, match="same_clock_as"):
+        ingested(logs, tmp_path / "d", cell_with(logs, {"same_clock_as": "nowhere.csv"}))
+
+
+def test_two_logs_that_borrow_each_other_s_clock_are_refused(logs: Path, tmp_path: Path):
+    with pytest.raises(ConfigError, match="borrows its clock"):
+        ingested(logs, tmp_path / "d", cell_with(logs, {"same_clock_as": "session_*/events.csv"}))
+
+
+def test_coarse_alignment_is_only_made_when_asked_for_and_goes_by_whole_samples(logs: Path, tmp_path: Path):
+    plain = ingested(logs, tmp_path / "d", cell_with(logs, {}))[1]
+    assert plain["clock"]["method"] == "assumed-common-start"
+    dataset, operator = ingested(logs, tmp_path / "d", cell_with(logs, {}), align_clocks="coarse")
+    clock = operator["clock"]
+    assert clock["method"] == "coarse"
+    assert clock["offset_s"] * 10 == pytest.approx(round(clock["offset_s"] * 10), abs=1e-6)
+    assert worst_s(clock, length_s(dataset)) < 0.16  # a sample and a half; this safety function has no delay to hide
+    assert any("reaction delay" in text for text in operator["warnings"])
+    again = ingested(logs, tmp_path / "d", cell_with(logs, {}))[1]
+    assert again["clock"]["method"] == "assumed-common-start"
+    assert not any("reaction delay" in text for text in again["warnings"])
+
+
+def test_coarse_alignment_that_finds_nothing_says_so(logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("cyclekit.alignment.recording_clocks.coarse_fit", lambda *_, **__: None)
+    operator = ingested(logs, tmp_path / "d", cell_with(logs, {}), align_clocks="coarse")[1]
+    assert operator["clock"]["method"] == "assumed-common-start"
+    (said,) = [text for text in operator["warnings"] if "not aligned on the operator" in text]
+    assert "no offset within 120 s shows that" in said
+    assert "clock_offset_s" in said
+
+
+def test_coarse_alignment_touches_no_clock_that_is_known(logs: Path, tmp_path: Path):
+    cell = cell_with(logs, {"clock_offset_s": 146.862})
+    assert ingested(logs, tmp_path / "d", cell, align_clocks="coarse")[1]["clock"]["method"] == "cell-file"
+
+
+def test_start_texts_place_a_log_to_a_second_or_so(logs: Path, tmp_path: Path):
+    cell = cell_with(logs, {"start": "2026-03-02T14:03:05+01:00"})
+    with pytest.raises(ConfigError, match="no time of day"):
+        ingested(logs, tmp_path / "d", cell)
+    robot = replace(cell.sources[0], start="2026-03-02T13:03:11+00:00")
+    _, operator = ingested(logs, tmp_path / "d", replace(cell, sources=(robot, *cell.sources[1:])))
+    assert operator["clock"]["method"] == "start-text"
+    assert operator["clock"]["offset_s"] == pytest.approx(-6.0)
+    assert any("good to a second" in text for text in operator["warnings"])
+
+
+def test_a_clock_found_once_is_kept_with_what_was_read_and_its_warnings_are_not_doubled(logs: Path, tmp_path: Path):
+    cell = cell_with(logs, {})
+    ingested(logs, tmp_path / "d", cell)
+    _, operator = ingested(logs, tmp_path / "d", replace(cell, bridge_s=0.4))
+    assert len([text for text in operator["warnings"] if "clock relates" in text]) == 1
+
+
+def test_pseudonymised_clocks_tell_no_time_and_still_find_the_flange(logs: Path, tmp_path: Path):
+    known = replace(FLANGE, sees_as="Flange")
+    cell = cell_with(logs, {"same_clock_as": known.path, "start": "2026-03-02T14:03:05+01:00"}, known)
+    dataset, operator = ingested(logs, tmp_path / "d", cell, pseudonymise=True)
+    assert operator["clock"]["method"] == "motion"
+    assert "2026-03-02" not in json.dumps(dataset.card)
+
+
+def test_the_clocks_of_a_dataset_are_told_by_inspect_and_by_the_report(logs: Path, tmp_path: Path):
+    from cyclekit.cli.facts import page
+    from cyclekit.inspect.describe import describe
+    from cyclekit.report.provenance import provenance
+
+    cell = cell_with(logs, {"same_clock_as": "session_*/gripper.csv"}, GRIPPER)
+    dataset, operator = ingested(logs, tmp_path / "d", cell)
+    shown = page(describe(dataset.path))
+    assert "event-pairs" in shown
+    assert f"{1000 * operator['clock']['residual_s']:.1f}" in shown
+    assert f"{operator['clock']['events']}" in shown
+    assert "occluded" in shown
+    assert max(map(len, shown.splitlines()[1:])) <= 80  # the first holds the path
+    told = [source.clock for source in provenance(dataset, {}).sources if "event-pairs" in source.clock]
+    assert told
+    assert all("residual" in text and "rate 0.9999" in text and "events" in text for text in told)
+
+
+def test_a_gap_of_the_track_is_counted_by_its_reason(logs: Path, tmp_path: Path):
+    session = tmp_path / "logs" / "session_000"
+    shutil.copytree(logs / "session_000", session)
+    lines = (session / "operator.csv").read_text(encoding="utf-8").splitlines()
+    rows = [line.split(",") for line in lines[7:]]
+    times = np.array([float(row[1]) for row in rows])
+    away, hidden, over = (times > 200) & (times < 230), (times > 300) & (times < 303), times > 500
+    kept = [
+        ",".join([*row[:2], *[""] * 7] if gone else row)
+        for row, gone, after in zip(rows, (away | hidden).tolist(), over.tolist(), strict=True)
+        if not after
+    ]
+    (session / "operator.csv").write_text("\r\n".join([*lines[:7], *kept]) + "\r\n", encoding="utf-8", newline="")
+    dataset, operator = ingested(tmp_path / "logs", tmp_path / "d", cell_with(logs, {"clock_offset_s": 146.862}))
+    counts, samples = operator["operator"], dataset.samples()
+    t = samples["t_s"].to_numpy() + 6.0 - OFFSET_S
+    assert counts["absent"] == pytest.approx(((t > 200) & (t < 230)).sum(), abs=8)
+    assert counts["outside"] == pytest.approx((t > 500).sum(), abs=3)
+    assert ((t > 300) & (t < 303)).sum() - 3 <= counts["occluded"]  # and the frames that the tracker lost anyway
+    assert sum(counts[name] for name in ("occluded", "absent", "outside")) == samples["human_x_m"].null_count()

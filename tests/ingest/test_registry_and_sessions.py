@@ -1,0 +1,202 @@
+"""Which adapter reads a file, which files are logs, and which recordings belong together."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from cyclekit.adapter import ReadOptions, Recording
+from cyclekit.config import Cell, Source
+from cyclekit.dataset.sessions import group_sessions, unpaired
+from cyclekit.errors import ConfigError, LogError, UnknownName
+from cyclekit.ingest.discover import find_all, matches
+from cyclekit.ingest.registry import (
+    SMALL_BYTES,
+    Registered,
+    adapter_named,
+    adapters,
+    find_adapter,
+    find_logs,
+    why_unknown,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+TRIP = [("stand", 0.5), ("move", 0.3), ("stand", 0.5)]
+
+
+def test_every_built_in_format_is_registered_with_a_line_that_describes_it():
+    assert {"csv", "motive", "rosbag", "ur-rtde", "ur-split"} <= set(adapters())
+    for name, entry in adapters().items():
+        assert entry.name == name
+        assert entry.package == "cyclekit"
+        assert len(entry.summary) > 10
+
+
+def test_an_adapter_that_does_not_exist_is_refused_with_the_nearest():
+    with pytest.raises(UnknownName) as caught:
+        adapter_named("motiv")
+    assert caught.value.nearest == "motive"
+
+
+def test_logs_are_known_by_their_content_whatever_they_are_called(tmp_path: Path, robot_log: Any, motive_log: Any):
+    robot = robot_log(tmp_path / "monday.txt", TRIP)
+    people = motive_log(tmp_path / "monday.dat", [(0.0, 0.0, 0.0)] * 3)
+    assert [found.name for found in map(find_adapter, (robot, people)) if found] == ["ur-rtde", "motive"]
+
+
+class _Telling:
+    """An adapter whose parts say which thread made them."""
+
+    def stream(self, path: Path, options: ReadOptions) -> Iterator[Any]:
+        yield Recording(rows_read=threading.get_ident())
+
+    def read(self, path: Path, options: ReadOptions) -> Any:
+        return None
+
+    def recognises(self, path: Path) -> bool:
+        return True
+
+
+def test_large_logs_alone_are_read_ahead_in_a_thread(tmp_path: Path):
+    telling = Registered("telling", "other", "1", "says who reads", _Telling())  # type: ignore[arg-type]
+    for name, size in (("small", 10), ("large", SMALL_BYTES)):
+        (tmp_path / name).write_bytes(b"0" * size)
+    read = {name: list(telling.parts(tmp_path / name, ReadOptions())) for name in ("small", "large")}
+    assert [part.rows_read == threading.get_ident() for parts in read.values() for part in parts] == [True, False]
+
+
+def test_hidden_files_below_a_folder_are_passed_over_and_a_hidden_folder_named_by_hand_is_not(
+    tmp_path: Path, robot_log: Any
+):
+    robot_log(tmp_path / ".logs" / "run.csv", TRIP)
+    robot_log(tmp_path / ".logs" / ".run.csv.swp", TRIP)
+    assert list(find_logs(tmp_path)) == []
+    assert [path.name for path, _ in find_logs(tmp_path / ".logs")] == ["run.csv"]
+
+
+def test_logs_in_the_folder_above_are_found(tmp_path: Path, robot_log: Any, monkeypatch: pytest.MonkeyPatch):
+    robot_log(tmp_path / "run.csv", TRIP)
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    found, _ = find_all([Path("..")], Cell())
+    assert [log.shown for log in found] == ["run.csv"]
+
+
+def test_two_logs_of_one_name_have_ids_of_their_own(tmp_path: Path, robot_log: Any):
+    for name in ("run.csv", "run.txt", "a b/run.csv", "a_b/run.csv"):
+        robot_log(tmp_path / name, TRIP)
+    found, _ = find_all([tmp_path], Cell())
+    assert len({log.id for log in found}) == 4
+    assert all(set(log.id) <= set("abcdefghijklmnopqrstuvwxyz_.-0123456789") for log in found)
+
+
+def test_the_same_file_given_twice_is_one_log(tmp_path: Path, robot_log: Any):
+    log = robot_log(tmp_path / "run.csv", TRIP)
+    found, _ = find_all([tmp_path, log], Cell())
+    assert [entry.shown for entry in found] == ["run.csv"]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "meant"),
+    [
+        ("a/run.csv", True),
+        ("a", True),
+        ("*/run.csv", True),
+        ("*.csv", True),
+        ("a/run[0-9].csv", False),
+        ("run.csv", False),
+        ("A/run.csv", False),
+        ("/logs/a/run.csv", True),
+    ],
+)
+def test_a_path_of_the_cell_file_is_a_file_a_folder_or_a_glob(pattern: str, meant: bool):
+    assert matches("a/run.csv", Path("/logs/a/run.csv"), pattern) is meant
+
+
+def test_the_first_source_that_means_a_log_is_its_source(tmp_path: Path, robot_log: Any):
+    robot_log(tmp_path / "run.csv", TRIP)
+    exact, every = Source("run.csv", body="1"), Source("*.csv", body="2")
+    assert find_all([tmp_path], Cell(sources=(exact, every)))[0][0].source is exact
+    assert find_all([tmp_path], Cell(sources=(every, exact)))[0][0].source is every
+
+
+def test_a_folder_of_other_files_is_refused_and_names_some_with_the_reason(tmp_path: Path):
+    for number in range(5):
+        (tmp_path / f"note_{number}.txt").write_text("hello\nworld\n", encoding="utf-8")
+    with pytest.raises(LogError, match=r"no log that can be read \(note_0.txt: no adapter .*; and 2 more\)"):
+        find_all([tmp_path], Cell())
+
+
+def entry(path: str, *tables: str) -> dict[str, Any]:
+    return {"id": path.replace("/", "."), "tables": list(tables), "sources": [{"path": path}]}
+
+
+def names(*entries: dict[str, Any]) -> list[list[str]]:
+    return [[log["id"] for log in session.entries] for session in group_sessions(list(entries), lambda shown: False)]
+
+
+def test_one_robot_and_one_tracker_belong_together_wherever_they_lie():
+    assert names(entry("t/walk.csv", "people"), entry("r/run.csv", "robot")) == [["r.run.csv", "t.walk.csv"]]
+
+
+def test_with_several_robots_each_folder_is_a_session_with_the_robot_first():
+    logs = [entry(f"{day}/{name}", kind) for day in "ab" for name, kind in (("1", "people"), ("2", "robot"))]
+    assert names(*logs) == [["a.2", "a.1"], ["b.2", "b.1"]]
+
+
+def test_several_robots_alone_are_sessions_of_their_own():
+    assert names(entry("1.csv", "robot"), entry("2.csv", "robot")) == [["1.csv"], ["2.csv"]]
+
+
+def test_a_bag_that_holds_everything_is_a_session():
+    assert names(*(entry(f"{n}.bag", "robot", "people", "events") for n in range(2))) == [["0.bag"], ["1.bag"]]
+
+
+def test_logs_in_folders_by_kind_belong_together_by_their_names():
+    logs = [entry(f"{kind}/{name}.csv", table) for kind, table in (("r", "robot"), ("t", "people")) for name in "ab"]
+    assert names(*logs) == [["r.a.csv", "t.a.csv"], ["r.b.csv", "t.b.csv"]]
+    days = [entry(f"{day}/{kind}/run.csv", table) for day in "12" for kind, table in (("r", "robot"), ("t", "people"))]
+    assert names(*days) == [["1.r.run.csv", "1.t.run.csv"], ["2.r.run.csv", "2.t.run.csv"]]
+    assert unpaired(group_sessions(logs + days, lambda shown: False)) == []
+
+
+def test_where_names_do_not_tell_which_belong_together_it_is_said_with_the_cure():
+    two_arms = [entry("left/a.csv", "robot"), entry("right/a.csv", "robot"), entry("t/a.csv", "people")]
+    other_names = [entry("r/1.csv", "robot"), entry("r/2.csv", "robot"), entry("t/x.csv", "people")]
+    for logs in (two_arms, other_names):
+        sessions = group_sessions(logs, lambda shown: False)
+        assert [len(session.entries) for session in sessions] == [1, 1, 1]
+        (said,) = unpaired(sessions)
+        assert "unclear which belong together" in said
+        assert "same name" in said
+    empty = [entry("r/1.csv", "robot"), entry("r/2.csv", "robot")]
+    assert unpaired(group_sessions(empty, lambda shown: False)) == []
+
+
+def test_two_robots_and_a_tracker_in_one_folder_are_refused():
+    with pytest.raises(ConfigError, match="2 robot logs and 1 others"):
+        names(entry("1.csv", "robot"), entry("2.csv", "robot"), entry("3.csv", "people"))
+
+
+def test_sessions_are_named_after_their_folder_or_their_log_and_never_alike():
+    logs = [entry("day/a/run.csv", "robot"), entry("day/b/run.csv", "robot"), entry("run.csv", "robot")]
+    sessions = group_sessions(logs, lambda shown: shown.startswith("day/b"))
+    assert [session.name for session in sessions] == ["day.a", "day.b", "run.csv"]
+    assert [session.reference for session in sessions] == [False, True, False]
+    assert [log["session"] for log in logs] == ["day.a", "day.b", "run.csv"]
+
+
+def test_a_file_of_a_log_that_is_a_folder_points_at_the_folder(tmp_path: Path):
+    folder = tmp_path / "movement"
+    folder.mkdir()
+    rows = "".join(f"{0.008 * i:.3f}, 0.1, 0.2, 0.3, 0, 0, 0\n" for i in range(5))
+    for name in ("log_tool_vector.csv", "log_q_actual.csv"):
+        (folder / name).write_text(rows)
+    said = str(why_unknown(folder / "log_q_actual.csv"))
+    assert "part of the folder 'movement', which is one log of adapter 'ur-split'" in said
+    assert "Name the folder" in said

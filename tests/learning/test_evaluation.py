@@ -1,0 +1,193 @@
+"""Judging a model: on what it never saw, beside rivals whose answers are known."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from dataclasses import asdict
+
+import numpy as np
+import polars as pl
+import pytest
+from fabricated import LEVELS, THRESHOLDS_M, fabricate_dataset
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cyclekit.cli import run
+from cyclekit.errors import DatasetError
+from cyclekit.learning.evaluation.evaluate import evaluate
+from cyclekit.learning.networks.beaten import better_rival, fit_thresholds
+from cyclekit.learning.networks.saved import load_model, save_model
+from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.training import train
+from cyclekit.storage.atomic import write_parquet
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory):
+    return fabricate_dataset(tmp_path_factory.mktemp("cell") / "dataset", executions=10, seed=5)
+
+
+@pytest.fixture(scope="module")
+def model(cell):
+    return train(cell, ModelSpec.of(batch=256, epochs=12))
+
+
+@pytest.fixture(scope="module")
+def judged(model, cell):
+    return evaluate(model, cell)
+
+
+def test_a_model_is_judged_on_the_executions_it_never_saw(judged, model):
+    assert judged.held_out
+    assert list(judged.executions) == model.card["split"]["test"]
+    assert judged.metrics.to_json() == pytest.approx(model.card["metrics"])
+
+
+def test_another_dataset_is_judged_whole_and_without_rivals(model, tmp_path):
+    other = fabricate_dataset(tmp_path / "other", executions=3, seed=6)
+    found = evaluate(model, other)
+    assert not found.held_out
+    assert list(found.executions) == other.executions["execution"].to_list()
+    assert [row.name for row in found.mse] == ["model", "model, step named"]
+    assert found.notes
+
+
+def test_the_rivals_stand_beside_the_model(judged):
+    mse = {row.name: row.mse for row in judged.mse}
+    assert list(mse) == [
+        "model", "model, step named", "constant mean", "distance staircase", "gradient boosting",
+    ]  # fmt: skip
+    assert mse["model"] < mse["constant mean"] / 2
+    assert mse["distance staircase"] < 0.003  # the cell's staircase is one of the distance
+    assert mse["gradient boosting"] < mse["constant mean"] / 2
+
+
+def test_the_true_thresholds_are_found_where_the_safety_function_is_one_of_the_distance(judged):
+    note = next(row.note for row in judged.mse if row.name == "distance staircase")
+    found = [float(word) for word in note.split(":")[1].removesuffix(" m").split(",")]
+    assert found == pytest.approx(THRESHOLDS_M, abs=0.05)
+
+
+def test_gradient_boosting_can_be_left_out(model, cell):
+    assert "gradient boosting" not in [row.name for row in evaluate(model, cell, boosting=False).mse]
+
+
+def test_the_confusion_counts_every_row_on_a_level_once(judged):
+    confusion = np.array(judged.confusion)
+    assert confusion.shape == (5, 5)
+    assert confusion.sum() == judged.metrics.rows
+    assert confusion.trace() / confusion.sum() == pytest.approx(judged.accuracy)
+    assert [row.rows for row in judged.levels] == confusion.sum(axis=1).tolist()
+    assert judged.levels[4].recall == pytest.approx(confusion[4, 4] / confusion[4].sum())
+    assert judged.levels[4].precision == pytest.approx(confusion[4, 4] / confusion[:, 4].sum())
+
+
+def squared_errors(each: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Squared errors of 20 rows of each execution, about one value each; and the execution of each row."""
+    execution = np.repeat(np.arange(len(each)), 20)
+    return np.array(each)[execution] * np.tile([0.5, 1.5], 10 * len(each)), execution
+
+
+def test_a_rival_that_is_better_in_every_execution_is_named():
+    model, execution = squared_errors([0.024, 0.026, 0.025, 0.027])
+    rivals = {"distance staircase": model / 2, "constant mean": 2 * model, "gradient boosting": model / 1.9}
+    better = better_rival({}, model, rivals, execution)
+    assert (better.name, better.executions) == ("distance staircase", 4)
+    assert better.model_mse / better.mse == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    "rival",
+    [
+        [0.001, 0.030, 0.024, 0.026],  # in one execution alone
+        [0.022, 0.023, 0.022, 0.023],  # hardly
+        [0.050, 0.050, 0.050, 0.050],  # worse
+    ],
+)
+def test_a_rival_that_is_not_surely_better_is_not_named(rival):
+    model, execution = squared_errors([0.024, 0.026, 0.025, 0.027])
+    assert better_rival({}, model, {"distance staircase": squared_errors(rival)[0]}, execution) is None
+
+
+def test_few_executions_prove_nothing():
+    model, execution = squared_errors([0.024, 0.026])
+    assert better_rival({}, model, {"distance staircase": model / 10}, execution) is None
+
+
+@pytest.mark.parametrize(
+    ("settings", "options"),
+    [
+        ({"features": "positions"}, ["--features", "distance"]),
+        ({}, ["--features", "distance", "--seed", "1"]),
+        ({"features": "distance", "seed": 3}, ["--features", "distance", "--seed", "4"]),
+        (
+            {"network": "regressor", "norm": "none", "features": "positions"},
+            ["--network", "regressor", "--norm", "none", "--features", "distance"],
+        ),
+        ({"noise_m": 0.02, "seed": 1}, ["--noise", "0.02", "--features", "distance", "--seed", "2"]),
+        (
+            {"problem": "ahead", "network": "lstm-1"},
+            ["--problem", "ahead", "--horizon", "2s", "--network", "lstm-1", "--seed", "1"],
+        ),
+    ],
+)
+def test_the_better_training_is_like_the_first_but_for_one_thing(settings, options):
+    model, execution = squared_errors([0.024, 0.026, 0.025, 0.027])
+    card = {"spec": asdict(ModelSpec.of(**settings).with_features())}
+    better = better_rival(card, model, {"distance staircase": model / 2}, execution)
+    assert list(better.otherwise) == options
+    line = better.said("my dataset", "model")
+    assert shlex.split(line.partition("cyclekit ")[2]) == ["train", "my dataset", "--out", "model", *options]
+
+
+def test_what_beats_a_model_is_said_with_the_command_that_mends_it(cell, tmp_path, capsys):
+    """A network that hardly learned is beaten by the staircase; the command as printed gives one that is not."""
+    out = tmp_path / "model"
+    save_model(out, train(cell, ModelSpec.of(batch=256, epochs=2, test_fraction=0.4, features="positions")))
+    assert run(["evaluate", str(out), str(cell.path)]) == 0
+    line = next(text for text in capsys.readouterr().out.splitlines() if "beyond chance" in text)
+    assert line.startswith("the distance staircase is better than the model beyond chance")
+    command = shlex.split(line.partition("train again: cyclekit ")[2])
+    assert run([*command, "--quiet"]) == 0
+    assert load_model(out).card["spec"]["features"] == "distance"
+    assert load_model(out).card["metrics"]["mse_mean"] < 0.01
+
+
+def test_an_evaluation_is_one_json_document(judged):
+    document = json.loads(json.dumps(judged.to_json(), allow_nan=False))
+    assert document["mse"][0].keys() == {"name", "mse", "note"}
+    assert document["accuracy"] == judged.accuracy
+
+
+def test_an_average_has_no_steps_to_confuse(cell):
+    average = train(cell, ModelSpec.of("average", horizon_s=3.0, epochs=2))
+    found = evaluate(average, cell, boosting=False)
+    assert found.confusion is None
+    assert found.accuracy is None
+
+
+def test_a_dataset_without_scaling_cannot_judge(model, tmp_path):
+    dark = fabricate_dataset(tmp_path / "dark", executions=2, seed=7)
+    for file in (dark.path / "samples").glob("*.parquet"):
+        write_parquet(pl.read_parquet(file).with_columns(scaling=pl.lit(None, pl.Float64)), file)
+    with pytest.raises(DatasetError, match="scaling unknown"):
+        evaluate(model, dark)
+
+
+@given(
+    st.lists(st.floats(0.2, 4), min_size=1, max_size=25, unique=True),
+    st.lists(st.sampled_from(LEVELS), min_size=25, max_size=25),
+)
+def test_no_thresholds_fit_better_than_those_found(distances, scaling):
+    distance, scaling = np.array(distances), np.array(scaling[: len(distances)])
+    levels = (0.0, 0.5, 1.0)
+
+    def error(thresholds):
+        return float(((np.array(levels)[np.searchsorted(thresholds, distance, side="right")] - scaling) ** 2).sum())
+
+    found = fit_thresholds(distance, scaling, levels)
+    assert found[0] <= found[1]
+    candidates = [-np.inf, *np.sort(distance), np.inf]
+    best = min(error([a, b]) for a in candidates for b in candidates if a <= b)
+    assert error(found) == pytest.approx(best)

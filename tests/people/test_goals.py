@@ -1,0 +1,95 @@
+"""What the operator goes for: buttons say it, or the stays of his track do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+import pytest
+
+from cyclekit.dataset.dataset import Dataset, Place
+from cyclekit.ingest.ingest import ingest
+from cyclekit.people.tracks import find_spots, find_stays, goals_from_events, goals_from_stays
+
+if TYPE_CHECKING:
+    from simulated_cells import SimulatedCell
+
+
+def test_a_goal_is_in_force_from_its_button_on():
+    goals = goals_from_events(np.array([1.0, 2.0]), ["shelf", "desk"], np.array([0.5, 1.0, 1.9, 2.0, 9.0]))
+    assert goals == [None, "shelf", "shelf", "desk", "desk"]
+
+
+def staying() -> tuple[np.ndarray, np.ndarray]:
+    """Stand 3 s at x = 0, walk 2 s to x = 2, stand 3 s, walk back, stand 3 s."""
+    t_s = np.arange(0.0, 13.0, 0.1)
+    x = np.interp(t_s, [0, 3, 5, 8, 10, 13], [0, 0, 2, 2, 0, 0])
+    return t_s, np.column_stack([x, 0 * x, 0 * x + 0.2])
+
+
+def test_a_stay_is_found_where_the_operator_stands_and_not_where_they_walk_or_are_not_seen():
+    t_s, human = staying()
+    stays = find_stays(t_s, human)
+    edges = [float(t_s[row]) for stay in stays for row in stay]
+    assert edges == pytest.approx([0.0, 3.0, 5.0, 8.0, 10.0, 12.9], abs=0.11)
+    human[70:] = np.nan
+    assert len(find_stays(t_s, human)) == 2
+
+
+def test_without_buttons_the_goal_is_the_spot_of_the_stay_that_runs_or_comes_next():
+    t_s, human = staying()
+    stays = find_stays(t_s, human)
+    spots = find_spots(np.array([np.median(human[a : b + 1], axis=0) for a, b in stays]))
+    assert list(spots) == ["spot_1"]  # a spot needs two stays, and x = 2 has one
+    assert spots["spot_1"].xyz_m == pytest.approx((0.0, 0.0, 0.2))
+    spots["spot_2"] = Place("spot_2", (2.0, 0.0, 0.2), 0.4, inferred=True)
+    at_m = np.array([np.median(human[a : b + 1], axis=0) for a, b in stays])
+    goals = goals_from_stays(stays, at_m, len(human), spots)
+    assert [goals[int(10 * t)] for t in (1.0, 4.0, 6.0, 9.0, 12.0)] == [
+        "spot_1",
+        "spot_2",
+        "spot_2",
+        "spot_1",
+        "spot_1",
+    ]
+    assert goals_from_stays(stays[:1], at_m[:1], len(human), spots)[60] is None
+
+
+def test_the_operators_task_and_goal_are_those_of_the_buttons(boxes: SimulatedCell):
+    found, start = boxes.dataset.samples(), boxes.executions["start_s"][0]
+    truth = boxes.samples.select(t_s=pl.col("t_s") - start, true="human_task").sort("t_s")
+    both = found.sort("t_s").join_asof(truth, on="t_s", strategy="nearest", tolerance=0.06)
+    agree = (both["human_task"] == both["true"]).mean()
+    assert agree > 0.99  # type: ignore[operator]
+    goal = found.filter(pl.col("human_task") == "inbound").select("human_goal_x_m", "human_goal_y_m").unique()
+    assert goal.row(0) == pytest.approx((3.1, 0.0))
+
+
+def test_where_buttons_name_goals_and_no_file_places_them_they_lie_where_the_operator_stayed(
+    boxes: SimulatedCell, tmp_path: Path
+):
+    text = (boxes.logs / "cell.toml").read_text(encoding="utf-8")
+    cell = tmp_path / "cell.toml"
+    cell.write_text(text[: text.index("[human_places")], encoding="utf-8")
+    found = Dataset.open(ingest([boxes.logs], tmp_path / "dataset", cell=cell).dataset)
+    for name, place in boxes.dataset.human_places.items():
+        if name != "rest":  # few executions see the operator rest
+            assert found.human_places[name].inferred
+            assert found.human_places[name].xyz_m[:2] == pytest.approx(place.xyz_m[:2], abs=0.15)
+
+
+def test_without_buttons_and_places_the_spots_are_where_the_operator_works(boxes: SimulatedCell, tmp_path: Path):
+    logs = tmp_path / "logs" / "session_000"
+    logs.mkdir(parents=True)
+    for name in ("robot.csv", "operator.csv"):
+        (logs / name).write_bytes((boxes.logs / "session_000" / name).read_bytes())
+    text = (boxes.logs / "cell.toml").read_text(encoding="utf-8")
+    (tmp_path / "logs" / "cell.toml").write_text(text[: text.index("[human_places")], encoding="utf-8")
+    found = Dataset.open(ingest([tmp_path / "logs"], tmp_path / "dataset").dataset)
+    assert len(found.human_places) >= 5
+    stations = [np.array(place.xyz_m[:2]) for place in boxes.dataset.human_places.values()]
+    for spot in found.human_places.values():
+        assert min(np.linalg.norm(np.array(spot.xyz_m[:2]) - at) for at in stations) < 0.4
+    assert found.samples()["human_task"].null_count() < 0.3 * found.samples().height

@@ -1,0 +1,299 @@
+"""The estimator behind the inferred override, against motions whose scaling is known because it was made here."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from cyclekit.scaling.infer.advance import advance
+from cyclekit.scaling.infer.override import infer_overrides
+from cyclekit.scaling.infer.path import along, path_of
+from cyclekit.scaling.infer.reference import _tcp_peak as tcp_peak
+from cyclekit.segmentation.executions import Execution, Visit
+from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, RobotRun, tcp_speed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+
+PERIOD_S = 0.008
+NOISE_M = 2e-5
+
+
+def arc(nominal_s: Vector) -> Points:
+    """A quarter of a circle of 1 m radius, minimum jerk, in 2 s."""
+    u = np.clip(nominal_s / 2.0, 0.0, 1.0)
+    angle = 0.5 * np.pi * (10 * u**3 - 15 * u**4 + 6 * u**5)
+    return np.column_stack([np.cos(angle), np.sin(angle), 0.3 * angle])
+
+
+def straight(nominal_s: Vector) -> Points:
+    """The chord of that arc."""
+    u = np.clip(nominal_s / 2.0, 0.0, 1.0)
+    share = (10 * u**3 - 15 * u**4 + 6 * u**5)[:, None]
+    return arc(np.zeros(1)) + share * (arc(np.full(1, 2.0)) - arc(np.zeros(1)))
+
+
+def run(
+    scaling: Callable[[float], float], *, seed: int = 0, noise: float = NOISE_M, path: Callable[[Vector], Points] = arc
+) -> tuple[RobotRun, Vector]:
+    """A motion at a scaling that is a function of nominal time (or of time where that stands); and the true scaling."""
+    nominal, s, t = [0.0], list[float](), 0.0
+    while nominal[-1] < 2.0:
+        s.append(scaling(t))
+        nominal.append(nominal[-1] + s[-1] * PERIOD_S)
+        t += PERIOD_S
+    t_s = np.arange(len(nominal)) * PERIOD_S
+    xyz = path(np.array(nominal)) + np.random.default_rng(seed).normal(0.0, noise, (len(t_s), 3))
+    return RobotRun(t_s, xyz, tcp_speed(t_s, xyz), np.full(len(t_s), np.nan)), np.array([*s, s[-1]])
+
+
+def inferred(runs: list[RobotRun], alone: tuple[int, ...] = ()) -> list[RobotRun]:
+    executions = [
+        Execution(number, (Visit("a", 0, 0), Visit("b", one.rows - 1, one.rows - 1)), complete=True)
+        for number, one in enumerate(runs)
+    ]
+    parts, _ = infer_overrides(runs, executions, alone)
+    return [one.with_scaling(found) for one, found in zip(runs, parts, strict=True)]
+
+
+def steps(t_s: float) -> float:
+    return 1.0 if t_s < 0.6 else 0.25 if t_s < 1.8 else 0.0 if t_s < 2.6 else 0.75
+
+
+@pytest.mark.parametrize("rate", [0.2, 0.5, 0.75, 1.0])
+def test_a_motion_drawn_out_evenly_has_that_one_scaling_all_along(rate: float):
+    found = inferred([run(lambda _: 1.0)[0], run(lambda _: rate, seed=1)[0]], alone=(0,))[1].scaling
+    known = np.isfinite(found)
+    assert known.mean() > 0.95
+    assert np.abs(found[known] - rate).mean() < 0.002
+    assert np.abs(found[known] - rate).max() < 0.12
+
+
+def test_edges_stay_sharp_and_a_halt_in_mid_motion_is_zero():
+    one, true = run(steps, seed=1)
+    found = inferred([run(lambda _: 1.0)[0], one], alone=(0,))[1]
+    known = np.isfinite(found.scaling)
+    error = np.abs(found.scaling - true)[known]
+    assert known.mean() > 0.95
+    assert error.mean() < 0.004
+    assert (error < 0.05).mean() > 0.99
+    halted = known & (true == 0.0)
+    assert np.abs(found.scaling[halted]).max() < 0.02
+
+
+def test_the_stated_deviation_is_about_the_error():
+    errors = []
+    for seed in range(1, 9):
+        one, true = run(lambda _: 0.6, seed=seed)
+        found = inferred([run(lambda _: 1.0)[0], one], alone=(0,))[1]
+        middle = slice(20, -20)
+        assert found.deviation is not None
+        errors.append((found.scaling - true)[middle] / found.deviation[middle])
+    assert 0.3 < float(np.std(np.concatenate(errors))) < 2.0
+
+
+def test_without_an_empty_run_the_fastest_pace_at_each_place_is_the_reference():
+    how = [lambda t: 0.5 if t < 0.7 else 1.0, lambda t: 1.0 if t < 0.9 else 0.25]
+    how += [lambda t: 0.25 if t < 1.2 else 1.0, lambda t: 1.0 if t < 0.8 else 0.5]
+    slowed = [run(scaling, seed=seed) for seed, scaling in enumerate([*how, *how])]
+    found = inferred([one for one, _ in slowed])
+    for one, (_, true) in zip(found, slowed, strict=True):
+        known = np.isfinite(one.scaling)
+        assert known.mean() > 0.85
+        assert np.abs(one.scaling - true)[known].mean() < 0.01
+
+
+def test_a_pace_that_one_repetition_alone_has_reached_is_not_believed():
+    fast, slow = run(lambda _: 1.0)[0], run(lambda _: 0.5, seed=1)[0]
+    for one in inferred([fast, slow]):
+        assert one.gap is not None
+        assert np.isnan(one.scaling).all()
+        assert set(one.gap.tolist()) == {NO_REFERENCE}
+
+
+def test_a_motion_that_took_another_path_is_unknown():
+    runs = [run(lambda _: 1.0, seed=seed)[0] for seed in range(3)]
+    other = run(lambda _: 0.5, path=straight)[0]
+    found = inferred([*runs, other])
+    assert np.isnan(found[3].scaling).all()
+    assert set(found[3].gap.tolist()) == {OTHER_PATH}  # type: ignore[union-attr]
+    assert np.nanmean(found[0].scaling) == pytest.approx(1.0, abs=0.01)
+
+
+def test_two_paths_between_the_same_places_have_a_reference_each():
+    runs = [run(lambda _: 1.0, seed=seed)[0] for seed in range(3)]
+    runs += [run(lambda _: 1.0, seed=seed, path=straight)[0] for seed in range(3)]
+    halved = run(lambda _: 0.5, seed=9, path=straight)[0]
+    assert np.nanmean(inferred([*runs, halved])[6].scaling) == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_motion_never_run_at_full_speed_gives_itself_away_by_its_dynamics():
+    """Speed goes with the scaling, acceleration with its square."""
+
+    def legs(runs: list[tuple[str, RobotRun]]) -> tuple[list[RobotRun], list[Execution]]:
+        executions = [
+            Execution(n, (Visit("a", 0, 0), Visit(goal, one.rows - 1, one.rows - 1)), complete=True)
+            for n, (goal, one) in enumerate(runs)
+        ]
+        return [one for _, one in runs], executions
+
+    named = [("b", run(lambda _: 1.0, seed=seed)[0]) for seed in range(3)]
+    named += [("c", run(lambda _: 1.0, seed=seed)[0]) for seed in range(3)]
+    named += [("d", run(lambda _: 0.5, seed=seed)[0]) for seed in range(3)]
+    runs, executions = legs(named)
+    parts, references = infer_overrides(runs, executions)
+    assert references["a->d"][0].slowed == pytest.approx(0.5, abs=0.05)
+    assert references["a->b"][0].slowed == 1.0
+    assert set(parts[8][0].gap.tolist()) == {NEVER_FULL}
+    assert np.isnan(parts[8][0].scaling).all()
+    assert np.nanmean(parts[0][0].scaling) == pytest.approx(1.0, abs=0.01)
+
+
+def elbow(nominal_s: Vector, x_m: float, y_m: float, way_m: tuple[float, float]) -> tuple[Points, Points]:
+    """TCP and joints of an arm of two links of 0.5 m that goes straight from a place, minimum jerk, in 2 s."""
+    u = np.clip(nominal_s / 2.0, 0.0, 1.0)
+    tcp = np.array([x_m, y_m]) + (10 * u**3 - 15 * u**4 + 6 * u**5)[:, None] * np.array(way_m)
+    bend = np.arccos(np.clip((tcp**2).sum(axis=1) / 0.5 - 1.0, -1.0, 1.0))
+    return np.column_stack([tcp, 0.0 * u]), np.column_stack([np.arctan2(tcp[:, 1], tcp[:, 0]) - bend / 2, bend])
+
+
+def slowed_of(motions: list[Callable[[Vector], tuple[Points, Points]]], rates: list[float]) -> list[float]:
+    """The share of full speed that is told of motions to as many places, three times each at its rate."""
+    runs, executions = list[RobotRun](), list[Execution]()
+    for number, (motion, rate) in enumerate(zip(motions, rates, strict=True)):
+        for seed in range(3):
+            t_s = np.arange(int(2.0 / rate / PERIOD_S) + 1) * PERIOD_S
+            tcp, joints = motion(rate * t_s)
+            q_rad = joints + np.random.default_rng(10 * number + seed).normal(0.0, NOISE_M, joints.shape)
+            runs.append(RobotRun(t_s, tcp, tcp_speed(t_s, tcp), np.full(len(t_s), np.nan), q_rad=q_rad))
+            visits = Visit("a", 0, 0), Visit(f"b{number}", len(t_s) - 1, len(t_s) - 1)
+            executions.append(Execution(len(runs) - 1, visits, complete=True))
+    _, references = infer_overrides(runs, executions)
+    return [references[f"a->b{number}"][0].slowed for number in range(len(motions))]
+
+
+STRAIGHT = [partial(elbow, x_m=x_m, y_m=-0.2, way_m=(0.0, 0.4)) for x_m in (0.38, 0.4, 0.44, 0.45, 0.6, 0.8)]
+"""Equal speeds of the TCP; what the joints do differs by where it goes."""
+
+
+def test_straight_motions_at_full_speed_are_not_taken_for_slowed_by_what_their_joints_do():
+    assert slowed_of(STRAIGHT, [1.0] * 6) == [1.0] * 6
+
+
+def test_a_straight_motion_never_run_at_full_speed_still_gives_itself_away():
+    assert slowed_of(STRAIGHT, [1.0, 1.0, 1.0, 0.5, 1.0, 0.75]) == pytest.approx([1, 1, 1, 0.5, 1, 0.75], abs=0.03)
+
+
+def test_a_joint_that_only_trembles_proves_no_full_speed():
+    """The second joint holds still: its greatest speed is noise, alike in all motions however slow."""
+
+    def turning(nominal_s: Vector, reach: float) -> tuple[Points, Points]:
+        tcp = arc(nominal_s)
+        return tcp, np.column_stack([reach * np.arctan2(tcp[:, 1], tcp[:, 0]), 0.0 * nominal_s])
+
+    motions = [partial(turning, reach=reach) for reach in (1.0, -1.0, 1.0, -1.0)]
+    assert slowed_of(motions, [1.0, 1.0, 0.5, 1.0]) == pytest.approx([1.0, 1.0, 0.5, 1.0], abs=0.05)
+
+
+@pytest.mark.parametrize("moving", [2, 3, 4, 6, 9])
+@pytest.mark.parametrize("tcp_known", [True, False])
+def test_motions_of_a_few_rows_are_looked_at_as_well(moving: int, tcp_known: bool):
+    """And logs of joint angles whose TCP is not known."""
+    way = np.concatenate([np.linspace(0.0, 0.5, moving), np.full(4, 0.5)])
+    rows = len(way)
+    t_s = 0.3 * np.arange(rows)
+    tcp = np.column_stack([way, np.zeros(rows), np.zeros(rows)])
+    xyz = tcp if tcp_known else np.full_like(tcp, np.nan)
+    runs = [RobotRun(t_s, xyz, tcp_speed(t_s, tcp), np.full(rows, np.nan), q_rad=tcp) for _ in range(4)]
+    for one in inferred(runs):
+        assert one.gap is not None
+        assert (one.gap != NEVER_FULL).all()
+        assert (one.scaling[np.isfinite(one.scaling)] > 0.9).all()
+
+
+@pytest.mark.parametrize("rows", [2, 3, 4])
+def test_a_path_of_very_few_rows_has_no_peak(rows: int):
+    t_s = 0.3 * np.arange(rows)
+    tcp = np.column_stack([t_s, t_s, t_s])
+    assert np.isnan(tcp_peak(path_of(t_s, tcp / NOISE_M), np.ones(rows), tcp)).all()
+
+
+def test_rows_that_a_recorder_wrote_twice_do_not_look_like_halts():
+    one, _ = run(lambda _: 0.5, seed=1)
+    twice = np.repeat(np.arange(one.rows), 2)
+    t_s = np.arange(len(twice)) * PERIOD_S / 2
+    doubled = RobotRun(t_s, one.xyz_m[twice], one.speed_m_s[twice], np.full(len(twice), np.nan))
+    found = inferred([run(lambda _: 1.0)[0], doubled], alone=(0,))[1].scaling
+    known = np.isfinite(found)
+    assert known.mean() > 0.9
+    assert np.abs(found[known] - 0.5).max() < 0.05
+
+
+def test_a_reference_at_another_rate_serves_as_well():
+    fine, _ = run(lambda _: 1.0)
+    coarse = RobotRun(fine.t_s[::4], fine.xyz_m[::4], fine.speed_m_s[::4], fine.scaling[::4])
+    found = inferred([coarse, run(lambda _: 0.5, seed=1)[0]], alone=(0,))[1].scaling
+    assert np.abs(found[np.isfinite(found)] - 0.5).mean() < 0.01
+
+
+def test_what_the_slider_took_is_not_taken_for_safety():
+    one, _ = run(lambda _: 0.5, seed=1)
+    slid = RobotRun(one.t_s, one.xyz_m, one.speed_m_s, one.scaling, slider=np.full(one.rows, 0.5))
+    found = inferred([run(lambda _: 1.0)[0], slid], alone=(0,))[1].scaling
+    assert_allclose(found[np.isfinite(found)], 1.0, atol=0.03)
+
+
+def test_runs_that_know_their_scaling_are_references_for_those_that_do_not():
+    known, true = run(lambda t: 0.5 if t < 1.0 else 1.0)
+    logged = RobotRun(known.t_s, known.xyz_m, known.speed_m_s, true)
+    silent, expected = run(lambda t: 1.0 if t < 1.0 else 0.25, seed=1)
+    parts, _ = infer_overrides(
+        [logged, silent],
+        [Execution(n, (Visit("a", 0, 0), Visit("b", r - 1, r - 1)), complete=True)
+         for n, r in enumerate((logged.rows, silent.rows))],
+    )  # fmt: skip
+    assert parts[0] == []
+    found = parts[1][0].scaling
+    seen = np.isfinite(found)
+    assert seen.mean() > 0.9
+    assert np.abs(found - expected)[seen].mean() < 0.01
+
+
+@settings(max_examples=60)
+@given(st.floats(0.02, 1.0), st.integers(3, 300), st.floats(0.0, 1e4))
+def test_a_line_without_noise_has_its_slope_whatever_the_length(rate: float, rows: int, start: float):
+    t = start + np.arange(rows) * PERIOD_S
+    found, deviation = advance(t, 5.0 + rate * (t - start), np.full(rows, 1e-8))
+    assert_allclose(found, rate, atol=1e-6)
+    assert (deviation > 0).all()
+
+
+def test_where_nothing_is_known_the_deviation_is_infinite():
+    t = np.arange(50) * PERIOD_S
+    found, deviation = advance(t, t, np.full(50, np.inf))
+    assert np.isinf(deviation).all()
+    assert np.isfinite(found).all()
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10_000), st.floats(0.2, 1.0))
+def test_a_repetition_is_found_where_it_is_on_the_path(seed: int, rate: float):
+    reference, _ = run(lambda _: 1.0, noise=0.0)
+    path = path_of(reference.t_s, reference.xyz_m / NOISE_M)
+    one, _ = run(lambda _: rate, seed=seed)
+    place = along(path, one.t_s, one.xyz_m / NOISE_M)
+    true = np.minimum(one.t_s * rate, 2.0)
+    clear = np.isfinite(place.variance_s2)
+    assert clear.mean() > 0.8
+    assert (np.abs(place.own_s - true)[clear] < 6 * np.sqrt(place.variance_s2[clear]) + 1e-4).all()

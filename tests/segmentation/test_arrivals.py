@@ -1,0 +1,90 @@
+"""When a robot arrived and left, where noise hides the slow beginning of a motion and halts lie next to it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cyclekit.segmentation.arrivals import Stand, stand_of
+from cyclekit.segmentation.executions import Visit
+from cyclekit.segmentation.motion import RobotRun
+
+JERK, TOP_S = 20.0, 0.4  # m/s^3; then it goes on at the speed that it has
+NOISE_M = 8e-6
+ARRIVES, LEAVES = 3.0, 5.0
+
+
+def way(nominal_s: np.ndarray) -> np.ndarray:
+    """Return how far a robot is, so long after (or before) it stood."""
+    t = np.minimum(nominal_s, TOP_S)
+    return np.where(nominal_s > 0, JERK * t**3 / 6 + 0.5 * JERK * TOP_S**2 * np.maximum(nominal_s - TOP_S, 0.0), 0.0)
+
+
+def run(scaling, *, rate: int = 125, known=lambda t: True, noise_m: float = NOISE_M) -> tuple[RobotRun, Visit]:
+    """Return a robot that comes to (1, 0, 0) along y, stands from ARRIVES to LEAVES, and goes on along z."""
+    t = np.arange(0.0, 14.0, 1.0 / rate)
+    s = np.array([scaling(now) for now in t])
+    nominal = np.concatenate([[0.0], np.cumsum(s[:-1] / rate)])
+    before = np.interp(ARRIVES, t, nominal) - nominal
+    after = nominal - np.interp(LEAVES, t, nominal)
+    xyz = np.column_stack(
+        [np.ones(len(t)), way(np.where(t < ARRIVES, before, 0.0)), way(np.where(t > LEAVES, after, 0.0))]
+    )
+    xyz += np.random.default_rng(5).normal(0.0, noise_m, xyz.shape)
+    seen = np.flatnonzero(np.linalg.norm(xyz - [1.0, 0.0, 0.0], axis=1) < 3e-4)  # as near as a place reaches
+    told = np.where([known(now) for now in t], s, np.nan)
+    return RobotRun(t, xyz, np.zeros(len(t)), told), Visit("table", int(seen[0]), int(seen[-1]))
+
+
+def found(*args, **options) -> Stand:
+    return stand_of(*run(*args, **options), np.array([1.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("rate", [125, 500])
+@pytest.mark.parametrize("scaling", [1.0, 0.25, 0.1])
+def test_the_slow_beginning_and_end_of_a_motion_are_followed_into_the_noise(scaling: float, rate: int):
+    stand = found(lambda _: scaling, rate=rate)
+    assert not stand.halted
+    assert (stand.arrived_s, stand.left_s) == pytest.approx((ARRIVES, LEAVES), abs=0.03 if scaling > 0.1 else 0.08)
+
+
+def test_a_robot_halted_a_hair_after_it_left_had_left():
+    stand = found(lambda t: 0.0 if 5.16 < t < 9.0 else 0.25)
+    assert stand.left_s == pytest.approx(LEAVES, abs=0.05)
+    assert stand.free_s == stand.left_s
+
+
+def test_a_robot_halted_a_hair_before_its_goal_arrives_after_the_halt():
+    stand = found(lambda t: 0.0 if 0.5 < t < 2.84 else 0.25)
+    assert stand.arrived_s == pytest.approx(ARRIVES, abs=0.05)
+
+
+def test_a_halt_a_hair_after_it_left_is_told_without_a_logged_scaling_too():
+    stand = found(lambda t: 0.0 if 5.16 < t < 9.0 else 0.25, known=lambda t: t < 2.5 or t > 9.5)
+    assert stand.left_s == pytest.approx(LEAVES, abs=0.1)
+
+
+def test_in_a_halt_it_left_at_some_time_in_it_and_if_in_doubt_after_the_usual_process():
+    stand = found(lambda t: 0.0 if 4.0 < t < 9.0 else 1.0)
+    assert stand.halted
+    assert (stand.free_s, stand.left_s) == pytest.approx((4.0, 9.0), abs=0.02)
+    assert stand.process(1.7) == pytest.approx((ARRIVES, ARRIVES + 1.7), abs=0.03)
+    assert stand.process(0.2) == pytest.approx((ARRIVES, 4.0), abs=0.03)
+    assert stand.process(60.0) == pytest.approx((ARRIVES, 9.0), abs=0.03)
+
+
+def test_in_a_halt_it_arrived_so_long_before_it_left_as_the_process_takes():
+    stand = Stand(stopped_s=2.0, arrived_s=6.0, free_s=7.0, left_s=7.0)
+    assert stand.process(1.5) == (5.5, 7.0)
+    assert stand.process(0.1) == (6.0, 7.0)
+    assert stand.process(9.0) == (2.0, 7.0)
+
+
+@pytest.mark.parametrize("rate", [50, 125, 500])
+def test_a_motion_that_begins_at_its_full_speed_begins_at_the_last_row_at_rest(rate: int):
+    t = np.arange(0.0, 6.0, 1.0 / rate)
+    x = 0.5 * (np.maximum(1.0 - t, 0.0) + np.maximum(t - 4.0, 0.0))
+    log = RobotRun(t, np.column_stack([x, 0.0 * t, 0.0 * t]), np.zeros(len(t)), np.ones(len(t)))
+    still = np.flatnonzero(x < 1e-9)
+    stand = stand_of(log, Visit("table", int(still[0]), int(still[-1])), np.zeros(3))
+    assert (stand.arrived_s, stand.left_s) == pytest.approx((1.0, 4.0), abs=0.02 if rate == 500 else 1e-6)

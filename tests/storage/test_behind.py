@@ -1,0 +1,43 @@
+"""Calls behind: in order, one waiting at most, errors raised where somebody hears them, no thread left."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from cyclekit.storage.behind import Behind
+
+
+def test_calls_are_made_in_order_in_another_thread_and_none_is_left():
+    before, made = threading.active_count(), list[tuple[int, int]]()
+    behind = Behind()
+    for number in range(20):
+        behind.begin(lambda number=number: made.append((number, threading.get_ident())))
+    behind.end()
+    assert [number for number, _ in made] == list(range(20))
+    assert threading.get_ident() not in {thread for _, thread in made}
+    assert threading.active_count() == before
+
+
+def test_the_caller_goes_on_meanwhile():
+    go, waited = threading.Event(), list[bool]()
+    behind = Behind()
+    behind.begin(lambda: waited.append(go.wait(10.0)))
+    go.set()  # if `begin` waited for its call, nobody would set it in time
+    behind.end()
+    assert waited == [True]
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_an_error_is_raised_at_the_next_call_or_at_the_end(at_once: bool):
+    def fails() -> None:
+        raise OSError(28, "No space left on device", "robot.parquet")
+
+    before = threading.active_count()
+    behind = Behind()
+    behind.begin(fails)
+    with pytest.raises(OSError, match="No space left"):
+        behind.end() if at_once else behind.begin(list.clear)
+    behind.end()
+    assert threading.active_count() == before

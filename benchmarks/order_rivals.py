@@ -66,14 +66,19 @@ def markov_s(dataset: Dataset, sequences: Sequence[TaskSequence]) -> list[float]
         for task in sequence.tasks:
             mine = named == task
             own = (np.bincount(state[mine], minlength=STATES) + overall) / (mine.sum() + 1)
-            chance = own if now is None else (now @ moves) * own / overall
+            chance = own if now is None else (now @ moves) * own / np.maximum(overall, 1e-12)
             now = chance / chance.sum()
-            means = [slow[mine & (state == k)].mean() if (mine & (state == k)).any() else slow[state == k].mean()
-                     for k in range(STATES)]  # fmt: skip
+            means = [_mean(slow, mine & (state == k), state == k) for k in range(STATES)]
             entry = nominal[task]
             total += entry.nominal_s * float(now @ np.array(means)) + entry.dwell_s + entry.wait_s
         found.append(total)
     return found
+
+
+def _mean(values: np.ndarray, here: np.ndarray, everywhere: np.ndarray) -> float:
+    """Return the mean of values (N,) `here`, else everywhere; 0 where there are none, as nothing leads there."""
+    some = values[here] if here.any() else values[everywhere]
+    return float(some.mean()) if len(some) else 0.0
 
 
 def greedy_by_average(model: TrainedModel, dataset: Dataset, jobs: Jobs) -> tuple[str, ...]:

@@ -188,7 +188,7 @@ def judged(check: Check) -> str:
     """Return how the rollout compares with the logged executions."""
     lines = [
         f"{check.executions} logged executions rolled out beside their own operators: bias {check.own_bias:+.2%} "
-        f"(95% CI +-{1.96 * check.own_error:.2%}), {check.held_out} of them unseen by the network",
+        f"(95% CI +-{check.own_within:.2%}), {check.held_out} of them unseen by the network",
     ]
     if abs(check.factor - 1) >= 5e-5:
         lines.append(f"so every duration above is corrected by {check.factor - 1:+.2%}")

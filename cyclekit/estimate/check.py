@@ -12,12 +12,15 @@ rolled-out cycles of all other operators.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.conformal import conformal, holds
+from cyclekit.estimate.history import TaskTimes, order_error
+from cyclekit.estimate.judges import judge, within
 from cyclekit.estimate.logged import beside_own, logged_durations, logged_sequences, only_tracks
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.safety import Dynamics
@@ -58,11 +61,6 @@ ALARMING_BIAS = 0.03
 SURE = 3.0
 """So many standard errors from 0 a bias is no chance."""
 
-WORSE = 2.0
-"""Where the executions that the network never saw come out worse than the others, their median error beyond so many
-times that of the others, they alone say how far a rollout is off. Otherwise all do: one cycle that took another turn
-among nine unseen ones would be taken for one in nine."""
-
 
 @dataclass(frozen=True)
 class Check:
@@ -72,8 +70,8 @@ class Check:
         executions: How many logged executions were rolled out.
         held_out: How many of them the network had never seen.
         own_bias: Mean of rolled / logged - 1, each execution beside its own operator; of those the network had not seen
-            where they come out worse than the others (WORSE), else of all.
-        own_error: Standard error of that mean.
+            where they come out worse than the others beyond chance (`judges`), else of all.
+        own_error: Standard error of that mean; it holds how far those the network had not seen lie from it.
         crossed_bias: Mean of rolled / logged - 1 beside all other operators.
         reacts_z: Difference of the two in standard errors: far from 0, the operator reacts to the robot.
         residuals: logged / rolled - 1 of the same executions.
@@ -81,6 +79,8 @@ class Check:
             None with few executions.
         coverage_held_out: `coverage` among the executions the network had not seen; None where there are none.
         levels: The outer quantile levels of these coverages.
+        order_error: How far sums of logged task durations are off by the order, as part of the duration of an order of
+            one task (`history.order_error`); None with few executions.
     """
 
     executions: int
@@ -93,6 +93,7 @@ class Check:
     coverage: float | None
     coverage_held_out: float | None
     levels: tuple[float, float]
+    order_error: float | None = None
 
     @property
     def factor(self) -> float:
@@ -108,6 +109,11 @@ class Check:
         """Standard deviation of the mean that the network's error still stands for, as part of it."""
         left = 1 - self._sure, ELSEWHERE * self._sure
         return float(np.hypot(self.own_bias * np.hypot(*left), self.own_error))
+
+    @property
+    def own_within(self) -> float:
+        """Half the width of the 95 % interval of the bias, by Student's t: of as many executions as judged."""
+        return within(self.own_error, len(self.residuals))
 
     @property
     def _sure(self) -> float:
@@ -136,7 +142,7 @@ class Check:
         if not self.biased(ALARMING_BIAS):
             return None
         return (
-            f"the model's bias is {self.own_bias:+.1%} (+-{1.96 * self.own_error:.1%}) on {self.executions} logged "
+            f"the model's bias is {self.own_bias:+.1%} (+-{self.own_within:.1%}) on {self.executions} logged "
             f"executions; every duration is corrected by {self.factor - 1:+.1%}"
         )
 
@@ -221,7 +227,12 @@ def check_rollout(
     _enough(dataset, int((np.isfinite(own) & np.isfinite(crossed).any(axis=1)).sum()))
     unseen = set(model.card.held_out)
     held_out = np.array([sequence.name in unseen for sequence in sequences])
-    return compare(logged, own, np.where(np.isfinite(crossed), crossed, np.nan), held_out, levels)
+    crossed[~np.isfinite(crossed)] = np.nan
+    found = compare(logged, own, crossed, held_out, levels)
+    some = np.isfinite(crossed).any(axis=1)
+    means = np.full(len(sequences), np.nan)
+    means[some] = np.nanmean(crossed[some], axis=1) * found.factor
+    return replace(found, order_error=order_error(TaskTimes(dataset), sequences, means))
 
 
 def _late(own_s: Vector, at_once_s: Vector) -> float:
@@ -267,42 +278,21 @@ def compare(
     count = len(logged_s)
     mean = np.nanmean(crossed_s, axis=1)
     own, cross = own_s / logged_s - 1, mean / logged_s - 1
-    judged = own[_judges(own, held_out)]
+    judged = judge(own, held_out)
     reacts = (mean - own_s) / logged_s
     z = float(reacts.mean() / max(reacts.std(ddof=1) / np.sqrt(count), 1e-9)) if count > 2 else 0.0
     outer = min(min(levels), 1 - max(levels))
     enough = count >= FEW_EXECUTIONS
-    inside = np.array([_inside(y, row[np.isfinite(row)], outer) for y, row in zip(logged_s, crossed_s, strict=True)])
+    inside = np.array([holds(y, row[np.isfinite(row)], outer) for y, row in zip(logged_s, crossed_s, strict=True)])
     return Check(
         executions=count,
         held_out=int(held_out.sum()),
-        own_bias=float(judged.mean()),
-        own_error=float(judged.std() / np.sqrt(len(judged))),
+        own_bias=judged.bias,
+        own_error=judged.error,
         crossed_bias=float(cross.mean()),
         reacts_z=z,
-        residuals=tuple((1 / (1 + judged) - 1).tolist()),
+        residuals=tuple((1 / (1 + judged.off) - 1).tolist()),
         coverage=float(inside.mean()) if enough else None,
         coverage_held_out=float(inside[held_out].mean()) if enough and held_out.any() else None,
         levels=(outer, 1 - outer),
     )
-
-
-def _judges(own: Vector, held_out: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tell which executions say how far a rollout is off beside its own operator, (E,): see WORSE."""
-    every = np.ones(len(own), dtype=np.bool_)
-    if held_out.sum() < 3 or held_out.all():
-        return every
-    off = np.abs(own)
-    return held_out if np.median(off[held_out]) > WORSE * np.median(off[~held_out]) else every
-
-
-def conformal(values: Vector, level: float) -> float:
-    """Return the value that one more is at or below with probability `level`: rank (K + 1) level of K, interpolated.
-
-    Rounding the ranks outwards instead would never cover too little, and at 45 executions far too much.
-    """
-    return float(np.quantile(values, level, method="weibull"))
-
-
-def _inside(logged_s: float, cycles_s: Vector, outer: float) -> bool:
-    return conformal(cycles_s, outer) <= logged_s <= conformal(cycles_s, 1 - outer)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.estimate.estimators import ESTIMATORS
-from cyclekit.estimate.resample import interval_of_mean, share_within
+from cyclekit.estimate.resample import share_within
 from cyclekit.estimate.result import CycleEstimate, TaskShare
 
 if TYPE_CHECKING:
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
+    from cyclekit.estimate.history import Combined
+    from cyclekit.estimate.means import Means
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.program import Program
     from cyclekit.estimate.safety import Dynamics, SafetyModel
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 
 LEAST_SUPPORT = 0.5
 """Below this part of the cycle in logged cells the question is refused."""
+TOLD = 0.005
+"""A smaller share of history is not told in words."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,8 @@ class Altered:
     tasks: Callable[[Mapping[str, NominalTask]], Mapping[str, NominalTask]]
     tracks: Callable[[OperatorTracks, Mapping[str, NominalTask]], OperatorTracks]
     dynamics: Dynamics
+    moved: Mapping[str, float] = field(default_factory=dict)
+    """What logged durations moved the number of each sequence by in the cell that was logged, as a factor, by name."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +69,7 @@ def entry_of(
     cycles: Rolled,
     tracks: OperatorTracks | None,
     weights: NDArray[np.float64],
+    means: Means,
 ) -> CycleEstimate:
     """Return what the cycles of one sequence say.
 
@@ -73,15 +80,15 @@ def entry_of(
         cycles: K cycles of it.
         tracks: What they rest on; None where they rest on none.
         weights: Of the cycles in each resample of the logs, shape (resamples, K).
+        means: Their mean, corrected.
     """
     check = ask.check
-    cycles, slower = (cycles, 1.0) if check is None else _corrected(cycles, check.factor)
+    cycles, slower = _corrected(cycles, means.factor)
     durations = cycles.duration_s
     shares = tuple(_shares(program, cycles))
     expected = float(durations.mean())
-    model_error, bias = (check.model_error, check.doubted_bias) if check else (0.0, 0.0)
-    means = cycles.resampled_means(weights)
-    low, high = interval_of_mean(means, model_error=model_error, bias_s=bias * expected, seed=ask.seed)
+    bias = check.doubted_bias if check else 0.0
+    low, high = means.interval(bias_s=bias * expected, seed=ask.seed)
     activities = [*tracks.activities, "unknown"] if tracks else []
     by_activity = zip(activities, (cycles.by_activity_s * slower).tolist(), strict=False)
     logged = tracks.executions if tracks else tuple(ask.dataset.executions["execution"])
@@ -105,7 +112,7 @@ def entry_of(
         safety_by_activity_s={name: lost for name, lost in by_activity if lost > 0.0},
         durations_s=tuple(durations.tolist()),
         estimator=ask.estimator,
-        why=ESTIMATORS[ask.estimator].why,
+        why=_why(ask.estimator, means.combined),
         executions=len(set(logged)),
         calibrated=check is not None and check.coverage is not None,
         takt_s=ask.takt_s,
@@ -113,11 +120,24 @@ def entry_of(
         extrapolated=cycles.support < LEAST_SUPPORT,
         operator=sequence.operator,
         check=check,
+        combined=means.combined,
+    )
+
+
+def _why(estimator: str, combined: Combined | None) -> str:
+    why = ESTIMATORS[estimator].why
+    if combined is None or combined.history_share < TOLD:
+        return why
+    return (
+        f"{why} ({combined.rollout_s:.1f} s), and {combined.history_share:.0%} of the number is what "
+        f"the same tasks took in the logs ({combined.history_s:.1f} s)"
     )
 
 
 def _corrected(cycles: Rolled, factor: float) -> tuple[Rolled, float]:
     """Multiply the durations; the difference is safety loss, as that is what was learned. Also its factor."""
+    if factor == 1.0:
+        return cycles, 1.0
     lost = float(cycles.safety_s.mean(axis=0).sum())
     more = (factor - 1) * float(cycles.duration_s.mean())
     slower = max(1 + more / lost, 0.0) if lost > 0 else 1.0

@@ -31,26 +31,45 @@ def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> NDA
         together: How many neighbouring executions are drawn as one block.
     """
     names, which = np.unique(np.array(executions), return_inverse=True)
-    rng = np.random.default_rng(seed)
-    blocks = -(-len(names) // together)
-    starts = rng.integers(0, len(names), (RESAMPLES, blocks))
-    drawn = (starts[:, :, None] + np.arange(together)).reshape(RESAMPLES, -1) % len(names)
-    drawn += len(names) * np.arange(RESAMPLES)[:, None]
-    times = np.bincount(drawn.ravel(), minlength=RESAMPLES * len(names)).reshape(RESAMPLES, -1)
-    weight = times[:, which].astype(np.float64)
+    weight = _drawn(len(names), seed, together)[:, which].astype(np.float64)
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
-def interval_of_mean(means_s: Vector, *, model_error: float, bias_s: float = 0.0, seed: int) -> tuple[float, float]:
+def resampled_alike(
+    executions: Sequence[str], others: Sequence[str], seed: int, *, together: int = 1
+) -> NDArray[np.float64]:
+    """Return how often each of `others` is drawn in the resamples of `resampled`, shape (RESAMPLES, others).
+
+    An execution that is none of `executions` is in each resample once.
+    """
+    names = np.unique(np.array(executions))
+    times = np.column_stack([_drawn(len(names), seed, together), np.ones(RESAMPLES, dtype=np.int64)])
+    number = {name: n for n, name in enumerate(names.tolist())}
+    return np.asarray(times[:, [number.get(name, len(names)) for name in others]], dtype=np.float64)
+
+
+def _drawn(count: int, seed: int, together: int) -> NDArray[np.int64]:
+    """Return how often each of `count` executions is drawn in each resample, shape (RESAMPLES, count)."""
+    rng = np.random.default_rng(seed)
+    starts = rng.integers(0, count, (RESAMPLES, -(-count // together)))
+    drawn = (starts[:, :, None] + np.arange(together)).reshape(RESAMPLES, -1) % count
+    drawn += count * np.arange(RESAMPLES)[:, None]
+    return np.asarray(np.bincount(drawn.ravel(), minlength=RESAMPLES * count).reshape(RESAMPLES, -1))
+
+
+def interval_of_mean(
+    means_s: Vector, *, model_error: float, judged: int = 1000, bias_s: float = 0.0, seed: int
+) -> tuple[float, float]:
     """Return the 95 % interval of the mean of K cycles.
 
     Args:
         means_s: The mean in each resample of the logs, shape (resamples,), s: what finite logs leave open.
         model_error: Standard deviation that the network's error leaves, as part of the mean.
+        judged: From how many executions that is known: the fewer, the farther off it may be (Student's t).
         bias_s: What the mean may be off by to either side beside that, s; no resampling shows it.
         seed: Same seed, same interval.
     """
-    means = means_s * (1.0 + model_error * np.random.default_rng(seed + 1).standard_normal(len(means_s)))
+    means = means_s * (1.0 + model_error * np.random.default_rng(seed + 1).standard_t(max(judged - 1, 1), len(means_s)))
     return float(np.quantile(means, 0.025)) - bias_s, float(np.quantile(means, 0.975)) + bias_s
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.estimate.check import Check
+    from cyclekit.estimate.history import Combined
 
 MOST = 0.5
 """A share is called most of something only above this part of it; the largest of several may be far less."""
@@ -68,6 +69,8 @@ class CycleEstimate(Result):
         extrapolated: Marked: most of it runs through positions that were never logged.
         operator: What the operator was asked to do meanwhile; None where that was left open.
         check: The validation on logged executions that corrected it; None where there was none.
+        combined: The rollout and the sum of logged task durations that it is the weighted mean of; None where it rests
+            on one of them.
     """
 
     name: str
@@ -97,6 +100,7 @@ class CycleEstimate(Result):
     operator: tuple[str, ...] | None = None
     doubts: tuple[str, ...] = ()
     check: Check | None = field(default=None, repr=False)
+    combined: Combined | None = None
 
     @property
     def per_visit_s(self) -> float:
@@ -135,6 +139,7 @@ class CycleEstimate(Result):
         out["per_visit_s"] = self.per_visit_s
         out["takt_probability"] = None if self.takt_probability is None else list(self.takt_probability)
         out["beats"] = dict(self.beats)
+        out["combined"] = None if self.combined is None else dict(vars(self.combined))
         out["operator"] = None if self.operator is None else list(self.operator)
         return out
 

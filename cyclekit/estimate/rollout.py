@@ -8,32 +8,32 @@ nominal   nobody in the cell (`rivals`)
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from cyclekit.errors import EstimateError, ModelError, UnknownName
+from cyclekit.estimate.cycles import MANY, cycles_of
 from cyclekit.estimate.entry import LEAST_SUPPORT, Altered, Question, entry_of
 from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs
+from cyclekit.estimate.means import history_of, means_of
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.resample import TOGETHER, means_below, resampled
-from cyclekit.estimate.safety import Dynamics, holds_everywhere
 from cyclekit.estimate.same_work import by_work
-from cyclekit.estimate.spread import Asked, logged_support, roll_spread
-from cyclekit.estimate.tracks import operator_tracks
-from cyclekit.estimate.transit import transit_table
+from cyclekit.estimate.tracks import OperatorTracks
 from cyclekit.estimate.validate import refuse_biased, validated
-from cyclekit.estimate.walk import Rolled, roll_all, roll_out
+from cyclekit.estimate.walk import Rolled, roll_out
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.parallel.one_thread import one_thread
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -49,9 +49,6 @@ if TYPE_CHECKING:
     _Refuse = Callable[[TaskSequence, EstimateError], None]
 
 __all__ = ["ESTIMATORS", "estimate", "lay_out", "roll_out"]
-
-MANY = 50
-"""More sequences than this are looked up in the table of arrivals; so many of the best are walked."""
 
 
 @one_thread()
@@ -134,11 +131,13 @@ def estimate(
         if not mine:
             continue
         weights = _weights(ask, rolled[0], tracks)
+        history = history_of(ask, tracks) if operator is None else None
         for sequence, cycles in zip(mine, rolled, strict=True):
-            entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights)
+            mean = means_of(ask, sequence, cycles, weights, history)
+            entry = entry_of(ask, sequence, programs[sequence], cycles, tracks, weights, mean)
             doubts = (*doubts_of(cycles, entry, check), *unknown)
             found.append(replace(entry, doubts=doubts, warnings=(*doubts, *limits_of_cycles(cycles, entry), *limits)))
-            means.append(cycles.resampled_means(weights))
+            means.append(mean.resampled_s)
             looked_up.append(not cycles.looked_closely)
     tell(1.0, "done")
     # what was only looked up comes behind what was walked: its number is not exact enough to rank before it
@@ -185,7 +184,7 @@ def _answered(
     """
     while programs:
         try:
-            rolled, tracks, until_s = _cycles(ask, list(programs), list(programs.values()), tell)
+            rolled, tracks, until_s = cycles_of(ask, list(programs), list(programs.values()), tell)
         except EstimateError as error:  # there are no tracks for any of them
             for sequence in programs:
                 refuse(sequence, error)
@@ -212,83 +211,6 @@ def _problem(ask: Question, sequence: TaskSequence, cycles: Rolled, until_s: flo
         seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through positions ever logged"
         return EstimateError(seen, cure="Log this part of the cell, or ask with --extrapolate and mark the number.")
     return None
-
-
-def _cycles(
-    ask: Question, sequences: Sequence[TaskSequence], programs: Sequence[Program], tell: Callable[[float, str], None]
-) -> tuple[list[Rolled], OperatorTracks | None, float]:
-    """Return the cycles of every sequence, the tracks they rest on (None: on none), and how long these are at most, s.
-
-    A cycle that does not end within them has duration inf.
-    """
-    estimator = ESTIMATORS[ask.estimator]
-    if estimator.alone is not None:
-        return [estimator.alone(ask.dataset, program, ask.seed) for program in programs], None, np.inf
-    horizon = 2.5 * max(program.length_s for program in programs)
-    rolled: list[Rolled] = []
-    for last in (False, False, False, True):  # tracks must be long enough for the slowest cycle; halts take longer
-        operator = sequences[0].operator
-        tracks = operator_tracks(ask.dataset, horizon_s=horizon, operator=operator, goals=estimator.goals)
-        if ask.altered is not None:
-            tracks = ask.altered.tracks(tracks, {task.task: task for program in programs for task in program.tasks})
-        rolled = []
-        for number, cycles in enumerate(_rolled(ask, _Round(sequences, programs, tracks, horizon))):
-            rolled.append(cycles)
-            tell(number / len(programs), f"rolling out {sequences[number].name}")
-            if not last and not np.isfinite(cycles.duration_s).all():
-                break
-        else:
-            break
-        horizon *= 2.0
-    return rolled, tracks, horizon
-
-
-@dataclass(frozen=True)
-class _Round:
-    """What is walked at once: sequences with their programs, beside tracks of one length."""
-
-    sequences: Sequence[TaskSequence]
-    programs: Sequence[Program]
-    tracks: OperatorTracks
-    horizon_s: float
-
-
-def _rolled(ask: Question, turn: _Round) -> Iterator[Rolled]:
-    programs, tracks = turn.programs, turn.tracks
-    if (beside := ESTIMATORS[ask.estimator].beside) is not None:
-        return (beside(ask.model, program, tracks, ask.seed) for program in programs)
-    if len(programs) <= MANY or not _dynamics(ask).none:
-        return _walked(ask, turn)
-    return _looked_up(ask, turn)
-
-
-def _walked(ask: Question, turn: _Round) -> Iterator[Rolled]:
-    programs, tracks = turn.programs, turn.tracks
-    if ask.altered is None and not ask.engine.stays_here(len(programs)):
-        operator = turn.sequences[0].operator
-        some = tuple(ask.dataset.executions["execution"]) if ask.dataset.is_part else None
-        asked = Asked(ask.model, ask.dataset.place, some, operator, turn.horizon_s, ask.seed)
-        return roll_spread(ask.engine, asked, turn.sequences, len(tracks.executions))
-    support = None if holds_everywhere(ask.model) else logged_support(ask.dataset)
-    return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=_dynamics(ask))
-
-
-def _dynamics(ask: Question) -> Dynamics:
-    return ask.altered.dynamics if ask.altered is not None else Dynamics.of(ask.dataset.card.dynamics)
-
-
-def _looked_up(ask: Question, turn: _Round) -> Iterator[Rolled]:
-    """Look very many sequences up in the table of arrivals, and walk the best of them."""
-    programs, tracks = turn.programs, turn.tracks
-    tasks = {task.task: task for program in programs for task in program.tasks}
-    table = transit_table(ask.model, tasks, tracks)
-    found = [table.rolled([task.task for task in program.tasks], seed=ask.seed) for program in programs]
-    best = np.argsort([float(cycles.duration_s.mean()) for cycles in found])[:MANY].tolist()
-    some = replace(turn, sequences=[turn.sequences[i] for i in best], programs=[programs[i] for i in best])
-    walked = _walked(ask, some)
-    for i, cycles in zip(best, walked, strict=True):
-        found[i] = cycles
-    return iter(found)
 
 
 def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> NDArray[np.float64]:

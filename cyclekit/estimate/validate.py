@@ -37,7 +37,7 @@ def refuse_biased(check: Check | None) -> None:
         ModelError: Its bias is beyond REFUSED_BIAS, and no chance.
     """
     if check is not None and check.biased(REFUSED_BIAS):
-        seen = f"{check.own_bias:+.1%} (+-{1.96 * check.own_error:.1%}) off on {check.executions} logged executions"
+        seen = f"{check.own_bias:+.1%} (+-{check.own_within:.1%}) off on {check.executions} logged executions"
         raise ModelError(
             f"the model does not fit these logs: rolled out beside their own operators it is {seen}",
             cure="Train it on them: cyclekit train DATASET --out MODEL; or add --other-cell to have the numbers anyway "

@@ -28,7 +28,7 @@ def _rollout(texts: ReportTexts, check: Check) -> ReportTable:
     rows = [
         [texts("trust.rollout_count"), count(check.executions)],
         [texts("trust.rollout_unseen"), count(check.held_out)],
-        [texts("trust.rollout_bias"), f"{signed(check.own_bias)} (± {fixed(196 * check.own_error, 2)} %)"],
+        [texts("trust.rollout_bias"), f"{signed(check.own_bias)} (± {fixed(100 * check.own_within, 2)} %)"],
         [texts("trust.rollout_corrected"), signed(check.factor - 1)],
         [texts("trust.rollout_crossed"), signed(check.crossed_bias)],
         *([texts(f"trust.{key}", wanted=wanted), percent(part)] for key, part in covered.items()),

@@ -141,7 +141,7 @@ def _network_and_baselines(texts: ReportTexts, judged: Mapping[str, Any], check:
         left = {"model": 1 - model / errors[CONSTANT], "rival": 1 - rivals[best] / errors[CONSTANT]}
         found.append(texts("trust.explained", name=best, **{name: percent(part) for name, part in left.items()}))
     if check is not None:
-        bias, error = signed(check.own_bias), fixed(196 * check.own_error, 2)
+        bias, error = signed(check.own_bias), fixed(100 * check.own_within, 2)
         found.append(texts("trust.backtest_bias", bias=bias, error=error))
     return [" ".join(found)]
 

@@ -13,17 +13,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
 from report_pages import estimate as made
+from scipy import stats
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.cards import DynamicsCard, SplitCard, TrainingCard
 from cyclekit.errors import UnknownName
 from cyclekit.estimate import rollout
 from cyclekit.estimate import walk as walking
-from cyclekit.estimate.check import Check, check_rollout, compare, conformal
+from cyclekit.estimate.check import Check, check_rollout, compare
+from cyclekit.estimate.conformal import conformal
+from cyclekit.estimate.judges import judge, within
 from cyclekit.estimate.limits import doubts_of
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.resample import resampled
+from cyclekit.estimate.resample import interval_of_mean, resampled
 from cyclekit.estimate.rollout import estimate as estimate_validated
 from cyclekit.estimate.safety import Dynamics, Follower
 from cyclekit.estimate.tracks import operator_tracks, phase_is_free
@@ -130,7 +133,7 @@ def test_very_many_sequences_are_looked_up_and_the_best_of_them_walked(
 ):
     asked = [TaskSequence(f"{n} places", routes[0][:n]) for n in (5, 7, 9, 11, 13)]
     walked = estimate(staircase, logged, asked)
-    monkeypatch.setattr("cyclekit.estimate.rollout.MANY", 2)
+    monkeypatch.setattr("cyclekit.estimate.cycles.MANY", 2)
     found = estimate(staircase, logged, asked)
     assert [entry.name for entry in found] == [entry.name for entry in walked]
     for table, walk in zip(found, walked, strict=True):
@@ -393,3 +396,34 @@ def test_too_few_logged_executions_are_said_and_correct_nothing(logged: Dataset,
     (found,) = estimate_validated(staircase, two, [sequence], extrapolate=True)
     assert found.check is None
     assert any("not validated on logged executions" in text for text in found.doubts)
+
+
+def test_unseen_executions_that_lie_elsewhere_widen_the_bias():
+    """All but the nine unseen ones come out as logged; those are 1.5 % off on average, which four of them cause."""
+    unseen = np.arange(45) < 9
+    off = np.tile([0.002, -0.002, 0.0], 15)
+    none = judge(off, unseen)
+    assert none.error == pytest.approx(off.std(ddof=1) / 45**0.5)
+    off = np.where(np.arange(45) < 4, 0.034, off)
+    found = judge(off, unseen)
+    assert found.bias == pytest.approx(off.mean())
+    assert len(found.off) == 45
+    assert within(found.error, 45) > off[unseen].mean() - found.bias - 0.001
+    assert within(found.error, 45) > 1.5 * within(off.std(ddof=1) / 45**0.5, 45)
+
+
+@given(st.integers(2, 60))
+def test_the_interval_of_a_bias_is_that_of_student(count: int):
+    sample = np.random.default_rng(count).normal(0.0, 0.01, count)
+    low, high = stats.ttest_1samp(sample, 0.0).confidence_interval(0.95)
+    found = judge(sample, np.zeros(count, dtype=bool))
+    assert (found.bias - within(found.error, count), found.bias + within(found.error, count)) == pytest.approx(
+        (low, high)
+    )
+
+
+def test_few_executions_leave_the_model_error_wide():
+    means = np.full(1000, 100.0)
+    few, many = (interval_of_mean(means, model_error=0.01, judged=n, seed=0) for n in (4, 400))
+    assert many[1] - many[0] == pytest.approx(2 * 1.96, rel=0.1)
+    assert few[1] - few[0] > 1.4 * (many[1] - many[0])

@@ -13,6 +13,7 @@ from made_once import made_once, simulated
 from cyclekit.config import Cell, Source
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.check import Check, check_rollout
 from cyclekit.ingest.ingest import ingest
 
 LEVELS, THRESHOLDS_M = (0.0, 0.25, 0.5, 0.75, 1.0), (1.2, 1.5, 1.9, 2.4)
@@ -50,6 +51,12 @@ def logged(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     logs = simulated(tmp_path_factory, "box-picking", 16, seed=4)
     made = made_once(tmp_path_factory, "sixteen_dataset", lambda place: ingest([logs], place / "dataset"))
     return Dataset.open(made / "dataset")
+
+
+@pytest.fixture(scope="session")
+def check(logged: Dataset) -> Check:
+    """What the true safety function gives on them."""
+    return check_rollout(TrueStaircase(), logged)
 
 
 @pytest.fixture(scope="session")

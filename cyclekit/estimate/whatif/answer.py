@@ -123,12 +123,16 @@ def what_if(
 
     before = estimates(model, None, validate=validate, check=check)
     check = next((entry.check for entry in before.values()), None)
+    moved = {
+        name: entry.combined.expected_s / entry.combined.rollout_s for name, entry in before.items() if entry.combined
+    }
     logged, answers = Dynamics.of(dataset.card.dynamics), []
     for number, change in enumerate(changes):
         tell(number / len(changes), change.name)
         safety = altered_safety(change, model, logged)
         try:
-            after = estimates(safety, _altered(change, safety, dataset, logged), check=_check_of(change, check))
+            altered = replace(_altered(change, safety, dataset, logged), moved=moved)
+            after = estimates(safety, altered, check=_check_of(change, check))
         except EstimateError as error:
             if refused is None:
                 raise _named(change, error) from error

@@ -1,0 +1,102 @@
+"""The cycles of every sequence asked for, by the estimator asked for, beside tracks as long as the slowest takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.estimate.estimators import ESTIMATORS
+from cyclekit.estimate.safety import Dynamics, holds_everywhere
+from cyclekit.estimate.spread import Asked, logged_support, roll_spread
+from cyclekit.estimate.tracks import OperatorTracks, operator_tracks
+from cyclekit.estimate.transit import transit_table
+from cyclekit.estimate.walk import Rolled, roll_all
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.estimate.entry import Question
+    from cyclekit.estimate.program import Program
+
+MANY = 50
+"""More sequences than this are looked up in the table of arrivals; so many of the best are walked."""
+
+
+def cycles_of(
+    ask: Question, sequences: Sequence[TaskSequence], programs: Sequence[Program], tell: Callable[[float, str], None]
+) -> tuple[list[Rolled], OperatorTracks | None, float]:
+    """Return the cycles of every sequence, the tracks they rest on (None: on none), and how long these are at most, s.
+
+    A cycle that does not end within them has duration inf.
+    """
+    estimator = ESTIMATORS[ask.estimator]
+    if estimator.alone is not None:
+        return [estimator.alone(ask.dataset, program, ask.seed) for program in programs], None, np.inf
+    horizon = 2.5 * max(program.length_s for program in programs)
+    rolled: list[Rolled] = []
+    for last in (False, False, False, True):  # tracks must be long enough for the slowest cycle; halts take longer
+        operator = sequences[0].operator
+        tracks = operator_tracks(ask.dataset, horizon_s=horizon, operator=operator, goals=estimator.goals)
+        if ask.altered is not None:
+            tracks = ask.altered.tracks(tracks, {task.task: task for program in programs for task in program.tasks})
+        rolled = []
+        for number, cycles in enumerate(_rolled(ask, _Round(sequences, programs, tracks, horizon))):
+            rolled.append(cycles)
+            tell(number / len(programs), f"rolling out {sequences[number].name}")
+            if not last and not np.isfinite(cycles.duration_s).all():
+                break
+        else:
+            break
+        horizon *= 2.0
+    return rolled, tracks, horizon
+
+
+@dataclass(frozen=True)
+class _Round:
+    """What is walked at once: sequences with their programs, beside tracks of one length."""
+
+    sequences: Sequence[TaskSequence]
+    programs: Sequence[Program]
+    tracks: OperatorTracks
+    horizon_s: float
+
+
+def _rolled(ask: Question, turn: _Round) -> Iterator[Rolled]:
+    programs, tracks = turn.programs, turn.tracks
+    if (beside := ESTIMATORS[ask.estimator].beside) is not None:
+        return (beside(ask.model, program, tracks, ask.seed) for program in programs)
+    if len(programs) <= MANY or not _dynamics(ask).none:
+        return _walked(ask, turn)
+    return _looked_up(ask, turn)
+
+
+def _walked(ask: Question, turn: _Round) -> Iterator[Rolled]:
+    programs, tracks = turn.programs, turn.tracks
+    if ask.altered is None and not ask.engine.stays_here(len(programs)):
+        operator = turn.sequences[0].operator
+        some = tuple(ask.dataset.executions["execution"]) if ask.dataset.is_part else None
+        asked = Asked(ask.model, ask.dataset.place, some, operator, turn.horizon_s, ask.seed)
+        return roll_spread(ask.engine, asked, turn.sequences, len(tracks.executions))
+    support = None if holds_everywhere(ask.model) else logged_support(ask.dataset)
+    return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=_dynamics(ask))
+
+
+def _dynamics(ask: Question) -> Dynamics:
+    return ask.altered.dynamics if ask.altered is not None else Dynamics.of(ask.dataset.card.dynamics)
+
+
+def _looked_up(ask: Question, turn: _Round) -> Iterator[Rolled]:
+    """Look very many sequences up in the table of arrivals, and walk the best of them."""
+    programs, tracks = turn.programs, turn.tracks
+    tasks = {task.task: task for program in programs for task in program.tasks}
+    table = transit_table(ask.model, tasks, tracks)
+    found = [table.rolled([task.task for task in program.tasks], seed=ask.seed) for program in programs]
+    best = np.argsort([float(cycles.duration_s.mean()) for cycles in found])[:MANY].tolist()
+    some = replace(turn, sequences=[turn.sequences[i] for i in best], programs=[programs[i] for i in best])
+    walked = _walked(ask, some)
+    for i, cycles in zip(best, walked, strict=True):
+        found[i] = cycles
+    return iter(found)

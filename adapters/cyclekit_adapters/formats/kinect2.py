@@ -80,7 +80,7 @@ class _Kinect2Csv:
             seen.require(path, options.body)
             facts = {
                 "point": "joint 0, base of the spine",
-                "unit": "m, as the SDK has it",
+                "unit": "m, defined by the SDK",
                 "axes": "camera: x to the sensor's left, y up, z away from the sensor; right-handed",
             }
             together = {name: pl.concat([table, rest[name]]) for name, table in part.tables().items()}
@@ -94,7 +94,7 @@ def _layout(path: Path) -> Layout:
     head = head_of(path)
     first = next((line for line in head.splitlines() if line.strip()), "")
     if not any(_is_row(line) for line in head.splitlines()[:20]):
-        cause = "none of its first rows is ticks and 25 joints of x, y, z and state"
+        cause = "none of its first rows holds ticks and 25 joints with x, y, z and state"
         raise DamagedLog(path, cause, cure="Check how the file was written or copied.")
     delimiter = delimiter_of(first, ";\t,")
     comma = has_decimal_comma([first], delimiter)
@@ -195,7 +195,7 @@ class _Bodies:
 def _warnings(bodies: _Bodies, seen: Sightings) -> list[str]:
     said = []
     if bodies.several:
-        said.append("several bodies share a time and carry no id: they are linked by motion")
+        said.append("several bodies have the same time and no id: they are linked by motion")
     if bodies.inferred:
         said.append(f"the base of the spine is inferred, not seen, in {bodies.inferred} of {bodies.rows} rows")
     if bodies.unseen:

@@ -74,8 +74,8 @@ class _NuitrackCsv:
             seen.require(path, options.body)
             facts = {
                 "point": ", else ".join(points),
-                "unit": "m, as the recorder has it",
-                "axes": "camera: y up, z away from it; the side x points to is not documented",
+                "unit": "m, defined by the recorder",
+                "axes": "camera: y up, z away from it; the direction of x is not documented",
                 "time": "microseconds since 1970" if tracks.epoch else "microseconds since the device started",
             }
             return replace(last, warnings=tuple(_warnings(tracks, seen, options.body)), facts=facts)
@@ -179,10 +179,10 @@ def _warnings(tracks: _Tracks, seen: Sightings, body: str | None) -> list[str]:
         count = len(tracks.cameras)
         said.append(f"{count} cameras, each in its own frame: name one body with `body`, or split the file")
     if body is None and len(seen.rows) > 1:
-        said.append(f"{len(seen.rows)} tracks; a person who was lost comes back under another id")
+        said.append(f"{len(seen.rows)} tracks; a person who is lost and found again gets a new id")
     people = seen.rows if body is None else {body: seen.rows.get(body, 0)}
     if hidden := sum(seen.unseen.get(person, 0) for person in people):
-        said.append(f"no place in {hidden} of {sum(people.values())} rows")
+        said.append(f"no position in {hidden} of {sum(people.values())} rows")
     if seen.back:
         said.append(f"time steps back {seen.back} time(s)")
     return said

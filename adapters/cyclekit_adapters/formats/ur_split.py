@@ -35,7 +35,7 @@ _COLUMNS = {
 }
 _LAYOUT = ("t_s", *_AXES)
 _NEAR_PERIODS = 0.75  # a value further away in time than this many periods of its own signal is no value
-_STANDS = "its time does not go on"
+_STANDS = "its time does not increase"
 
 
 class _UrSplitFolder:

@@ -117,7 +117,13 @@ def _place(table: DraftTable, first: Name, axes: tuple[Name, ...], others: int) 
     columns = tuple(name.column for name in axes)
     values = np.concatenate([table.numbers[column] for column in columns])
     unit, why, sure = length_unit(values, {name.unit for name in axes}, person=first.says(PERSON))
-    against = "a set point, not what was" if first.is_set_point else f"{others} more could be meant" if others else ""
+    against = (
+        "a set point, not a measurement"
+        if first.is_set_point
+        else f"{others} other columns are possible"
+        if others
+        else ""
+    )
     known = bool(np.isfinite(values).any()) and not against
     return Found(columns, unit, why, sure, known, against, first.says(PERSON), first.says(ROBOT))
 
@@ -160,13 +166,13 @@ def _joints(table: DraftTable, group: tuple[Name, ...], others: int) -> Found:
     columns = tuple(name.column for name in group)
     values = np.concatenate([table.numbers[column] for column in columns])
     unit, why, sure = angle_unit(values, {name.unit for name in group})
-    against = "a set point, not what was" if group[0].is_set_point else ""
+    against = "a set point, not a measurement" if group[0].is_set_point else ""
     if others and not group[0].says(ACTUAL) and not against:
-        against = f"{others} more could be meant"
+        against = f"{others} other columns are possible"
     elif not _says_joints(group):
         against = "joint angles, or a pose?"
     turned = bool(np.isfinite(values).any()) and float(np.nanmax(np.abs(values))) < 800.0
-    against = against or ("" if turned else "no angles by size")
+    against = against or ("" if turned else "its values are not angles")
     return Found(columns, unit, why, sure, not against, against, robot=_says_joints(group))
 
 

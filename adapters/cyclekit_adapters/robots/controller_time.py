@@ -69,7 +69,7 @@ class Once:
         said = []
         if self.back:
             said.append(
-                f"the controller's clock steps back {self.back} time(s): it was restarted, each part is its own run"
+                f"the controller's clock steps back {self.back} time(s): it was restarted, each part is a separate run"
             )
         if self.repeated:
             said.append(f"{self.repeated} rows repeat the controller sample before them and are left out")

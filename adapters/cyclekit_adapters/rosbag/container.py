@@ -199,7 +199,7 @@ def _check(file: Path) -> None:
     if not first:
         raise DamagedLog(file, "the file is empty or cannot be read", cure=f"{_AGAIN}.")
     if not first.startswith((ROS1, MCAP, SQLITE)) and file.suffix != ".zstd":
-        raise DamagedLog(file, "not a ROS 1 bag, an mcap or a sqlite3 bag by its content", cure=f"{_AGAIN}.")
+        raise DamagedLog(file, "its content is not a ROS 1 bag, an mcap or a sqlite3 bag", cure=f"{_AGAIN}.")
 
 
 def _look(file: Path) -> BagFile:

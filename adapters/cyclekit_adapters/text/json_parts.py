@@ -50,7 +50,7 @@ def json_pieces(path: Path) -> Iterator[str]:
     try:
         yield from characters_of(path)
     except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
+        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its permissions.") from error
 
 
 def parts(pieces: Iterable[str], *, inside: str | None = None) -> Iterator[tuple[str, object]]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _ABOUT_DRAFTS = (
     "# Sources that no adapter knows are proposed here by their header and first rows: look at each line.",
-    '# A line that begins with "# ?" is not sure: mend it, and take "# ?" away. Keys: docs/adapters.md, csv.',
+    '# A line that begins with "# ?" is uncertain: correct it, and remove "# ?". Keys: docs/adapters.md, csv.',
 )
 
 

@@ -220,7 +220,7 @@ def _log(entry: dict[str, Any], read: Read, source: Source | None) -> _Log:
     entry["warnings"] = [text for text in entry["warnings"] if not text.startswith(OPERATOR)]
     t, xyz, numbers, names = _positions(entry, read, source)
     if not ids_are_real(numbers):
-        told = f"{len(names)} track ids in {len(np.unique(t))} frames last for no longer than a frame or two"
+        told = f"{len(names)} track ids in {len(np.unique(t))} frames last only a frame or two"
         numbers = link_by_motion(t, xyz)
         names = [f"linked_{number + 1}" for number in range(int(numbers.max(initial=-1)) + 1)]
         entry["warnings"].append(f"{OPERATOR}{told}: linked by motion into {len(names)} tracks")
@@ -233,13 +233,13 @@ def _log(entry: dict[str, Any], read: Read, source: Source | None) -> _Log:
         tracks += parts
         disbelieved += dropped
     if disbelieved:
-        told = f"{disbelieved} positions are not believed, since nobody moves at over 20 m/s"
+        told = f"{disbelieved} positions are implausible: a person does not move faster than 20 m/s"
         entry["warnings"].append(f"{OPERATOR}{told}: unknown there")
     if (height_m := _height_range(tracks)) > HEIGHT_M:
         told = f"the height of a person changes by {height_m:.1f} m: check which axis points up, and frame in cell.toml"
         entry["warnings"].append(f"{OPERATOR}{told}")
     if tracks and all(np.isnan(track.xyz_m[:, 2]).all() for track in tracks):
-        entry["warnings"].append(f"{OPERATOR}heights are unknown: distances are those in the plane")
+        entry["warnings"].append(f"{OPERATOR}heights are unknown: distances are horizontal")
     entry["operator"] = {"not_believed": disbelieved}
     return _Log(entry, tracks, Silence.of(t, xyz, None if source is None else source.silence))
 

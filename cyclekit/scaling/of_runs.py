@@ -57,7 +57,7 @@ def with_scaling(
     said = "no log holds a" if len(silent) == len(runs) else f"{len(silent)} of {len(runs)} runs hold no"
     said += " valid speed scaling"
     if not references:
-        return list(runs), [f"{said}, and no motion repeats, so it could not be inferred either"]
+        return list(runs), [f"{said}; it cannot be inferred either, because no motion repeats"]
     done = [run if run.knows_scaling else run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
     slowest = slowest_speed([part.scaling for n in silent for part in sorted(parts[n], key=lambda part: part.first)])
     mine = [execution for execution in executions if execution.run in set(silent)]
@@ -83,7 +83,7 @@ def _how(references: Mapping[str, Sequence[Reference]]) -> str:
     how = f"runs without the operator ({many})" if alone == len(flat) else f"the fastest repetitions ({many})"
     if 0 < alone < len(flat):
         how = f"runs without the operator ({alone} motions) and the fastest repetitions ({len(flat) - alone} motions)"
-    seen = f"; never seen at full speed, so unknown: {', '.join(slowed)}" if slowed else ""
+    seen = f"; never at full speed, so unknown: {', '.join(slowed)}" if slowed else ""
     return how + seen
 
 

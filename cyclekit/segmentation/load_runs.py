@@ -103,7 +103,7 @@ def _marked(session: Session, read: Read, stored: Stored, cell: Cell) -> Vector:
         table = stored(entry["id"], (column,))
         if table.unknown(column) == table.rows:
             said = signal if how.begin == "signal" else how.begin
-            seen = f"{entry['sources'][0]['path']}: executions are to begin by {said}, and that was not logged"
+            seen = f"{entry['sources'][0]['path']}: executions begin by {said}, but the log does not hold it"
             raise ConfigError(seen, cure='Log it, or set begin = "auto" in [executions] of the cell file.')
     else:
         entry = _holding(name, session, read)

@@ -33,7 +33,7 @@ def check_writable(place: Path | str | None, kinds: Sequence[str] = ()) -> None:
     if place is None:
         return
     if kinds and (ending := Path(place).suffix.lower()) not in kinds:
-        shown = f"the ending {ending!r} is not known" if ending else "its name has no ending that tells the format"
+        shown = f"the ending {ending!r} is not known" if ending else "its name has no ending that gives the format"
         raise ConfigError(f"{place}: {shown}", cure=f"End its name in {' or '.join(kinds)}.")
     if is_url(place):
         reach(str(place))
@@ -57,7 +57,7 @@ def check_writable_folder(place: Path | str) -> None:
         return
     path = Path(place)
     if path.exists() and not path.is_dir():
-        raise CyclekitError(f"{path}: is a file, and a folder is to be made", cure="Give --out a folder.")
+        raise CyclekitError(f"{path}: is a file, but a folder is needed", cure="Give --out a folder.")
     _try(path, path.resolve().parent)
 
 

@@ -79,7 +79,7 @@ class Checks:
 
     def timed(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Set rows without a possible time aside, and note where time jumps ahead."""
-        frame = self.drop(frame, ~(np.abs(column(frame, "t_s")) < LATEST_S), "its time is no number that a clock shows")
+        frame = self.drop(frame, ~(np.abs(column(frame, "t_s")) < LATEST_S), "its time is not a plausible number")
         steps = np.diff(column(frame, "t_s"))
         far = steps[(steps > DAY_S) & (is_here(frame)[1:])]
         if len(far):
@@ -105,15 +105,15 @@ class Checks:
     def _said_of_periods(self) -> list[str]:
         period = self._period_s
         if period is not None and period > 1.5:
-            unit = "milliseconds taken for seconds? give time_unit"
+            unit = "probably milliseconds read as seconds; give time_unit"
             return [f"robot rows lie {period:.3g} s apart: {unit}"]
         if period is not None and period < 5e-5:
-            return [f"robot rows lie {period:.3g} s apart: is the unit of time right? give time_unit"]
+            return [f"robot rows lie {period:.3g} s apart: check the unit of time and give time_unit"]
         return []
 
 
 NO_TCP = (
-    "the log holds joint angles and no TCP, so neither places nor tasks can be found: log the TCP pose too "
+    "the log has joint angles but no TCP, so places and tasks cannot be found: log the TCP pose too "
     '(UR actual_TCP_pose, Franka O_T_EE, KUKA RIst), or name the arm in cell.toml ([robot] model = "UR5e")'
 )
 """Said of a robot whose joints alone were logged."""
@@ -188,14 +188,14 @@ class RobotChecks(Checks):
         for name, seen in self._fractions.items():
             if seen.rows:
                 percent = 1.5 < seen.most <= 200.0
-                likely = "likely percent, say scaling_max = 100" if percent else "no fraction"
+                likely = "probably percent, set scaling_max = 100" if percent else "not a fraction"
                 said.append(f"{name} reaches {seen.most:g} in {seen.rows} rows: {likely}; unknown there")
         if self._speed.rows:
             likely = "likely mm/s" if self._speed.rows > 0.1 * self._speed.known else "garbled"
             top, rows = f"{self._speed.most:.4g}", self._speed.rows
             said.append(f"tcp_speed_m_s reaches {top} m/s in {rows} rows: {likely}; unknown there")
         if self._turned:
-            said.append(f'{self._turned} exceeds {ANGLE_RAD:.0f} rad: likely degrees; say joint_unit = "deg"')
+            said.append(f'{self._turned} exceeds {ANGLE_RAD:.0f} rad: probably degrees; set joint_unit = "deg"')
         if self._joints and not self._tcp:
             said.append(NO_TCP)
         return [*said, *still]
@@ -273,14 +273,14 @@ def placed(checks: Checks, frame: pl.DataFrame, places: Places, groups: Sequence
     kind: Kind = places.kind
     times, xyz = column(frame, "t_s"), positions(frame, kind)
     beyond = places.out_of_reach(xyz, is_here(frame))
-    reason = f"{kind.whose} more than {kind.reach_m:.0f} m away: no such place"
+    reason = f"{kind.whose} more than {kind.reach_m:.0f} m away: implausible position"
     if beyond.any():
         frame = checks.drop(frame, beyond, reason)
         groups = tracks(frame)
         times, xyz = times[~beyond], xyz[:, ~beyond]
     stray = places.strays(times, xyz, groups, is_here(frame))
     places.look_still(xyz[:, judged_rows(frame)])
-    jumped = f"{kind.whose} cannot have jumped there and back (faster than {kind.speed_m_s:.0f} m/s)"
+    jumped = f"{kind.whose} jumps there and back implausibly fast (faster than {kind.speed_m_s:.0f} m/s)"
     return checks.drop(frame, stray, jumped)
 
 

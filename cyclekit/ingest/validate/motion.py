@@ -135,13 +135,13 @@ class Places:
         kind, said = self.kind, []
         if self._far_rows:
             said.append(
-                f"{kind.whose} is {self._far_m:.0f} m away in {self._far_rows} rows: likely millimetres; "
-                'say length_unit = "mm", or the unit in the export'
+                f"{kind.whose} is {self._far_m:.0f} m away in {self._far_rows} rows: probably millimetres; "
+                'set length_unit = "mm", or correct the unit in the export'
             )
         if 0.0 < self._most_m < NEAR_M and self._seen >= STILL_ROWS:
             said.append(
-                f"{kind.whose} is never farther than {1e3 * self._most_m:.1f} mm from the origin on any axis: likely "
-                "metres that are said to be millimetres; correct the unit"
+                f"{kind.whose} is never farther than {1e3 * self._most_m:.1f} mm from the origin on any axis: probably "
+                "metres with the unit given as millimetres; correct the unit"
             )
         if self._jumps:
             said.append(f"{kind.whose} jumps faster than {kind.speed_m_s:.0f} m/s {self._jumps} time(s): {kind.likely}")
@@ -149,7 +149,7 @@ class Places:
             return [], said
         x, y = self._same
         return [
-            f"{kind.whose} stays at exactly ({x:g}, {y:g}) m in all {self._seen} rows: is the right signal logged?"
+            f"{kind.whose} stays at exactly ({x:g}, {y:g}) m in all {self._seen} rows: check the logged signal"
         ], said
 
 

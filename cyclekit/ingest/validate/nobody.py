@@ -87,7 +87,7 @@ class Nobody:
         """Say which places stood for nobody, and how often."""
         return [
             f"a person is at exactly {value:g} m on every axis in {count} of {self._seen} rows: "
-            "that stands for nobody seen; unknown there"
+            "this means no person seen; unknown there"
             for value, count in sorted(self._rows.items(), key=lambda item: -item[1])
         ]
 

@@ -49,12 +49,12 @@ class TaskChecks(Checks):
         said += self._said_of_overlaps(overlaps_of(rows, ["agent_name"]).filter(pl.col("overlaps") > 0))
         median_s = (rows["end_s"] - rows["t_s"]).median()
         if isinstance(median_s, float) and (median_s > LONGEST_S or 0.0 < median_s < SHORTEST_S):
-            said.append(f"half of the tasks take {median_s:.3g} s: is the unit of time right? give time_unit")
+            said.append(f"half of the tasks take {median_s:.3g} s: check the unit of time and give time_unit")
         return said
 
     def _said_of_overlaps(self, agents: pl.DataFrame) -> list[str]:
         said = [
-            f"{count} of {tasks} tasks of {name!r} start before its last one has ended, by up to {most:.1f} s"
+            f"{count} of {tasks} tasks of {name!r} start before its previous task has ended, by up to {most:.1f} s"
             for name, tasks, count, most in agents[:SHOWN].iter_rows()
         ]
         return [*said, f"so do tasks of {agents.height - SHOWN} other agents"] if agents.height > SHOWN else said

@@ -45,15 +45,15 @@ def doubts(
     if levels.size == 1:
         said.append(f"only one level, {levels[0]:.2f}: the logs show no slow-down, or no full speed")
     if levels.size > _MANY_LEVELS:
-        said.append(f"{levels.size} levels are too many for a staircase: a continuous function; {REGRESSION}")
+        said.append(f"{levels.size} levels are too many for discrete levels: a continuous function; {REGRESSION}")
         stairs = False
     wide = [f"{value:.2f}" for value, width in zip(levels, spread, strict=True) if width > _WIDE]
     if wide:
-        said.append(f"values around {', '.join(wide)} form no sharp level: a continuous function; {REGRESSION}")
+        said.append(f"values around {', '.join(wide)} form no clear level: a continuous function; {REGRESSION}")
         stairs = False
     if (unknown := 1 - float(share.sum())) > _MUCH_UNKNOWN:
-        said.append(f"{unknown:.0%} of the known samples are on no level: ramps, or no staircase at all")
+        said.append(f"{unknown:.0%} of the known samples are on no level: ramps, or no discrete levels")
     if held < _LITTLE_HELD and stairs:
-        said.append(f"only {held:.0%} of the known samples are held: rather a continuous function; {REGRESSION}")
+        said.append(f"only {held:.0%} of the known samples are held: probably a continuous function; {REGRESSION}")
         stairs = False
     return said, stairs

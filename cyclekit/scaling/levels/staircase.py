@@ -145,8 +145,8 @@ def second_opinion(scaling: ArrayLike, staircase: Staircase) -> str | None:
     if other == staircase.levels.size:
         return None
     return (
-        f"{staircase.levels.size} levels by plateaus in time, {other} by K-means with silhouette: look at the levels, "
-        "and fix them in cell.toml where you know them"
+        f"{staircase.levels.size} levels by plateaus in time, {other} by K-means with silhouette: check the levels, "
+        "and set them in cell.toml if you know them"
     )
 
 

@@ -229,7 +229,7 @@ class Thinner:
             rate_hz: Rows a second.
 
         Raises:
-            ConfigError: It is no rate.
+            ConfigError: It is not a rate.
         """
         if not 0.0 < rate_hz < 1e5:
             raise ConfigError(f"rate_hz = {rate_hz:g} is not a rate", cure="Give rows per second, for example 10.")

@@ -98,7 +98,7 @@ class LeftOut:
     reason: str
 
     def __str__(self) -> str:
-        """Return the warning that a person reads."""
+        """Return the warning as text."""
         return f"adapter {self.name!r} of package {self.package!r} is left out: {self.reason}"
 
 
@@ -159,7 +159,7 @@ def _told(error: BaseException) -> str:
 
 
 def _is_about(error: OSError, path: Path) -> bool:
-    """Tell whether it is the log that cannot be read, and not something else that the adapter wants."""
+    """Tell whether the log itself cannot be read, and not another file of the adapter."""
     return error.filename is None or str(error.filename).startswith(str(path))
 
 
@@ -196,7 +196,7 @@ def _recognises(entry: Registered, path: Path) -> bool:
 
 
 def drafted(path: Path) -> tuple[Registered, Draft] | None:
-    """Return what an adapter proposes to read a file by that none recognises, and that adapter; None = nothing.
+    """Return the draft of a map for a file that no adapter recognises, and the adapter that made it; None = no draft.
 
     Raises:
         LogError: The file cannot be read.

@@ -95,10 +95,10 @@ def _connected(jobs: int | None, address: str | None) -> Any:  # noqa: ANN401 - 
 
 
 def _reach(address: str) -> None:
-    """Refuse at once an address where nobody listens; Ray itself would try for minutes.
+    """Refuse at once an address without a listener; Ray itself would try for minutes.
 
     Raises:
-        EngineError: Nobody listens there, or it is no address.
+        EngineError: No process listens there, or it is not an address.
     """
     if address == "auto" or "://" in address:
         return

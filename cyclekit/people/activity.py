@@ -49,10 +49,10 @@ GOAL_SIGNAL = "goal"
 
 _HUMAN = tuple(f"human_{axis}_m" for axis in "xyz")
 HEIGHT_M = 1.5
-"""By more than this nobody's height changes while he works; floor axes change by metres. Over ENOUGH positions."""
+"""Maximum plausible height range of a person at work, m; floor axes change by metres. Over ENOUGH positions."""
 ENOUGH = 100
 OPERATOR = "operator: "
-"""How a warning of a recording begins that was found here, and not when its log was read."""
+"""Prefix of warnings about a recording that are found here, not when its log is read."""
 
 
 @dataclass(frozen=True)
@@ -213,9 +213,9 @@ def _operator_logs(
 
 
 def _log(entry: dict[str, Any], read: Read, source: Source | None) -> _Log:
-    """Return the tracks of the people in a recording, without what cannot have been.
+    """Return the tracks of the people in a recording, without implausible positions.
 
-    A body on the robot's flange is nobody. Ids that do not last are replaced by tracks linked by motion.
+    A body on the robot's flange is not a person. Ids that do not last are replaced by tracks linked by motion.
     """
     entry["warnings"] = [text for text in entry["warnings"] if not text.startswith(OPERATOR)]
     t, xyz, numbers, names = _positions(entry, read, source)

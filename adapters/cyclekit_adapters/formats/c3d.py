@@ -79,7 +79,7 @@ class _C3d:
 
 
 def _markers(log: C3dFile) -> tuple[tuple[str, ...], NDArray[np.float64]]:
-    """Return the labels and places (T, M, 3) of points that are places: computed angles are points, too."""
+    """Return the labels and positions (T, M, 3) of points that are positions: computed angles are points too."""
     others = {name for kind in _NO_PLACES for name in log.texts.get(("POINT", kind), [])}
     kept = [index for index, label in enumerate(log.labels) if label not in others]
     if len(kept) == len(log.labels):
@@ -88,7 +88,7 @@ def _markers(log: C3dFile) -> tuple[tuple[str, ...], NDArray[np.float64]]:
 
 
 def _up(log: C3dFile, names: tuple[str, ...], places_m: NDArray[np.float64], said: list[str]) -> tuple[str, str]:
-    """Return the axis that points up, and how that is known; add to `said` what a person must know about it."""
+    """Return the axis that points up, and how that is known; add warnings about it to `said`."""
     screen = log.text("POINT", "Y_SCREEN").upper().replace(" ", "")
     if shown := {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen):
         return shown, "by POINT:Y_SCREEN"

@@ -105,7 +105,7 @@ def _table(path: Path, unit: str | None) -> EventTable:
     """Return the table, its times decided.
 
     Raises:
-        DamagedLog: It is no event log.
+        DamagedLog: It is not an event log.
         LogError: The unit of its times cannot be decided.
     """
     table = event_table(head_of(path))
@@ -123,7 +123,7 @@ def _table(path: Path, unit: str | None) -> EventTable:
 
 
 def timed(rows: Rows, times: Times, zone: str | None) -> Rows:
-    """Add the time in seconds (column `T_S`); a row whose time is written otherwise is set aside."""
+    """Add the time in seconds (column `T_S`); a row whose time has another format is set aside."""
     frame = rows.frame
     if not times.pattern:
         return replace(rows, frame=frame.with_columns((pl.col(times.columns[0]) * times.seconds).alias(T_S)))

@@ -84,7 +84,7 @@ def _milliseconds(path: Path, rows: Rows) -> Rows:
     """Return the rows of whole milliseconds; a few others are garbled, many are another logger's seconds.
 
     Raises:
-        DamagedLog: Most times are no whole numbers: a thousand times too slow they would be taken for.
+        DamagedLog: Most times are not whole numbers: read as milliseconds the log would be a thousand times too slow.
     """
     odd = rows.frame[_TIME] % 1 != 0
     if 2 * odd.sum() > len(odd):

@@ -124,7 +124,7 @@ def _state(cell: str) -> float | None:
 
 
 def _placed(frame: pl.DataFrame, joints: int) -> pl.DataFrame:
-    """Return the rows with `t_s`, the base of the spine, and unknown the places that were not tracked."""
+    """Return the rows with `t_s`, the base of the spine, and unknown where it was not tracked."""
     known = []
     for joint in range(joints):
         cells = [f"{axis}{joint}" for axis in "xyz"]
@@ -144,7 +144,7 @@ class _Bodies:
     """Which row is whose, block after block.
 
     Attributes:
-        several: Two rows have shared a time.
+        several: Two rows have the same time.
         rows: Rows so far.
         inferred: Rows whose base of the spine the sensor inferred.
         unseen: Rows whose base of the spine was not tracked.
@@ -158,7 +158,7 @@ class _Bodies:
     _held: pl.DataFrame | None = None
 
     def named(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the rows of whole frames with `person`; the last frame waits, for the next block may go on with it."""
+        """Return the rows of whole frames with `person`; the last frame waits: the next block may continue it."""
         frame = frame if self._held is None else pl.concat([self._held, frame])
         again = (frame["t_s"] == frame["t_s"][-1]).reverse() if frame.height else pl.Series([], dtype=pl.Boolean())
         waiting = frame.height if again.all() else int(again.arg_min() or 0)

@@ -3,7 +3,7 @@
 This is how exports of FANUC, ABB, Yaskawa, Doosan, Techman and xArm, PLC logs and laser scanner tracks come in. The
 cell file says which column is what and in which unit, and nothing is guessed: no column is found by its name, no unit
 by the size of its values. Because such a table looks like any other, this adapter recognises nothing by itself and must
-be named; what `draft` proposes for the cell file is a person's to look at.
+be named; a person must check what `draft` proposes for the cell file.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ def _events(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
 
 @dataclass
 class _Seen:
-    """What was seen so far that a person must know."""
+    """What was seen so far and must be reported."""
 
     mapping: CsvMap
     role: Role
@@ -219,9 +219,9 @@ class _Seen:
         self.spread = Spread((*self.mapping.scaling, *([self.mapping.slider] if self.mapping.slider else [])))
 
     def without_missing(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return rows with null for what was not seen: a place all of whose numbers, any other number that is missing.
+        """Return rows with null for what was not seen: a position with all numbers missing, any other missing number.
 
-        What is not sure at all is a place that was seen before.
+        Where the confidence is 0 a position is left over from an earlier row.
         """
         mapping, places = self.mapping, list(self.mapping.places().values())
         self.rows += frame.height

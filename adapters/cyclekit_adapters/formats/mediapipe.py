@@ -1,4 +1,4 @@
-"""MediaPipe Pose landmarks: recognised and refused, for they do not say where the person is.
+"""MediaPipe Pose landmarks: recognised and refused, because they do not give the person's position.
 
 World landmarks are metres from the middle of the person's own hips, so the pelvis is always at zero; the other kind are
 fractions of the picture. Neither can give a distance to a robot. JSON is known by MediaPipe's own names

@@ -171,7 +171,7 @@ def _width(above: list[list[str]], width: int) -> int:
 def _points(
     path: Path, above: list[list[str]], axes: list[str], names: tuple[str, ...]
 ) -> dict[tuple[str, str], tuple[str, str, str]]:
-    """Find every column triple of positions; walk up from the axis row, for rows come and go between versions."""
+    """Find every column triple of positions; walk up from the axis row, because rows differ between versions."""
     labels = {row[1]: row for row in above if len(row) > 1 and row[1] in ("Type", "Name")}
     plain = [row for row in above[:-1] if len(row) > 1 and not row[1]]
     types = labels.get("Type") or (plain[0] if plain else [])

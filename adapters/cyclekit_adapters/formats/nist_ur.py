@@ -190,7 +190,7 @@ def _warnings(options: ReadOptions) -> list[str]:
 
 @dataclass
 class _Turning:
-    """How far the joints turned, and how far their speeds say that they did, so far."""
+    """How far the joints turned, and how far their speeds imply, so far."""
 
     known: bool
     units: Mapping[str, float]

@@ -87,7 +87,7 @@ class _NuitrackCsv:
 
 
 def _points(path: Path, layout: Layout) -> list[str]:
-    """Return the joints that can stand for the person, best first."""
+    """Return the joints that can be used as the person's position, best first."""
     names = layout.names
     if missing := {"timestamp", "id"}.difference(names):
         raise MissingColumns(path, missing, names, "Record again with Nuitrack's CSV recorder.")
@@ -118,7 +118,7 @@ def _first_rows(path: Path, layout: Layout) -> tuple[bool, frozenset[str]]:
 
 @dataclass
 class _Tracks:
-    """Who is who, and which rows the recorder wrote again, block after block.
+    """Identity of each row, and which rows the recorder repeated, block after block.
 
     Attributes:
         epoch: Times count from 1970.
@@ -132,7 +132,7 @@ class _Tracks:
     _last: dict[str, float] = field(default_factory=dict)
 
     def once(self, rows: Rows) -> Rows:
-        """Return the rows with `person`, and those that the recorder wrote again set aside."""
+        """Return the rows with `person`; those that the recorder repeated are set aside."""
         frame = rows.frame
         serial = frame["serial"].fill_null("") if "serial" in frame.columns else pl.Series([""] * frame.height)
         self.cameras |= set(serial.unique().to_list())

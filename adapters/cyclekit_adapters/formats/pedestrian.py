@@ -104,7 +104,7 @@ class _Pedestrians:
 
 @dataclass
 class _Reach:
-    """How far the places lie from zero, so far."""
+    """Largest distance of the positions from zero, so far."""
 
     most_m: float = 0.0
 

@@ -107,7 +107,7 @@ def _below(names: tuple[str, ...]) -> list[str]:
 
 
 def _require_columns_first(path: Path, frame: pl.DataFrame, places: list[str], below: list[str]) -> None:
-    """Refuse a matrix written row by row: where the place is looked for, it is 0, 0, 0."""
+    """Refuse a matrix written row by row: the position would be read as 0, 0, 0."""
     if not below or frame.is_empty():
         return
     if (frame.select(places) == 0.0).to_numpy().all() and (frame.select(below) != 0.0).to_numpy().any():

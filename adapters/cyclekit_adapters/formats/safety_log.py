@@ -61,7 +61,7 @@ class _Seen:
 
 @dataclass(frozen=True)
 class _Said:
-    """What the cell file says: full speed as written (`sure`: it does say so), unit and zone of times, and columns."""
+    """What the cell file says: full speed as written (`sure`: it is given), unit and zone of times, and columns."""
 
     full: float
     sure: bool
@@ -200,7 +200,7 @@ def _check(path: Path, columns: SafetyColumns, said: _Said, seen: _Seen) -> None
     """Refuse an override that could be percent as well as a fraction.
 
     Raises:
-        LogError: It never exceeds 1, and nobody said of what.
+        LogError: It never exceeds 1, and override_max is not given.
     """
     if columns.overrides and not said.sure and 0.0 < seen.most <= 1.0:
         cause = f"the override never exceeds {seen.most:g}: it may be percent or a fraction"

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cyclekit_adapters.tasks.task_json import Record
 
 MOST = 5_000_000
-"""Tasks of one list, which is held as a whole."""
+"""Most tasks in one list, which is held in memory as a whole."""
 _ASIDE = pl.Schema({"source_row": pl.Int64(), "reason": pl.String()})
 
 
@@ -45,7 +45,7 @@ class _Cells:
         rows_read: Rows, records or events looked at.
         rows_are: What `source_row` counts.
         written: How it is written.
-        aside: Rows that are none.
+        aside: Rows that are not tasks.
         warnings: One sentence each.
         decimal_comma: Numbers may be written `0,5`.
     """

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _AT_ZERO_M = 0.01
 _ROWS = 10
-"""A pelvis that does not leave zero in so many rows is not in the room."""
+"""A pelvis at zero in this many rows is not a position in the room."""
 
 
 class _Trc:

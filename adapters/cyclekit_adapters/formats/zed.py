@@ -162,7 +162,7 @@ def _refuse_without_bodies(path: Path, dump: _Dump) -> None:
 
 @dataclass(frozen=True)
 class _Tracks:
-    """The bodies that are rows, whose each is, and what is to be said of their ids."""
+    """The bodies that become rows, the person of each, and what to report about their ids."""
 
     bodies: list[Body]
     people: list[str]
@@ -171,7 +171,7 @@ class _Tracks:
 
 
 def _tracks(bodies: list[Body], metres: float) -> _Tracks:
-    """Tell whose body is whose: by ids that last, else by motion."""
+    """Assign bodies to persons: by ids that last, else by motion."""
     if _ids_are_real(bodies):
         kept = [body for body in bodies if body.here is not None or body.hidden]
         return _Tracks(kept, [body.name for body in kept], "of the tracker")

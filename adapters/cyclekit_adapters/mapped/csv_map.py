@@ -38,7 +38,7 @@ class CsvMap:
         time_format: How a time is written as text: "iso", or a pattern such as "%d.%m.%Y %H:%M:%S%.f".
         time_zone: Zone of such a time, as "Europe/Rome"; without it its clock counts as relative.
         confidence: Column of how sure the tracker is of a person's place; 0 = it repeats an old one.
-        missing: Numbers that stand for what was not seen or not measured.
+        missing: Numbers that mean not seen or not measured.
         scaling: Columns whose product is the speed scaling.
     """
 
@@ -82,7 +82,7 @@ class CsvMap:
         return None if self.delimiter is None else _DELIMITERS.get(self.delimiter, self.delimiter)
 
     def clock_kind(self, *, zoned: bool) -> ClockKind:
-        """Return what kind of clock the table has: as said, else epoch where the calendar and the zone are known.
+        """Return what kind of clock the table has: as given, else epoch if date and time zone are known.
 
         Args:
             zoned: Its times name their zone.
@@ -91,10 +91,10 @@ class CsvMap:
         return cast("ClockKind", self.clock or known)
 
     def role(self) -> Role:
-        """Return what the mapped columns can only be; x, y, z alone could be the robot or a person.
+        """Return the only possible role of the mapped columns; x, y, z alone could be the robot or a person.
 
         Raises:
-            ConfigError: They could be several things.
+            ConfigError: Several roles are possible.
         """
         if self.signal:
             return "events"

@@ -1,4 +1,4 @@
-"""A first map for a table that no adapter knows, put together from its header and its first rows.
+"""Draft of a map for a table that no adapter knows, from its header and first rows.
 
 What is not sure is proposed all the same, as such, and with the columns that it belongs to: a unit that nobody chose
 would be a wrong one. What names say is the business of `draft_names`, what values say that of `draft_columns` and
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cyclekit_adapters.mapped.draft_table import DraftTable
 
 _FASTEST = 8.0
-"""m/s or rad/s; no robot and nobody in a cell moves faster for one row in a hundred."""
+"""m/s or rad/s; no robot and no person in a cell is faster in more than one row of a hundred."""
 _DENSE = 0.1
 """Of the span: rows that follow each other more closely were not logged seconds apart."""
 _MOVES = 0.05
@@ -49,7 +49,7 @@ class _Lines:
 
 
 def draft_of(table: DraftTable) -> Draft:
-    """Return the map that the first rows of a table speak for."""
+    """Return the map that the first rows of a table suggest."""
     names = {column: name_of(table.titles.get(column, column), table.units.get(column, "")) for column in table.names}
     names = {column: replace(name, column=column) for column, name in names.items()}
     lines, found = _Lines(), _Findings(table, names)
@@ -67,7 +67,7 @@ def draft_of(table: DraftTable) -> Draft:
 
 
 class _Findings:
-    """What the columns may be, and whose they are."""
+    """Possible meanings of the columns, and whether they are of the robot or of a person."""
 
     def __init__(self, table: DraftTable, names: dict[str, Name]) -> None:
         self.joints, self.scalings = joints(table, names), scalings(table, names)

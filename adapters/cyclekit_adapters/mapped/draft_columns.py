@@ -24,7 +24,7 @@ _ARM = (("pan", "base"), ("lift", "shoulder"), ("elbow",), ("1", "wrist"), ("2",
 _LENGTHS_OF_ARMS = (6, 7)
 _FLANGE_OF_FRANKA = ("o", "t", "ee", "#")
 _VECTORS = POSITION | {"observation", "state", "qpos"}
-"""Words of vectors of which nobody says what they hold, as in ROS and LeRobot: joint angles, most often."""
+"""Words of vectors whose content is not stated, as in ROS and LeRobot: mostly joint angles."""
 _SCALING = (
     *(
         "speedscaling",
@@ -68,7 +68,7 @@ class Found:
         unit: Their unit; the likeliest one where that is not sure.
         unit_why: What speaks for the unit.
         unit_sure: Nothing else is possible.
-        sure: The columns are what they are taken for.
+        sure: No other meaning is possible.
         why: What speaks for it, or against it.
         person: Their names say that they are a person's.
         robot: Their names say that they are a robot's.

@@ -113,7 +113,7 @@ def text_table(path: Path, mapping: CsvMap, wanted: Collection[str]) -> TextTabl
 
     Raises:
         ConfigError: The encoding is not known.
-        DamagedLog: It is no text, or has no header where one should be.
+        DamagedLog: It is not text, or has no header where one should be.
     """
     if mapping.sheet is not None:
         raise ConfigError(f"{WHERE}: sheet = {mapping.sheet!r}, but the log is a text file", cure="Remove the key.")

@@ -39,7 +39,7 @@ def name_their_zone(first_rows: Sequence[Sequence[str]], names: Sequence[str], m
 
 
 def require_epoch(path: Path, frame: pl.DataFrame, mapping: CsvMap) -> None:
-    """Refuse times that are none since 1970, though the cell file says so: a wrong unit, most often.
+    """Refuse times that do not count from 1970 although clock = "epoch": mostly a wrong unit.
 
     Raises:
         LogError: The middle one of the times of `frame` is not of the years 2000 to 2099.

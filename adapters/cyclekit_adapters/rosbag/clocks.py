@@ -29,7 +29,7 @@ AHEAD_S = 0.02
 BEHIND_S = 0.5
 """Messages that all take longer than this were stamped by another clock."""
 SLOW_S = 0.2
-"""Messages that all take longer than this are worth a word."""
+"""If all messages take longer than this, that is reported."""
 BACK_S = 1.0
 """A header clock that jumps back by more than this is no clock."""
 DRIFT_S = 0.01
@@ -74,7 +74,7 @@ class Chosen:
         return source.stamp_s if self.line is None else self.line.of(source.stamp_s)
 
     def fact(self) -> str:
-        """Return what is known of it, for people to read."""
+        """Return what is known of it, as text."""
         if self.line is None:
             said = f", received at least {self.least_s:.3f} s later" if self.least_s is not None else ""
             return f"{'header stamp' if self.how == 'header' else 'receive time'} ({self.why}{said})"

@@ -55,7 +55,7 @@ class Types:
         return self._stores[kind]
 
     def check(self, kind: str) -> None:
-        """Refuse a type that holds itself, that lacks a part, or that would take for ever to decode.
+        """Refuse a type that contains itself, lacks a part, or would take endless time to decode.
 
         Raises:
             NoDefinition: It is one.

@@ -249,7 +249,7 @@ def _open(log: BufferedReader, survey: _Survey, chunk: Chunk) -> None:
 
 
 def _how_much(found: ChunkedFile, log: BufferedReader, cut: int, end: int) -> str:
-    """Say what a cut bag has lost, as far as it can be known."""
+    """Describe what a cut bag has lost, as far as that is known."""
     said = f"its last {end - cut} of {end} bytes cannot be read"
     if _closed(log, end):
         return f"the bag is damaged at byte {cut}: {said}; copy the bag again if the original is whole"

@@ -114,7 +114,7 @@ def _add_named(contents: Contents, frames: Frames, topic: str, prefix: str, colu
 
 
 def _add_nobody(contents: Contents, topic: str, columns: Columns) -> None:
-    """Add a topic that saw nobody in any message: when that was, and no place."""
+    """Add a topic without a person in any message: its times, no positions."""
     track = contents.tracks[topic]
     _append(columns, "t_s", contents.at(topic))
     _append(columns, "person", np.full(track.index.size, ""))
@@ -162,7 +162,7 @@ def _add_bodies(contents: Contents, roles: Roles, frames: Frames, columns: Colum
 
 
 def _of_somebody(places: Array) -> Array:
-    """Return places, shape (..., 3), NaN where they stand for nobody: there no transform may take them elsewhere."""
+    """Return positions, shape (..., 3), NaN where they mean no person, before any transform moves them."""
     nobody = (places == 0.0).all(axis=-1) | (places == -1.0).all(axis=-1)
     return np.where(nobody[..., None], np.nan, places)
 

@@ -272,7 +272,7 @@ def _last(log: BufferedReader, found: ChunkedFile) -> None:
 
 
 def _how_much(found: ChunkedFile, said: str) -> str:
-    """Say what a cut bag has lost, as far as it can be known."""
+    """Describe what a cut bag has lost, as far as that is known."""
     if found.last_ns is not None:
         said += f"; messages up to {moment(found.last_ns)} are recovered, later ones are lost"
     return f"{said}; copy the bag again if the original is whole"

@@ -204,7 +204,7 @@ def times_of(
     decimal_comma: bool = False,
     only_written: bool = False,
 ) -> Times | None:
-    """Return how times are read, None if they are none.
+    """Return how times are read, None if they are not times.
 
     Args:
         columns: Where they stand.

@@ -147,7 +147,7 @@ def _said_of(rows: pl.DataFrame, columns: Mapping[str, str], people: Sequence[st
 
 
 def _said_of_plans(cells: pl.DataFrame) -> list[str]:
-    """Say how many planned times are no times; the tasks are kept."""
+    """Report how many planned times are not times; the tasks are kept."""
     found = []
     for key in (key for key in TIMES if key.startswith("planned") and key in cells.columns):
         odd = cells.filter(pl.col(key).is_not_null() & pl.col(f"{key}_s").is_null()).height

@@ -106,7 +106,7 @@ def _times(
     """Return how the times of a field are read.
 
     Raises:
-        LogError: They are no times, or their unit is not known.
+        LogError: They are not times, or their unit is unknown.
     """
     name = columns[key]
     shown = cells[key].drop_nulls()[:_FIRST].to_list()

@@ -40,7 +40,7 @@ def is_xes(head: str) -> bool:
 
 
 class XesRecords:
-    """The tasks of a file, one at a time; afterwards it is known what was passed over.
+    """The tasks of a file, one at a time; afterwards it is known what was skipped.
 
     Attributes:
         broken: Why the file ends early; None if it does not.
@@ -121,7 +121,7 @@ def _begun(waiting: list[Record], ended: Record) -> Record | None:
 
 
 class _Document:
-    """The XML: traces as their events come, whatever else is in it passed over."""
+    """The XML: traces as their events come, everything else in it is skipped."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -43,7 +43,7 @@ def names_in(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
     """Return the names in a header line.
 
     Raises:
-        DamagedLog: There are more than any logger writes, or it is no text.
+        DamagedLog: There are more than any logger writes, or it is not text.
     """
     if "\0" in line:
         raise DamagedLog(path, "its header holds NUL bytes: it is damaged, or not a text file", cure="Check the copy.")

@@ -45,7 +45,7 @@ def json_pieces(path: Path) -> Iterator[str]:
     """Yield the text of a JSON log in pieces.
 
     Raises:
-        LogError: It cannot be opened, or is no text.
+        LogError: It cannot be opened, or is not text.
     """
     try:
         yield from characters_of(path)

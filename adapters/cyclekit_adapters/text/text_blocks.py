@@ -163,7 +163,7 @@ def characters_of(path: Path) -> Iterator[str]:
 
     Raises:
         OSError: The file cannot be read.
-        DamagedLog: It is no text, or its packing is damaged or a bomb.
+        DamagedLog: It is not text, or its compressed data is damaged or a bomb.
     """
     encoding = file_encoding(path)
     if encoding is None:

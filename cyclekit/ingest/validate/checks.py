@@ -1,6 +1,6 @@
-"""The checks themselves: which rows of a window cannot be, and what is to be said of the whole table.
+"""The checks: which rows of a window are implausible, and what to report about the whole table.
 
-A check sees window after window (`window`), sets rows aside and counts; when the last one was seen it says what it has
+A check gets window after window (`window`), sets rows aside and counts; after the last one it reports what it has
 found, one sentence each.
 """
 
@@ -32,7 +32,7 @@ SPEED_M_S = 10.0
 DAY_S = 86_400.0
 _NEAR = 8
 LATEST_S = 1e11
-"""The year 5138: no clock shows that."""
+"""The year 5138: beyond any clock."""
 
 
 class Checks:
@@ -116,20 +116,20 @@ NO_TCP = (
     "the log has joint angles but no TCP, so places and tasks cannot be found: log the TCP pose too "
     '(UR actual_TCP_pose, Franka O_T_EE, KUKA RIst), or name the arm in cell.toml ([robot] model = "UR5e")'
 )
-"""Said of a robot whose joints alone were logged."""
+"""Warning for a robot log with joint angles only."""
 
 
 class EventChecks(Checks):
-    """Events: only their time can be impossible."""
+    """Events: only their time can be implausible."""
 
     whose = "an event"
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window without what cannot be."""
+        """Return the window without implausible rows."""
         return self.timed(frame)
 
     def warnings(self) -> list[str]:
-        """Say what was found, once all was seen."""
+        """Report what was found, after the last window."""
         return self._said_of_time()
 
 
@@ -139,11 +139,11 @@ class SafetyChecks(Checks):
     whose = "the safety system"
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window without what cannot be."""
+        """Return the window without implausible rows."""
         return self.timed(self.finite(frame))
 
     def warnings(self) -> list[str]:
-        """Say what was found, once all was seen."""
+        """Report what was found, after the last window."""
         return [*self._said_of_numbers(), *self._said_of_time()]
 
 
@@ -161,7 +161,7 @@ class RobotChecks(Checks):
         self._joints = self._tcp = False
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window without what cannot be."""
+        """Return the window without implausible rows."""
         frame = scaling_while_playing(self.timed(self.finite(frame)))
         times = column(frame, "t_s")
         frame = self.drop(frame, repeated(times), "repeats the time of the row before it")
@@ -181,7 +181,7 @@ class RobotChecks(Checks):
         return frame
 
     def warnings(self) -> list[str]:
-        """Say what was found, once all was seen."""
+        """Report what was found, after the last window."""
         said = [*self._said_of_numbers(), *self._said_of_time(), *self._said_of_periods()]
         still, others = self._places.warnings()
         said += others
@@ -218,7 +218,7 @@ class PeopleChecks(Checks):
         return _NEAR * frame["person"].n_unique()
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window without what cannot be."""
+        """Return the window without implausible rows."""
         frame = self.timed(self._nobody.look(self.finite(frame)))
         groups, times = tracks(frame), column(frame, "t_s")
         if any((np.diff(times[rows]) <= 0.0).any() for rows in groups):  # else no time is twice there, or stray
@@ -236,13 +236,13 @@ class PeopleChecks(Checks):
         return self.drop(frame, bad, "its time does not fit between its neighbours")
 
     def warnings(self) -> list[str]:
-        """Say what was found, once all was seen."""
+        """Report what was found, after the last window."""
         still, others = self._places.warnings()
         return [*self._said_of_numbers(), *self._said_of_time(), *self._nobody.warnings(), *others, *still]
 
 
 class _Beyond:
-    """Counts the values of a column that cannot be, and makes them unknown."""
+    """Counts the implausible values of a column, and makes them unknown."""
 
     def __init__(self) -> None:
         self.rows, self.known, self.most = 0, 0, -np.inf
@@ -260,7 +260,7 @@ class _Beyond:
 def scaling_while_playing(frame: pl.DataFrame) -> pl.DataFrame:
     """Return robot rows whose scaling is unknown where the program is known not to run.
 
-    A controller writes what it likes for a program that is paused or stopped, mostly 0: that is no safety stop.
+    While a program is paused or stopped a controller writes any value, mostly 0: that is not a protective stop.
     """
     if not {"scaling", "state"}.issubset(frame.columns) or not (frame["state"] != "playing").any():
         return frame
@@ -269,7 +269,7 @@ def scaling_while_playing(frame: pl.DataFrame) -> pl.DataFrame:
 
 
 def placed(checks: Checks, frame: pl.DataFrame, places: Places, groups: Sequence[Track]) -> pl.DataFrame:
-    """Set aside positions out of reach and single positions that nothing can have jumped to."""
+    """Set aside positions out of reach and single implausible jumps."""
     kind: Kind = places.kind
     times, xyz = column(frame, "t_s"), positions(frame, kind)
     beyond = places.out_of_reach(xyz, is_here(frame))

@@ -20,7 +20,7 @@ LONGEST_S, SHORTEST_S = 86_400.0, 1e-3
 SHOWN = 6
 """Agents that are named."""
 TOUCH_S = 1e-3
-"""A task may start so much before its agent's last one has ended: clocks are rounded."""
+"""A task may start this much before its agent's previous one has ended: clocks are rounded."""
 _READ = ("t_s", "end_s", "agent_name")
 
 
@@ -32,14 +32,14 @@ class TaskChecks(Checks):
         self._rows: list[pl.DataFrame] = []
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window without what cannot be."""
+        """Return the window without implausible rows."""
         frame = self.timed(self.finite(frame))
         here = frame.filter(pl.col(PLACE) == HERE)
         self._rows.append(here.select(name for name in _READ if name in here.columns))
         return frame
 
     def warnings(self) -> list[str]:
-        """Say what was found, once all was seen."""
+        """Report what was found, after the last window."""
         said = self._said_of_numbers()
         rows = pl.concat(self._rows) if self._rows else pl.DataFrame()
         if rows.is_empty() or set(rows.columns) != set(_READ):

@@ -1,4 +1,4 @@
-"""Checksums of files: which file of a folder is not what was written, told by BLAKE3.
+"""Checksums of files by BLAKE3: which file of a folder differs from what was written.
 
 A file is hashed in pieces of `PIECE_BYTES`, so that who reads a part of a large one checks that part. What was hashed
 once is not hashed again while the file has its size and time, under whatever name; only a file that has just been
@@ -64,7 +64,7 @@ def listed(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def changes(folder: Path, files: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """Return what is not as it was listed: by name, what is wrong with it."""
+    """Return the files that differ from the list: by name, the fault."""
     wrong: dict[str, str] = {}
     todo: list[tuple[str, int]] = []
     for name, entry in files.items():
@@ -79,7 +79,7 @@ def changes(folder: Path, files: Mapping[str, Mapping[str, Any]]) -> dict[str, s
 
 
 def change(file: Path, entry: Mapping[str, Any], spans: Iterable[tuple[int, int]] | None = None) -> str | None:
-    """Return what is wrong with one file, None if it is as it was listed.
+    """Return the fault of one file, None if it matches the list.
 
     Args:
         file: What is about to be read.

@@ -1,4 +1,4 @@
-"""Where results are to go, looked at before the work: what cannot be written is refused in the first second.
+"""Output places, checked before the work: one that cannot be written is refused in the first second.
 
 The place is tried by a file without a name, since rights that are written down (of a network drive, of a read-only file
 system, on Windows) do not say whether one can write. What is written there later is `atomic`'s business.

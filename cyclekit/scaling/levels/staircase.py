@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 LEAST_HELD_S = 1.0
-"""A level is held for at least so long, all plateaus together; short, so that a rare level survives."""
+"""Minimum time for which a level is held, all plateaus together; short, so that a rare level survives."""
 METHODS = ("plateau", "dbscan", "kmeans-silhouette", "kmeans-elbow", "hdbscan", "gmm-bic")
 """Ways to find the levels, the default first; all but `plateau` look at the values without their order in time."""
 

@@ -1,4 +1,4 @@
-"""The file system behind a URL: objects read and put, every failure said with the URL and the cure."""
+"""The file system behind a URL: objects read and written, every error with the URL and the cure."""
 
 from __future__ import annotations
 

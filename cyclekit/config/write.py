@@ -28,7 +28,7 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
     drafts = drafts or {}
     lines = [*(_ABOUT_DRAFTS if drafts else ()), f"name = {_toml(cell.name)}"]
     lines += [f"ignore = {_toml(list(cell.ignore))}"] if cell.ignore else []
-    lines += [f"reference = {_toml(list(cell.reference))}  # logs without a person in the cell"] if cell.reference else []
+    lines += [f"reference = {_toml(list(cell.reference))}  # logs without an operator"] if cell.reference else []
     lines += [f"rate_hz = {_toml(cell.rate_hz)}"] if cell.rate_hz != Cell.rate_hz else []
     lines += [f"bridge_s = {_toml(cell.bridge_s)}"] if cell.bridge_s != Cell.bridge_s else []
     lines += ["all_places_named = true"] if cell.all_places_named else []

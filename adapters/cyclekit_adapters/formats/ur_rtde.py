@@ -194,7 +194,7 @@ def _robot(frame: pl.DataFrame, register: str, joints: dict[str, str]) -> pl.Dat
 
 
 def _fraction(value: pl.Expr) -> pl.Expr:
-    """Return `value` where it is a fraction, null elsewhere: percent is never guessed."""
+    """Return `value` where it is a fraction, null where it is none: a log in percent is not guessed at."""
     return pl.when(value.is_between(0.0, 1.0 + _SLACK)).then(value.clip(0.0, 1.0))
 
 

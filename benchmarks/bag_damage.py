@@ -155,7 +155,7 @@ def cut(kind: str, whole: Path, seed: int, times: int) -> dict[str, Any]:
             count["silent"] += not said
         last = max((int(part["time"][-1]) for part in found.values()), default=0)
         text = " ".join(said)
-        count["time said"] += "recovered, what came after is lost" in text
+        count["time said"] += "recovered, later ones are lost" in text
         count["time right"] += bool(last) and f"up to {moment(last)} are recovered" in text
         if least := re.search(r"at least ([\d.]+) s", text):
             lost = (max(int(part["time"][-1]) for part in true.values()) - last) / 1e9

@@ -94,7 +94,7 @@ _UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "w
 
 
 def joint_order(names: Sequence[str]) -> list[int]:
-    """Return which joint is the first from the base, the second, ..., by their names; as they come where none tells."""
+    """Return the joints in order from the base, by their names; in the given order where the names do not say."""
     ur = [[i for i, name in enumerate(names) if part in name] for part in _UR_JOINTS]
     if len(names) == len(_UR_JOINTS) and all(len(found) == 1 for found in ur):
         return [found[0] for found in ur]

@@ -155,8 +155,8 @@ class Cell:
     """A cell: its sources, places and conventions.
 
     Attributes:
-        ignore: Globs of files that are no logs.
-        reference: Globs of robot logs recorded with nobody in the cell.
+        ignore: Globs of files that are not logs.
+        reference: Globs of robot logs recorded without a person in the cell.
         rate_hz: Rate of the samples.
         all_places_named: The robot stops for its process at the named places only; nothing else becomes a place.
         levels: Levels of the safety system's speed scaling, ascending, fractions; empty = found in the logs.

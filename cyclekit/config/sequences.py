@@ -90,7 +90,7 @@ def _sequence(path: Path, entry: _Entry, index: int) -> TaskSequence:
 def _joined(where: str, tasks: tuple[str, ...]) -> tuple[str, ...]:
     pairs = [task.split("->") for task in tasks]
     if bad := [task for task, pair in zip(tasks, pairs, strict=True) if len(pair) != 2 or not all(pair)]:
-        raise ConfigError(f"{where}: {bad[0]!r} is no task", cure="Write a task as 'start->goal'.")
+        raise ConfigError(f"{where}: {bad[0]!r} is not a task", cure="Write a task as 'start->goal'.")
     for before, after in pairwise(pairs):
         if before[1] != after[0]:
             seen = f"{where}: task {'->'.join(after)!r} does not start where {'->'.join(before)!r} ends"

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _ABOUT_DRAFTS = (
     "# Sources that no adapter knows are proposed here by their header and first rows: look at each line.",
-    '# A line that begins with "# ?" is not sure: mend it, and take "# ?" away. Keys: docs/adapters.md, csv.',
+    '# A line that begins with "# ?" is uncertain: correct it, and remove "# ?". Keys: docs/adapters.md, csv.',
 )
 
 
@@ -23,12 +23,12 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
 
     Args:
         cell: The cell.
-        drafts: Of sources by path, what is proposed for them; what is not sure becomes a comment.
+        drafts: Proposals for sources, by path; an uncertain one becomes a comment.
     """
     drafts = drafts or {}
     lines = [*(_ABOUT_DRAFTS if drafts else ()), f"name = {_toml(cell.name)}"]
     lines += [f"ignore = {_toml(list(cell.ignore))}"] if cell.ignore else []
-    lines += [f"reference = {_toml(list(cell.reference))}  # logs with nobody in the cell"] if cell.reference else []
+    lines += [f"reference = {_toml(list(cell.reference))}  # logs without an operator"] if cell.reference else []
     lines += [f"rate_hz = {_toml(cell.rate_hz)}"] if cell.rate_hz != Cell.rate_hz else []
     lines += [f"bridge_s = {_toml(cell.bridge_s)}"] if cell.bridge_s != Cell.bridge_s else []
     lines += ["all_places_named = true"] if cell.all_places_named else []

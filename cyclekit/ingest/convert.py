@@ -104,7 +104,7 @@ def convert(
     """
     log, out = Path(log), Path(out)
     if out.suffix.lower() not in (".parquet", ".csv"):
-        raise ConfigError(f"{out}: neither .parquet nor .csv", cure="Give --out a name that ends in one of them.")
+        raise ConfigError(f"{out}: its ending is neither .parquet nor .csv", cure="Give --out a name with one of them.")
     check_output(out, "table-csv" if out.suffix == ".csv" else "table-parquet", [log])
     if table is not None and table not in TABLES:
         raise UnknownName("convert", "table", table, TABLES)
@@ -174,7 +174,7 @@ def _write(
             writer.abandon()  # before its file is removed
         raise
     if writer is None:
-        raise LogError(parts.path, "holds nothing", cure="Record again, or remove the file.")
+        raise LogError(parts.path, "holds no rows", cure="Record again, or remove the file.")
     return writer.rows
 
 
@@ -238,10 +238,10 @@ class Thinner:
             rate_hz: Rows a second.
 
         Raises:
-            ConfigError: It is no rate.
+            ConfigError: It is not a rate.
         """
         if not 0.0 < rate_hz < 1e5:
-            raise ConfigError(f"a rate of {rate_hz:g} rows a second", cure="Give rows a second, for example 10.")
+            raise ConfigError(f"rate_hz = {rate_hz:g} is not a rate", cure="Give rows per second, for example 10.")
         self._rate_hz = rate_hz
         self._period_s: float | None = None
         self._waiting: pl.DataFrame | None = None

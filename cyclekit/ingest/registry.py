@@ -98,7 +98,7 @@ class LeftOut:
     reason: str
 
     def __str__(self) -> str:
-        """Return the warning that a person reads."""
+        """Return the warning as text."""
         return f"adapter {self.name!r} of package {self.package!r} is left out: {self.reason}"
 
 
@@ -126,7 +126,9 @@ def _loaded() -> tuple[dict[str, Registered], tuple[LeftOut, ...]]:
     found, failed = dict[str, Registered](), list[LeftOut]()
     for point in sorted(entry_points(group=GROUP), key=lambda point: (point.name, _package(point))):
         if point.name in found:
-            failed.append(LeftOut(point.name, _package(point), f"{found[point.name].package!r} has one of that name"))
+            failed.append(
+                LeftOut(point.name, _package(point), f"{found[point.name].package!r} has an adapter of that name")
+            )
             continue
         try:
             found[point.name] = _load(point)
@@ -140,7 +142,7 @@ def _loaded() -> tuple[dict[str, Registered], tuple[LeftOut, ...]]:
 def _load(point: EntryPoint) -> Registered:
     adapter = cast("Adapter", point.load())
     if isinstance(adapter, type) or not all(callable(getattr(adapter, name, None)) for name in ("recognises", "read")):
-        msg = f"{point.value} is no adapter: an object with recognises and read"
+        msg = f"{point.value} is not an adapter: an object with recognises and read"
         raise TypeError(msg)
     doc = inspect.getdoc(sys.modules.get(point.module)) or ""
     version = point.dist.version if point.dist else "unknown"
@@ -157,7 +159,7 @@ def _told(error: BaseException) -> str:
 
 
 def _is_about(error: OSError, path: Path) -> bool:
-    """Tell whether it is the log that cannot be read, and not something else that the adapter wants."""
+    """Tell whether the log itself cannot be read, and not another file of the adapter."""
     return error.filename is None or str(error.filename).startswith(str(path))
 
 
@@ -171,7 +173,7 @@ def adapter_named(name: str) -> Registered:
     known = adapters()
     for broken in left_out():
         if broken.name == name and name not in known:
-            raise CyclekitError(str(broken), cure=f"Mend or update package {broken.package}.")
+            raise CyclekitError(str(broken), cure=f"Repair or update package {broken.package}.")
     if name not in known:
         raise UnknownName("adapters", "adapter", name, known)
     return known[name]
@@ -194,7 +196,7 @@ def _recognises(entry: Registered, path: Path) -> bool:
 
 
 def drafted(path: Path) -> tuple[Registered, Draft] | None:
-    """Return what an adapter proposes to read a file by that none recognises, and that adapter; None = nothing.
+    """Return the draft of a map for a file that no adapter recognises, and the adapter that made it; None = no draft.
 
     Raises:
         LogError: The file cannot be read.
@@ -248,7 +250,7 @@ def find_logs(path: Path, *, follow_links: bool = True) -> Iterator[tuple[Path, 
 def why_unknown(path: Path) -> UnknownFormat:
     """Return the error for a file that no adapter recognises, with the likeliest reason first."""
     if path.is_dir():
-        return UnknownFormat(path, "the folder cannot be listed", cure="Check its rights.")
+        return UnknownFormat(path, "the folder cannot be listed", cure="Check its permissions.")
     if not path.is_file():
         return UnknownFormat(path, "neither a file nor a folder: a pipe, a socket, a device or a broken link")
     if not path.stat().st_size:  # of a file of the system (/proc) too, which may take long to read
@@ -266,12 +268,14 @@ def why_unknown(path: Path) -> UnknownFormat:
         )
     if path.suffix.lower() == ".toml":
         name, taken_by = toml_for(path)
-        return UnknownFormat(path, f"a TOML file and no log; it looks like {name}", cure=f"Use it so: {taken_by}")
+        return UnknownFormat(
+            path, f"a TOML file, not a log; it looks like {name}", cure=f"Use it like this: {taken_by}"
+        )
     if path.name in (CARD, MODEL_CARD):
         look = command_line("inspect", path.parent)
-        return UnknownFormat(path, "part of a dataset or model, and no log", cure=f"Look at it: {look}")
+        return UnknownFormat(path, "part of a dataset or model, not a log", cure=f"Look at it: {look}")
     if head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"{", b"[")):
-        return UnknownFormat(path, "JSON of a kind that no adapter recognises", cure=cure)
+        return UnknownFormat(path, "JSON that no adapter recognises", cure=cure)
     cells = max(head.count(separator) for separator in (b",", b";", b"\t")) + 1
     if len(head) < 4096 and b"\0" not in head and cells > 3 and len(head.strip().splitlines()) == 1:
         return UnknownFormat(path, "a single line: a header and no rows", cure="Record again, or remove the file.")

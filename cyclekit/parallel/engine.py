@@ -47,7 +47,9 @@ class Engine:
             ConfigError: No such engine, no job, or an address for an engine that has none.
         """
         if self.name not in ("local", "ray") or (self.jobs is not None and self.jobs < 1):
-            raise ConfigError(f"engine {self.name!r} with {self.jobs} jobs", cure="local or ray, with one job or more.")
+            raise ConfigError(
+                f"engine {self.name!r} with {self.jobs} jobs", cure="Give local or ray, with one job or more."
+            )
         if self.address is not None and self.name != "ray":
             raise ConfigError(f"a Ray address {self.address!r} for engine {self.name!r}", cure="Add --engine ray.")
 

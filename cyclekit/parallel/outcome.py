@@ -1,4 +1,4 @@
-"""What comes of one item, and how many items a worker gets at once; the same for processes and for a cluster."""
+"""The result of one item, and how many items a worker gets at once; the same for processes and for a cluster."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 RETRIES = 3
-"""A task whose worker died is done again so many times; then the task itself is taken for the cause."""
+"""Number of retries of a task whose worker died; after that the task itself is taken as the cause."""
 _MOST_AT_ONCE = 32
 """Items handed to a worker at once where there are thousands."""
 
 
 @dataclass(frozen=True)
 class Done(Generic[Item, Result]):
-    """What came of one item.
+    """The result of one item.
 
     Attributes:
         number: Which item, from 0.

@@ -55,7 +55,7 @@ def gave_up(exit_code: int | None) -> EngineError:
     """Return the error of an item whose worker died each time."""
     how = "" if exit_code is None else f" (exit code {exit_code})"
     seen = f"the process that worked on it died {RETRIES + 1} times{how}"
-    return EngineError(seen, cure="Often the memory is not enough: give fewer --jobs, or a machine with more memory.")
+    return EngineError(seen, cure="Often memory is too small: give fewer --jobs, or use a machine with more memory.")
 
 
 class _Worker:

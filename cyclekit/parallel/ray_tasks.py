@@ -68,7 +68,7 @@ def _task(items: Sequence[Any], function: bytes, folder: str, theirs: str) -> li
     with suppress(OSError):
         os.chdir(folder)  # where there is none of that name, paths must be absolute
     if (ours := version("cyclekit")) != theirs:
-        seen = f"{socket.gethostname()} has cyclekit {ours} installed, and the work comes from cyclekit {theirs}"
+        seen = f"{socket.gethostname()} has cyclekit {ours} installed, but the work was sent by cyclekit {theirs}"
         return [(None, EngineError(seen, cure="Install the same version on every machine.")) for _ in items]
     return list(outcomes(function, items))
 
@@ -95,10 +95,10 @@ def _connected(jobs: int | None, address: str | None) -> Any:  # noqa: ANN401 - 
 
 
 def _reach(address: str) -> None:
-    """Refuse at once an address where nobody listens; Ray itself would try for minutes.
+    """Refuse at once an address without a listener; Ray itself would try for minutes.
 
     Raises:
-        EngineError: Nobody listens there, or it is no address.
+        EngineError: No process listens there, or it is not an address.
     """
     if address == "auto" or "://" in address:
         return
@@ -116,4 +116,4 @@ def _out_of_reach(address: str, why: str) -> EngineError:
 
 def _gave_up(error: Exception) -> EngineError:
     seen = f"its worker was lost {RETRIES + 1} times ({type(error).__name__})"
-    return EngineError(seen, cure="Often the memory is not enough: give fewer --jobs, or machines with more memory.")
+    return EngineError(seen, cure="Often memory is too small: give fewer --jobs, or use machines with more memory.")

@@ -51,7 +51,7 @@ GOAL_SIGNAL = "goal"
 
 _HUMAN = tuple(f"human_{axis}_m" for axis in "xyz")
 HEIGHT_M = 1.5
-"""By more than this nobody's height changes while he works; floor axes change by metres. Over ENOUGH positions."""
+"""Maximum plausible height range of a person at work, m; floor axes change by metres. Over ENOUGH positions."""
 ENOUGH = 100
 
 
@@ -220,9 +220,9 @@ def _operator_logs(
 
 
 def _log(entry: RecordingCard, read: Read, source: Source | None) -> _Log:
-    """Return the tracks of the people in a recording, without what cannot have been.
+    """Return the tracks of the people in a recording, without implausible positions.
 
-    A body on the robot's flange is nobody. Ids that do not last are replaced by tracks linked by motion.
+    A body on the robot's flange is not a person. Ids that do not last are replaced by tracks linked by motion.
     """
     warnings: list[Note] = []
     t, xyz, numbers, names = _positions(entry, read, source)

@@ -1,4 +1,4 @@
-"""What it means that a tracker writes nothing: that it sees nobody, or that it is not running.
+"""What silence of a tracker means: no person in view, or the tracker is not running.
 
 Some trackers write a row with empty cells while nobody is there, others write nothing. Of the latter a log begins when
 somebody comes and ends when he has left; before and after, nobody is there. That a tracker is one of these shows in the
@@ -24,9 +24,9 @@ Meaning = Literal["absent", "unknown"]
 SILENT_S = 5.0
 """A pause of the rows up to this long is one behind something, or a lost connection."""
 ENOUGH = 3
-"""So many silences in the middle of the logs tell that this tracker writes nothing while it sees nobody."""
+"""From this many silences within the logs on, the tracker is taken to write nothing while no person is in view."""
 EXIT_M = 1.0
-"""A log that ends this near to where others fell silent ends since somebody left."""
+"""A log that ends this close to where others fell silent ends because the person left."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Silence:
 
 @dataclass(frozen=True)
 class Absence:
-    """In which silences at the ends of a session's logs nobody was there: up to `until_s`, and from `from_s` on."""
+    """Silences at the ends of a session's logs without a person: up to `until_s`, and from `from_s` on."""
 
     until_s: float = -np.inf
     from_s: float = np.inf

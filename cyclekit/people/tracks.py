@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     Points = NDArray[np.float64]
 
 STAY_M_S = 0.2
-"""An operator slower than this (horizontally) stays."""
+"""Below this horizontal speed the operator stands still."""
 STAY_S = 0.8
-"""A stay shorter than this is a hesitation, not an activity."""
+"""A standstill of the operator shorter than this is a hesitation, not an activity."""
 SPOT_M = 0.4
 """Stays nearer than this to each other are at one spot: people do not stand twice on the same tile."""
 
@@ -40,9 +40,9 @@ seen for FORGET_S is somebody new."""
 SHORT_ROWS = 3.0
 """Where half of the rows have an id that lives for fewer frames than this, the ids are no tracks."""
 JUMP_M_S, JUMP_M = 20.0, 0.3
-"""Nobody moves faster; a step shorter than JUMP_M is no jump however short the time."""
+"""Maximum plausible speed of a person; a step shorter than JUMP_M is not a jump, however short the time."""
 STRAY_S = 0.25
-"""What lasts shorter than this between two jumps is a false sighting."""
+"""A part shorter than this between two jumps is a false detection."""
 OCCLUDED_S = 5.0
 """A gap of a track up to this long is one behind something; after a longer one the person may have been away."""
 REASONS = ("seen", "occluded", "absent", "outside")
@@ -172,7 +172,7 @@ def _continuations(
 
 
 def without_jumps(track: PersonTrack) -> tuple[list[PersonTrack], int]:
-    """Return the parts of a track between which nobody can have moved, and how many positions are not believed.
+    """Return the parts of a track between implausible jumps, and how many positions are implausible.
 
     A false sighting is taken out and the track goes on; after a lasting jump (the tracker took somebody else for the
     person) another part begins, so that nothing is interpolated across it.
@@ -204,7 +204,7 @@ def _strays(track: PersonTrack, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _jumps(track: PersonTrack, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the indices into `rows` that nobody can have come to from the row before."""
+    """Return the indices into `rows` that are implausibly far from the row before."""
     step = np.linalg.norm(np.diff(track.xyz_m[rows, :2], axis=0), axis=1)
     return np.flatnonzero(step > np.maximum(JUMP_M, JUMP_M_S * np.diff(track.t_s[rows]))) + 1
 

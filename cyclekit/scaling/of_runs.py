@@ -1,4 +1,4 @@
-"""Which scaling each run has: the one that was logged, else the one that its motion tells."""
+"""Scaling of each run: logged, else inferred from its motion."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def with_scaling(
         runs: All runs.
         executions: Their executions, from `segment`.
         places: All places.
-        sessions: Which runs were recorded with nobody in the cell.
+        sessions: Which runs were recorded without a person in the cell.
         progress: Told fraction and text.
         engine: Who infers.
     """

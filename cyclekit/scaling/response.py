@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ON_LEVEL = 0.01
 """A scaling so near to a level is on it."""
 HELD_S = 0.05
-"""A level holds if it lasts so long."""
+"""A level holds if it lasts this long."""
 RAMP_ROWS = 3
 """A change over fewer rows is a jump."""
 LATEST_S, STEP_S = 1.0, 0.01

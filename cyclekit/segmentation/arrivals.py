@@ -29,19 +29,19 @@ if TYPE_CHECKING:
     Points = NDArray[np.float64]
 
 BEYOND_S = 1.0
-"""So much of the motion before and after a stand is looked at."""
+"""Motion before and after a standstill that is looked at, s."""
 SMOOTH_S = 0.024
-"""Positions are averaged over so long."""
+"""Positions are averaged over this time, s."""
 REST_M = 1e-5
 """Farther than this (or three times its jitter) from where it rests, a standing robot is still or again on its way."""
 STILL_S = 0.1
-"""To tell rest from a halt very near to it, they are averaged over so long."""
+"""Averaging time to tell rest from a halt very close to it, s."""
 REST_S = 0.2
-"""A robot that is at a place for so long rests there, and not where else it stands for longer."""
+"""A robot that is at a place for this time rests there, even if it stands longer elsewhere."""
 SEEN = 64.0
 """The beginning of a motion is followed from the shortest way that is seen to so many times that."""
 SLOW = 0.05
-"""At a lower scaling the way does not tell how a motion began."""
+"""At a lower scaling the distance does not show how a motion began."""
 BLOCKED = 1e-6
 """Scaling at or below this is a halt."""
 VAGUE_S, INFERRED_S = 0.004, 0.03
@@ -51,7 +51,7 @@ _LONG_ROWS = 1 << 18
 
 
 class Stand(NamedTuple):
-    """A stand at a place, session seconds.
+    """A standstill at a place, session seconds.
 
     Attributes:
         stopped_s, arrived_s: Between these the robot arrived; they differ where safety halted it just there.
@@ -72,11 +72,11 @@ class Stand(NamedTuple):
 
     @property
     def lasts_s(self) -> float:
-        """How long it stood at most."""
+        """Longest possible standstill, s."""
         return self.left_s - self.stopped_s
 
     def process(self, usual_s: float, ready_s: float | None = None) -> tuple[float, float]:
-        """Return when it arrived and when it left; in doubt it stood as long as the process usually takes.
+        """Return the times of arrival and departure; in doubt the standstill is as long as the usual process.
 
         Args:
             usual_s: How long that is.
@@ -90,7 +90,7 @@ class Stand(NamedTuple):
 
 
 Stands = dict[tuple[int, int, int], Stand]
-"""Stands by run, first and last row."""
+"""Standstills by run, first and last row."""
 
 
 def stands_of(
@@ -188,7 +188,7 @@ def _instant(t_s: Vector, nominal: Vector, halted: NDArray[np.bool_], began: flo
 
 
 def _off(part: RobotRun, at: int, place_m: Vector, over_s: float, period_s: float) -> tuple[Vector, float]:
-    """Return how far each row is from where the robot rests, averaged over so long, and how far rest may be, metres."""
+    """Return the averaged distance of each row from where the robot rests, and the tolerance of rest, metres."""
     over = round(over_s / period_s) | 1
     smooth = _averaged(part.xyz_m, over)
     stood = smooth[: at + 1]
@@ -199,7 +199,7 @@ def _off(part: RobotRun, at: int, place_m: Vector, over_s: float, period_s: floa
 
 
 def _averaged(xyz_m: Points, rows: int) -> Points:
-    """Return the means over so many rows (odd) around each; at the ends over those that there are."""
+    """Return the moving mean over this many rows (odd); shorter at the ends."""
     half = min(rows // 2, (len(xyz_m) - 1) // 2)
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(xyz_m - xyz_m[0], axis=0)])
     row = np.arange(len(xyz_m))

@@ -26,7 +26,7 @@ AHEAD_S = 0.1
 STEADY_S = 0.05
 """The times from a signal's last change to the departure differ by no more than this where it tells of the process."""
 OFTEN = 0.5
-"""It changes in at least so many of the stands at a place."""
+"""Least share of the standstills at a place in which it changes."""
 
 
 class Sign(NamedTuple):

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 WHERE = "[executions] signal"
 LATE_S = 0.25
-"""A signal may come so much later than the departure that it stands for."""
+"""Longest delay of a signal after the departure that it marks."""
 
 
 def load_runs(session: Session, read: Read, stored: Stored, cell: Cell) -> tuple[list[StoredRun], list[Rows]]:
-    """Return every run of a session, and of each the rows at which something logged says that a cycle begins.
+    """Return every run of a session, and for each the rows at which a logged signal begins a cycle.
 
     Args:
         session: In one clock.
@@ -43,7 +43,7 @@ def load_runs(session: Session, read: Read, stored: Stored, cell: Cell) -> tuple
         cell: What begins an execution.
 
     Raises:
-        ConfigError: Executions are to begin by a register or output that was not logged.
+        ConfigError: Executions begin by a register or output that was not logged.
     """
     entry = session.recordings[0]
     if not entry.rows.get("robot"):
@@ -93,7 +93,7 @@ def _not_playing(stored: Stored, recording: str) -> list[tuple[int, int, str]]:
 
 
 def _marked(session: Session, read: Read, stored: Stored, cell: Cell) -> Vector:
-    """Return when something logged says that an execution begins, session time."""
+    """Return when a logged signal begins an execution, session time."""
     how, entry = cell.executions, session.recordings[0]
     signal = {"register": REGISTER, "digital-output": f"{OUTPUT}{how.bit}"}.get(how.begin, how.signal)
     if signal is None:
@@ -104,7 +104,7 @@ def _marked(session: Session, read: Read, stored: Stored, cell: Cell) -> Vector:
         table = stored(entry.id, (column,))
         if table.unknown(column) == table.rows:
             said = signal if how.begin == "signal" else how.begin
-            seen = f"{entry.shown}: executions are to begin by {said}, and that was not logged"
+            seen = f"{entry.shown}: executions begin by {said}, but the log does not hold it"
             raise ConfigError(seen, cure='Log it, or set begin = "auto" in [executions] of the cell file.')
     else:
         entry = _holding(name, session, read)

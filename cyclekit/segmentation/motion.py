@@ -28,7 +28,7 @@ SPEED_WINDOW_S = 0.024
 """Speed is the slope of the position over three controller cycles at 125 Hz: at 500 Hz the position's resolution would
 dominate a quotient of differences."""
 DENSE_S = 0.02
-"""Samples stand on rows of the log where those lie nearer than this."""
+"""Samples snap to log rows closer than this, s."""
 BLOCK_ROWS = 1 << 17
 COLUMNS = ("t_s", "tcp_x_m", "tcp_y_m", "tcp_z_m", "tcp_speed_m_s", "scaling")
 """Columns of table ROBOT that a run is made of."""
@@ -196,7 +196,7 @@ class RobotRun:
 
 
 def moving_slider(slider: Vector | None, rows: int) -> Vector:
-    """Return the slider of some rows as a factor of the speed; one at zero, or not known, tells nothing: 1."""
+    """Return the slider of some rows as a factor of the speed; 1 where it is zero or unknown."""
     return np.ones(rows) if slider is None else np.where(slider > 0.0, slider, 1.0)
 
 
@@ -260,12 +260,12 @@ def tcp_speed(t_s: Vector, xyz_m: Points) -> Vector:
 
 
 def lengths(ways_m: Points) -> Vector:
-    """Return the lengths of ways, shape (N, D), as numpy's own norm does, which looks at much else first."""
+    """Return the lengths of vectors, shape (N, D); as numpy's norm, without its overhead."""
     return np.asarray(np.sqrt(np.add.reduce(ways_m * ways_m, axis=1)))
 
 
 def slope(t_s: Vector, xyz_m: Points, half: int) -> Vector:
-    """Return the length of the way from `half` rows before each row to `half` rows behind it over its time, (T,)."""
+    """Return the distance from `half` rows before each row to `half` rows after it over the time between, (T,)."""
     row = np.arange(len(t_s))
     after, before = np.minimum(row + half, len(t_s) - 1), np.maximum(row - half, 0)
     path = lengths(xyz_m[after] - xyz_m[before])

@@ -74,7 +74,7 @@ def find_places(
 
 
 def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: Sequence[Rows]) -> list[Rows]:
-    """Return groups of stops that are places since a signal changes there that tells of work at `known` ones."""
+    """Return groups of standstills that are places because a signal that marks work at `known` places changes there."""
     telling = _of_work(runs, stops, known)
     if not telling:
         return []
@@ -89,7 +89,7 @@ def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: 
 
 
 def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Rows]) -> set[str]:
-    """Return the signals that tell of work: see WORKS."""
+    """Return the signals that mark work: see WORKS."""
     total, inside = Counter[str](), Counter[str]()
     for run in runs:
         total.update({name: len(times) for name, times in run.changes.items()})
@@ -131,7 +131,7 @@ def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArr
         rows: Which of them to group.
         radius_m: Reach of a group around its spot.
     """
-    from scipy.spatial import cKDTree  # takes long, and only who looks for places needs it
+    from scipy.spatial import cKDTree  # slow to import, and only needed to look for places
 
     groups: list[NDArray[np.int64]] = []
     rows = rows[np.isfinite(xyz[rows]).all(axis=1)]
@@ -194,7 +194,7 @@ def _near(xyz_m: Points, centres: Points, cells: Rows, owners: Rows) -> tuple[Ro
         xyz_m: Positions, shape (T, 3), metres.
         centres: The spots, shape (C, 3).
         cells: Cells that they reach into, ascending.
-        owners: Whose each cell is, an index into the centres.
+        owners: The centre of each cell, an index into the centres.
     """
     known = np.flatnonzero(np.isfinite(xyz_m).all(axis=1))
     cell = _packed(_cell(xyz_m[known]))

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     Points = NDArray[np.float64]
 
 MIN_STOP_S = 0.15
-"""A standstill shorter than this is no stop: the reversal of a path takes one or two controller cycles."""
+"""A shorter standstill is not counted: the reversal of a path takes one or two controller cycles."""
 MOVES_M_S = 5e-4
 """A robot at this speed or above moves: welding and gluing are slow. Below it, a standing robot settles or drifts."""
 _SPAN = 8.0
@@ -37,13 +37,13 @@ _HELD = 0.2
 """Positions have a quantum if at least this share of them repeats the one before; the noise is that of the quietest
 such share of the log."""
 SMOOTH_S = 0.04
-"""Positions are averaged over so long before: noise, and what of it flips a quantum, is less then."""
+"""Positions are averaged over this time first: noise, and what of it flips a quantum, is less then."""
 _SAME_M = 1e-9
 _ROWS, _WINDOW, _WINDOW_S = 20_000, 16, 0.25
 
 
 class Stillness(NamedTuple):
-    """What tells a standstill in a log.
+    """Criterion of a standstill in a log.
 
     Attributes:
         reach_m: A standing robot's positions, averaged over SMOOTH_S, spread over no more than this.
@@ -77,7 +77,7 @@ class Stillness(NamedTuple):
 
 
 def stillness_of(run: Run, slow: Sequence[tuple[int, int]]) -> Stillness:
-    """Return what tells a standstill in a run, from the noise of its positions where it is slow.
+    """Return the criterion of a standstill in a run, from the noise of its positions where it is slow.
 
     Args:
         run: The run.

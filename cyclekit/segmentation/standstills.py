@@ -33,10 +33,10 @@ CRAWL_M_S = 3e-3
 """A robot slower than this may stand: whether it does is told from how far it gets (see `stillness`)."""
 APART_S = 0.5
 """Slow stretches at one spot with less between them are looked at as one: noise divides them."""
-_CRAWLS = 2_000_000  # speeds that its noise is told from
-_PLACES = 20_000  # positions that the place of a stand is told from
+_CRAWLS = 2_000_000  # speeds from which its noise is found
+_PLACES = 20_000  # positions from which the place of a standstill is found
 FREE_S = 0.1
-"""So much nominal time: a dwell of MIN_STOP_S without its edges."""
+"""Nominal time of a dwell of MIN_STOP_S without its edges."""
 EDGE_S = 0.03
 """Scaling at the edges of a standstill is not judged: speed follows the scaling a few controller cycles later."""
 
@@ -62,7 +62,7 @@ class Stop:
 
 
 def standing(run: Run) -> float:
-    """Return the speed below which the robot may stand, m/s: slower than the noise of its own standstill lets see.
+    """Return the speed below which the robot may stand, m/s: the noise of its own standstill hides slower motion.
 
     It is four times the median speed below CRAWL_M_S, between 0.1 mm/s and CRAWL_M_S: low, because a motion that starts
     jerk-limited is slow for its first milliseconds. Where positions have a quantum it is at least that over the time
@@ -149,7 +149,7 @@ def _standstills(run: Run, slow: list[_Stand], stillness: Stillness) -> list[_St
 
 
 def _joined(run: Run, parts: list[_Stand], stillness: Stillness, apart_s: float) -> list[_Stand]:
-    """Return the parts, in order, as one those apart by less than that between which the robot got nowhere."""
+    """Return the parts, in order; parts closer than the limit, with no motion between them, are joined."""
     found: list[_Stand] = []
     for one in parts:
         brief = bool(found) and one.first_s - found[-1].last_s < apart_s
@@ -177,7 +177,7 @@ def _is_twitch(before: _Stand, after: _Stand, period_s: float) -> bool:
 
 
 def _resting_place(run: Run, first: int, last: int) -> tuple[float, float, float]:
-    """Return the median position of a stand; of a long one that of every so many rows."""
+    """Return the median position of a standstill; of a long one from every n-th row."""
     places = [part.xyz_m[:: max(1, (last - first) // _PLACES)] for _, part in pieces(run, first, last)]
     x, y, z = median(np.concatenate(places))
     return float(x), float(y), float(z)

@@ -44,15 +44,15 @@ def inside(folder: Path, *names: str, follow_links: bool = False) -> Path:
 def unfit(name: object) -> str | None:
     """Return why something cannot be the name of one file or folder on every system; None if it can."""
     if not isinstance(name, str) or not name:
-        return "it is no name"
+        return "it is not a name"
     if name in (".", ".."):
         return "it leads out of the folder"
     if "/" in name or "\\" in name or _DRIVE.match(name) or (os.name == "nt" and ":" in name):
-        return "it is a path and no name"
+        return "it is a path, not a name"
     if _CONTROL.search(name):
-        return "it holds what is no text"
+        return "it holds bytes that are not text"
     if name[-1] in ". ":
-        return "it ends in a dot or a blank, which Windows leaves out"
+        return "it ends in a dot or a blank, which Windows removes"
     if _DEVICE.fullmatch(name):
         return "it is a device on Windows"
     if len(name.encode()) > MAX_BYTES:

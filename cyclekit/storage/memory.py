@@ -1,4 +1,4 @@
-"""How much memory this process may come to have: what the machine holds, or less where somebody has set a limit.
+"""How much memory this process may use: that of the machine, or less under a limit.
 
 A library that gets no memory aborts the process, without a message. Who is about to read much asks here first.
 """
@@ -14,7 +14,7 @@ _CGROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_
 
 
 def free_bytes() -> int | None:
-    """Return how many bytes this process may take at most, beyond those it has under a limit; None = nobody knows."""
+    """Return how many bytes this process may take at most, beyond those it has under a limit; None = unknown."""
     known = [count for count in (_machine(), _container(), _process()) if count is not None]
     return min(known, default=None)
 

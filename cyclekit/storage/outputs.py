@@ -1,4 +1,4 @@
-"""Where results are to go, looked at before the work: what cannot be written is refused in the first second.
+"""Output places, checked before the work: one that cannot be written is refused in the first second.
 
 The place is tried by a file without a name, since rights that are written down (of a network drive, of a read-only file
 system, on Windows) do not say whether one can write. What is written there later is `atomic`'s business.
@@ -33,7 +33,7 @@ def check_writable(place: Path | str | None, kinds: Sequence[str] = ()) -> None:
     if place is None:
         return
     if kinds and (ending := Path(place).suffix.lower()) not in kinds:
-        shown = f"the ending {ending!r} is not known" if ending else "its name has no ending that tells the format"
+        shown = f"the ending {ending!r} is not known" if ending else "its name has no ending that gives the format"
         raise ConfigError(f"{place}: {shown}", cure=f"End its name in {' or '.join(kinds)}.")
     if is_url(place):
         reach(str(place))
@@ -57,7 +57,7 @@ def check_writable_folder(place: Path | str) -> None:
         return
     path = Path(place)
     if path.exists() and not path.is_dir():
-        raise CyclekitError(f"{path}: is a file, and a folder is to be made", cure="Give --out a folder.")
+        raise CyclekitError(f"{path}: is a file, but a folder is needed", cure="Give --out a folder.")
     _try(path, path.resolve().parent)
 
 

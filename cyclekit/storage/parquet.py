@@ -97,7 +97,7 @@ class TableWriter:
             raise
 
     def abandon(self) -> None:
-        """Give up: what is there is half a table, and whoever began it removes it."""
+        """Give up: the file holds half a table, and the caller removes it."""
         with suppress(Exception):
             self._behind.end()
         if self._parquet is not None:

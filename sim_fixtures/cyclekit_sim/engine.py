@@ -175,6 +175,6 @@ def _stack(steps: list[tuple[Array, Array, Ints]], column: int) -> Array:
 
 def _stuck(program: Program, limit_s: float) -> str:
     return (
-        f"execution {program.executions[0].index} is not done after {limit_s:.0f} s: somebody stands so near that the "
+        f"execution {program.executions[0].index} is not done after {limit_s:.0f} s: a person stands so close that the "
         "robot never moves on. Move the operator (operator_xyz_m, operator_yaw_deg) farther from the robot."
     )

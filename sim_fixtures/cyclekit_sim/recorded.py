@@ -76,5 +76,5 @@ def _numbers(path: Path, rows: list[list[str]], columns: range | list[int]) -> A
     try:
         cells = [[float(row[i]) if i < len(row) and row[i] else np.nan for i in columns] for row in rows]
     except ValueError as fault:
-        raise SimulationError(f"{path}: a cell is no number ({fault}). {_CURE}") from fault
+        raise SimulationError(f"{path}: a cell is not a number ({fault}). {_CURE}") from fault
     return np.array(cells, dtype=np.float64).reshape(-1, len(columns))

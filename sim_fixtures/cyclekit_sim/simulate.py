@@ -130,7 +130,7 @@ def _refuse_foreign(out: Path) -> None:
     if not out.exists():
         return
     if not out.is_dir() or (any(out.iterdir()) and not (out / "truth" / "truth.json").is_file()):
-        raise SimulationError(f"{out} exists and is no earlier simulation: choose another folder")
+        raise SimulationError(f"{out} exists and is not an earlier simulation: choose another folder")
 
 
 def _write(folder: Path, work: Work, progress: Progress) -> None:

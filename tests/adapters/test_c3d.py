@@ -243,6 +243,6 @@ def test_without_a_screen_axis_heads_above_feet_tell_which_axis_is_up(tmp_path, 
     log = ADAPTER.read(path, ReadOptions())
     assert (log.up, log.facts["up"]) == (up, f"{up}, since heads are above feet")
     told = ADAPTER.read(path, ReadOptions(map={"up": "z"}))
-    assert (told.up, told.facts["up"]) == ("z", "z, by the cell file")
+    assert (told.up, told.facts["up"]) == ("z", "z, from the cell file")
     screen = ADAPTER.read(write(path, points, labels=["l heel", "sacrum", "c7"], screen="+Z"), ReadOptions())
     assert (screen.up, screen.facts["up"]) == ("z", "z, by POINT:Y_SCREEN")

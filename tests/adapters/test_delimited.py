@@ -97,7 +97,7 @@ def test_one_garbled_row_in_a_large_block_costs_that_row_alone():
 def test_the_header_once_more_is_no_row_and_the_log_goes_on():
     rows = rows_of("a,b,c\n1,2,3\na,b,c\n4,5,6\n")
     assert plain(rows).rows() == [(2, 1, 2, 3), (4, 4, 5, 6)]
-    assert rows.set_aside.rows() == [(3, "the header once more")]
+    assert rows.set_aside.rows() == [(3, "the header is repeated")]
 
 
 def test_what_follows_the_names_of_another_table_is_not_taken_for_this_one():
@@ -137,7 +137,7 @@ def test_a_packed_log_is_read_as_the_log_itself(pack):
 
 
 def test_a_packed_log_that_was_cut_is_refused():
-    with pytest.raises(DamagedLog, match="packing is damaged"):
+    with pytest.raises(DamagedLog, match="compressed data is damaged"):
         rows_of(gzip.compress(b"a,b,c\n" + b"1,2,3\n" * 9000)[:-40])
 
 

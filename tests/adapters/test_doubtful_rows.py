@@ -165,7 +165,7 @@ def test_units_with_blanks_in_the_names_do_not_hide_the_delimiter(tmp_path):
 def test_names_that_stand_lower_are_found_for_the_message(tmp_path):
     with pytest.raises(MissingColumns) as refusal:
         mapped(tmp_path / "log.csv", "Station 4\n\nt;x;y\n1;2;3\n")
-    assert refusal.value.cure == "They stand in line 3: give skip_rows = 2, delimiter = ';'."
+    assert refusal.value.cure == "They are in line 3: give skip_rows = 2, delimiter = ';'."
 
 
 def test_names_in_another_encoding_are_said_to_be_so(tmp_path):
@@ -197,7 +197,7 @@ def test_a_count_below_the_rows_is_no_sample(tmp_path, ur):
     path.write_text(text + "2" + "," * (len(ur.columns) - 1) + "\r\n")
     log = ur_rtde.ADAPTER.read(path, ReadOptions())
     assert log.robot["t_s"].to_list() == [1.0, 1.008]
-    assert log.set_aside["reason"].to_list() == ["no value in any column that is read, beside its time"]
+    assert log.set_aside["reason"].to_list() == ["no value in any column that is read, except its time"]
 
 
 def test_a_log_whose_every_cell_is_quoted_is_read(tmp_path, ur):

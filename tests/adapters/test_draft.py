@@ -193,7 +193,7 @@ def test_a_table_whose_time_is_in_doubt_is_not_read_until_somebody_decides(tmp_p
     with pytest.raises(MissingColumns, match="time"):
         ingested(tmp_path, proposed, log)
     floor = draft(log, lines(T, ("x", MOVES), ("y", MOVES)))
-    with pytest.raises(ConfigError, match="whose rows"):
+    with pytest.raises(ConfigError, match="no role is given"):
         ingested(tmp_path, floor, log)
 
 

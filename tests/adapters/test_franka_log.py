@@ -150,7 +150,7 @@ def test_the_flange_is_the_product_of_the_seven_link_matrices(q):
 
 def test_seconds_of_another_logger_are_not_taken_for_milliseconds(tmp_path):
     path = write(tmp_path / "log.csv", line(0.0), line(0.001), line(0.002))
-    with pytest.raises(DamagedLog, match=r"0\.002 is no whole number of milliseconds") as refusal:
+    with pytest.raises(DamagedLog, match=r"0\.002 is not a whole number of milliseconds") as refusal:
         read(path)
     assert 'adapter = "csv"' in str(refusal.value)
     log = read(write(tmp_path / "log.csv", line(1), line(2), line(2.5), line(3)))

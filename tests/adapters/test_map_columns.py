@@ -37,7 +37,7 @@ def test_a_log_that_was_continued_with_its_header_goes_on_though_names_repeat(tm
     text = "t,X,X\n0,1,2\nt,X,X\n1,3,4\n"
     log = read(tmp_path / "log.csv", text, time="t", x="#2", y="#3")
     assert log.robot["tcp_y_m"].to_list() == [2, 4]
-    assert log.set_aside.rows() == [(3, "the header once more")]
+    assert log.set_aside.rows() == [(3, "the header is repeated")]
 
 
 def test_a_name_goes_before_what_it_could_stand_for(tmp_path):
@@ -77,12 +77,12 @@ def test_numbers_of_a_list_in_one_cell(tmp_path):
 @pytest.mark.parametrize(
     ("cell", "reason"),
     [
-        ('"[0.1, 0.2]"', "has not 3 numbers"),
-        ('"[0.1, 0.2, 0.3, 0.4]"', "has not 3 numbers"),
-        ('"[0.1, oops, 0.3]"', "holds what is not a number"),
-        ('"0.1, 0.2, 0.3"', "is no list of numbers"),
-        ('"[0.1, 0.2, 0.3"', "is no list of numbers"),
-        ("[0.1 0.2 0.", "is no list of numbers"),
+        ('"[0.1, 0.2]"', "does not have 3 numbers"),
+        ('"[0.1, 0.2, 0.3, 0.4]"', "does not have 3 numbers"),
+        ('"[0.1, oops, 0.3]"', "holds a value that is not a number"),
+        ('"0.1, 0.2, 0.3"', "is not a list of numbers"),
+        ('"[0.1, 0.2, 0.3"', "is not a list of numbers"),
+        ("[0.1 0.2 0.", "is not a list of numbers"),
     ],
 )
 def test_a_list_that_is_cut_or_garbled_sets_its_line_aside(tmp_path, cell, reason):

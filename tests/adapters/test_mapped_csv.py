@@ -133,7 +133,7 @@ def test_an_unknown_key_shows_the_nearest(tmp_path):
 
 
 def test_a_map_that_could_be_robot_or_person_must_say_which(tmp_path):
-    with pytest.raises(ConfigError, match="whose rows"):
+    with pytest.raises(ConfigError, match="no role is given"):
         read(tmp_path / "log.csv", "t,x,y\n1,2,3\n", time="t", x="x", y="y")
 
 
@@ -204,7 +204,7 @@ def test_where_times_name_their_zone_one_that_does_not_is_set_aside(tmp_path):
 
 def test_a_log_of_which_no_time_can_be_read_is_refused(tmp_path):
     how = {"time": "t", "x": "x", "y": "y", "time_format": "%d/%m/%Y %H:%M"}
-    with pytest.raises(DamagedLog, match=r"none of its 2 rows can be used; the first \(line 2\): its time is not"):
+    with pytest.raises(DamagedLog, match=r"none of its 2 rows can be used; the first \(line 2\): its time does not"):
         read(tmp_path / "log.csv", "t;x;y\n2024-05-01;1;2\n2024-05-02;1;2\n", role="people", **how)
 
 

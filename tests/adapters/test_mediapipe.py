@@ -190,7 +190,7 @@ def test_every_dialect_of_landmarks_has_one_reader_that_refuses_it(tmp_path_fact
     path = tmp_path_factory.getbasetemp() / "any_landmarks.csv"
     path.write_text(text)
     assert [name for name, entry in adapters().items() if entry.adapter.recognises(path)] == ["mediapipe"]
-    with pytest.raises(LogError, match="do not say where the person is"):
+    with pytest.raises(LogError, match="do not give the person's position"):
         ADAPTER.read(path, ReadOptions())
 
 

@@ -144,7 +144,7 @@ def test_where_time_and_frames_part_late_in_a_take_that_is_said(tmp_path, motive
     seconds = [i / 100 for i in range(1100)] + [11.5 + i / 100 for i in range(100)]
     log = read(tmp_path / "take.csv", motive({"Helmet": [(1.0, 0, 0)] * 1200}, seconds=seconds))
     assert log.people["t_s"][-1] == pytest.approx(11.99)
-    assert "departs from frame / rate by up to 0.5 s, first in line 1108" in log.warnings[0]
+    assert "deviates from frame / rate by up to 0.5 s, first in line 1108" in log.warnings[0]
 
 
 def test_a_take_that_a_german_spreadsheet_saved_again_is_read_alike(tmp_path, motive):
@@ -202,11 +202,11 @@ def test_the_name_of_a_take_may_hold_commas(tmp_path, name, known):
 @pytest.mark.parametrize("kind", ["Rigid Body Marker", "Bone Marker"])
 def test_places_where_a_marker_should_be_are_said_to_be_filled_in(tmp_path, kind):
     text = take(columns([kind] * 3, ["vest:1"] * 3, PLACE, XYZ), "0,0.00,1,1,1", "1,0.01,1,1,1")
-    assert any("filled in" in said for said in read(tmp_path / "take.csv", text).warnings)
+    assert any("computed" in said for said in read(tmp_path / "take.csv", text).warnings)
     both = columns([kind] * 3 + ["Marker"] * 3, ["vest:1"] * 6, PLACE * 2, XYZ * 2)
     log = read(tmp_path / "take.csv", take(both, "0,0.00,1,1,1,2,2,2", "1,0.01,1,1,1,,,"))
     assert log.people["x_m"].to_list() == [2.0, None]
-    assert not any("filled in" in said for said in log.warnings)
+    assert not any("computed" in said for said in log.warnings)
 
 
 def test_euler_angles_stand_in_three_columns_before_the_position(tmp_path):

@@ -126,10 +126,10 @@ def test_units_that_the_cell_file_gives_are_followed(tmp_path):
 def test_degrees_beside_radians_per_second_are_noticed(tmp_path):
     turning = [groups(1.0 + i / 125, q=(0.5 * i / 125,) * 6, qd=(0.5,) * 6) for i in range(9)]
     degrees = [groups(1.0 + i / 125, q=(math.degrees(0.5 * i / 125),) * 6, qd=(0.5,) * 6) for i in range(9)]
-    assert not any("units are not these" in said for said in read(write(tmp_path / "a.csv", table(*turning))).warnings)
+    assert not any("units are wrong" in said for said in read(write(tmp_path / "a.csv", table(*turning))).warnings)
     path = write(tmp_path / "b.csv", table(*degrees))
     assert any("57.3 times" in said for said in read(path).warnings)
-    assert not any("units are not these" in said for said in read(path, map={"joint_unit": "deg"}).warnings)
+    assert not any("units are wrong" in said for said in read(path, map={"joint_unit": "deg"}).warnings)
 
 
 def test_rows_that_cannot_be_trusted_are_set_aside_with_their_reason(tmp_path):

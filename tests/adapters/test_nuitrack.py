@@ -115,4 +115,4 @@ def test_a_joint_where_the_camera_is_was_not_seen(tmp_path):
     log = read(tmp_path / "nui.csv", text, skeletons=True)
     assert log.people["x_m"].to_list() == [0.25, None, 9.0]
     assert log.skeletons.filter(joint="waist")["x_m"].to_list() == [0.25, None, None]
-    assert any("no place in 1 of 3 rows" in said for said in log.warnings)
+    assert any("no position in 1 of 3 rows" in said for said in log.warnings)

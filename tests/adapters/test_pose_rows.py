@@ -35,7 +35,7 @@ def test_without_a_rate_the_log_is_refused_and_the_cure_names_rate_hz(tmp_path):
     with pytest.raises(MissingColumns, match="'time'") as refusal:
         ADAPTER.read(path, ReadOptions())
     assert "rate_hz" in refusal.value.cure
-    with pytest.raises(ConfigError, match="is no rate"):
+    with pytest.raises(ConfigError, match="is not a rate"):
         read(path, rate_hz=0.0)
 
 
@@ -101,7 +101,7 @@ def test_a_last_row_cut_while_being_written_is_set_aside(tmp_path):
 def test_a_table_with_anything_but_poses_is_not_mine(tmp_path, columns):
     path = write(tmp_path / "a.csv", columns, [1] * len(columns))
     assert not ADAPTER.recognises(path)
-    with pytest.raises(DamagedLog, match="no table of poses") as refusal:
+    with pytest.raises(DamagedLog, match="not a table of poses") as refusal:
         read(path)
     assert 'adapter = "csv"' in refusal.value.cure
 

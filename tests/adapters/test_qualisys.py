@@ -77,7 +77,7 @@ def test_a_time_column_that_contradicts_the_frequency_wins_and_is_said(tmp_path)
 def test_nameless_markers_are_taken_together_and_that_is_said(tmp_path):
     log = read(tmp_path / "walk.tsv", tsv({"New 0000": [(0.0, 1.0, 2.0)], "New 0001": [(4.0, 5.0, 6.0)]}))
     assert log.people.select("x_m", "y_m", "z_m").rows() == [pytest.approx((0.002, 0.003, 0.004))]
-    assert any("no pelvis marker" in said for said in log.warnings)
+    assert any("known pelvis name" in said for said in log.warnings)
     one = ADAPTER.read(tmp_path / "walk.tsv", ReadOptions(body="New 0001"))
     assert one.people["x_m"].to_list() == [0.004]
 

@@ -77,7 +77,7 @@ def test_zed_ids_that_are_new_in_every_frame_become_the_two_people_who_were_ther
 
 
 def test_an_empty_zed_recording_is_said_to_be_one():
-    with pytest.raises(LogError, match="an empty recording"):
+    with pytest.raises(LogError, match="no body in any"):
         read("zed/empty-list/body_tracking.json", "zed")
 
 

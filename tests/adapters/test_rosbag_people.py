@@ -290,7 +290,7 @@ def test_of_zed_objects_the_pelvis_counts_and_only_a_person_who_is_tracked(tmp_p
     log = read(tmp_path / "run")
     tracked = [("3", 1.0, 2.0, 0.5), ("4", None, None, None), ("5", 4.0, 5.0, 0.75), ("6", 1.5, 1.0, 1.0)]
     assert rows(log) == [*tracked, ("7", 1.0, 2.0, 0.5)]
-    assert any("1 places" in said and "tracking state" in said for said in log.warnings)
+    assert any("1 positions" in said and "tracking state" in said for said in log.warnings)
 
 
 def humans(writer):

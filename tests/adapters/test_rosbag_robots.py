@@ -146,7 +146,7 @@ def test_a_topic_that_is_named_for_what_it_cannot_tell_is_refused_and_not_read_a
     writer.poses(T0, [(1.0, 0.0, 1.0)])
     writer.number("/level", "Float64", T0, 0.5)
     writer.close()
-    with pytest.raises(LogError, match=f"{kind}, of which no") as refusal:
+    with pytest.raises(LogError, match=f"{kind}, from which") as refusal:
         read(tmp_path / "run", **options)
     assert "it must be" in str(refusal.value)
     scaled = read(tmp_path / "run", map={"scaling": "/level", "scaling_max": 1})

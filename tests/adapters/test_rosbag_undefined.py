@@ -140,7 +140,7 @@ def test_layouts_that_say_the_same_leave_no_doubt_and_others_leave_the_topic_unr
     db3.say("/tracks", TRACKED, T0, header=db3.header(T0), tracks=[])  # nobody there: the same in both layouts
     log = read(db3)
     assert log.people.is_empty()
-    assert "they say the same in all 1 messages" in log.facts["layout of /tracks"]
+    assert "they give the same values in all 1 messages" in log.facts["layout of /tracks"]
 
 
 def test_a_topic_that_two_layouts_fit_and_tell_apart_is_not_read(db3, monkeypatch):
@@ -167,4 +167,4 @@ def test_a_layout_that_one_message_contradicts_is_none(db3, count):
     log = read(db3)
     assert log.people is None
     assert log.robot.height == 1
-    assert [said for said in log.warnings if "/people is not read" in said and "none of the layouts" in said]
+    assert [said for said in log.warnings if "/people is not read" in said and "none of the known layouts" in said]

@@ -77,7 +77,7 @@ def test_what_holds_more_or_less_is_no_such_log(tmp_path, header):
 
 def test_an_override_that_could_be_a_fraction_is_refused_until_it_is_said(tmp_path):
     path = table(tmp_path / "a.csv", "time_s,override", "0,1", "1,0.5")
-    with pytest.raises(LogError, match="never exceeds 1: percent or a fraction cannot be told"):
+    with pytest.raises(LogError, match="never exceeds 1: it may be percent or a fraction"):
         read(path)
     assert read(path, override_max=1).safety["override"].to_list() == [1.0, 0.5]
     assert read(path, override_max=100).safety["override"].to_list() == [0.01, 0.005]
@@ -97,14 +97,14 @@ def test_values_that_cannot_be_are_unknown_and_counted(tmp_path):
 
 def test_millimetres_taken_for_metres_are_named(tmp_path):
     path = table(tmp_path / "a.csv", "time_s,distance", "0,1900", "1,400")
-    assert "distances up to 1900 m: is the unit right? give length_unit" in read(path).warnings
+    assert "distances reach 1900 m: check the unit and give length_unit" in read(path).warnings
     assert read(path, length_unit="mm").safety["distance_m"].to_list() == pytest.approx([1.9, 0.4])
 
 
 def test_columns_of_other_names_are_named_in_the_map(tmp_path):
     path = table(tmp_path / "a.csv", "stamp_s,v_proz,abst", "0.5,100,1.5", "1,50,0.5")
     assert not ADAPTER.recognises(path)
-    with pytest.raises(LogError, match="no columns of a time and of an override or a distance"):
+    with pytest.raises(LogError, match="no columns for a time and for an override or a distance"):
         read(path)
     log = read(path, time="stamp_s", override="v_proz", distance="abst")
     assert log.safety.select("t_s", "override", "distance_m").rows() == [(0.5, 1.0, 1.5), (1.0, 0.5, 0.5)]

@@ -70,7 +70,7 @@ def test_the_cell_file_says_who_is_a_robot_and_who_a_person(tmp_path):
     log = read(path, operator=["Anna"], robot=["human"])
     assert log.task_list["agent"].to_list() == ["operator", "robot"]
     assert log.warnings == (
-        "no column names the execution of a task: the list is one execution; see execution in the map",
+        "no column gives the execution of a task: one execution assumed; give execution in the map",
     )
 
 
@@ -180,8 +180,8 @@ def test_impossible_rows_are_set_aside_with_their_line_and_reason(tmp_path):
         (5, "no start"),
         (6, "no agent"),
         (7, "no task"),
-        (8, "its end is no time as the others are"),
-        (9, "the same task once more"),
+        (8, "its end is not a time in the format of the others"),
+        (9, "it repeats another task"),
     ]
 
 
@@ -207,7 +207,7 @@ def test_times_without_a_zone_are_placed_by_the_zone_of_the_cell_file(tmp_path):
     path = table(tmp_path / "a.csv", "agent;task;start;end", "r;a;2024-07-01 10:00:00,5;2024-07-01 10:00:02")
     log = read(path)
     assert log.clock == "relative"
-    assert any("no zone" in text for text in log.warnings)
+    assert any("no time zone" in text for text in log.warnings)
     rome = read(path, time_zone="Europe/Rome")
     assert (rome.clock, rome.task_list["t_s"][0]) == ("epoch", 1719820800.5)
 
@@ -215,7 +215,7 @@ def test_times_without_a_zone_are_placed_by_the_zone_of_the_cell_file(tmp_path):
 def test_times_of_day_lack_a_date_and_exports_of_process_mining_are_known(tmp_path):
     log = read(table(tmp_path / "a.csv", "run,agent,task,begin,finish", "1,r,a,10:00:00.5,10:00:02"))
     assert log.task_list["end_s"].to_list() == [36_002.0]
-    assert log.warnings == ("its times have no date, so it cannot be placed among other logs",)
+    assert log.warnings == ("its times have no date and cannot be aligned with other logs",)
     header = "case:concept:name,concept:name,org:resource,start_timestamp,time:timestamp"
     path = table(tmp_path / "b.csv", header, "7,a,human,2024-05-01 10:00:00+00:00,2024-05-01 10:00:30+00:00")
     assert ADAPTER.recognises(path)
@@ -259,20 +259,20 @@ def test_a_planned_time_that_is_none_costs_no_task(tmp_path):
         read(path)
     log = read(table(tmp_path / "b.csv", header, "1,r,a,0.5,1,0.5", "1,r,b,1,2,later"))
     assert log.task_list["planned_start_s"].null_count() == 1
-    assert "1 tasks: the planned start is no time as the others are, and unknown" in log.warnings
+    assert "1 tasks: the planned start is not a time in the format of the others; unknown there" in log.warnings
 
 
 def test_outcomes_of_no_known_word_are_kept_and_named(tmp_path):
     path = table(tmp_path / "a.csv", "run,agent,task,start_s,end_s,result", "1,r,a,0,1,rework", "1,r,b,1,2,True")
     log = read(path)
     assert log.task_list["outcome"].to_list() == ["rework", "done"]
-    assert log.warnings == ("outcomes are kept as written, neither done nor failed: 'rework'",)
+    assert log.warnings == ("unknown outcomes, neither done nor failed, are kept as written: 'rework'",)
 
 
 def test_a_list_in_which_nobody_is_called_a_person_says_so(tmp_path):
     path = table(tmp_path / "a.csv", "run,agent,task,start_s,end_s", "1,Anna,a,0,1", "1,r,b,1,2")
     (said,) = read(path).warnings
-    assert said.startswith("no agent is called a person ('Anna', 'r'): all are taken for robots")
+    assert said.startswith("no agent is recognised as a person ('Anna', 'r'): robots assumed")
 
 
 NAMES = st.text(string.ascii_letters + " _-", min_size=1, max_size=12).filter(lambda text: text.strip())

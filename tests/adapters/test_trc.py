@@ -101,20 +101,20 @@ def test_a_file_that_was_not_turned_to_y_up_is_seen_by_heads_and_feet(tmp_path):
     log = read(path, lines_of(turned))
     assert (log.up, log.facts["up"]) == ("z", "z, since heads are above feet")
     told = read(path, lines_of(turned), map={"up": "y"})
-    assert (told.up, told.facts["up"]) == ("y", "y, by the cell file")
+    assert (told.up, told.facts["up"]) == ("y", "y, from the cell file")
     with pytest.raises(ConfigError, match="'x'"):
         read(path, lines_of(turned), map={"up": "x"})
 
 
 def test_without_heads_and_feet_y_is_up_as_opensim_has_it(tmp_path):
     log = read(tmp_path / "walk.trc", lines_of({"Pelvis": [(1, 1, 1)]}))
-    assert (log.up, log.facts["up"]) == ("y", "y, as OpenSim has it; not in the file")
+    assert (log.up, log.facts["up"]) == ("y", "y, the default of OpenSim; not in the file")
 
 
 def test_garbled_numbers_tell_nothing_of_up_and_do_not_overflow(tmp_path):
     garbled = HALPE | {"Head": [("1e308", "-1e308", 1), ("1e308", 1, 1)], "Nose": [("1e308", 1, 1)] * 2}
     log = read(tmp_path / "walk.trc", lines_of(garbled))
-    assert log.facts["up"] == "y, as OpenSim has it; not in the file"
+    assert log.facts["up"] == "y, the default of OpenSim; not in the file"
 
 
 def test_heads_below_feet_are_said(tmp_path):
@@ -127,7 +127,7 @@ def test_heads_below_feet_are_said(tmp_path):
 
 def test_keypoints_around_the_persons_own_hips_are_refused(tmp_path):
     hips = {"RHip": [(0.1, 0.001, 0.05)] * 12, "LHip": [(-0.1, -0.001, -0.05)] * 12, "Nose": [(0, 0.6, 0)] * 12}
-    with pytest.raises(LogError, match="around the person's own hips"):
+    with pytest.raises(LogError, match="relative to the person's hips"):
         read(tmp_path / "walk.trc", lines_of(hips))
 
 

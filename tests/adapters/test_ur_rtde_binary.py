@@ -118,8 +118,8 @@ def test_two_lines_and_no_rows_are_refused_with_that_reason(tmp_path, ur):
     ("types", "cause"),
     [
         (b"DOUBLE DOUBLE", "2 types for 3 columns"),
-        (b"DOUBLE DOUBLE FLOAT", "'FLOAT' is no type"),
-        (b"DOUBLE VECTOR3D DOUBLE", "'VECTOR3D' is no type"),
+        (b"DOUBLE DOUBLE FLOAT", "'FLOAT' is not a type"),
+        (b"DOUBLE VECTOR3D DOUBLE", "'VECTOR3D' is not a type"),
     ],
 )
 def test_a_line_of_types_that_does_not_fit_the_names_is_refused(tmp_path, types, cause):
@@ -133,7 +133,7 @@ def test_a_line_of_types_that_does_not_fit_the_names_is_refused(tmp_path, types,
 def test_a_recording_cut_in_its_types_is_refused(tmp_path):
     path = tmp_path / "run.bin"
     path.write_bytes(b"timestamp actual_q_0\nDOUBLE DOU")
-    with pytest.raises(DamagedLog, match="ends in its line of types"):
+    with pytest.raises(DamagedLog, match="cut in its line of types"):
         read(path)
 
 

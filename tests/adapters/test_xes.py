@@ -88,8 +88,8 @@ def test_what_never_started_is_set_aside_and_other_transitions_are_counted(tmp_p
     ]
     log = read(written(tmp_path / "a.xes", {"1": events}))
     assert log.task_list.height == 1
-    assert log.set_aside["reason"].to_list() == ["'u' completes and never started"]
-    assert "1 events 'schedule' are passed over" in log.warnings
+    assert log.set_aside["reason"].to_list() == ["'u' completes but never started"]
+    assert "1 events 'schedule' are skipped" in log.warnings
 
 
 def test_a_log_of_completions_alone_is_refused(tmp_path):

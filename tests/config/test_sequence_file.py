@@ -36,8 +36,8 @@ def test_a_sequence_without_a_name_is_called_by_its_number(tmp_path: Path):
     ("text", "seen"),
     [
         ('[[sequence]]\ntasks = ["a->b", "c->d"]', "does not start where"),
-        ('[[sequence]]\ntasks = ["a->b->c"]', "is no task"),
-        ('[[sequence]]\ntasks = ["a->"]', "is no task"),
+        ('[[sequence]]\ntasks = ["a->b->c"]', "is not a task"),
+        ('[[sequence]]\ntasks = ["a->"]', "is not a task"),
         ("[[sequence]]\ntasks = []", "at least two places"),
         ('[[sequence]]\nplaces = ["a"]', "at least two places"),
         ('[[sequence]]\nplaces = "a"', "must be a list"),

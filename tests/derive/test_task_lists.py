@@ -135,7 +135,7 @@ def test_lists_without_executions_are_one_or_begin_anew_after_gaps(tmp_path: Pat
     (logs / "plan.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     one = Dataset.open(ingest([logs], tmp_path / "one").dataset)
     assert one.executions.select("start_s", "end_s").rows() == [(0.0, 21.0)]
-    assert any("the list is one execution" in text for text in one.recordings[0].said)
+    assert any("one execution assumed" in text for text in one.recordings[0].said)
     (logs / "cell.toml").write_text('[executions]\nbegin = "gap"\ngap_s = 5.0\n', encoding="utf-8")
     split = Dataset.open(ingest([logs], tmp_path / "split").dataset)
     assert split.executions.select("start_s", "end_s").rows() == [(0.0, 12.0), (20.0, 21.0)]
@@ -156,13 +156,13 @@ def test_tasks_of_one_agent_at_the_same_time_are_counted() -> None:
     found = examined(Recording(task_list=conform(table, TASK_LIST)))
     assert found.task_list is not None
     assert found.task_list.height == 5
-    assert found.warnings == ("2 of 3 tasks of 'ur5' start before its last one has ended, by up to 4.0 s",)
+    assert found.warnings == ("2 of 3 tasks of 'ur5' start before its previous task has ended, by up to 4.0 s",)
 
 
 def test_tasks_of_days_are_named_as_a_slip_of_units() -> None:
     table = pl.DataFrame({"agent_name": ["r"], "t_s": [0.0], "end_s": [200_000.0]})
     (said,) = examined(Recording(task_list=conform(table, TASK_LIST))).warnings
-    assert said == "half of the tasks take 2e+05 s: is the unit of time right? give time_unit"
+    assert said == "half of the tasks take 2e+05 s: check the unit of time and give time_unit"
 
 
 def test_beside_a_robot_log_the_operators_tasks_are_put_into_its_executions(tmp_path: Path, robot_log) -> None:
@@ -253,5 +253,5 @@ def test_of_many_agents_that_overlap_a_few_are_named() -> None:
     table = pl.DataFrame(rows, schema=["agent_name", "t_s", "end_s"], orient="row")
     said = examined(Recording(task_list=conform(table, TASK_LIST))).warnings
     assert len(said) == 7
-    assert said[0] == "1 of 2 tasks of 'r0' start before its last one has ended, by up to 4.0 s"
+    assert said[0] == "1 of 2 tasks of 'r0' start before its previous task has ended, by up to 4.0 s"
     assert said[-1] == "so do tasks of 4 other agents"

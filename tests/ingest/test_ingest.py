@@ -121,7 +121,7 @@ def test_a_path_that_is_not_there_is_refused(tmp_path: Path):
 @pytest.mark.parametrize(
     ("content", "cause"),
     [
-        (b'{"people":[{"pose_keypoints_2d":[1,2,0.9,3,4,0.8]}],"version":1.3}', "JSON of a kind that no adapter"),
+        (b'{"people":[{"pose_keypoints_2d":[1,2,0.9,3,4,0.8]}],"version":1.3}', "JSON that no adapter"),
         (b"the gripper squeaks\nand the belt slips\n", "no adapter recognises this content"),
         (b"", "the file is empty"),
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n", "Git LFS pointer"),
@@ -251,9 +251,9 @@ def test_files_to_be_ignored_are(three_runs: Path, tmp_path: Path):
 def test_a_source_that_means_no_log_is_said_aloud(three_runs: Path, tmp_path: Path):
     cell = Cell(sources=(Source("run_*.csv", clock_offset_s=1.0), Source("trakcer/*.csv")), reference=("empty/*",))
     warnings = ingest([three_runs], tmp_path / "dataset", cell=cell).warnings
-    assert [text for text in warnings if "no log is meant" in text] == [
-        "the cell file speaks of 'trakcer/*.csv', and no log is meant by it",
-        "the cell file speaks of 'empty/*', and no log is meant by it",
+    assert [text for text in warnings if "matches no log" in text] == [
+        "source 'trakcer/*.csv' of the cell file matches no log",
+        "source 'empty/*' of the cell file matches no log",
     ]
 
 
@@ -335,11 +335,11 @@ def test_a_bag_is_ingested_as_the_same_cell_as_the_csv_logs(cells: Cells):
 def test_executions_that_begin_by_a_register_nobody_logged_are_refused(three_runs: Path, tmp_path: Path):
     for begin in ("register", "digital-output"):
         cell = Cell(executions=Executions(begin=begin))  # type: ignore[arg-type]
-        with pytest.raises(ConfigError, match=f"begin by {begin}, and that was not logged"):
+        with pytest.raises(ConfigError, match=f"begin by {begin}, but the log does not hold it"):
             ingest([three_runs], tmp_path / "dataset", cell=cell)
     for signal in ("register=100", "digital-output 3"):
         cell = Cell(executions=Executions("signal", signal=signal))
-        with pytest.raises(ConfigError, match=f"begin by {signal}, and that was not logged"):
+        with pytest.raises(ConfigError, match=f"begin by {signal}, but the log does not hold it"):
             ingest([three_runs], tmp_path / "dataset", cell=cell)
 
 

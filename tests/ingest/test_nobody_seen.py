@@ -86,8 +86,8 @@ def mapped(folder: Path, keys: str) -> Path:
 def test_the_cell_file_names_other_numbers_and_the_column_that_says_how_sure_a_place_is(tmp_path: Path):
     (log,) = describe(mapped(tmp_path / "a", 'missing = [-7, 7777]\nconfidence = "sure"\n')).logs
     assert log.tables["people"].known["x_m"] == 35 / 60
-    assert "the place is missing (-7, 7777) in 5 of 60 rows: unknown there" in log.warnings
-    assert "sure is 0 in 20 of 60 rows: nobody is seen there" in log.warnings
+    assert "the position is missing (-7, 7777) in 5 of 60 rows: unknown there" in log.warnings
+    assert "sure is 0 in 20 of 60 rows: no person is detected there" in log.warnings
 
 
 def test_missing_is_a_list_of_numbers(tmp_path: Path):

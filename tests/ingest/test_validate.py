@@ -61,8 +61,8 @@ def test_a_sound_recording_is_left_as_it_is():
 @pytest.mark.parametrize(
     ("value", "reason"),
     [
-        (float("nan"), "its time is no number that a clock shows"),
-        (float("inf"), "its time is no number that a clock shows"),
+        (float("nan"), "its time is not a plausible number"),
+        (float("inf"), "its time is not a plausible number"),
         (99 / 125, "repeats the time of the row before it"),
         (50 / 125, "its time does not fit between its neighbours"),
         (1e9, "its time does not fit between its neighbours"),
@@ -130,19 +130,23 @@ def test_jitter_of_the_clock_makes_no_jump():
 def test_millimetres_read_as_metres_are_named_with_the_cure_and_not_mended():
     log = robot(tcp_x_m=1000 * robot().robot["tcp_x_m"])
     found = examined(log)
-    assert "likely millimetres" in found.warnings[0]
+    assert "probably millimetres" in found.warnings[0]
     assert found.robot.height == 300
     people = examined(Recording(people=walk(x=1400.0 + walk()["x_m"])))
-    assert people.warnings[0].startswith("a person is 1401 m away in 200 rows: likely millimetres")
+    assert people.warnings[0].startswith("a person is 1401 m away in 200 rows: probably millimetres")
 
 
 @pytest.mark.parametrize(
     ("column", "values", "said"),
     [
-        ("scaling", np.linspace(0, 100, 300), "scaling reaches 100 in 297 rows: likely percent, say scaling_max = 100"),
+        (
+            "scaling",
+            np.linspace(0, 100, 300),
+            "scaling reaches 100 in 297 rows: probably percent, set scaling_max = 100",
+        ),
         ("tcp_speed_m_s", np.linspace(0, 400, 300), "likely mm/s"),
-        ("q1_rad", np.linspace(-90, 90, 300), 'likely degrees; say joint_unit = "deg"'),
-        ("t_s", np.arange(300) * 8.0, "milliseconds taken for seconds"),
+        ("q1_rad", np.linspace(-90, 90, 300), 'probably degrees; set joint_unit = "deg"'),
+        ("t_s", np.arange(300) * 8.0, "milliseconds read as seconds"),
     ],
 )
 def test_a_slip_of_units_is_named_with_the_cure(column: str, values: Any, said: str):
@@ -152,7 +156,7 @@ def test_a_slip_of_units_is_named_with_the_cure(column: str, values: Any, said: 
 def test_a_tcp_that_never_moves_by_a_hair_is_named():
     same = {f"tcp_{axis}_m": [0.0] * 300 for axis in "xyz"}
     assert examined(robot(**same)).warnings == (
-        "the TCP stays at exactly (0, 0) m in all 300 rows: is the right signal logged?",
+        "the TCP stays at exactly (0, 0) m in all 300 rows: check the logged signal",
     )
     assert examined(robot(50, **{name: values[:50] for name, values in same.items()})).warnings == ()
 
@@ -214,7 +218,7 @@ def test_metres_that_are_said_to_be_millimetres_are_named():
     person = walk().with_columns(pl.col("x_m", "y_m", "z_m") * 1e-3)
     (said,) = examined(Recording(people=person)).warnings
     assert "never farther than" in said
-    assert "metres that are said to be millimetres" in said
+    assert "metres with the unit given as millimetres" in said
     log = robot()
     small = Recording(robot=log.robot.with_columns(pl.col("^tcp_.*$") * 1e-3))
     assert any("the TCP is never farther" in text for text in examined(small).warnings)

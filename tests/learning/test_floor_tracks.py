@@ -98,6 +98,6 @@ def test_the_card_of_a_dataset_of_floor_tracks_is_json_and_says_that_heights_are
     report = ingest([tmp_path / "robot.csv", tmp_path / "people.csv"], tmp_path / "out", cell=Cell(sources=sources))
     card = json.loads((tmp_path / "out" / CARD).read_text(encoding="utf-8"), parse_constant=pytest.fail)
     assert {place["xyz_m"][2] for place in card["human_places"].values()} == {0.0}
-    assert any("heights are unknown: distances are those in the plane" in text for text in report.warnings)
+    assert any("heights are unknown: distances are horizontal" in text for text in report.warnings)
     samples = Dataset.open(tmp_path / "out").samples()
     assert (samples["human_x_m"].null_count(), samples["human_z_m"].count()) == (0, 0)

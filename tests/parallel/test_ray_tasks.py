@@ -107,7 +107,7 @@ def test_a_worker_with_another_version_says_so(stand_in: StandIn, monkeypatch: p
     versions = iter(["1.0", "2.0"])
     monkeypatch.setattr("cyclekit.parallel.ray_tasks.version", lambda _: next(versions))
     (done,) = Engine("ray").map(square, [1])
-    assert "the work comes from cyclekit 1.0" in str(done.error)
+    assert "the work was sent by cyclekit 1.0" in str(done.error)
 
 
 def test_a_cluster_that_nobody_runs_is_said_to_be_out_of_reach(

@@ -121,4 +121,4 @@ def test_a_motion_that_never_repeats_has_no_reference_and_that_is_said(tmp_path:
     assert found.tasks()["safety_loss_s"].to_list() == [None]
     assert found.samples()["scaling"].null_count() == found.samples().height
     assert found.card.scaling_origin is None
-    assert any("could not be inferred" in text for text in texts(found.card.warnings))
+    assert any("cannot be inferred" in text for text in texts(found.card.warnings))

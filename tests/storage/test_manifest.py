@@ -47,7 +47,7 @@ WRONG: dict[str, Any] = {
     "an escape": manifest("\x1b]0;title\x07"),
     "a device": manifest("recordings/nul/robot.parquet"),
     "a dot at the end": manifest("a/.. "),
-    "no name": manifest(""),
+    "not a name": manifest(""),
     "a hidden file": manifest(".complete"),
     "a long name": manifest("a" * 300),
     "a part outside": manifest(part="../../secret.txt"),
@@ -165,7 +165,7 @@ def test_a_part_larger_than_its_manifest_says_is_not_kept(place: str, tmp_path: 
     document = json.loads(storage.read_text(f"{place}/{MANIFEST}") or "")
     document["files"]["card"]["size"] = 5
     storage.write_text(f"{place}/{MANIFEST}", json.dumps(document))
-    with pytest.raises(StorageError, match="is not what its manifest says"):
+    with pytest.raises(StorageError, match="does not match its manifest"):
         storage.local(place)
 
 

@@ -79,11 +79,11 @@ class _AzureKinectJson:
         seen.require(path, options.body)
         said = [*cut]
         if not dump.names:
-            said.append("the file does not name its joints: the SDK's order is taken, PELVIS first")
+            said.append("the file does not name its joints: order of the SDK assumed, PELVIS first")
         if len(seen.rows) > 1 and options.body is None:
-            said.append(f"{len(seen.rows)} tracks; a body that was lost comes back under another id")
+            said.append(f"{len(seen.rows)} tracks; a person who is lost and found again gets a new id")
         if fallback:
-            said.append(f"{fallback} of {table.height} bodies have no PELVIS: the middle of the spine stands for it")
+            said.append(f"{fallback} of {table.height} bodies have no PELVIS: the middle of the spine is used instead")
         if unplaced := len(dump.bodies) - table.height:
             said.append(f"{unplaced} bodies have no usable joint and are left out")
         return Recording(
@@ -98,7 +98,7 @@ class _AzureKinectJson:
             facts={
                 **dump.about,
                 "point": "PELVIS",
-                "unit": "mm, as the format has it",
+                "unit": "mm, defined by the format",
                 "axes": "depth camera, turned: x right, y up, z towards the camera",
                 "frames_without_bodies": str(dump.empty),
             },
@@ -125,7 +125,7 @@ def _dump(path: Path) -> tuple[_Dump, list[str]]:
 def _take_frame(dump: _Dump, frame: object) -> None:
     row = dump.frames
     if not isinstance(frame, dict) or not isinstance(frame.get("bodies", []), list):
-        dump.aside.append((row, "no frame with a list of bodies"))
+        dump.aside.append((row, "no list of bodies in this frame"))
         return
     micros = number(frame.get("timestamp_usec"))
     if micros is None:
@@ -146,11 +146,11 @@ def _names(path: Path, dump: _Dump) -> Sequence[str]:
     if not dump.bodies:
         reason = f"; the first reason: {dump.aside[0][1]}" if dump.aside else ""
         cause = f"no body in any of its {dump.frames} frames{reason}"
-        raise DamagedLog(path, cause, cure="If nobody was there, leave the file out; else record again.")
+        raise DamagedLog(path, cause, cure="If no person was in view, leave the file out. Otherwise record again.")
     if not dump.names and all(len(joints) == len(_SDK) for _, _, joints, _ in dump.bodies):
         return _SDK
     if "PELVIS" not in dump.names and len(_spine(dump.names)) < 2:
-        cause = "its joint names hold no PELVIS" if dump.names else "no list 'joint_names' says which joint is which"
+        cause = "no PELVIS among its joint names" if dump.names else "no list 'joint_names' says which joint is which"
         raise DamagedLog(path, cause, cure="Process the recording again with the offline processor.")
     return dump.names
 

@@ -58,7 +58,7 @@ class _C3d:
         cut = log.frames_stated - len(places)
         if cut:
             said.append(f"the file is cut: {cut} of {log.frames_stated} frames are missing at its end")
-        shown, told = (up, "by the cell file") if up else _up(log, names, places, said)
+        shown, told = (up, "from the cell file") if up else _up(log, names, places, said)
         return Recording(
             people=table,
             skeletons=skeleton_table(people, names, places, t_s, rows) if options.skeletons else None,
@@ -79,7 +79,7 @@ class _C3d:
 
 
 def _markers(log: C3dFile) -> tuple[tuple[str, ...], NDArray[np.float64]]:
-    """Return the labels and places (T, M, 3) of points that are places: computed angles are points, too."""
+    """Return the labels and positions (T, M, 3) of points that are positions: computed angles are points too."""
     others = {name for kind in _NO_PLACES for name in log.texts.get(("POINT", kind), [])}
     kept = [index for index, label in enumerate(log.labels) if label not in others]
     if len(kept) == len(log.labels):
@@ -88,7 +88,7 @@ def _markers(log: C3dFile) -> tuple[tuple[str, ...], NDArray[np.float64]]:
 
 
 def _up(log: C3dFile, names: tuple[str, ...], places_m: NDArray[np.float64], said: list[str]) -> tuple[str, str]:
-    """Return the axis that points up, and how that is known; add to `said` what a person must know about it."""
+    """Return the axis that points up, and how that is known; add warnings about it to `said`."""
     screen = log.text("POINT", "Y_SCREEN").upper().replace(" ", "")
     if shown := {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen):
         return shown, "by POINT:Y_SCREEN"
@@ -96,12 +96,12 @@ def _up(log: C3dFile, names: tuple[str, ...], places_m: NDArray[np.float64], sai
     up, how = (
         (found, "since heads are above feet")
         if found in ("y", "z")
-        else ("z", "as most systems have it; not in the file")
+        else ("z", "the default of most systems; not in the file")
     )
     if screen:
-        said.append(f"POINT:Y_SCREEN is {screen[:9]}, neither +Y nor +Z: {up} is taken to be up; see `up`")
+        said.append(f"POINT:Y_SCREEN is {screen[:9]}, neither +Y nor +Z: {up} assumed to be up; check `up`")
     elif found == "neither":
-        said.append("heads are not above feet along y or z: z is taken to be up; see `up`")
+        said.append("heads are not above feet along y or z: z assumed to be up; check `up`")
     return up, how
 
 
@@ -112,7 +112,7 @@ def _metres(path: Path, log: C3dFile) -> tuple[float, str]:
         cause = f"unknown length unit {stated[:20]!r} in POINT:UNITS" if stated else "no length unit in POINT:UNITS"
         cure = f"Known: {', '.join(METRES)}. Write the file again with one of them."
         raise DamagedLog(path, cause, nearest=nearest(unit, METRES), cure=cure)
-    return METRES[unit], f"{unit}, by POINT:UNITS"
+    return METRES[unit], f"{unit}, from POINT:UNITS"
 
 
 ADAPTER: Adapter = _C3d()

@@ -96,7 +96,7 @@ def _said(options: ReadOptions) -> tuple[str | None, str | None]:
         other = "task-list" if options.role == "tasks" else "csv"
         raise ConfigError(f"an event log cannot be read as {options.role}", cure=f'Map it with adapter = "{other}".')
     if zone is not None and zone not in available_timezones():
-        cure = "As in the IANA list: Europe/Rome."
+        cure = "Use a name of the IANA list, for example Europe/Rome."
         raise UnknownName(_WHERE, "time_zone", str(zone), available_timezones(), cure=cure)
     return unit, None if zone is None else str(zone)
 
@@ -105,25 +105,25 @@ def _table(path: Path, unit: str | None) -> EventTable:
     """Return the table, its times decided.
 
     Raises:
-        DamagedLog: It is no event log.
+        DamagedLog: It is not an event log.
         LogError: The unit of its times cannot be decided.
     """
     table = event_table(head_of(path))
     if table is None:
-        cause = "no columns of a time, a signal and a value, and none of a time and states of 0 and 1"
+        cause = "no columns for time, signal and value, and none for time and states of 0 and 1"
         raise DamagedLog(path, cause, cure='Map its columns with adapter = "csv".')
     times = table.times
     if unit is not None and not times.pattern:
-        times = counted_in(times.columns, unit, "by the cell file", [], times.shown)
+        times = counted_in(times.columns, unit, "from the cell file", [], times.shown)
     if times.seconds is None:
-        cause = f"the times of column {times.columns[0]!r} ({times.shown[:40]!r}) cannot be decided: {times.why}"
-        cure = 'Say time_unit in [sources.map], or map the columns with adapter = "csv" and its time_format.'
+        cause = f"the times of column {times.columns[0]!r} ({times.shown[:40]!r}) are ambiguous: {times.why}"
+        cure = 'Give time_unit in [sources.map], or map the columns with adapter = "csv" and its time_format.'
         raise LogError(path, cause, cure=cure)
     return replace(table, times=times)
 
 
 def timed(rows: TextRows, times: TimeColumn, zone: str | None) -> TextRows:
-    """Add the time in seconds (column `T_S`); a row whose time is written otherwise is set aside."""
+    """Add the time in seconds (column `T_S`); a row whose time has another format is set aside."""
     frame = rows.frame
     if not times.pattern:
         return replace(rows, frame=frame.with_columns((pl.col(times.columns[0]) * times.seconds).alias(T_S)))
@@ -132,9 +132,7 @@ def timed(rows: TextRows, times: TimeColumn, zone: str | None) -> TextRows:
     frame = frame.with_columns(text.alias(_WHEN), written_seconds(plain, times.pattern, zone).alias(T_S))
     bad = frame[T_S].is_null()
     first = frame.filter(bad)[_WHEN][:1].to_list()
-    rows = replace(rows, frame=frame).without(
-        bad, f"its time is written in another way ({first[0][:40]!r})" if first else ""
-    )
+    rows = replace(rows, frame=frame).without(bad, f"its time has another format ({first[0][:40]!r})" if first else "")
     return replace(rows, frame=rows.frame.drop(_WHEN))
 
 
@@ -180,9 +178,11 @@ def _has_date(times: TimeColumn) -> bool:
 def _warnings(times: TimeColumn, zone: str | None, seen: _Seen) -> list[str]:
     said = []
     if "fractions" in times.why:
-        said.append("the unit of time is not named: taken as seconds, since the numbers have fractions; see time_unit")
+        said.append(
+            "the unit of time is not stated: seconds assumed, because the numbers have fractions; check time_unit"
+        )
     if times.pattern and times.clock != "epoch" and zone is None:
-        said.append("its times have no zone, so they cannot be placed among other logs; give time_zone")
+        said.append("its times have no time zone, so they cannot be aligned with other logs; give time_zone")
     if seen.back:
         said.append(f"time steps back {seen.back} time(s)")
     return said

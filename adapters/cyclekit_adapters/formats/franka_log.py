@@ -84,14 +84,14 @@ def _milliseconds(path: Path, rows: TextRows) -> TextRows:
     """Return the rows of whole milliseconds; a few others are garbled, many are another logger's seconds.
 
     Raises:
-        DamagedLog: Most times are no whole numbers: a thousand times too slow they would be taken for.
+        DamagedLog: Most times are not whole numbers: read as milliseconds the log would be a thousand times too slow.
     """
     odd = rows.frame[_TIME] % 1 != 0
     if 2 * odd.sum() > len(odd):
-        cause = f"time {rows.frame.filter(odd)[_TIME][-1]:g} is no whole number of milliseconds, as most are not"
-        cure = 'libfranka writes whole ones; map the table of another logger with adapter = "csv" and its time_unit.'
+        cause = f"time {rows.frame.filter(odd)[_TIME][-1]:g} is not a whole number of milliseconds, like most others"
+        cure = 'libfranka writes whole ms; map the table of another logger with adapter = "csv" and its time_unit.'
         raise DamagedLog(path, cause, cure=cure)
-    return rows.without(odd, "its time is no whole number of milliseconds") if odd.any() else rows
+    return rows.without(odd, "its time is not a whole number of milliseconds") if odd.any() else rows
 
 
 def _robot(frame: pl.DataFrame, speeds: list[str]) -> pl.DataFrame:

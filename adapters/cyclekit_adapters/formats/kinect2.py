@@ -80,7 +80,7 @@ class _Kinect2Csv:
             seen.require(path, options.body)
             facts = {
                 "point": "joint 0, base of the spine",
-                "unit": "m, as the SDK has it",
+                "unit": "m, defined by the SDK",
                 "axes": "camera: x to the sensor's left, y up, z away from the sensor; right-handed",
             }
             together = {name: pl.concat([table, rest[name]]) for name, table in part.tables().items()}
@@ -94,7 +94,7 @@ def _layout(path: Path) -> TextLayout:
     head = head_of(path)
     first = next((line for line in head.splitlines() if line.strip()), "")
     if not any(_is_row(line) for line in head.splitlines()[:20]):
-        cause = "none of its first rows is ticks and 25 joints of x, y, z and state"
+        cause = "none of its first rows holds ticks and 25 joints with x, y, z and state"
         raise DamagedLog(path, cause, cure="Check how the file was written or copied.")
     delimiter = delimiter_of(first, ";\t,")
     comma = has_decimal_comma([first], delimiter)
@@ -124,7 +124,7 @@ def _state(cell: str) -> float | None:
 
 
 def _placed(frame: pl.DataFrame, joints: int) -> pl.DataFrame:
-    """Return the rows with `t_s`, the base of the spine, and unknown the places that were not tracked."""
+    """Return the rows with `t_s`, the base of the spine, and unknown where it was not tracked."""
     known = []
     for joint in range(joints):
         cells = [f"{axis}{joint}" for axis in "xyz"]
@@ -144,7 +144,7 @@ class _Bodies:
     """Which row is whose, block after block.
 
     Attributes:
-        several: Two rows have shared a time.
+        several: Two rows have the same time.
         rows: Rows so far.
         inferred: Rows whose base of the spine the sensor inferred.
         unseen: Rows whose base of the spine was not tracked.
@@ -158,7 +158,7 @@ class _Bodies:
     _held: pl.DataFrame | None = None
 
     def named(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the rows of whole frames with `person`; the last frame waits, for the next block may go on with it."""
+        """Return the rows of whole frames with `person`; the last frame waits: the next block may continue it."""
         frame = frame if self._held is None else pl.concat([self._held, frame])
         again = (frame["t_s"] == frame["t_s"][-1]).reverse() if frame.height else pl.Series([], dtype=pl.Boolean())
         waiting = frame.height if again.all() else int(again.arg_min() or 0)
@@ -195,7 +195,7 @@ class _Bodies:
 def _warnings(bodies: _Bodies, seen: Sightings) -> list[str]:
     said = []
     if bodies.several:
-        said.append("several bodies share a time and carry no id: they are linked by motion")
+        said.append("several bodies have the same time and no id: they are linked by motion")
     if bodies.inferred:
         said.append(f"the base of the spine is inferred, not seen, in {bodies.inferred} of {bodies.rows} rows")
     if bodies.unseen:

@@ -130,7 +130,7 @@ def _zone(options: ReadOptions) -> str | None:
             raise UnknownName(where, "key", key, ["time_zone"], cure=cure)
     zone = options.map.get("time_zone")
     if zone is not None and zone not in available_timezones():
-        cure = "As in the IANA list: Europe/Rome."
+        cure = "Use a name of the IANA list, for example Europe/Rome."
         raise UnknownName(where, "time_zone", str(zone), available_timezones(), cure=cure)
     return None if zone is None else str(zone)
 
@@ -139,8 +139,8 @@ def _no_zone(host: HostClock | None) -> list[str]:
     if host is None or host.read or not host.unread or host.zone is not None:
         return []
     return [
-        f"column {host.column!r} is the PC's time in a zone that the log does not name: give time_zone, as "
-        '"Europe/Rome", in [sources.map], and the log can be placed among logs in epoch time'
+        f"column {host.column!r} is the PC's local time, and the log names no time zone: give time_zone, for example "
+        '"Europe/Rome", in [sources.map] to align the log with logs in epoch time'
     ]
 
 
@@ -158,9 +158,9 @@ def _robot(frame: pl.DataFrame, time: str, columns: _Columns) -> pl.DataFrame:
 
 
 def _warnings(names: tuple[str, ...], late: float) -> list[str]:
-    said = ["the speed scaling is not part of RSI and unknown"]
+    said = ["the speed scaling is unknown: RSI does not log it"]
     said += [
-        f'column {name!r} is not read here: map it with adapter = "csv" (scaling, scaling_max = 100)'
+        f'column {name!r} is not read: map it with adapter = "csv" (scaling, scaling_max = 100)'
         for name in names
         if any(override in name.upper() for override in _OVERRIDES)
     ]

@@ -3,7 +3,7 @@
 This is how exports of FANUC, ABB, Yaskawa, Doosan, Techman and xArm, PLC logs and laser scanner tracks come in. The
 cell file says which column is what and in which unit, and nothing is guessed: no column is found by its name, no unit
 by the size of its values. Because such a table looks like any other, this adapter recognises nothing by itself and must
-be named; what `draft` proposes for the cell file is a person's to look at.
+be named; a person must check what `draft` proposes for the cell file.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class _MappedCsv:
         mapping = csv_map(options)
         role = options.role or mapping.role()
         if role == "tasks":
-            cure = 'Give adapter = "task-list" in its place, with the columns in [sources.map].'
+            cure = 'Give adapter = "task-list" instead, with the columns in [sources.map].'
             raise ConfigError(f"{path}: a mapped table cannot be read as tasks", cure=cure)
         table, columns = _found(path, mapping, role)
         mapping, names = columns.mapping, columns.names
@@ -120,7 +120,7 @@ def _wanted(columns: Columns, role: Role) -> tuple[Wanted, ListCells]:
         seen = f"{WHERE}: column {min(missing)!r} holds no list in the first rows"
         raise ConfigError(seen, cure="Name its numbers one by one: [0], [1], ...")
     if wrong := made.intersection(texts):
-        raise ConfigError(f"{WHERE}: {min(wrong)!r} is a number of a list, and mapped to a text")
+        raise ConfigError(f"{WHERE}: {min(wrong)!r} is an element of a list of numbers, but is mapped to a text")
     texts = list(dict.fromkeys([*texts, *(column for column, lists in columns.lists.items() if made & set(numbers))]))
     if both := set(numbers).intersection(texts):
         raise ConfigError(f"{WHERE}: column {min(both)!r} is mapped to a number and to a text")
@@ -145,7 +145,7 @@ def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[st
         texts = list(dict.fromkeys([*text_time, mapping.signal, mapping.value]))
         return number_time, texts, [*time, mapping.signal]
     if places and not {"x", "y"}.issubset(places):
-        raise ConfigError(f"{WHERE}: a place needs at least x and y", cure="Name the columns of both.")
+        raise ConfigError(f"{WHERE}: a position needs at least x and y", cure="Name the columns of both.")
     if role == "people":
         if not places:
             raise ConfigError(f"{WHERE}: people need the keys x and y", cure="Name the columns of both.")
@@ -156,7 +156,9 @@ def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[st
     others = [column for column in (*mapping.scaling, mapping.slider, mapping.speed, *whole_numbers) if column]
     numbers = [*places.values(), *others, *mapping.joints]
     if not numbers:
-        raise ConfigError(f"{WHERE}: nothing of the robot is mapped", cure="Map x, y, z or joints, scaling or speed.")
+        raise ConfigError(
+            f"{WHERE}: no quantity of the robot is mapped", cure="Map x, y, z or joints, scaling or speed."
+        )
     state = [mapping.state] if mapping.state else []
     return list(dict.fromkeys([*number_time, *numbers])), [*text_time, *state], time
 
@@ -203,7 +205,7 @@ def _events(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
 
 @dataclass
 class _Seen:
-    """What was seen so far that a person must know."""
+    """What was seen so far and must be reported."""
 
     mapping: CsvMap
     role: Role
@@ -217,9 +219,9 @@ class _Seen:
         self.spread = Spread((*self.mapping.scaling, *([self.mapping.slider] if self.mapping.slider else [])))
 
     def without_missing(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return rows with null for what was not seen: a place all of whose numbers, any other number that is missing.
+        """Return rows with null for what was not seen: a position with all numbers missing, any other missing number.
 
-        What is not sure at all is a place that was seen before.
+        Where the confidence is 0 a position is left over from an earlier row.
         """
         mapping, places = self.mapping, list(self.mapping.places().values())
         self.rows += frame.height
@@ -249,24 +251,24 @@ class _Seen:
     def warnings(self, back: int, clock: ClockKind) -> list[str]:
         mapping, said = self.mapping, []
         if back:
-            said.append(f"time steps back {back} time(s): each part is a run of its own")
+            said.append(f"time steps back {back} time(s): each part is a separate run")
         if self.missing:
             numbers = ", ".join(f"{number:g}" for number in mapping.missing)
-            said.append(f"the place is missing ({numbers}) in {self.missing} of {self.rows} rows: unknown there")
+            said.append(f"the position is missing ({numbers}) in {self.missing} of {self.rows} rows: unknown there")
         if self.unsure:
-            said.append(f"{mapping.confidence} is 0 in {self.unsure} of {self.rows} rows: nobody is seen there")
+            said.append(f"{mapping.confidence} is 0 in {self.unsure} of {self.rows} rows: no person is detected there")
         if self.beyond:
             top = f"0..{mapping.scaling_max:g}"
-            said.append(f"scaling is outside {top} in {self.beyond} rows and unknown there; see scaling_max")
+            said.append(f"scaling is outside {top} in {self.beyond} rows: unknown there; check scaling_max")
         said += [
-            f"{column} never exceeds 1 percent: is it a fraction? see scaling_max"
+            f"{column} never exceeds 1 %: if it is a fraction, set scaling_max = 1"
             for column in mapping.scaling
             if mapping.scaling_max == 100 and 0 < self.spread.most.get(column, 0) <= 1.0
         ]
         if other := sorted(self.states - set(STATES) - set(mapping.states)):
-            said.append(f"states {', '.join(map(repr, other[:5]))} have no meaning here; map them in `states`")
+            said.append(f"states {', '.join(map(repr, other[:5]))} are unknown; map them in `states`")
         if mapping.time_format and clock != "epoch":
-            said.append("its times of day have no zone, so they cannot be placed among other logs; give time_zone")
+            said.append("its times of day have no time zone, so they cannot be aligned with other logs; give time_zone")
         return said
 
 

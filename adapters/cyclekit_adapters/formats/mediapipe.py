@@ -1,4 +1,4 @@
-"""MediaPipe Pose landmarks: recognised and refused, for they do not say where the person is.
+"""MediaPipe Pose landmarks: recognised and refused, because they do not give the person's position.
 
 World landmarks are metres from the middle of the person's own hips, so the pelvis is always at zero; the other kind are
 fractions of the picture. Neither can give a distance to a robot. JSON is known by MediaPipe's own names
@@ -30,11 +30,11 @@ class _MediaPipe:
     def read(self, path: Path, options: ReadOptions) -> Recording:
         shown = _shown(head_of(path))
         cause = (
-            f"{shown or 'it is read as landmarks'}: landmarks in a picture, as MediaPipe gives them, do not say where "
-            "the person is. Its world landmarks are metres from the middle of the person's own hips, the others are "
-            "fractions or pixels of the picture"
+            f"{shown or 'it is read as landmarks'}: MediaPipe's landmarks do not give the person's position. World "
+            "landmarks are metres from the middle of the person's own hips, the others are fractions "
+            "or pixels of the picture"
         )
-        cure = 'Use a depth camera\'s skeleton; or compute places yourself and map them with adapter = "csv".'
+        cure = 'Use a depth camera\'s skeleton; or compute positions yourself and map them with adapter = "csv".'
         raise LogError(path, cause, cure=cure)
 
 

@@ -120,7 +120,7 @@ def _header(path: Path) -> _Header:
     if at is None or "Length Units" not in about:
         cause = "no header" if at is None and "Length Units" not in about else "the header is incomplete"
         cure = f"{_EXPORT}, with header information switched on."
-        raise DamagedLog(path, f"{cause}: bodies and length units cannot be known", cure=cure)
+        raise DamagedLog(path, f"{cause}: bodies and length units are unknown", cure=cure)
     axes = [cell.strip() for cell in fields_of(lines[at], mark)]
     above = [[cell.strip() for cell in fields_of(line, mark)] for line in lines[1:at] if line.strip(f" {mark}\r")]
     width = max(i for i, cell in enumerate(axes) if cell) + 1
@@ -171,7 +171,7 @@ def _width(above: list[list[str]], width: int) -> int:
 def _points(
     path: Path, above: list[list[str]], axes: list[str], names: tuple[str, ...]
 ) -> dict[tuple[str, str], tuple[str, str, str]]:
-    """Find every column triple of positions; walk up from the axis row, for rows come and go between versions."""
+    """Find every column triple of positions; walk up from the axis row, because rows differ between versions."""
     labels = {row[1]: row for row in above if len(row) > 1 and row[1] in ("Type", "Name")}
     plain = [row for row in above[:-1] if len(row) > 1 and not row[1]]
     types = labels.get("Type") or (plain[0] if plain else [])
@@ -272,14 +272,14 @@ def _warnings(header: _Header, people: dict[str, _Points], seen: Sightings, body
         said.append("only unlabelled markers: one marker may be split over several tracks")
     things = [name for kind, name in header.points if kind == _BODY]
     if body is None and things and _BONE in kinds:
-        said.append(f"a skeleton is the person: rigid bodies ({', '.join(things)}) are left out; `body` chooses one")
+        said.append(
+            f"the skeleton is the person: rigid bodies ({', '.join(things)}) are left out; name one with `body`"
+        )
     solved = {name for kind, name in header.points if kind in _SOLVED} - {n for k, n in header.points if k == _MARKER}
     if solved.intersection(people):
-        said.append(
-            "some places are where a marker should be, filled in where no camera saw it: export measured markers"
-        )
+        said.append("some positions are computed, because no camera saw the marker there: export measured markers")
     if any(len(points) > 1 for points in people.values()):
-        said.append("the person is the middle of the markers seen, which jumps when one is hidden")
+        said.append("the person's position is the middle of the visible markers; it jumps when one is hidden")
     said += seen.hidden()
     if seen.back:
         said.append("time does not increase throughout: the rows were edited or joined")

@@ -105,7 +105,7 @@ class _NistUr:
         except DamagedLog as error:
             if error.cause != "a header and no rows":
                 raise
-            cure = "NIST keeps the names in a file of their own: read the file with the rows, it needs no header."
+            cure = "NIST writes the names to a separate file: read the file with the rows; it needs no header."
             raise DamagedLog(path, error.cause, cure=cure) from None
 
 
@@ -184,13 +184,13 @@ def _robot(frame: pl.DataFrame, groups: Sequence[Sequence[str]], units: Mapping[
 def _warnings(options: ReadOptions) -> list[str]:
     said = ["the speed scaling is not logged in this format"]
     if unsaid := [key for key in _UNITS if key not in options.map]:
-        said.append(f"the file states no units: read as s, m, rad and rad/s; {', '.join(unsaid)} can say otherwise")
+        said.append(f"the file states no units: s, m, rad and rad/s assumed; check {', '.join(unsaid)}")
     return said
 
 
 @dataclass
 class _Turning:
-    """How far the joints turned, and how far their speeds say that they did, so far."""
+    """How far the joints turned, and how far their speeds imply, so far."""
 
     known: bool
     units: Mapping[str, float]
@@ -212,8 +212,8 @@ class _Turning:
         if 1 / _FACTOR_APART < ratio < _FACTOR_APART:
             return []
         return [
-            f"the joints turn {ratio:.3g} times as far as their speeds say: the units are not these, "
-            "see joint_unit and joint_speed_unit"
+            f"the joints turn {ratio:.3g} times as far as their speeds imply: the units are wrong; "
+            "set joint_unit and joint_speed_unit"
         ]
 
 

@@ -74,8 +74,8 @@ class _NuitrackCsv:
             seen.require(path, options.body)
             facts = {
                 "point": ", else ".join(points),
-                "unit": "m, as the recorder has it",
-                "axes": "camera: y up, z away from it; the side x points to is not documented",
+                "unit": "m, defined by the recorder",
+                "axes": "camera: y up, z away from it; the direction of x is not documented",
                 "time": "microseconds since 1970" if tracks.epoch else "microseconds since the device started",
             }
             return replace(last, warnings=tuple(_warnings(tracks, seen, options.body)), facts=facts)
@@ -87,7 +87,7 @@ class _NuitrackCsv:
 
 
 def _points(path: Path, layout: TextLayout) -> list[str]:
-    """Return the joints that can stand for the person, best first."""
+    """Return the joints that can be used as the person's position, best first."""
     names = layout.names
     if missing := {"timestamp", "id"}.difference(names):
         raise MissingColumns(path, missing, names, "Record again with Nuitrack's CSV recorder.")
@@ -118,7 +118,7 @@ def _first_rows(path: Path, layout: TextLayout) -> tuple[bool, frozenset[str]]:
 
 @dataclass
 class _Tracks:
-    """Who is who, and which rows the recorder wrote again, block after block.
+    """Identity of each row, and which rows the recorder repeated, block after block.
 
     Attributes:
         epoch: Times count from 1970.
@@ -132,7 +132,7 @@ class _Tracks:
     _last: dict[str, float] = field(default_factory=dict)
 
     def once(self, rows: TextRows) -> TextRows:
-        """Return the rows with `person`, and those that the recorder wrote again set aside."""
+        """Return the rows with `person`; those that the recorder repeated are set aside."""
         frame = rows.frame
         serial = frame["serial"].fill_null("") if "serial" in frame.columns else pl.Series([""] * frame.height)
         self.cameras |= set(serial.unique().to_list())
@@ -179,10 +179,10 @@ def _warnings(tracks: _Tracks, seen: Sightings, body: str | None) -> list[str]:
         count = len(tracks.cameras)
         said.append(f"{count} cameras, each in its own frame: name one body with `body`, or split the file")
     if body is None and len(seen.rows) > 1:
-        said.append(f"{len(seen.rows)} tracks; a person who was lost comes back under another id")
+        said.append(f"{len(seen.rows)} tracks; a person who is lost and found again gets a new id")
     people = seen.rows if body is None else {body: seen.rows.get(body, 0)}
     if hidden := sum(seen.unseen.get(person, 0) for person in people):
-        said.append(f"no place in {hidden} of {sum(people.values())} rows")
+        said.append(f"no position in {hidden} of {sum(people.values())} rows")
     if seen.back:
         said.append(f"time steps back {seen.back} time(s)")
     return said

@@ -58,7 +58,7 @@ class _Pedestrians:
         header = read_header(path, chosen.get("columns"))
         rate_hz = header.rate_hz or options.rate_hz
         if not rate_hz or rate_hz <= 0.0:
-            cause = "frames are counted and no rate is stated: their times are unknown"
+            cause = "it counts frames and states no rate: times are unknown"
             raise LogError(path, cause, cure="Give rate_hz (frames per second) in the source of the cell file.")
         unit = chosen.get("unit") or header.unit or metres_if_they_can_be(path, header, rate_hz)
         seen, reach = Sightings(), _Reach()
@@ -66,8 +66,8 @@ class _Pedestrians:
         def make(rows: TextRows) -> Recording:
             people = _table(rows.frame, rate_hz, METRES[unit])
             if not header.titled and people.select("t_s", "person").is_duplicated().any():
-                cause = "one id twice in a frame: the nameless columns are in another order, or a row was doubled"
-                raise LogError(path, cause, cure='Say the order in [sources.map]: columns = "id frame x y".')
+                cause = "an id occurs twice in a frame: the unnamed columns have another order, or a row was duplicated"
+                raise LogError(path, cause, cure='Give the order in [sources.map]: columns = "id frame x y".')
             seen.add(people)
             reach.add(people)
             return Recording(
@@ -81,12 +81,14 @@ class _Pedestrians:
 
         def finish(last: Recording) -> Recording:
             seen.require(path, options.body)
-            stated = "by the cell file" if "unit" in chosen else "by the header" if header.unit else "not in the file"
+            stated = (
+                "from the cell file" if "unit" in chosen else "from the header" if header.unit else "not in the file"
+            )
             facts = {
-                "point": "as the tracker has it: usually the head or the feet",
+                "point": "defined by the tracker: usually the head or the feet",
                 "columns": " ".join(header.names),
                 "unit": f"{unit}, {stated}",
-                "rate_hz": f"{rate_hz:g}, {'by the header' if header.rate_hz else 'by the cell file'}",
+                "rate_hz": f"{rate_hz:g}, {'from the header' if header.rate_hz else 'from the cell file'}",
             }
             return replace(last, warnings=tuple(_warnings(header, reach.most_m, rate_hz, options)), facts=facts)
 
@@ -102,7 +104,7 @@ class _Pedestrians:
 
 @dataclass
 class _Reach:
-    """How far the places lie from zero, so far."""
+    """Largest distance of the positions from zero, so far."""
 
     most_m: float = 0.0
 
@@ -131,11 +133,11 @@ def _warnings(header: PedestrianHeader, reach_m: float, rate_hz: float, options:
     if header.rate_hz and options.rate_hz and abs(header.rate_hz - options.rate_hz) > 1e-9 * rate_hz:
         said.append(f"the header's rate ({header.rate_hz:g} Hz) is used, not the cell file's ({options.rate_hz:g} Hz)")
     if not header.titled and "columns" not in options.map:
-        said.append("the columns have no names: they are taken as frame, id, x, y")
+        said.append("the columns have no names: frame, id, x, y assumed")
     if header.unit is None and "unit" not in options.map:
-        said.append("no unit is stated: x and y are taken as metres; see `unit`")
+        said.append("no unit is stated: metres assumed for x and y; check `unit`")
     if reach_m > _SPREAD_M:
-        said.append(f"places reach {reach_m:.0f} m: they may be centimetres, millimetres or pixels; see `unit`")
+        said.append(f"positions reach {reach_m:.0f} m: they may be in centimetres, millimetres or pixels; check `unit`")
     return said
 
 

@@ -46,11 +46,11 @@ class _PoseCsv:
         layout = layout_below(path)
         columns = _columns(layout.names)
         if not columns:
-            cure = 'It holds x, y, z or O_T_EE and nothing but poses; any other table is mapped with adapter = "csv".'
-            raise DamagedLog(path, "no table of poses without a time", cure=cure)
+            cure = 'The format holds only poses, as x, y, z or O_T_EE; map any other table with adapter = "csv".'
+            raise DamagedLog(path, "not a table of poses without times", cure=cure)
         rate_hz = options.rate_hz
         if rate_hz is None:
-            cure = "The rows carry no time: give the rate they were written at in cell.toml, rate_hz = ..."
+            cure = "The rows have no times: give the rate at which they were logged in cell.toml: rate_hz = ..."
             raise MissingColumns(path, ["time"], layout.names, cure)
         below = _below(layout.names)
         places = [columns[f"tcp_{axis}_m"] for axis in "xyz"]
@@ -91,10 +91,12 @@ def _metres(options: ReadOptions) -> float:
     if unit not in _METRES:
         raise UnknownName(_WHERE, "length_unit", unit, _METRES)
     if options.role not in (None, "robot"):
-        cure = 'People and events without a time are mapped with adapter = "csv".'
+        cure = 'Map people and events without times with adapter = "csv".'
         raise ConfigError(f"a table of poses cannot be read as {options.role}", cure=cure)
     if options.rate_hz is not None and not options.rate_hz > 0:
-        raise ConfigError(f"rate_hz = {options.rate_hz!r} is no rate", cure="Rows per second, for example 1000.")
+        raise ConfigError(
+            f"rate_hz = {options.rate_hz!r} is not a rate", cure="Give rows per second, for example 1000."
+        )
     return _METRES[unit]
 
 
@@ -105,11 +107,11 @@ def _below(names: tuple[str, ...]) -> list[str]:
 
 
 def _require_columns_first(path: Path, frame: pl.DataFrame, places: list[str], below: list[str]) -> None:
-    """Refuse a matrix written row by row: where the place is looked for, it is 0, 0, 0."""
+    """Refuse a matrix written row by row: the position would be read as 0, 0, 0."""
     if not below or frame.is_empty():
         return
     if (frame.select(places) == 0.0).to_numpy().all() and (frame.select(below) != 0.0).to_numpy().any():
-        cause = f"O_T_EE is written row by row: the place is in {', '.join(below)}, not where libfranka has it"
+        cause = f"O_T_EE is written row by row: the position is in {', '.join(below)}, not where libfranka writes it"
         cure = f'Map it with adapter = "csv": x = "{below[0]}", y = "{below[1]}", z = "{below[2]}".'
         raise DamagedLog(path, cause, cure=cure)
 
@@ -135,11 +137,9 @@ def _columns(names: tuple[str, ...]) -> dict[str, str]:
 
 
 def _warnings(options: ReadOptions) -> list[str]:
-    said = [
-        f"the log has no clock: times are row / {options.rate_hz:g} Hz, and a row that was never written shifts them"
-    ]
+    said = [f"the log has no clock: times are row / {options.rate_hz:g} Hz, and a missing row shifts all later ones"]
     if "length_unit" not in options.map:
-        said.append("the file states no unit: read as metres; length_unit in [sources.map] says otherwise")
+        said.append("the file states no unit: metres assumed; check length_unit in [sources.map]")
     said.append("the speed scaling is not logged in this format")
     return said
 

@@ -75,8 +75,8 @@ class _QualisysTsv:
                 said.append("time does not increase throughout: the rows were edited or joined")
             facts = {
                 **header.facts(),
-                "unit": "mm, as the format has it",
-                "up": f"{up}, by the cell file" if up else "z, as QTM has it; not in the file",
+                "unit": "mm, defined by the format",
+                "up": f"{up}, from the cell file" if up else "z, the default of QTM; not in the file",
                 **marker_facts(people, header.names),
             }
             return replace(last, warnings=tuple(said), facts=facts)

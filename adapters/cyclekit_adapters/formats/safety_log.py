@@ -61,7 +61,7 @@ class _Seen:
 
 @dataclass(frozen=True)
 class _Said:
-    """What the cell file says: full speed as written (`sure`: it does say so), unit and zone of times, and columns."""
+    """What the cell file says: full speed as written (`sure`: it is given), unit and zone of times, and columns."""
 
     full: float
     sure: bool
@@ -138,12 +138,18 @@ def _said(options: ReadOptions) -> _Said:
     rest = dict(options.map)
     full, unit, zone = rest.pop("override_max", 100), rest.pop("time_unit", None), rest.pop("time_zone", None)
     if full not in (1, 100):
-        raise ConfigError(f"{WHERE}: override_max = {full!r} is neither 1 nor 100", cure="override_max = 100")
+        raise ConfigError(
+            f"{WHERE}: override_max = {full!r} is neither 1 nor 100", cure="Give override_max = 1 or 100."
+        )
     if unit is not None and unit not in UNITS:
         raise UnknownName(WHERE, "time_unit", str(unit), UNITS)
     if zone is not None and zone not in available_timezones():
         raise UnknownName(
-            WHERE, "time_zone", str(zone), available_timezones(), cure="As in the IANA list: Europe/Rome."
+            WHERE,
+            "time_zone",
+            str(zone),
+            available_timezones(),
+            cure="Use a name of the IANA list, for example Europe/Rome.",
         )
     sure = "override_max" in options.map
     return _Said(float(str(full)), sure, None if unit is None else str(unit), None if zone is None else str(zone), rest)
@@ -159,11 +165,11 @@ def _times(path: Path, names: tuple[str, ...], column: str, delimiter: str, said
     times = times_of((column,), shown, stem_of(column, TIME_NAMES)[1], decimal_comma=comma)
     if times is not None and said.unit is not None and not times.pattern:
         numbers = [float(text.replace(",", ".") if comma else text) for text in shown]
-        times = counted_in((column,), said.unit, "by the cell file", numbers, shown[0])
+        times = counted_in((column,), said.unit, "from the cell file", numbers, shown[0])
     if times is None or times.seconds is None:
         why = f": {times.why}" if times else ""
-        cause = f"the times of column {column!r} ({shown[0][:40]!r}) cannot be decided{why}"
-        raise LogError(path, cause, cure='Say time_unit = "s" (ms, us, ns) in [sources.map].')
+        cause = f"the times of column {column!r} ({shown[0][:40]!r}) are ambiguous{why}"
+        raise LogError(path, cause, cure='Give time_unit = "s" (ms, us, ns) in [sources.map].')
     return times
 
 
@@ -194,22 +200,22 @@ def _check(path: Path, columns: SafetyColumns, said: _Said, seen: _Seen) -> None
     """Refuse an override that could be percent as well as a fraction.
 
     Raises:
-        LogError: It never exceeds 1, and nobody said of what.
+        LogError: It never exceeds 1, and override_max is not given.
     """
     if columns.overrides and not said.sure and 0.0 < seen.most <= 1.0:
-        cause = f"the override never exceeds {seen.most:g}: percent or a fraction cannot be told"
-        raise LogError(path, cause, cure="Say override_max = 1 (or 100) in [sources.map].")
+        cause = f"the override never exceeds {seen.most:g}: it may be percent or a fraction"
+        raise LogError(path, cause, cure="Give override_max = 1 (or 100) in [sources.map].")
 
 
 def _warnings(times: TimeColumn, seen: _Seen, *, zoned: bool) -> Iterator[str]:
     if "fractions" in times.why:
-        yield "the unit of time is not named: taken as seconds, since the numbers have fractions; see time_unit"
+        yield "the unit of time is not stated: seconds assumed, because the numbers have fractions; check time_unit"
     if times.pattern and not zoned:
-        yield "its times have no zone, so they cannot be placed among other logs; give time_zone"
+        yield "its times have no time zone, so they cannot be aligned with other logs; give time_zone"
     if seen.outside:
         yield f"the override is below 0 or above full speed in {seen.outside} rows: unknown there"
     if seen.far_m > FAR_M:
-        yield f"distances up to {seen.far_m:.0f} m: is the unit right? give length_unit"
+        yield f"distances reach {seen.far_m:.0f} m: check the unit and give length_unit"
     if seen.back:
         yield f"time steps back {seen.back} time(s)"
 

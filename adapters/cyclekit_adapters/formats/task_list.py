@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cyclekit_adapters.tasks.task_json import Record
 
 MOST = 5_000_000
-"""Tasks of one list, which is held as a whole."""
+"""Most tasks in one list, which is held in memory as a whole."""
 _ASIDE = pl.Schema({"source_row": pl.Int64(), "reason": pl.String()})
 
 
@@ -45,7 +45,7 @@ class _Cells:
         rows_read: Rows, records or events looked at.
         rows_are: What `source_row` counts.
         written: How it is written.
-        aside: Rows that are none.
+        aside: Rows that are not tasks.
         warnings: One sentence each.
         decimal_comma: Numbers may be written `0,5`.
     """
@@ -72,7 +72,7 @@ class _TaskList:
         said = said_of(options)
         cells = _cells(path, said)
         if cells.frame.height >= MOST:
-            raise DamagedLog(path, f"more than {MOST:,} tasks: no task list", cure="Split it.")
+            raise DamagedLog(path, f"more than {MOST:,} tasks: too many for one list", cure="Split it.")
         found = task_table(path, cells.frame, cells.columns, said, decimal_comma=cells.decimal_comma)
         aside = pl.DataFrame(cells.aside, schema=_ASIDE, orient="row")
         return Recording(
@@ -115,7 +115,7 @@ def _of_json(path: Path, said: Said) -> _Cells:
     first = list(islice(iter(records), 200))
     names = tuple(dict.fromkeys(key for record in first for key in record))
     if not names and records.broken is not None:
-        raise DamagedLog(path, f"no JSON ({records.broken})", cure="Copy it again.")
+        raise DamagedLog(path, f"not valid JSON ({records.broken})", cure="Copy it again.")
     columns = require(path, names, said.columns)
     records = JsonRecords(path)
     table = table_of(iter(records), tuple(dict.fromkeys(columns.values())), MOST)
@@ -123,7 +123,7 @@ def _of_json(path: Path, said: Said) -> _Cells:
     aside: list[tuple[int | None, str]] = []
     if records.broken is not None:
         aside = [(frame.height, f"the document is cut or garbled here ({records.broken})")]
-    passed = (f"{records.others} elements are no objects and passed over",) if records.others else ()
+    passed = (f"{records.others} elements are not objects and are skipped",) if records.others else ()
     return _Cells(frame, columns, frame.height, "row", "JSON", aside, passed)
 
 
@@ -140,7 +140,7 @@ def _of_xes(path: Path, said: Said) -> _Cells:
     if table.is_empty() and records.broken is not None:
         raise DamagedLog(path, records.broken, cure="Copy it again.")
     columns = {key: key for key in FIELDS if table[key].count() or key in ("agent", "task", "start", "end")}
-    warnings = [f"{count} events {name!r} are passed over" for name, count in records.passed_over.items()]
+    warnings = [f"{count} events {name!r} are skipped" for name, count in records.passed_over.items()]
     if records.broken is not None:
         aside.append((None, records.broken))
     return _Cells(table.select("source_row", *columns), columns, records.events, "row", "XES", aside, tuple(warnings))
@@ -150,7 +150,7 @@ def _started(records: Iterator[Record], aside: list[tuple[int | None, str]]) -> 
     """Yield the tasks that have a start; the others are set aside."""
     for record in records:
         if NO_START in record:
-            aside.append((None, f"{record[NO_START]!r} completes and never started"))
+            aside.append((None, f"{record[NO_START]!r} completes but never started"))
         else:
             yield record
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 _AT_ZERO_M = 0.01
 _ROWS = 10
-"""A pelvis that does not leave zero in so many rows is not in the room."""
+"""A pelvis at zero in this many rows is not a position in the room."""
 
 
 class _Trc:
@@ -59,7 +59,7 @@ class _Trc:
         used = people.used(skeletons=options.skeletons)
         here, names = people.among(used), [header.names[index] for index in used]
         cells = [cell for index in used for cell in header.cells(index)]
-        up, why = (told, "by the cell file") if told else _up(header)
+        up, why = (told, "from the cell file") if told else _up(header)
         seen, metres = Sightings(), METRES[header.unit]
 
         def make(rows: TextRows) -> Recording:
@@ -75,7 +75,7 @@ class _Trc:
                 said.append("time does not increase throughout: the rows were edited or joined")
             if not told and why.startswith(_UNCLEAR):
                 said.append(f"up is not in the file: {why}")
-            facts = {"rate_hz": header.about.get("DataRate", "not stated"), "unit": f"{header.unit}, by the header"}
+            facts = {"rate_hz": header.about.get("DataRate", "not stated"), "unit": f"{header.unit}, from the header"}
             return replace(
                 last, warnings=tuple(said), facts=facts | {"up": f"{up}, {why}", **marker_facts(people, header.names)}
             )
@@ -91,8 +91,8 @@ def _up(header: TrcHeader) -> tuple[str, str]:
     """Return the axis that points up and how that is known: by heads above feet, else as OpenSim has it."""
     found = way_up(header.names, _points(header) * METRES[header.unit])
     if found == "neither":
-        return "y", f"{_UNCLEAR} along y or z: y is taken, as OpenSim has it; see `up`"
-    return (found, "since heads are above feet") if found else ("y", "as OpenSim has it; not in the file")
+        return "y", f"{_UNCLEAR} along y or z: y assumed, the default of OpenSim; check `up`"
+    return (found, "since heads are above feet") if found else ("y", "the default of OpenSim; not in the file")
 
 
 def _points(header: TrcHeader) -> NDArray[np.float64]:
@@ -116,8 +116,8 @@ def _require_a_place(path: Path, people: pl.DataFrame | None) -> None:
         return
     places = people.select("x_m", "y_m", "z_m").drop_nulls().to_numpy()
     if len(places) >= _ROWS and (np.abs(places) < _AT_ZERO_M).all():
-        cause = "the pelvis is at zero in all rows: places are around the person's own hips, not in the room"
-        cure = "Write places of the room: triangulate several cameras, or use a depth camera's skeleton."
+        cause = "the pelvis is at zero in all rows: positions are relative to the person's hips, not to the room"
+        cure = "Write positions in the room: triangulate several cameras, or use a depth camera's skeleton."
         raise LogError(path, cause, cure=cure)
 
 

@@ -241,9 +241,9 @@ class _Seen:
         if absent := [name for name in (*_FRACTIONS, "runtime_state") if name not in recorded]:
             said.append(f"{', '.join(absent)} not recorded: the speed scaling is unknown")
         elif self.played is False:
-            said.append("the program plays in no row (runtime_state is never 2): the speed scaling is unknown")
+            said.append("the program runs in no row (runtime_state is never 2): the speed scaling is unknown")
         said += [
-            f"{name} exceeds 1 in places, so it is no fraction there: left unknown"
+            f"{name} exceeds 1 in some rows: unknown there"
             for name in _FRACTIONS
             if self.spread.most.get(name, 0.0) > 1.0 + _SLACK
         ]

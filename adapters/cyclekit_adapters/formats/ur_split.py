@@ -35,7 +35,7 @@ _COLUMNS = {
 }
 _LAYOUT = ("t_s", *_AXES)
 _NEAR_PERIODS = 0.75  # a value further away in time than this many periods of its own signal is no value
-_STANDS = "its time does not go on"
+_STANDS = "its time does not increase"
 
 
 class _UrSplitFolder:
@@ -95,7 +95,7 @@ def _looks_right(path: Path) -> bool:
 
 
 def _signals(path: Path) -> dict[str, _Signal]:
-    """Open the files there are; one of which no row is usable is none."""
+    """Open the existing files; one without a usable row counts as absent."""
     found = {name: _Signal(name, path / f"{name}.csv") for name in _COLUMNS if (path / f"{name}.csv").is_file()}
     return {name: signal for name, signal in found.items() if signal.begins()}
 
@@ -125,7 +125,7 @@ class _Signal:
         return self._named(joined([], _LAYOUT).frame)
 
     def begins(self) -> bool:
-        """Tell whether there is a usable row; what was read for that is kept."""
+        """Tell whether there is a usable row; the rows read for this are kept."""
         while (frame := self._take()) is not None:
             if frame.height:
                 self._here = frame
@@ -172,7 +172,7 @@ class _Signal:
         return table
 
     def exhaust(self) -> None:
-        """Read what lies behind the end of the leading signal, so that its rows are accounted for."""
+        """Read the rows after the end of the leading signal, so that they are counted."""
         while self._take() is not None:
             pass
 

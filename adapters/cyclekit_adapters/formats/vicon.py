@@ -84,7 +84,7 @@ class _ViconCsv:
             facts = {
                 "rate_hz": f"{section.rate_hz:g}",
                 "unit": next(name for name, metres in METRES.items() if metres == section.metres),
-                "up": f"{up}, by the cell file" if up else "z, as Vicon has it; not in the file",
+                "up": f"{up}, from the cell file" if up else "z, the default of Vicon; not in the file",
                 "section": log.title,
                 "sections": ", ".join(log.titles),
                 **marker_facts(people, known),
@@ -116,7 +116,7 @@ def _not_read(log: Sections) -> list[str]:
     """Name the sections that hold positions, too."""
     said = []
     if log.titles.count(log.title) > 1:
-        said.append(f"a second section {log.title} is not read: cut the file before it to read it, too")
+        said.append(f"a second section {log.title} is not read: split the file before it to read it too")
     others = [title for title in WITH_PLACES if title in log.titles and title != log.title]
     if others:
         said.append(

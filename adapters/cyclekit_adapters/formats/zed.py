@@ -140,12 +140,12 @@ def _take_frame(path: Path, dump: _Dump, key: str, value: object, *, skeletons: 
     dump.empty += not bodies
     for body in bodies:
         if not isinstance(body, dict):
-            dump.aside.append((row, "a body is no JSON object"))
+            dump.aside.append((row, "a body is not a JSON object"))
             continue
         own = next((body[name] for name in ("ts", "timestamp") if body.get(name) is not None), stamp)
         time = seconds_of(own)
         if time is None:
-            dump.aside.append((row, f"a body without time: {str(own)[:40]!r} is no timestamp"))
+            dump.aside.append((row, f"a body without time: {str(own)[:40]!r} is not a timestamp"))
         elif (taken := body_of(path, body, time, row, skeletons=skeletons)) is None:
             dump.aside.append((row, "a body without keypoints and position"))
         else:
@@ -156,13 +156,13 @@ def _refuse_without_bodies(path: Path, dump: _Dump) -> None:
     if dump.aside:
         cause = f"no usable body in {dump.frames} frames; the first reason: {dump.aside[0][1]}"
         raise DamagedLog(path, cause, cure="Check how the file was written or copied.")
-    cause = f"an empty recording: {dump.frames} frames and no body in any; empty frames do not say when they were"
-    raise LogError(path, cure="If nobody was there, leave the file out; else record again.", cause=cause)
+    cause = f"no body in any of its {dump.frames} frames, and empty frames have no times"
+    raise LogError(path, cure="If no person was in view, leave the file out. Otherwise record again.", cause=cause)
 
 
 @dataclass(frozen=True)
 class _Tracks:
-    """The bodies that are rows, whose each is, and what is to be said of their ids."""
+    """The bodies that become rows, the person of each, and what to report about their ids."""
 
     bodies: list[ZedBody]
     people: list[str]
@@ -171,7 +171,7 @@ class _Tracks:
 
 
 def _tracks(bodies: list[ZedBody], metres: float) -> _Tracks:
-    """Tell whose body is whose: by ids that last, else by motion."""
+    """Assign bodies to persons: by ids that last, else by motion."""
     if _ids_are_real(bodies):
         kept = [body for body in bodies if body.here is not None or body.hidden]
         return _Tracks(kept, [body.name for body in kept], "of the tracker")
@@ -231,17 +231,17 @@ def _warnings(dump: _Dump, tracks: _Tracks, seen: Sightings, body: str | None) -
     if unplaced := len(dump.bodies) - len(tracks.bodies):
         said.append(f"{unplaced} bodies have neither pelvis nor position and are left out")
     if resting := sum(item.resting for item in dump.bodies):
-        said.append(f"{resting} bodies are in the SDK's rest pose, not yet fitted: their `position` stands for them")
+        said.append(f"{resting} bodies are in the SDK's rest pose, not yet fitted: their `position` is used instead")
     if hidden := sum(item.hidden for item in tracks.bodies):
-        said.append(f"{hidden} bodies are searched for, not seen: their places are unknown")
+        said.append(f"{hidden} bodies are searched for, not seen: their positions are unknown")
     if len({item.clock for item in dump.bodies}) > 1:
-        said.append("some timestamps are since 1970 and some are not")
+        said.append("some timestamps count from 1970 and some do not")
     if len({item.joints for item in dump.bodies}) > 1:
         said.append("the number of keypoints changes within the file")
     if tracks.linked:
         said.append(f"ids are new in every frame: bodies are linked by motion into {tracks.linked} tracks")
     if body is None and len(seen.rows) > 1:
-        said.append(f"{len(seen.rows)} tracks; `body` names the operator's, if it is always the same")
+        said.append(f"{len(seen.rows)} tracks; name the operator's with `body` if it is always the same")
     return said
 
 

@@ -38,7 +38,7 @@ class CsvMap:
         time_format: How a time is written as text: "iso", or a pattern such as "%d.%m.%Y %H:%M:%S%.f".
         time_zone: Zone of such a time, as "Europe/Rome"; without it its clock counts as relative.
         confidence: Column of how sure the tracker is of a person's place; 0 = it repeats an old one.
-        missing: Numbers that stand for what was not seen or not measured.
+        missing: Numbers that mean not seen or not measured.
         scaling: Columns whose product is the speed scaling.
     """
 
@@ -82,7 +82,7 @@ class CsvMap:
         return None if self.delimiter is None else _DELIMITERS.get(self.delimiter, self.delimiter)
 
     def clock_kind(self, *, zoned: bool) -> ClockKind:
-        """Return what kind of clock the table has: as said, else epoch where the calendar and the zone are known.
+        """Return what kind of clock the table has: as given, else epoch if date and time zone are known.
 
         Args:
             zoned: Its times name their zone.
@@ -91,10 +91,10 @@ class CsvMap:
         return cast("ClockKind", self.clock or known)
 
     def role(self) -> Role:
-        """Return what the mapped columns can only be; x, y, z alone could be the robot or a person.
+        """Return the only possible role of the mapped columns; x, y, z alone could be the robot or a person.
 
         Raises:
-            ConfigError: They could be several things.
+            ConfigError: Several roles are possible.
         """
         if self.signal:
             return "events"
@@ -102,7 +102,7 @@ class CsvMap:
             return "people"
         if self.joints or self.scaling or self.speed or self.state or self.slider:
             return "robot"
-        seen = f"{WHERE}: it does not say whose rows these are"
+        seen = f"{WHERE}: no role is given"
         raise ConfigError(seen, cure='Give role = "robot", "people" or "events".')
 
 
@@ -138,26 +138,34 @@ def _agree(mapping: CsvMap, rate_hz: float | None) -> None:
     if separator is not None and (
         not separator or set(separator) & set('"\r\n') or separator == mapping.decimal == "."
     ):
-        raise ConfigError(f"{WHERE}: delimiter = {mapping.delimiter!r} cannot stand between fields")
+        raise ConfigError(f"{WHERE}: delimiter = {mapping.delimiter!r} cannot separate fields")
     if mapping.time_zone is not None and mapping.time_format is None:
         raise ConfigError(f"{WHERE}: time_zone without time_format", cure='Add time_format = "iso" or a pattern.')
     _agree_on_time(mapping, rate_hz)
     if mapping.time_zone is not None and mapping.time_zone not in _zones():
-        raise UnknownName(WHERE, "time_zone", mapping.time_zone, _zones(), cure="As in the IANA list: Europe/Rome.")
+        raise UnknownName(
+            WHERE,
+            "time_zone",
+            mapping.time_zone,
+            _zones(),
+            cure="Use a name of the IANA list, for example Europe/Rome.",
+        )
 
 
 def _agree_on_time(mapping: CsvMap, rate_hz: float | None) -> None:
     units, parts = mapping.time_unit, mapping.time
     if FRAME in units and (not rate_hz or len(units) > 1):
-        raise ConfigError(f"{WHERE}: time counts frames", cure="Give rate_hz = ... in the source.")
+        raise ConfigError(
+            f"{WHERE}: time counts frames, and no rate is given", cure="Give rate_hz = ... in the source."
+        )
     if mapping.time_format is not None:
         return
     if len(units) > 1 and (len(units) != len(parts) or sorted(units, key=lambda u: -SECONDS[u]) != list(units)):
         seen = f"{WHERE}: {len(parts)} columns of time and time_unit = {list(units)}"
-        raise ConfigError(seen, cure='A unit for each, the largest first: time_unit = ["s", "ns"].')
+        raise ConfigError(seen, cure='Give a unit for each, the largest first: time_unit = ["s", "ns"].')
     if len(parts) > 1 and len(units) == 1:
-        cure = 'Add time_format, as "%d.%m.%Y %H:%M:%S", or the unit of each: time_unit = ["s", "ns"].'
-        raise ConfigError(f"{WHERE}: several columns of time", cure=cure)
+        cure = 'Add time_format, for example "%d.%m.%Y %H:%M:%S", or the unit of each: time_unit = ["s", "ns"].'
+        raise ConfigError(f"{WHERE}: several columns of time without format and units", cure=cure)
 
 
 def _zones() -> set[str]:

@@ -1,4 +1,4 @@
-"""A first map for a table that no adapter knows, put together from its header and its first rows.
+"""Draft of a map for a table that no adapter knows, from its header and first rows.
 
 What is not sure is proposed all the same, as such, and with the columns that it belongs to: a unit that nobody chose
 would be a wrong one. What names say is the business of `draft_names`, what values say that of `draft_columns` and
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cyclekit_adapters.mapped.draft_table import DraftTable
 
 _FASTEST = 8.0
-"""m/s or rad/s; no robot and nobody in a cell moves faster for one row in a hundred."""
+"""m/s or rad/s; no robot and no person in a cell is faster in more than one row of a hundred."""
 _DENSE = 0.1
 """Of the span: rows that follow each other more closely were not logged seconds apart."""
 _MOVES = 0.05
@@ -49,7 +49,7 @@ class _Lines:
 
 
 def draft_of(table: DraftTable) -> Draft:
-    """Return the map that the first rows of a table speak for."""
+    """Return the map that the first rows of a table suggest."""
     names = {column: name_of(table.titles.get(column, column), table.units.get(column, "")) for column in table.names}
     names = {column: replace(name, column=column) for column, name in names.items()}
     lines, found = _Lines(), _Findings(table, names)
@@ -67,7 +67,7 @@ def draft_of(table: DraftTable) -> Draft:
 
 
 class _Findings:
-    """What the columns may be, and whose they are."""
+    """Possible meanings of the columns, and whether they are of the robot or of a person."""
 
     def __init__(self, table: DraftTable, names: dict[str, Name]) -> None:
         self.joints, self.scalings = joints(table, names), scalings(table, names)
@@ -108,10 +108,12 @@ def _add_time(lines: _Lines, table: DraftTable, names: dict[str, Name], found: _
     column: object = time.columns[0] if len(time.columns) == 1 else list(time.columns)
     if time.patterns:
         sure = len(time.patterns) == 1
-        also = "" if sure else f"; {time.patterns[1]} is possible, too"
+        also = "" if sure else f"; {time.patterns[1]} is possible too"
         lines.add({"time": column, "time_format": time.patterns[0]}, time.why + also, sure=sure)
         if not time.zoned:
-            lines.notes.append('its times name no zone; time_zone = "Europe/Rome" places them among other logs')
+            lines.notes.append(
+                'its times have no time zone; time_zone, for example "Europe/Rome", aligns them with other logs'
+            )
     else:
         split = len(time.columns) > 1
         sure = time.sure and (split or len(time.units) == 1)
@@ -161,7 +163,7 @@ def _add_people(lines: _Lines, _: DraftTable, names: dict[str, Name], found: _Fi
         lines.add({"person": found.people[0]}, f"or {', '.join(more)}?" if more else "", sure=not more)
     for name in names.values():
         if name.says({"confidence", "conf"}):
-            lines.add({"confidence": name.column}, "0 = nobody seen there", sure=False)
+            lines.add({"confidence": name.column}, "0 = no person detected", sure=False)
             break
 
 
@@ -177,10 +179,10 @@ def _add_robot(lines: _Lines, table: DraftTable, names: dict[str, Name], found: 
         meaning: dict[str, str] = known or dict.fromkeys(unknown[:1], "playing")
         lines.add({"state": column, "states": meaning}, "" if sure else f"values: {', '.join(unknown[:12])}", sure=sure)
         if sure and unknown:
-            lines.notes.append(f"no meaning is known of the states {', '.join(unknown[:12])}; see states")
+            lines.notes.append(f"unknown states: {', '.join(unknown[:12])}; map them in states")
     if found.others:
         shown = ", ".join(found.others[0].columns)
-        lines.notes.append(f"a person: {shown}; to read that too, give a copy of the file a source of its own")
+        lines.notes.append(f"a person: {shown}; to read it too, copy the file and add a source for the copy")
 
 
 def _add_scaling(lines: _Lines, names: dict[str, Name], found: list[FoundColumns]) -> None:

@@ -24,7 +24,7 @@ _ARM = (("pan", "base"), ("lift", "shoulder"), ("elbow",), ("1", "wrist"), ("2",
 _LENGTHS_OF_ARMS = (6, 7)
 _FLANGE_OF_FRANKA = ("o", "t", "ee", "#")
 _VECTORS = POSITION | {"observation", "state", "qpos"}
-"""Words of vectors of which nobody says what they hold, as in ROS and LeRobot: joint angles, most often."""
+"""Words of vectors whose content is not stated, as in ROS and LeRobot: mostly joint angles."""
 _SCALING = (
     *(
         "speedscaling",
@@ -68,7 +68,7 @@ class FoundColumns:
         unit: Their unit; the likeliest one where that is not sure.
         unit_why: What speaks for the unit.
         unit_sure: Nothing else is possible.
-        sure: The columns are what they are taken for.
+        sure: No other meaning is possible.
         why: What speaks for it, or against it.
         person: Their names say that they are a person's.
         robot: Their names say that they are a robot's.
@@ -117,7 +117,13 @@ def _place(table: DraftTable, first: Name, axes: tuple[Name, ...], others: int) 
     columns = tuple(name.column for name in axes)
     values = np.concatenate([table.numbers[column] for column in columns])
     unit, why, sure = length_unit(values, {name.unit for name in axes}, person=first.says(PERSON))
-    against = "a set point, not what was" if first.is_set_point else f"{others} more could be meant" if others else ""
+    against = (
+        "a set point, not a measurement"
+        if first.is_set_point
+        else f"{others} other columns are possible"
+        if others
+        else ""
+    )
     known = bool(np.isfinite(values).any()) and not against
     return FoundColumns(columns, unit, why, sure, known, against, first.says(PERSON), first.says(ROBOT))
 
@@ -160,13 +166,13 @@ def _joints(table: DraftTable, group: tuple[Name, ...], others: int) -> FoundCol
     columns = tuple(name.column for name in group)
     values = np.concatenate([table.numbers[column] for column in columns])
     unit, why, sure = angle_unit(values, {name.unit for name in group})
-    against = "a set point, not what was" if group[0].is_set_point else ""
+    against = "a set point, not a measurement" if group[0].is_set_point else ""
     if others and not group[0].says(ACTUAL) and not against:
-        against = f"{others} more could be meant"
+        against = f"{others} other columns are possible"
     elif not _says_joints(group):
         against = "joint angles, or a pose?"
     turned = bool(np.isfinite(values).any()) and float(np.nanmax(np.abs(values))) < 800.0
-    against = against or ("" if turned else "no angles by size")
+    against = against or ("" if turned else "its values are not angles")
     return FoundColumns(columns, unit, why, sure, not against, against, robot=_says_joints(group))
 
 

@@ -100,7 +100,7 @@ OTHER = {
     *("input", "output", "digital", "analog", "stiffness", "damping", "momentum", "finger", "rpm", "confidence"),
     *("rx", "ry", "rz", "qx", "qy", "qz", "qw", "vx", "vy", "vz", "fx", "fy", "fz", "wx", "wy", "wz", "tx", "ty", "tz"),
 }
-"""Words of what is neither a place nor a joint angle."""
+"""Words of quantities that are neither a position nor a joint angle."""
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-zäöüß]+|[A-Z]+|\d+|%|°|µs")
 _ONE_WORD = re.compile(r"TCP|RIst|RSol")  # which look like two
 _BRACKETED = re.compile(r"[\[(<{]\s*([A-Za-zµ°%]+)\s*[\])>}]\s*(?:#\d+)?$|/\s*([A-Za-zµ°%]+)$")
@@ -139,7 +139,7 @@ class Name:
 
     @property
     def is_set_point(self) -> bool:
-        """It is what was asked for, not what was."""
+        """It is a set point, not a measurement."""
         return self.says(SET_POINT) and not self.says(ACTUAL)
 
     @property

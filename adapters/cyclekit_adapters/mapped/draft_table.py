@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 LINES = 2000
-"""So many lines are looked at."""
+"""Lines looked at."""
 _DELIMITERS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "|", "\\s+": "whitespace"}
 _LINES_SEARCHED = 50
 _MOST_COLUMNS = 2000
@@ -75,7 +75,7 @@ class DraftTable:
 
 
 def text_draft_table(path: Path) -> DraftTable | None:
-    """Return the first rows of a text table, None where it is none."""
+    """Return the first rows of a text table, None if it is not a table."""
     encoding = file_encoding(path)
     if encoding is None:
         return None

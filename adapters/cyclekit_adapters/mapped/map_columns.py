@@ -129,7 +129,7 @@ class _Finder:
         if name == entry:
             numbers = [f'"#{at}"' for at, other in enumerate(self._header, 1) if re.sub(r"#\d+$", "", other) == name]
             count = "two" if len(numbers) == 2 else len(numbers)
-            cause = f"{count} columns are called {name!r}: which one is meant cannot be told"
+            cause = f"{count} columns are called {name!r}: the name is ambiguous"
             raise DamagedLog(self.path, cause, cure=f"Name it by its number: {' or '.join(numbers[:6])}.")
         self.names[place] = f"#{place + 1}"
         return self.names[place]

@@ -88,7 +88,7 @@ class TextTable:
         for number, line in enumerate(head_lines(self.path, _LINES_SEARCHED, layout.encoding)):
             for mark in dict.fromkeys((layout.delimiter, ",", ";", "\t", "|", " ")):
                 if named and not mapping.columns and not unresolved(wanted, header_names(line, mark)):
-                    return f"They stand in line {number + 1}: give skip_rows = {number}, delimiter = {mark!r}."
+                    return f"They are in line {number + 1}: give skip_rows = {number}, delimiter = {mark!r}."
         return f"Columns of line {mapping.skip_rows + 1}: {', '.join(name[:40] for name in layout.names[:60])}."
 
     def blocks(self, names: tuple[str, ...], wanted: Wanted) -> Iterator[TextRows]:
@@ -113,10 +113,10 @@ def text_table(path: Path, mapping: CsvMap, wanted: Collection[str]) -> TextTabl
 
     Raises:
         ConfigError: The encoding is not known.
-        DamagedLog: It is no text, or has no header where one should be.
+        DamagedLog: It is not text, or has no header where one should be.
     """
     if mapping.sheet is not None:
-        raise ConfigError(f"{WHERE}: sheet = {mapping.sheet!r}, but the log is a text", cure="Remove the key.")
+        raise ConfigError(f"{WHERE}: sheet = {mapping.sheet!r}, but the log is a text file", cure="Remove the key.")
     try:
         encoding = mapping.encoding or file_encoding(path)
         codecs.getincrementaldecoder(encoding or "utf-8")("replace").decode("".encode(encoding or "utf-8"))

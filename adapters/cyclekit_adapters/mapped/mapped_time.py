@@ -39,7 +39,7 @@ def name_their_zone(first_rows: Sequence[Sequence[str]], names: Sequence[str], m
 
 
 def require_epoch(path: Path, frame: pl.DataFrame, mapping: CsvMap) -> None:
-    """Refuse times that are none since 1970, though the cell file says so: a wrong unit, most often.
+    """Refuse times that do not count from 1970 although clock = "epoch": mostly a wrong unit.
 
     Raises:
         LogError: The middle one of the times of `frame` is not of the years 2000 to 2099.
@@ -49,7 +49,7 @@ def require_epoch(path: Path, frame: pl.DataFrame, mapping: CsvMap) -> None:
         return
     unit = " and ".join(map(repr, mapping.time_unit))
     told = f"time_format is {mapping.time_format!r}" if mapping.time_format else f"time_unit is {unit}"
-    cause = f"the clock is said to be epoch, but {middle[0]:.10g} s is not in the years 2000 to 2099; {told}"
+    cause = f'clock = "epoch", but {middle[0]:.10g} s is not in the years 2000 to 2099; {told}'
     cure = 'Give another time_unit or time_format, or clock = "uptime" or "relative".'
     raise LogError(path, cause, cure=cure)
 
@@ -70,7 +70,7 @@ def timed(rows: TextRows, mapping: CsvMap, rate_hz: float | None, *, zoned: bool
     if bad.any():
         first = frame.filter(bad)[_JOINED][0]
         pattern = mapping.time_format
-        rows = rows.without(bad, f"its time is not written as {pattern!r} (the first such: {str(first)[:40]!r})")
+        rows = rows.without(bad, f"its time does not match {pattern!r} (the first: {str(first)[:40]!r})")
     return replace(rows, frame=rows.frame.drop(_JOINED))
 
 

@@ -1,6 +1,6 @@
 """The few keys that an adapter of a self-describing log takes from `[sources.map]`, checked.
 
-A key nobody knows or a word nobody knows is refused with the nearest one; what a key means is the adapters' business.
+An unknown key or word is refused, with the nearest known one; what a key means is the adapters' business.
 """
 
 from __future__ import annotations

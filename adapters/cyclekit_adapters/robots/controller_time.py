@@ -1,4 +1,4 @@
-"""Rows of a controller log on its own clock: each instant once, and what a person must know of steps back.
+"""Rows of a controller log on its own clock: each time once, and warnings about steps back.
 
 A logger that is faster than its controller writes the last sample again, and a controller that was restarted counts
 from zero. Both are the same in every robot log, whatever its columns mean.
@@ -23,7 +23,7 @@ REPEATED = "repeats the controller sample before it"
 
 @dataclass
 class Once:
-    """Keeps each instant once, block after block of one log.
+    """Keeps each time once, block after block of one log.
 
     Attributes:
         time: Name of the time column; it has no nulls.
@@ -69,7 +69,7 @@ class Once:
         said = []
         if self.back:
             said.append(
-                f"the controller's clock steps back {self.back} time(s): it was restarted, each part is its own run"
+                f"the controller's clock steps back {self.back} time(s): it was restarted, each part is a separate run"
             )
         if self.repeated:
             said.append(f"{self.repeated} rows repeat the controller sample before them and are left out")

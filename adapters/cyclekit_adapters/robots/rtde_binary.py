@@ -62,14 +62,14 @@ def binary_layout(path: Path) -> BinaryLayout:
         with path.open("rb") as log:
             first, second = log.readline(_LINE_BYTES), log.readline(_LINE_BYTES)
     except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
+        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its permissions.") from error
     names = header_names(first.decode("utf-8", "replace"), " ")
     words = second.decode("utf-8", "replace").split()
     cure = "Check the copy: it must have been copied as binary, not as text."
     if not second.endswith(b"\n"):
-        raise DamagedLog(path, "a binary recording that ends in its line of types", cure=cure)
+        raise DamagedLog(path, "a binary recording cut in its line of types", cure=cure)
     if unknown := [word for word in words if word not in _TYPES]:
-        raise DamagedLog(path, f"{unknown[0][:40]!r} is no type of a binary RTDE recording", cure=cure)
+        raise DamagedLog(path, f"{unknown[0][:40]!r} is not a type of a binary RTDE recording", cure=cure)
     if len(words) != len(names):
         raise DamagedLog(path, f"{len(words)} types for {len(names)} columns", cure=cure)
     row = np.dtype([(f"f{index}", _TYPES[word]) for index, word in enumerate(words)])
@@ -91,7 +91,7 @@ def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str]
     try:
         data = path.stat().st_size - layout.offset
     except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
+        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its permissions.") from error
     whole, rest = divmod(max(data, 0), layout.row.itemsize)
     fields = {name: f"f{layout.names.index(name)}" for name in numbers}
     for first in range(0, whole, _ROWS):
@@ -102,7 +102,7 @@ def read_binary_rows(path: Path, layout: BinaryLayout, *, numbers: Sequence[str]
         finite = [pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name) for name in numbers]
         rows = TextRows(frame.with_columns(finite), len(part), pl.DataFrame(schema=_SET_ASIDE))
         wrong = ~rows.frame[time].is_between(0.0, _LONGEST_UPTIME_S).fill_null(value=False)
-        yield rows.without(wrong, f"{time} is no time that a controller can have")
+        yield rows.without(wrong, f"{time} is not a plausible controller time")
     if rest:
         cut = f"the last row has {rest} of {layout.row.itemsize} bytes: it was cut while being written"
         none = pl.DataFrame(
@@ -119,4 +119,4 @@ def _mapped(path: Path, layout: BinaryLayout, first: int, count: int) -> NDArray
     try:
         return np.memmap(path, layout.row, "r", layout.offset + first * layout.row.itemsize, (count,))
     except (OSError, ValueError) as error:  # the latter where somebody has cut the file meanwhile
-        raise LogError(path, f"cannot be read: {error}", cure="Check the path and its rights.") from error
+        raise LogError(path, f"cannot be read: {error}", cure="Check the path and its permissions.") from error

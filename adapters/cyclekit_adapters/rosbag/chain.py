@@ -1,4 +1,4 @@
-"""Where a way through the transforms leads, moment by moment.
+"""Pose at the end of a chain of transforms, over time.
 
 Links that never move are taken as they are; the others at the wanted moments, each nearest in time, and only if that
 is near enough: where a transform was not published for a while, nothing is known. Metres; rotations as x, y, z, w.
@@ -19,7 +19,7 @@ NEAR_S = 0.5
 
 
 def leading(way: Sequence[Step]) -> FrameTransforms:
-    """Return the link whose moments tell where the tool is: the one that is written most often."""
+    """Return the link whose times are used for the tool: the one published most often."""
     return max((step.link for step in way), key=lambda link: link.times.size)
 
 
@@ -28,10 +28,10 @@ def followed(way: Sequence[Step], at_s: Array) -> tuple[Array, Array]:
 
     Args:
         way: From the one frame to the other; empty if they are one.
-        at_s: Moments, shape (T,), s.
+        at_s: Times, shape (T,), s.
 
     Returns:
-        Place, shape (T, 3), m, and rotation, shape (T, 4); NaN where a link is not known.
+        Position, shape (T, 3), m, and rotation, shape (T, 4); NaN where a link is not known.
     """
     place, turn = np.zeros((at_s.size, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (at_s.size, 1))
     for step in way:
@@ -50,7 +50,7 @@ def brought(way: Sequence[Step], at_s: Array, places: Array) -> Array:
 
     Args:
         way: From the one frame to the other.
-        at_s: The moment of each row, shape (T,), s.
+        at_s: The time of each row, shape (T,), s.
         places: Shape (T, 3) or (T, K, 3), m; NaN stays.
     """
     place, turn = followed(way, at_s)

@@ -183,7 +183,7 @@ class ChunkedFile:
             if raw is not None:
                 start, reached = records(self.form, raw, self._indexed(log, chunk))
                 if reached != chunk.size and not chunk.cut:
-                    self.drop(chunk, f"its records break off at byte {reached} of {chunk.size}")
+                    self.drop(chunk, f"its records end at byte {reached} of {chunk.size}")
                 found.append(start + base)
             base = end
         messages = self.form.messages(buffer, np.concatenate(found) if found else np.zeros(0, np.int64))

@@ -29,7 +29,7 @@ AHEAD_S = 0.02
 BEHIND_S = 0.5
 """Messages that all take longer than this were stamped by another clock."""
 SLOW_S = 0.2
-"""Messages that all take longer than this are worth a word."""
+"""If all messages take longer than this, that is reported."""
 BACK_S = 1.0
 """A header clock that jumps back by more than this is no clock."""
 DRIFT_S = 0.01
@@ -38,7 +38,7 @@ STEP_S = 0.25
 """A clock that was set by less than this while recording is taken for delays."""
 BACKLOG = 0.05
 """A recorder that falls behind lets delays grow; by more than this per second it is the header's clock that is slow."""
-NO_LINE = "header and recorder's clock move apart by more than clocks do, and no line follows them"
+NO_LINE = "header and recorder's clock drift apart faster than clocks do, and no line fits them"
 AGREE_S = 0.1
 """Topics whose clocks differ by less share one."""
 _LEAST_S, _LEAST_MESSAGES = 20.0, 100  # a rate told from less is noise
@@ -74,9 +74,9 @@ class Chosen:
         return source.stamp_s if self.line is None else self.line.of(source.stamp_s)
 
     def fact(self) -> str:
-        """Return what is known of it, for people to read."""
+        """Return what is known of it, as text."""
         if self.line is None:
-            said = f", received {self.least_s:.3f} s later at least" if self.least_s is not None else ""
+            said = f", received at least {self.least_s:.3f} s later" if self.least_s is not None else ""
             return f"{'header stamp' if self.how == 'header' else 'receive time'} ({self.why}{said})"
         line = self.line
         return (
@@ -120,11 +120,11 @@ def choose_times(sources: Mapping[str, StampSource], asked: Mapping[str, How]) -
             times.warnings.append(f"{name} is stamped by another clock ({chosen.why}): {_put(chosen.line)}")
         elif chosen.how == "header" and chosen.least_s is not None and chosen.least_s > SLOW_S:
             times.warnings.append(
-                f"{name} is received {chosen.least_s:.2f} s or more after its stamps, which are used: a slow tracker, "
-                "or a clock of its own (then say so in [sources.map]: time)"
+                f"{name} is received at least {chosen.least_s:.2f} s after its stamps, which are used: a slow tracker, "
+                "or another clock (then set time in [sources.map])"
             )
         elif chosen.how == "receive" and chosen.least_s is not None:
-            times.warnings.append(f"{name}: {chosen.why}; the moments of recording are used instead")
+            times.warnings.append(f"{name}: {chosen.why}; the receive times are used instead")
     return times
 
 
@@ -152,9 +152,9 @@ def _choice(source: StampSource, asked: How | None) -> Chosen:
     if not line.fits and not -ahead_s <= least <= BEHIND_S:
         return Chosen("receive", NO_LINE, least_s=least)
     if least < -ahead_s:
-        return Chosen("own-clock", f"{-least:.3f} s ahead of the moments of recording", line, least)
+        return Chosen("own-clock", f"{-least:.3f} s ahead of the receive times", line, least)
     if least > BEHIND_S:
-        return Chosen("own-clock", f"{least:.3f} s behind the moments of recording", line, least)
+        return Chosen("own-clock", f"{least:.3f} s behind the receive times", line, least)
     if _drifts(source, delay, line):
         return Chosen("own-clock", f"it drifts by {(1 / line.rate - 1) * 1e6:+.1f} ppm", line, least)
     return Chosen("header", "of the recorder's clock", least_s=least)
@@ -211,7 +211,7 @@ def _one_clock(sources: Mapping[str, StampSource], lines: Mapping[str, ClockLine
 def _other_clock(sources: Mapping[str, StampSource], lines: Mapping[str, ClockLine]) -> str:
     name, line = max(lines.items(), key=lambda item: sources[item[0]].stamp_s.size)
     return (
-        f"the header stamps are of another clock than the recorder's ({_off(line, sources[name])}); "
+        f"the header stamps come from another clock than the recorder's ({_off(line, sources[name])}); "
         f"they are used, and both stamps are kept{_speed(line)}"
     )
 
@@ -223,8 +223,8 @@ def _off(line: ClockLine, source: StampSource) -> str:
 
 def _put(line: ClockLine) -> str:
     return (
-        f"put on the recorder's by the line under its delays (rate {line.rate:.6f}, typically {line.delay_s * 1e3:.1f}"
-        f" ms above it); the least delay is not known and stays in it{_speed(line)}"
+        f"mapped to the recorder's by the line below its delays (rate {line.rate:.6f}, typically "
+        f"{line.delay_s * 1e3:.1f} ms above it); the smallest delay is unknown and remains{_speed(line)}"
     )
 
 

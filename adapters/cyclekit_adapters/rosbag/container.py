@@ -48,7 +48,7 @@ class Bag:
         path: The file or folder.
         topics: Message type of every topic, as `package/msg/Type`, in ROS 1 bags too.
         counts: Messages per topic.
-        warnings: What is not whole in the bag, one sentence each.
+        warnings: What is damaged in the bag, one sentence each.
         messages_read: Messages of wanted topics met so far, decoded or not.
         undecodable: (topic, arrival number within the topic, reason) of every message that cannot be used.
         layouts: Of topics without a definition in the bag, what was found out about their messages.
@@ -192,14 +192,14 @@ def opened(path: Path) -> Iterator[Bag]:
 
 
 def _check(file: Path) -> None:
-    """Refuse what can be named at once."""
+    """Refuse files whose fault is known at once."""
     first = head(file, 64)
     if first.startswith(_LFS):
         raise DamagedLog(file, "this is a Git LFS pointer, not the bag itself", cure="Fetch the content: git lfs pull")
     if not first:
         raise DamagedLog(file, "the file is empty or cannot be read", cure=f"{_AGAIN}.")
     if not first.startswith((ROS1, MCAP, SQLITE)) and file.suffix != ".zstd":
-        raise DamagedLog(file, "not a ROS 1 bag, an mcap or a sqlite3 bag by its content", cure=f"{_AGAIN}.")
+        raise DamagedLog(file, "its content is not a ROS 1 bag, an mcap or a sqlite3 bag", cure=f"{_AGAIN}.")
 
 
 def _look(file: Path) -> BagFile:
@@ -212,7 +212,7 @@ def _look(file: Path) -> BagFile:
 
 
 def damaged(path: Path, error: Exception) -> DamagedLog:
-    """Put what went wrong into cause and cure."""
+    """Return the error with cause and cure."""
     if isinstance(error, Damage):
         return DamagedLog(path, str(error), cure="Record it again without encryption, or convert it: rosbag migrate.")
     cure = f"{_AGAIN}."

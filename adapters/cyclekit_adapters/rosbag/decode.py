@@ -107,7 +107,7 @@ class Decoder:
 
     def _check(self, types: Types) -> None:
         if self.channel.coding not in _CODINGS:
-            raise NoDefinition(f"it is coded as {self.channel.coding!r}, which is not read")
+            raise NoDefinition(f"its encoding {self.channel.coding!r} is not supported")
         types.check(self.channel.kind)
 
     def _leave(self, rows: Ints, error: object) -> None:

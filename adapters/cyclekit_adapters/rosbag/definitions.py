@@ -55,7 +55,7 @@ class Types:
         return self._stores[kind]
 
     def check(self, kind: str) -> None:
-        """Refuse a type that holds itself, that lacks a part, or that would take for ever to decode.
+        """Refuse a type that contains itself, lacks a part, or would take endless time to decode.
 
         Raises:
             NoDefinition: It is one.
@@ -64,7 +64,7 @@ class Types:
             return
         steps, size = self._least(kind, (), {})
         if steps > _MOST_STEPS or steps > _STEPS_PER_BYTE * (size + 64):
-            raise NoDefinition(f"{kind} is defined to have {steps} fields in {size} bytes: no message has")
+            raise NoDefinition(f"the definition of {kind} has {steps} fields in {size} bytes: no message has that")
         self._sound.add(kind)
 
     def _parts(self, kind: str, seen: set[str]) -> Iterator[str]:
@@ -80,7 +80,7 @@ class Types:
     def _least(self, kind: str, above: tuple[str, ...], known: dict[str, tuple[int, int]]) -> tuple[int, int]:
         """Return how many fields the smallest message of a type has, and how many bytes."""
         if kind in above:
-            raise NoDefinition(f"{kind} is defined to hold itself")
+            raise NoDefinition(f"the definition of {kind} contains itself")
         if kind not in self.fields:
             raise NoDefinition(f"no definition of {kind}")
         if kind not in known:
@@ -155,7 +155,7 @@ def _by_the_library(kind: str, definition: str, notation: str, digest: str) -> T
     else:
         store.register(get_types_from_idl(definition))
     if digest and store.generate_msgdef(kind)[1] != digest:
-        raise ValueError("the definition does not have the hash recorded with it")
+        raise ValueError("the definition does not match the hash recorded with it")
     types = Types(_fields(store))
     types.check(kind)
     return types

@@ -82,7 +82,7 @@ def _rows(bag: Bag, roles: Roles, contents: Contents) -> dict[str, str]:
     """Say what `source_row` counts, and in which file of a recording of several a message lies."""
     found = {f"rows of {table}": f"messages of {topics}" for table, topics in contents.rows_of.items() if topics}
     if len(bag.files) < 2:
-        return {**found, "message_index": "within its topic, by the moment of recording, from 0"}
+        return {**found, "message_index": "within its topic, by receive time, from 0"}
     found["message_index"] = "within its topic from 0, file by file in the order of time"
     for topic in sorted(roles.topics() & set(bag.topics)):
         begin, ranges = 0, []

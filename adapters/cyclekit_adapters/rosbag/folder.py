@@ -48,13 +48,13 @@ def folder_of(path: Path) -> Folder:
     except OutsideFolder as error:
         raise DamagedLog(path, f"metadata.yaml: {error.cause}", cure="Copy the recording again.") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        said = f"metadata.yaml cannot be read ({type(error).__name__}): every bag in the folder is taken"
+        said = f"metadata.yaml cannot be read ({type(error).__name__}): every bag in the folder is read"
         folder.warnings.append(said)
         named = present
     folder.files = list(dict.fromkeys(file for file in named if file.is_file()))
     missing = [file.name for file in named if not file.is_file()]
     if not folder.files:
-        cause = f"none of its files is there: {', '.join(missing) or 'no .mcap and no .db3'}"
+        cause = f"none of its files was found: {', '.join(missing) or 'no .mcap and no .db3'}"
         raise DamagedLog(path, cause, cure="Copy the whole folder again from where it was recorded.")
     if missing:
         folder.warnings.append(f"parts of the recording are missing: {', '.join(missing)}")

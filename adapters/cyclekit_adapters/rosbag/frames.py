@@ -147,7 +147,7 @@ def _said(contents: Contents, frames: Frames) -> Iterator[str]:
     for child in sorted(used & set(contents.transforms.rivals)):
         taken = contents.transforms.links[child].parent
         parents = ", ".join(repr(name) for name in contents.transforms.rivals[child])
-        yield f"frame {child!r} has several parents in the transforms ({parents}): {taken!r}, said most often, is taken"
+        yield f"frame {child!r} has several parents ({parents}): {taken!r}, the most frequent, is used"
 
 
 def described(way: list[Step], begin: str) -> str:

@@ -85,4 +85,4 @@ def _decompressor(compression: str) -> Any:  # noqa: ANN401 - three libraries wi
         import lz4.frame  # type: ignore[import-untyped]  # it publishes no types
 
         return lz4.frame.LZ4FrameDecompressor()
-    raise Damage(f"it is compressed by {compression!r}, which is not read")
+    raise Damage(f"its compression {compression!r} is not supported")

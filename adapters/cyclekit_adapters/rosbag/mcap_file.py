@@ -132,7 +132,7 @@ def look(path: Path) -> ChunkedFile:
         end = log.seek(0, 2)
         cut = _heads(log, survey, end)
         if cut is None and not survey.loose and survey.promised > (there := len(survey.found.chunks)):
-            survey.found.warnings.append(f"the bag is damaged: {there} of {survey.promised} chunks are there")
+            survey.found.warnings.append(f"the bag is damaged: {there} of {survey.promised} chunks were found")
         survey.found.refuse_bombs()
         for chunk in survey.found.chunks:
             if not chunk.index or any(number not in survey.found.channels for number, _, _ in chunk.index):
@@ -249,16 +249,18 @@ def _open(log: BufferedReader, survey: _Survey, chunk: Chunk) -> None:
 
 
 def _how_much(found: ChunkedFile, log: BufferedReader, cut: int, end: int) -> str:
-    """Say what a cut bag has lost, as far as it can be known."""
+    """Describe what a cut bag has lost, as far as that is known."""
     said = f"its last {end - cut} of {end} bytes cannot be read"
     if _closed(log, end):
         return f"the bag is damaged at byte {cut}: {said}; copy the bag again if the original is whole"
     said = f"the bag is cut: {said}"
     if any(chunk.cut for chunk in found.chunks):
-        said = f"the bag is cut: it ends within a chunk, at byte {end}, whose checksum so cannot be checked"
+        said = (
+            f"the bag is cut: it ends within a chunk, at byte {end}, and the checksum of that chunk cannot be checked"
+        )
     if found.last_ns is None:
         return said
-    said += f"; messages up to {moment(found.last_ns)} are recovered, what came after is lost"
+    said += f"; messages up to {moment(found.last_ns)} are recovered, later ones are lost"
     log.seek(cut)
     head = log.read(9 + 16)
     if len(head) == 25 and head[0] == _CHUNK:

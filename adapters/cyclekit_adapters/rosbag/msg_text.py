@@ -84,7 +84,7 @@ def read_text(text: str, kind: str, beside: Mapping[str, Fields] = TIMES) -> Typ
     for number, part in enumerate(_RULE.split(text.replace("\r\n", "\n"))):
         name, body = (kind, part) if number == 0 else _headed(part)
         if not _NAME.fullmatch(name):
-            raise Unfamiliar(f"{name!r} is no name of a type")
+            raise Unfamiliar(f"{name!r} is not the name of a type")
         found.fields[name], found.lines[name] = _read_part(name, body)
     for name, fields in found.fields.items():
         for _, description in fields:
@@ -124,9 +124,9 @@ def _read_part(owner: str, body: str) -> tuple[Fields, list[tuple[str, str]]]:
             written = f"{match['kind']}{match['limit'] or ''}{match['many'] or ''} {name}"
             lines.append((name, kind) if named else (written, ""))
         else:
-            raise Unfamiliar(f"{bare[:60]!r} is no field")
+            raise Unfamiliar(f"{bare[:60]!r} is not a field")
     if len({name for name, _ in fields}) < len(fields):
-        raise Unfamiliar(f"{owner} has two fields of one name")
+        raise Unfamiliar(f"{owner} has two fields with the same name")
     return fields or list(_NOTHING), constants + lines
 
 

@@ -70,7 +70,7 @@ class BagFile(Protocol):
         path: Where it is.
         channels: By their number.
         counts: Messages by channel number, or some of them where counting all would mean reading all; absent is none.
-        warnings: What is not whole, one sentence each.
+        warnings: What is damaged, one sentence each.
         set_aside: The reason for every part that cannot be used; complete once all blocks were read.
     """
 

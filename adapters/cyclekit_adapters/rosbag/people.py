@@ -1,4 +1,4 @@
-"""Who stands where, out of the messages of people trackers, each by its own numbering.
+"""Positions of people from the messages of people trackers, each with its own numbering.
 
 One group of messages becomes the names and places of its people, and of their joints where those are wanted. A place
 that the tracker only predicts (occluded, searching) is not one it has seen: that person is there, the place unknown.

@@ -73,7 +73,7 @@ def _add_numbered(contents: Contents, frames: Frames, topic: str, prefix: str, c
     seen = [(part, _several(part.value)) for part in track.parts if isinstance(part.value, np.ndarray)]
     most = max([1, *(places.shape[1] for _, places in seen)])
     if most > 1:
-        contents.warnings.append(f"{topic} holds up to {most} places without identity: each index is one person")
+        contents.warnings.append(f"{topic} holds up to {most} positions without ids: each index is one person")
     place: Array = np.full((track.index.size, most, 3), np.nan)
     lost = nobody = 0
     for part, places in seen:
@@ -110,11 +110,11 @@ def _add_named(contents: Contents, frames: Frames, topic: str, prefix: str, colu
     _say_nobody(contents, topic, nobody)
     hidden -= nobody
     if hidden:
-        contents.warnings.append(f"{hidden} places on {topic} are left unknown: {why}")
+        contents.warnings.append(f"{hidden} positions on {topic} are unknown: {why}")
 
 
 def _add_nobody(contents: Contents, topic: str, columns: Columns) -> None:
-    """Add a topic that saw nobody in any message: when that was, and no place."""
+    """Add a topic without a person in any message: its times, no positions."""
     track = contents.tracks[topic]
     _append(columns, "t_s", contents.at(topic))
     _append(columns, "person", np.full(track.index.size, ""))
@@ -162,7 +162,7 @@ def _add_bodies(contents: Contents, roles: Roles, frames: Frames, columns: Colum
 
 
 def _of_somebody(places: Array) -> Array:
-    """Return places, shape (..., 3), NaN where they stand for nobody: there no transform may take them elsewhere."""
+    """Return positions, shape (..., 3), NaN where they mean no person, before any transform moves them."""
     nobody = (places == 0.0).all(axis=-1) | (places == -1.0).all(axis=-1)
     return np.where(nobody[..., None], np.nan, places)
 
@@ -170,14 +170,14 @@ def _of_somebody(places: Array) -> Array:
 def _say_nobody(contents: Contents, topic: str, count: int) -> None:
     if count:
         contents.warnings.append(
-            f"{count} places on {topic} are exactly 0, 0, 0 or -1, -1, -1: that stands for nobody seen; unknown there"
+            f"{count} positions on {topic} are exactly 0, 0, 0 or -1, -1, -1: this means no person seen; unknown there"
         )
 
 
 def _say_lost(contents: Contents, what: str, lost: int) -> None:
     if lost:
         contents.warnings.append(
-            f"{lost} places of {what} are left unknown: a transform to the robot's base was not published for a while"
+            f"{lost} positions of {what} are unknown: a transform to the robot's base was not published for some time"
         )
 
 

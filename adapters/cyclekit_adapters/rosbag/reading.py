@@ -100,8 +100,8 @@ def _choose_times(contents: Contents, roles: Roles, frames: Frames) -> bool:
         for link in contents.transforms.links.values():
             link.receive_s = simulated(link.receive_s, ticks[0], ticks[1])
         contents.warnings.append(
-            f"{', '.join(clocks)}: time was simulated, so header stamps and moments of recording are different clocks; "
-            "all times are simulated ones, those without a header by the moment at which the clock showed them"
+            f"{', '.join(clocks)}: time was simulated, so header stamps and receive times are different clocks; "
+            "all times are simulated; a message without a header gets the simulated time at which it was received"
         )
     sources = {topic: contents.source(topic) for topic in contents.tracks}
     links = {link.name: link for link in frames.links()}
@@ -137,7 +137,7 @@ def _several_arms(path: Path, tools: list[str]) -> LogError:
 def _nothing_usable(bag: Bag) -> DamagedLog:
     found = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.topics.items())) or "none"
     cure = "Name the topics in [sources.map] of cell.toml: tcp, joints, scaling, people, events."
-    return DamagedLog(bag.path, f"no topic of robot, people or events; topics in the bag: {found}", cure=cure)
+    return DamagedLog(bag.path, f"no topic with a robot, people or events; topics in the bag: {found}", cure=cure)
 
 
 def _clock(*tables: pl.DataFrame | None, own: bool) -> ClockKind:

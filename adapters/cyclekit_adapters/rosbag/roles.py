@@ -163,7 +163,7 @@ def _times(path: Path, types: Mapping[str, str], asked: object) -> dict[str, How
     """Return which of its times each topic is to be read by, as the cell file says."""
     if not isinstance(asked, Mapping):
         cure = f'Write time = {{ "/topic" = "{HOWS[0]}" }}; known: {", ".join(HOWS)}.'
-        raise ConfigError(f"{_WHERE}: time = {asked!r} is no table", cure=cure)
+        raise ConfigError(f"{_WHERE}: time = {asked!r} is not a table", cure=cure)
     found: dict[str, How] = {}
     for topic, how in asked.items():
         if how not in HOWS:
@@ -189,7 +189,7 @@ def _named(path: Path, types: Mapping[str, str], value: object, key: str = "") -
             raise LogError(path, f"no topic {name!r}", nearest=nearest(name, types), cure=cure)
         if key and types[match] not in _TYPES[key]:
             cure = f"For {key} it must be {', '.join(sorted(_TYPES[key]))}."
-            raise LogError(path, f"topic {match!r} is a {types[match]}, of which no {key} can be read", cure=cure)
+            raise LogError(path, f"topic {match!r} has type {types[match]}, from which {key} cannot be read", cure=cure)
         found.append(match)
     return found
 
@@ -286,7 +286,7 @@ def _once_per_override(factors: list[Factor]) -> list[Factor]:
 def _chosen_factor(topics: Sequence[str], chosen: Mapping[str, object], types: Mapping[str, str]) -> tuple[Factor, ...]:
     full = chosen.get("scaling_max")
     if full is not None and full not in (1, 100, 1.0, 100.0):
-        raise ConfigError(f"{_WHERE}: scaling_max = {full!r}", cure="It is 1 (fraction) or 100 (percent).")
+        raise ConfigError(f"{_WHERE}: scaling_max = {full!r}", cure="Give 1 (fraction) or 100 (percent).")
     factors = []
     for topic in topics:
         known = _factor(topic, types.get(topic, ""))

@@ -143,11 +143,11 @@ def look(path: Path) -> ChunkedFile:
         unclosed = _number(about, b"index_pos") == 0
         if cut is not None or unclosed or promised > written:
             _last(log, found)
-            there = f"{written} of {promised} chunks are there"
+            there = f"{written} of {promised} chunks were found"
             if unclosed:
                 there = f"its last {end - (end if cut is None else cut)} bytes cannot be read"
             if any(chunk.cut for chunk in found.chunks):
-                there += ", and the begin of one more"
+                there += ", and the beginning of one more"
             what = "was never closed" if unclosed else "is cut"
             if cut is not None and cut < _chunks_end(about, end):
                 what = f"is damaged at byte {cut}"
@@ -272,7 +272,7 @@ def _last(log: BufferedReader, found: ChunkedFile) -> None:
 
 
 def _how_much(found: ChunkedFile, said: str) -> str:
-    """Say what a cut bag has lost, as far as it can be known."""
+    """Describe what a cut bag has lost, as far as that is known."""
     if found.last_ns is not None:
-        said += f"; messages up to {moment(found.last_ns)} are recovered, what came after is lost"
+        said += f"; messages up to {moment(found.last_ns)} are recovered, later ones are lost"
     return f"{said}; copy the bag again if the original is whole"

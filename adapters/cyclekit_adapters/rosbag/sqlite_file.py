@@ -159,10 +159,10 @@ def _recovered(found: SqliteFile, beside: Path) -> Path | None:
         with closing(sqlite3.connect(copy)) as bag:
             bag.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
     except (sqlite3.Error, OSError):
-        said = f"the recorder was killed: what stands in {beside.name} is not in the bag and cannot be read"
+        said = f"the recorder was killed: the content of {beside.name} is not in the bag and cannot be read"
         found.warnings.append(said)
         return None
-    found.warnings.append(f"the recorder was killed: what stands in {beside.name} is read too")
+    found.warnings.append(f"the recorder was killed: the content of {beside.name} is read too")
     return copy
 
 
@@ -254,8 +254,8 @@ def _salvage(found: SqliteFile, error: sqlite3.DatabaseError) -> None:
     said = said or f"the bag is cut or damaged ({error}); "
     between = numbers - sum(counts.values())
     said += f"messages up to {moment(last_ns)} are recovered"
-    said += f", but for {between} in between, and" if between > 0 else ","
-    found.warnings.append(f"{said} what came after is lost")
+    said += f", except {between} in between," if between > 0 else ","
+    found.warnings.append(f"{said} later ones are lost")
 
 
 def _messages(pages: Pages, topics: set[int]) -> Iterator[tuple[int, int, int, bytes]]:

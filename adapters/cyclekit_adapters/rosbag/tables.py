@@ -92,7 +92,7 @@ def _tcp(contents: Contents, roles: Roles, frames: Frames) -> _Rows | None:
     link = leading(frames.tool)
     place, _ = followed(frames.tool, link.times)
     if lost := unknown(place):
-        contents.warnings.append(f"the TCP is unknown at {lost} moments: a transform was not published for a while")
+        contents.warnings.append(f"the TCP is unknown at {lost} times: a transform was not published for some time")
     contents.rows_of["robot"] = link.topic
     return _placed(link.times, link.index, place)
 
@@ -138,7 +138,7 @@ def _joints(contents: Contents, topic: str) -> _Rows | None:
         numbers[here, :count] = _ordered(said.angles, said.names, order)
         numbers[here, count:] = _ordered(said.speeds, said.names, order)
     if others := track.index.size - rows.size:
-        contents.warnings.append(f"{others} messages of {topic} are about other joints and are left out")
+        contents.warnings.append(f"{others} messages of {topic} describe other joints and are left out")
     contents.joint_names = order
     times = contents.at(topic)[rows]
     kept = in_order(times)
@@ -206,16 +206,16 @@ def _scaling(contents: Contents, roles: Roles, at_s: Array, state: npt.NDArray[n
     """Return the product of all factors in force; NaN before the first message and while the program is stopped."""
     factors = _factors(contents, roles)
     if not factors:
-        contents.warnings.append("no speed scaling in the bag: it stays unknown")
+        contents.warnings.append("no speed scaling in the bag: it is unknown")
         return None
     if any(factor.family == "command" for factor in factors):
-        contents.warnings.append("the speed scaling is the one commanded: what the robot made of it was not recorded")
+        contents.warnings.append("the speed scaling is the commanded one: what the robot executed was not recorded")
     known = []
     for factor in factors:
         said = contents.tracks[factor.topic].joined() / factor.full
         row = _held(contents.at(factor.topic), at_s)
         if factor.family not in ("cnr", "command") and (said > 1.0 + _SLACK).any():
-            contents.warnings.append(f"{factor.topic} exceeds {factor.full:g} in places: left unknown there")
+            contents.warnings.append(f"{factor.topic} exceeds {factor.full:g} in some messages: unknown there")
         known.append(np.where(row >= 0, _clamped(said, factor)[row], np.nan))
     if all(factor.family == "cnr" for factor in factors) and len(factors) > 1:
         # An override that has not spoken yet does not slow: the controllers start from 100 percent.

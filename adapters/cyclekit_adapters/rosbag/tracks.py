@@ -151,7 +151,7 @@ def collect(bag: Bag, roles: Roles, *, skeletons: bool = False) -> Contents:
             value = _value(arrived.kind, group, factors.get(topic), skeletons=skeletons)
             stamp_s, frame = _stamps(arrived)
         except (AttributeError, TypeError, ValueError, IndexError) as error:  # not the definition that we know
-            said = f"{topic}: message has other fields ({error})"
+            said = f"{topic}: a message has other fields ({error})"
             bag.undecodable += [(topic, number, said) for number in arrived.number.tolist()]
             continue
         if value is not None:  # with nobody there may be no header either, and its time would be of another clock
@@ -230,7 +230,7 @@ def _controller(group: Group) -> JointStates:
 def _scalars(group: Group, *path: str | int) -> Array:
     values = group.numbers(*path).astype(np.float64, copy=False)
     if values.ndim != 1:
-        raise TypeError(f"{path[-1]} is no single number")
+        raise TypeError(f"{path[-1]} is not a single number")
     return values
 
 

@@ -52,12 +52,12 @@ def decide(file: BagFile, channel: Channel) -> TopicFindings:
             left = [one for one, _ in decoded]
             doubt |= any(not _same(decoded[0][1], groups) for _, groups in decoded[1:])
         if not left:
-            return TopicFindings(None, f"none of the layouts known of {channel.kind} fits its messages")
+            return TopicFindings(None, f"none of the known layouts of {channel.kind} fits its messages")
     names = " and ".join(repr(one.definition) for one in left)
     if len(left) > 1 and doubt:
         return TopicFindings(None, f"several layouts of {channel.kind} fit its messages ({names})")
     if len(left) > 1:
-        return TopicFindings(left[0], f"{names}: they say the same in all {messages} messages")
+        return TopicFindings(left[0], f"{names}: they give the same values in all {messages} messages")
     return TopicFindings(left[0], f"{names}: the only known layout that fits all {messages} messages")
 
 

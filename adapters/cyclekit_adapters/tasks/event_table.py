@@ -206,7 +206,7 @@ def times_of(
     decimal_comma: bool = False,
     only_written: bool = False,
 ) -> TimeColumn | None:
-    """Return how times are read, None if they are none.
+    """Return how times are read, None if they are not times.
 
     Args:
         columns: Where they stand.

@@ -108,7 +108,7 @@ def mapped_columns(path: Path, names: Sequence[str], told: Mapping[str, object])
         if key not in (*_KEYS, "length_unit"):
             raise UnknownName(WHERE, "key", key, [*_KEYS, "length_unit", "override_max", "time_unit", "time_zone"])
         if not isinstance(value, str):
-            raise ConfigError(f"{WHERE}: {key} = {value!r} is no text", cure=f'{key} = "NAME"')
+            raise ConfigError(f"{WHERE}: {key} = {value!r} is not a text", cure=f'{key} = "NAME"')
         if key in _KEYS and value not in names:
             cause = f"no column {value!r}, which [sources.map] names for {key}"
             raise LogError(path, cause, nearest=nearest(value, names), cure=f"It has: {', '.join(names[:40])}.")
@@ -119,7 +119,7 @@ def mapped_columns(path: Path, names: Sequence[str], told: Mapping[str, object])
     said = {key: str(told[key]) for key in _KEYS if key in told}
     time = said.get("time") or (found.time if found else _time_in(names))
     if time is None or (found is None and not {"override", "distance"} & said.keys()):
-        cause = f"no columns of a time and of an override or a distance among {', '.join(names[:40])}"
+        cause = f"no columns for a time and for an override or a distance among {', '.join(names[:40])}"
         raise LogError(path, cause, cure='Name them in [sources.map]: time = "COLUMN", override = "COLUMN"')
     if found is None or {"override", "distance"} & said.keys():
         overrides = (said["override"],) if "override" in said else ()

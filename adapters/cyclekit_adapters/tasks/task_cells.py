@@ -97,13 +97,13 @@ def _trusted(cells: pl.DataFrame) -> tuple[pl.DataFrame, pl.DataFrame]:
     odd = [pl.when(pl.col(key).is_null()).then(pl.lit(f"no {key}")) for key in NEEDED if key != "end"]
     odd += [
         pl.when(pl.col(key).is_not_null() & pl.col(f"{key}_s").is_null()).then(
-            pl.lit(f"its {key} is no time as the others are")
+            pl.lit(f"its {key} is not a time in the format of the others")
         )
         for key in ("start", "end")
     ]
     late = pl.col("end_s") < pl.col("start_s")
     odd += [pl.when(late).then(pl.lit("it ends before it starts"))]
-    odd += [pl.when(~pl.struct(who).is_first_distinct()).then(pl.lit("the same task once more"))]
+    odd += [pl.when(~pl.struct(who).is_first_distinct()).then(pl.lit("it repeats another task"))]
     judged = cells.with_columns(pl.coalesce(odd).alias("reason"))
     bad = judged["reason"].is_not_null()
     return cells.filter(~bad), judged.filter(bad).select("source_row", "reason")
@@ -133,21 +133,27 @@ def _said_of(rows: pl.DataFrame, columns: Mapping[str, str], people: Sequence[st
     said = []
     if not people and rows["agent_name"].n_unique() > 1:
         names = ", ".join(map(repr, rows["agent_name"].unique(maintain_order=True).to_list()[:6]))
-        said.append(f"no agent is called a person ({names}): all are taken for robots; say operator = [...] in the map")
+        said.append(f"no agent is recognised as a person ({names}): robots assumed; give operator = [...] in the map")
     if "execution" not in columns:
-        said.append("no column names the execution of a task: the list is one execution; see execution in the map")
+        said.append("no column gives the execution of a task: one execution assumed; give execution in the map")
     elif unnamed := rows["execution"].null_count():
         said.append(f"{unnamed} of {rows.height} tasks name no execution: they are in no execution")
     words = rows["outcome"].drop_nulls().unique(maintain_order=True)
     if unknown := [word for word in words if word not in ("done", "failed")]:
-        said.append(f"outcomes are kept as written, neither done nor failed: {', '.join(map(repr, unknown[:6]))}")
+        said.append(
+            f"unknown outcomes, neither done nor failed, are kept as written: {', '.join(map(repr, unknown[:6]))}"
+        )
     return said
 
 
 def _said_of_plans(cells: pl.DataFrame) -> list[str]:
-    """Say how many planned times are no times; the tasks are kept."""
+    """Report how many planned times are not times; the tasks are kept."""
     found = []
     for key in (key for key in TIMES if key.startswith("planned") and key in cells.columns):
         odd = cells.filter(pl.col(key).is_not_null() & pl.col(f"{key}_s").is_null()).height
-        found += [f"{odd} tasks: the {key.replace('_', ' ')} is no time as the others are, and unknown"] if odd else []
+        found += (
+            [f"{odd} tasks: the {key.replace('_', ' ')} is not a time in the format of the others; unknown there"]
+            if odd
+            else []
+        )
     return found

@@ -90,19 +90,25 @@ def said_of(options: ReadOptions) -> Said:
     if unit is not None and unit not in UNITS:
         raise UnknownName(WHERE, "time_unit", unit, UNITS)
     if zone is not None and zone not in available_timezones():
-        raise UnknownName(WHERE, "time_zone", zone, available_timezones(), cure="As in the IANA list: Europe/Rome.")
+        raise UnknownName(
+            WHERE,
+            "time_zone",
+            zone,
+            available_timezones(),
+            cure="Use a name of the IANA list, for example Europe/Rome.",
+        )
     return Said(texts, lists["robot"], lists["operator"], unit, zone)
 
 
 def _names(key: str, value: object) -> tuple[str, ...]:
     if not isinstance(value, list | tuple) or not all(isinstance(name, str) for name in value):
-        raise ConfigError(f"{WHERE}: {key} = {value!r} is no list of names", cure=f'{key} = ["NAME"]')
+        raise ConfigError(f"{WHERE}: {key} = {value!r} is not a list of names", cure=f'{key} = ["NAME"]')
     return tuple(map(str, value))
 
 
 def _text(key: str, value: object) -> str:
     if not isinstance(value, str):
-        raise ConfigError(f"{WHERE}: {key} = {value!r} is no text", cure=f'{key} = "NAME"')
+        raise ConfigError(f"{WHERE}: {key} = {value!r} is not a text", cure=f'{key} = "NAME"')
     return value
 
 

@@ -55,7 +55,7 @@ class JsonRecords:
 
     Attributes:
         broken: Where and why it stops being JSON; None if it does not.
-        others: Elements that are no objects.
+        others: Elements that are not objects.
     """
 
     def __init__(self, path: Path) -> None:

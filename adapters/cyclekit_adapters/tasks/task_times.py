@@ -78,15 +78,15 @@ def with_seconds(
             read[key] = _times(path, cells, key, columns, said, start, decimal_comma=decimal_comma)
     if _zone_named(start) != _zone_named(read["end"]) and said.zone is None and start.pattern:
         cause = f"only one of {columns['start']!r} and {columns['end']!r} names its time zone"
-        raise LogError(path, cause, cure='Say the other\'s: time_zone = "Europe/Rome" in [sources.map].')
+        raise LogError(path, cause, cure='Give the zone of the other: time_zone = "Europe/Rome" in [sources.map].')
     cells = cells.with_columns(_seconds(key, times, said.zone, decimal_comma) for key, times in read.items())
     zoned = start.clock == "epoch" or (said.zone is not None and _dated(start))
     plan = _plan_counts_from(cells, {key: _epoch(read[key], said) for key in _PLAN if key in read}, zoned=zoned)
     if plan == "execution":
         begin = pl.col("start_s").min().over("execution") if "execution" in cells.columns else pl.col("start_s").min()
         cells = cells.with_columns(pl.col(f"{key}_s") + begin for key in _PLAN if key in read)
-    lacks = "name no zone: give time_zone to place it" if _dated(start) else "have no date, so it cannot be placed"
-    warnings = [] if zoned or not start.pattern else [f"its times {lacks} among other logs"]
+    lacks = "have no time zone: give time_zone to align them" if _dated(start) else "have no date and cannot be aligned"
+    warnings = [] if zoned or not start.pattern else [f"its times {lacks} with other logs"]
     facts = {key.replace("_", " "): f"{columns[key]}: {times.why}" for key, times in read.items()}
     if plan is not None:
         facts["plan counts from"] = "the start of each execution" if plan == "execution" else "the zero of the log"
@@ -106,7 +106,7 @@ def _times(
     """Return how the times of a field are read.
 
     Raises:
-        LogError: They are no times, or their unit is not known.
+        LogError: They are not times, or their unit is unknown.
     """
     name = columns[key]
     shown = cells[key].drop_nulls()[:_FIRST].to_list()
@@ -122,20 +122,20 @@ def _times(
         if 2 * len(shown) >= many:
             times = times_of((name,), shown, unit, decimal_comma=decimal_comma)
     if times is None:
-        cause = f"the times of column {name!r} ({first[:40]!r}) are neither numbers nor dates as they are known"
+        cause = f"the times of column {name!r} ({first[:40]!r}) are neither numbers nor dates in a known format"
         raise LogError(path, cause, cure="Write them as ISO 8601, 2024-05-01T10:00:00+02:00, or as seconds.")
     if said.unit is not None and not times.pattern:
         numbers = [float(text.replace(",", ".") if decimal_comma else text) for text in shown]
-        times = counted_in((name,), said.unit, "by the cell file", numbers, shown[0])
+        times = counted_in((name,), said.unit, "from the cell file", numbers, shown[0])
     if times.seconds is None and start is not None and not start.pattern and start.seconds is not None:
         times = replace(times, seconds=start.seconds, why=f"in the unit of {start.columns[0]}")
     if times.seconds is None:
-        cause = f"the times of column {name!r} ({shown[0][:40]!r}) cannot be decided: {times.why}"
-        raise LogError(path, cause, cure='Say time_unit = "s" (ms, us, ns) in [sources.map].')
+        cause = f"the times of column {name!r} ({shown[0][:40]!r}) are ambiguous: {times.why}"
+        raise LogError(path, cause, cure='Give time_unit = "s" (ms, us, ns) in [sources.map].')
     if _zone_named(times) is False and cells[key].str.contains(_ZONED).any():
         cause = f"some times of column {name!r} name their time zone and some do not"
         if said.zone is None:
-            raise LogError(path, cause, cure='Say that of the others: time_zone = "Europe/Rome" in [sources.map].')
+            raise LogError(path, cause, cure='Give the zone of the others: time_zone = "Europe/Rome" in [sources.map].')
     return times
 
 

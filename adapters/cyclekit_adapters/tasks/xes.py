@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Record = dict[str, str]
 FIELDS = ("agent", "task", "start", "end", "execution", "planned_start", "planned_end", "outcome")
 NO_START = "\x1fno start"
-"""Key of a record whose task completes and never started."""
+"""Key of a record whose task completes but never started."""
 _LONGEST_TAG = 1 << 20
 _DEEPEST = 64
 _MOST_EVENTS = 1 << 20
@@ -40,7 +40,7 @@ def is_xes(head: str) -> bool:
 
 
 class XesRecords:
-    """The tasks of a file, one at a time; afterwards it is known what was passed over.
+    """The tasks of a file, one at a time; afterwards it is known what was skipped.
 
     Attributes:
         broken: Why the file ends early; None if it does not.
@@ -121,7 +121,7 @@ def _begun(waiting: list[Record], ended: Record) -> Record | None:
 
 
 class _Document:
-    """The XML: traces as their events come, whatever else is in it passed over."""
+    """The XML: traces as their events come, everything else in it is skipped."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -143,7 +143,7 @@ class _Document:
         self._fed += len(raw)
         self._parser.Parse(raw if not final else b"", final)
         if self._fed - max(self._parser.CurrentByteIndex, 0) > _LONGEST_TAG:
-            raise DamagedLog(self._path, "a tag of more than 1 MiB: no event log", cure="Check what the file is.")
+            raise DamagedLog(self._path, "a tag of more than 1 MiB: not an event log", cure="Check what the file is.")
 
     def taken(self, *, last: bool) -> list[tuple[str | None, list[Record]]]:
         """Return the traces that are whole; with `last`, what there is of an open one too."""
@@ -155,7 +155,9 @@ class _Document:
     def _start(self, tag: str, about: dict[str, str]) -> None:
         name = tag.rpartition(":")[2]
         if len(self._open) >= _DEEPEST:
-            raise DamagedLog(self._path, f"tags nested {_DEEPEST} deep: no event log", cure="Check what the file is.")
+            raise DamagedLog(
+                self._path, f"tags nested {_DEEPEST} deep: not an event log", cure="Check what the file is."
+            )
         around = self._open[-1] if self._open else ""
         self._open.append(name)
         if name == "event":
@@ -180,4 +182,4 @@ class _Document:
 
     def _refuse(self, *about: object) -> None:
         cause = "it holds a document type declaration, which may define entities: not read"
-        raise DamagedLog(self._path, cause, cure="Remove the <!DOCTYPE ...> at its begin.")
+        raise DamagedLog(self._path, cause, cure="Remove the <!DOCTYPE ...> at its beginning.")

@@ -86,14 +86,14 @@ def read_blocks(
     wanted = Wanted(numbers, texts, required, any_of)
     for name in wanted.columns:
         if f"{name}#2" in layout.names:
-            cause = f"two columns are called {name!r}: which one is meant cannot be told"
+            cause = f"two columns are called {name!r}: the name is ambiguous"
             raise DamagedLog(path, cause, cure="Name each column once in its header.")
     try:
         parser = RowParser(layout, wanted, line=layout.header_lines + 1)
         blocks = blocks_of(path, layout.encoding, skip_lines=layout.header_lines, delimiter=layout.delimiter)
         yield from parser.rows(blocks)
     except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
+        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its permissions.") from error
 
 
 def rows_of(

@@ -43,10 +43,10 @@ def names_in(path: Path, line: str, delimiter: str) -> tuple[str, ...]:
     """Return the names in a header line.
 
     Raises:
-        DamagedLog: There are more than any logger writes, or it is no text.
+        DamagedLog: There are more than any logger writes, or it is not text.
     """
     if "\0" in line:
-        raise DamagedLog(path, "its header holds NUL bytes: it is damaged, or no text", cure="Check the copy.")
+        raise DamagedLog(path, "its header holds NUL bytes: it is damaged, or not a text file", cure="Check the copy.")
     if line.count(delimiter) >= MOST_COLUMNS:
         cause = f"a header of more than {MOST_COLUMNS:,} columns: no logger writes that"
         raise DamagedLog(path, cause, cure="Check what the file is.")

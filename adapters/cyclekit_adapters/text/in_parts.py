@@ -89,5 +89,5 @@ def _together(blocks: Iterable[TextRows]) -> Iterator[TextRows]:
 
 def _hardly_any(path: Path, rows_read: int, usable: int, aside: pl.DataFrame) -> DamagedLog:
     line, reason = aside.row(0)
-    cause = f"of its first {rows_read} rows only {usable} can be used; the first that cannot (line {line}): {reason}"
+    cause = f"only {usable} of its first {rows_read} rows can be used; the first bad row (line {line}): {reason}"
     return DamagedLog(path, cause, cure="Check what the file is; to read its good rows, cut them out of it.")

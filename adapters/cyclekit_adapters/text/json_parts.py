@@ -45,12 +45,12 @@ def json_pieces(path: Path) -> Iterator[str]:
     """Yield the text of a JSON log in pieces.
 
     Raises:
-        LogError: It cannot be opened, or is no text.
+        LogError: It cannot be opened, or is not text.
     """
     try:
         yield from characters_of(path)
     except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
+        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its permissions.") from error
 
 
 def parts(pieces: Iterable[str], *, inside: str | None = None) -> Iterator[tuple[str, object]]:

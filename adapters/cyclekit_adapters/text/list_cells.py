@@ -64,13 +64,15 @@ class ListCells:
         rows = replace(rows, frame=rows.frame.with_columns(inner.alias(_LIST), parts.alias(_PARTS)))
         told = rows.frame[column].is_not_null()
         shown = _first(rows.frame.filter(told & rows.frame[_LIST].is_null()), column)
-        rows = rows.without(told & rows.frame[_LIST].is_null(), f"{shown!r} in column {column!r} is no list of numbers")
+        rows = rows.without(
+            told & rows.frame[_LIST].is_null(), f"{shown!r} in column {column!r} is not a list of numbers"
+        )
         lengths = rows.frame[_PARTS].list.len()
         if column not in self._widths and (first := lengths.drop_nulls()[:1].to_list()):
             self._widths[column] = first[0]
         width = self._widths.get(column, 0)
         other = (lengths != width).fill_null(value=False)
-        reason = f"a list in column {column!r} has not {width} numbers, as the first one has"
+        reason = f"a list in column {column!r} does not have {width} numbers as the first one does"
         rows = rows.without(other, reason)
         for place, name in made.items():
             rows = _with_number(rows, column, place, name)
@@ -84,7 +86,7 @@ def _with_number(rows: TextRows, column: str, place: int, name: str) -> TextRows
     rows = replace(rows, frame=rows.frame.with_columns(pl.when(number.is_finite()).then(number).alias(name)))
     bad = rows.frame.select((known.is_not_null() & number.is_null()).alias("bad"))["bad"]
     shown = _first(rows.frame.filter(bad), column)
-    return rows.without(bad, f"{shown!r} in column {column!r} holds what is not a number")
+    return rows.without(bad, f"{shown!r} in column {column!r} holds a value that is not a number")
 
 
 def _first(frame: pl.DataFrame, column: str) -> str:

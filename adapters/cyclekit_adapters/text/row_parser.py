@@ -199,12 +199,12 @@ class RowParser:
         fields = [cell.strip().lstrip("\ufeff").strip('"') for cell in cells.split(CELL)]
         if self.layout.is_header(fields):
             self.ended, self.below_names = "", True
-            return "the header once more"
+            return "the header is repeated"
         if self.ended or not is_name_line(fields, self.layout, self.wanted.numbers):
             return self.ended or reason
         shown = ", ".join(fields)[:60]
         if self.below_names and not set(fields) & set(self.layout.names):
-            return f"words where numbers are due, units or a second line of names: {shown}"
+            return f"words where numbers are expected, units or a second line of names: {shown}"
         self.ended = f"another table begins in line {self.line} ({shown}): cut the file there to read it"
         return self.ended
 

@@ -113,10 +113,10 @@ def _first(path: Path, size: int) -> bytes:
     try:
         about = path.stat()
         if not stat.S_ISREG(about.st_mode):
-            raise LogError(path, "is no file", cure="Name the file itself.")
+            raise LogError(path, "is not a file", cure="Name the file itself.")
         return _read_first(path, size, about.st_size, about.st_mtime_ns)
     except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
+        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its permissions.") from error
 
 
 @lru_cache(maxsize=16)  # each adapter looks at the head of each file
@@ -169,7 +169,7 @@ def blocks_of(path: Path, encoding: str, *, skip_lines: int = 0, delimiter: str 
         except _Bomb as error:
             raise DamagedLog(path, str(error.strerror), cure="Check where the file comes from.") from error
         except (zlib.error, zstd.ZstdError, gzip.BadGzipFile, EOFError) as error:
-            raise DamagedLog(path, f"its packing is damaged ({error})", cure="Copy it again.") from error
+            raise DamagedLog(path, f"its compressed data is damaged ({error})", cure="Copy it again.") from error
 
 
 def characters_of(path: Path) -> Iterator[str]:
@@ -177,7 +177,7 @@ def characters_of(path: Path) -> Iterator[str]:
 
     Raises:
         OSError: The file cannot be read.
-        DamagedLog: It is no text, or its packing is damaged or a bomb.
+        DamagedLog: It is not text, or its compressed data is damaged or a bomb.
     """
     encoding = file_encoding(path)
     if encoding is None:
@@ -191,7 +191,7 @@ def characters_of(path: Path) -> Iterator[str]:
         except _Bomb as error:
             raise DamagedLog(path, str(error.strerror), cure="Check where the file comes from.") from error
         except (zlib.error, zstd.ZstdError, gzip.BadGzipFile, EOFError) as error:
-            raise DamagedLog(path, f"its packing is damaged ({error})", cure="Copy it again.") from error
+            raise DamagedLog(path, f"its compressed data is damaged ({error})", cure="Copy it again.") from error
 
 
 def _with_line_feeds(text: str) -> str:
@@ -290,7 +290,7 @@ class _Counted(io.RawIOBase):
         data = self._packed.read(size)
         self._given += len(data)
         if self._given > self._most:
-            raise _Bomb(0, f"it unpacks to more than {_MAX_RATIO} times its size: it is no log")
+            raise _Bomb(0, f"it unpacks to more than {_MAX_RATIO} times its size: it is not a log")
         return data
 
     def close(self) -> None:

@@ -168,5 +168,5 @@ def trusted(
             rows = rows.without(rows.frame[name].is_null(), f"no value in column {name!r}")
     if wanted.any_of and all(rows.frame[name].null_count() for name in wanted.any_of):
         nothing = rows.frame.select(pl.all_horizontal(pl.col(wanted.any_of).is_null())).to_series()
-        rows = rows.without(nothing, "no value in any column that is read, beside its time")
+        rows = rows.without(nothing, "no value in any column that is read, except its time")
     return rows

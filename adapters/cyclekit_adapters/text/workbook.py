@@ -109,9 +109,11 @@ def safe_copy(path: Path) -> bytes:
         ):
             _copy_parts(path, archive, kept)
     except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
+        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its permissions.") from error
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
-        raise DamagedLog(path, f"its packing is damaged, or encrypted ({error})", cure="Save it again.") from error
+        raise DamagedLog(
+            path, f"its compressed data is damaged or encrypted ({error})", cure="Save it again."
+        ) from error
     return copy.getvalue()
 
 
@@ -119,7 +121,7 @@ def _copy_parts(path: Path, archive: zipfile.ZipFile, kept: zipfile.ZipFile) -> 
     parts = {info.filename: info for info in archive.infolist() if _KEPT.fullmatch(info.filename)}
     most = max(path.stat().st_size, 1 << 16) * MOST_RATIO
     if len(archive.infolist()) > _MOST_PARTS or sum(info.file_size for info in parts.values()) > most:
-        cause = f"it unpacks to more than {MOST_RATIO} times its size: it is no log"
+        cause = f"it unpacks to more than {MOST_RATIO} times its size: it is not a log"
         raise DamagedLog(path, cause, cure="Check where the file comes from.")
     texts, sheets = list[int](), dict[str, _Weighed]()
     for name, info in parts.items():

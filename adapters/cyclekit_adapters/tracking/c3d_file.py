@@ -93,7 +93,7 @@ def read_c3d(path: Path) -> C3dFile:
         with path.open("rb") as log:
             return _read(_Open(path, log, path.stat().st_size, log.read(_HEAD_BLOCKS * _BLOCK)))
     except OSError as error:
-        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its rights.") from error
+        raise LogError(path, f"cannot be read: {error.strerror}", cure="Check the path and its permissions.") from error
 
 
 class _Open(NamedTuple):

@@ -110,7 +110,7 @@ class FrameClock:
             return [f"the stated rate ({self.rate_hz:g} Hz) does not fit the Time column: the Time column is used"]
         if self._off_line:
             off = f"up to {self._off_s:.3g} s, first in line {self._off_line}"
-            return [f"the Time column departs from frame / rate by {off}: frame / rate is used"]
+            return [f"the Time column deviates from frame / rate by {off}: frame / rate is used"]
         return []
 
 

@@ -158,7 +158,7 @@ def _read(header: list[str]) -> _Table:
 def _own_names(header: list[str]) -> str:
     plain = [_WHOLE.sub("", cell.lower()) for cell in header]
     found = [cell for cell, text in zip(header, plain, strict=True) if any(name in text for name in OWN_NAMES)]
-    return f"its columns bear MediaPipe's names ({found[0][:40]})" if len(found) >= _FEW else ""
+    return f"its columns have MediaPipe's names ({found[0][:40]})" if len(found) >= _FEW else ""
 
 
 def _numbered(table: _Table) -> str:
@@ -192,7 +192,7 @@ def _named(table: _Table, rows: list[list[str]]) -> str:
     left, right = (_hip(table.named["z"], side) for side in ("left", "right"))
     if left is not None and right is not None:
         around = depths_around_hips(*as_numbers(rows, [left, right]).T)
-        return f"{shown} with a depth that is counted from the hips" if around else ""
+        return f"{shown} with a depth relative to the hips" if around else ""
     nose, shoulder = "nose", next((name for name in flat if "shoulder" in name), "")
     if nose not in flat or nose not in table.named["z"] or not shoulder:
         return ""

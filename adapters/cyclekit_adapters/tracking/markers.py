@@ -236,9 +236,11 @@ def marker_warnings(people: People, seen: Sightings) -> list[str]:
     if len(people.tracks) > 1:
         said.append(f"{len(people.tracks)} bodies tracked ({', '.join(people.tracks)}): name the operator with `body`")
     if "all markers" in people.point:
-        said.append("no pelvis marker known by name: the person is the middle of all markers; see `body` and `markers`")
+        said.append(
+            "no marker has a known pelvis name: the person is the middle of all markers; set `body` or `markers`"
+        )
     if any(len(members) > 1 for members in people.tracks.values()):
-        said.append("the person is the middle of the markers seen, which shifts when one is hidden")
+        said.append("the person's position is the middle of the visible markers; it shifts when one is hidden")
     return said + seen.hidden()
 
 

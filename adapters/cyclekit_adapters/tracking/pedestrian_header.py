@@ -58,7 +58,7 @@ def read_header(path: Path, columns: str | None) -> PedestrianHeader:
     head = head_of(path, 1 << 20)
     header = header_of(head, columns)
     if header is None:
-        raise DamagedLog(path, "no table of frame, id, x and y", cure='Map it with adapter = "csv".')
+        raise DamagedLog(path, "not a table of frame, id, x and y", cure='Map it with adapter = "csv".')
     if header.titled:
         return header
     if columns is not None:
@@ -67,10 +67,10 @@ def read_header(path: Path, columns: str | None) -> PedestrianHeader:
     here, other = _step(rows, header.names), _step(rows, ("id", "frame", *header.names[2:]))
     if here > _FARTHER * other > 0.0:
         cause = (
-            f"the nameless columns are rather id, frame, x, y: taken as frame, id a person moves {here:.3g} between "
-            f"two rows, the other way {other:.3g}"
+            f"the unnamed columns are probably id, frame, x, y: read as frame, id a person moves {here:.3g} between "
+            f"two rows, read the other way {other:.3g}"
         )
-        raise LogError(path, cause, cure='Say the order in [sources.map]: columns = "id frame x y".')
+        raise LogError(path, cause, cure='Give the order in [sources.map]: columns = "id frame x y".')
     return header
 
 
@@ -106,7 +106,7 @@ def metres_if_they_can_be(path: Path, header: PedestrianHeader, rate_hz: float) 
         said = f"in metres people would move at {speed_m_s:.3g} m/s"
     if said:
         raise LogError(
-            path, f"no unit is stated, and {said}", cure='Say it in [sources.map]: unit = "cm" (or "mm", "m").'
+            path, f"no unit is stated, and {said}", cure='Give it in [sources.map]: unit = "cm" (or "mm", "m").'
         )
     return "m"
 

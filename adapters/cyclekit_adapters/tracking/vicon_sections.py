@@ -83,7 +83,7 @@ class Sections:
                 number, fresh = number + piece.count(b"\n"), blank
         except OSError as error:
             cause = f"cannot be read: {error.strerror}"
-            raise LogError(self.path, cause, cure="Check the path and its rights.") from error
+            raise LogError(self.path, cause, cure="Check the path and its permissions.") from error
 
 
 def open_section(path: Path, title: str | None) -> tuple[Sections, Section, Iterator[bytes]]:

@@ -53,14 +53,14 @@ def metres_of(path: Path, sizes: Numbers, unit: str | None) -> tuple[float, str]
         LogError: The bodies fit neither unit.
     """
     if unit is not None:
-        return UNITS[unit], f"{unit}, by the cell file"
+        return UNITS[unit], f"{unit}, from the cell file"
     typical = float(np.median(sizes)) if len(sizes) else float("nan")
     for name, metres in UNITS.items():
         if SIZE_M[0] <= typical * metres <= SIZE_M[1]:
             return metres, f"{name}, since bodies are {typical:.4g} {name} from end to end"
     seen = "no body shows its size" if not len(sizes) else f"bodies are {typical:.4g} from end to end"
-    cause = f"the unit cannot be decided between metres and millimetres: {seen}"
-    raise LogError(path, cause, cure='Say it in cell.toml: unit = "m" or unit = "mm" in [sources.map].')
+    cause = f"the unit may be metres or millimetres: {seen}"
+    raise LogError(path, cause, cure='Give it in cell.toml: unit = "m" or unit = "mm" in [sources.map].')
 
 
 def axes_of(path: Path, upward: Numbers, axes: str | None) -> tuple[Numbers, Up, str]:
@@ -75,17 +75,17 @@ def axes_of(path: Path, upward: Numbers, axes: str | None) -> tuple[Numbers, Up,
         LogError: The bodies point neither up nor down along one axis.
     """
     if axes is not None:
-        return *AXES[axes], f"{axes}, by the cell file"
+        return *AXES[axes], f"{axes}, from the cell file"
     length = np.linalg.norm(upward, axis=1, keepdims=True)
     usable = (length > 0.0) & np.isfinite(length)
     if not usable.any():
-        return *AXES["right_handed_y_up"], "right_handed_y_up, as the SDK's exporters write; no body shows it"
+        return *AXES["right_handed_y_up"], "right_handed_y_up, the default of the SDK's exporters; no body shows it"
     mean = (upward[usable[:, 0]] / length[usable[:, 0]]).mean(axis=0)
     shown = {"right_handed_y_up": mean[1], "image": -mean[1], "right_handed_z_up": mean[2]}
     best = max(shown, key=lambda name: float(shown[name]))
     if shown[best] < _CLEAR:
         way = ", ".join(f"{value:.2f}" for value in mean)
         cause = f"the bodies do not show which axis is up: pelvis to neck is ({way}) on average"
-        raise LogError(path, cause, cure=f"Say it in cell.toml, in [sources.map]: axes = one of {', '.join(AXES)}.")
+        raise LogError(path, cause, cure=f"Give it in cell.toml, in [sources.map]: axes = one of {', '.join(AXES)}.")
     turned = "; turned to y up, z towards the camera" if best == "image" else ""
     return *AXES[best], f"{best}, since bodies stand along it; taken as right-handed{turned}"

@@ -94,7 +94,7 @@ def _scaling_inferred(values: Mapping[str, Value]) -> str:
     elif alone < count:
         how = f"runs without the operator ({alone} motions) and the fastest repetitions ({count - alone} motions)"
     slowed = values["never_at_full_speed"]
-    seen = f"; never seen at full speed, so unknown: {slowed}" if slowed else ""
+    seen = f"; never at full speed, so unknown: {slowed}" if slowed else ""
     return f"{_scaling(values)}: inferred from velocity ratios against {how}{seen}"
 
 
@@ -111,7 +111,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "log-changed": "the log changed while it was read: is it still being written? ingest again when it is complete",
     # clocks
     "clock-assumed": (
-        "nothing says how its clock relates to the robot's: both are taken to start together; "
+        "nothing says how its clock relates to the robot's: a common start is assumed; "
         "give clock_offset_s, sync or sees in cell.toml"
     ),
     "clock-restarted": (
@@ -154,21 +154,20 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "clock-events-unmatched": "only {used} of {events} events place its clock: the others have no partner",
     # operator
     "tracks-linked": (
-        "{ids} track ids in {frames} frames last for no longer than a frame or two: linked by motion into {tracks} "
-        "tracks"
+        "{ids} track ids in {frames} frames last only a frame or two: linked by motion into {tracks} tracks"
     ),
-    "positions-too-fast": "{count} positions are not believed, since nobody moves at over 20 m/s: unknown there",
+    "positions-too-fast": "{count} positions are implausible: a person does not move faster than 20 m/s: unknown there",
     "height-changes": (
         "the height of a person changes by {height_m:.1f} m: check which axis points up, and frame in cell.toml"
     ),
-    "heights-unknown": "heights are unknown: distances are those in the plane",
+    "heights-unknown": "heights are unknown: distances are horizontal",
     # task lists
     "listed-of-robot": "{tasks} tasks of the robot are not used: its log tells its tasks",
     "listed-outside": "{outside} of {tasks} tasks of the operator lie outside of every execution",
     # the dataset
     "made-anew": "the dataset that was there was damaged, or of another version, and was made anew",
     "repaired": "made anew, since the dataset was not as it was written: {files}",
-    "source-without-log": "the cell file speaks of {path!r}, and no log is meant by it",
+    "source-without-log": "source {path!r} of the cell file matches no log",
     "no-positions": ("no positions: nothing tells where robot and people were, so no motion or safety can be learned"),
     "logs-unpaired": (
         "{robots} robot logs ({robot}, …) are without people, {others} logs ({other}, …) without a "
@@ -176,7 +175,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "same name in their folders (robot/a.csv, tracker/a.csv)"
     ),
     # the speed scaling
-    "scaling-unknown": lambda values: f"{_scaling(values)}, and no motion repeats, so it could not be inferred either",
+    "scaling-unknown": lambda values: f"{_scaling(values)}; it cannot be inferred either, because no motion repeats",
     "scaling-inferred": _scaling_inferred,
     "scaling-nowhere": "the scaling is unknown everywhere",
     "levels-none": (
@@ -184,11 +183,11 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         f"{_REGRESSION}"
     ),
     "levels-one": "only one level, {level:.2f}: the logs show no slow-down, or no full speed",
-    "levels-many": f"{{levels}} levels are too many for a staircase: a continuous function; {_REGRESSION}",
-    "levels-wide": f"values around {{values}} form no sharp level: a continuous function; {_REGRESSION}",
-    "levels-left": "{unknown:.0%} of the known samples are on no level: ramps, or no staircase at all",
+    "levels-many": f"{{levels}} levels are too many for discrete levels: a continuous function; {_REGRESSION}",
+    "levels-wide": f"values around {{values}} form no clear level: a continuous function; {_REGRESSION}",
+    "levels-left": "{unknown:.0%} of the known samples are on no level: ramps, or no discrete levels",
     "levels-not-held": (
-        f"only {{held:.0%}} of the known samples are held: rather a continuous function; {_REGRESSION}"
+        f"only {{held:.0%}} of the known samples are held: probably a continuous function; {_REGRESSION}"
     ),
     "levels-with-slider": (
         "the values are levels times an operator slider ({sliders}); the levels are given without it"
@@ -199,8 +198,8 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "model-data": "{text}",
     "model-beaten": "{text}",
     "levels-disputed": (
-        "{levels} levels by plateaus in time, {other} by K-means with silhouette: look at the levels, "
-        "and fix them in cell.toml where you know them"
+        "{levels} levels by plateaus in time, {other} by K-means with silhouette: check the levels, "
+        "and set them in cell.toml if you know them"
     ),
 }
 """The sentence of each code; a function where it is made of parts."""

@@ -1,6 +1,6 @@
-"""The checks themselves: which rows of a window cannot be, and what is to be said of the whole table.
+"""The checks: which rows of a window are implausible, and what to report about the whole table.
 
-A check sees window after window (`window`), sets rows aside and counts; when the last one was seen it says what it has
+A check gets window after window (`window`), sets rows aside and counts; after the last one it reports what it has
 found, one sentence each.
 """
 
@@ -32,7 +32,7 @@ SPEED_M_S = 10.0
 DAY_S = 86_400.0
 _NEAR = 8
 LATEST_S = 1e11
-"""The year 5138: no clock shows that."""
+"""The year 5138: beyond any clock."""
 
 
 class Checks:
@@ -79,7 +79,7 @@ class Checks:
 
     def timed(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Set rows without a possible time aside, and note where time jumps ahead."""
-        frame = self.drop(frame, ~(np.abs(column(frame, "t_s")) < LATEST_S), "its time is no number that a clock shows")
+        frame = self.drop(frame, ~(np.abs(column(frame, "t_s")) < LATEST_S), "its time is not a plausible number")
         steps = np.diff(column(frame, "t_s"))
         far = steps[(steps > DAY_S) & (is_here(frame)[1:])]
         if len(far):
@@ -105,31 +105,31 @@ class Checks:
     def _said_of_periods(self) -> list[str]:
         period = self._period_s
         if period is not None and period > 1.5:
-            unit = "milliseconds taken for seconds? give time_unit"
+            unit = "probably milliseconds read as seconds; give time_unit"
             return [f"robot rows lie {period:.3g} s apart: {unit}"]
         if period is not None and period < 5e-5:
-            return [f"robot rows lie {period:.3g} s apart: is the unit of time right? give time_unit"]
+            return [f"robot rows lie {period:.3g} s apart: check the unit of time and give time_unit"]
         return []
 
 
 NO_TCP = (
-    "the log holds joint angles and no TCP, so neither places nor tasks can be found: log the TCP pose too "
+    "the log has joint angles but no TCP, so places and tasks cannot be found: log the TCP pose too "
     '(UR actual_TCP_pose, Franka O_T_EE, KUKA RIst), or name the arm in cell.toml ([robot] model = "UR5e")'
 )
-"""Said of a robot whose joints alone were logged."""
+"""Warning for a robot log with joint angles only."""
 
 
 class EventChecks(Checks):
-    """Events: only their time can be impossible."""
+    """Events: only their time can be implausible."""
 
     whose = "an event"
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window without what cannot be."""
+        """Return the window without implausible rows."""
         return self.timed(frame)
 
     def warnings(self) -> list[str]:
-        """Say what was found, once all was seen."""
+        """Report what was found, after the last window."""
         return self._said_of_time()
 
 
@@ -139,11 +139,11 @@ class SafetyChecks(Checks):
     whose = "the safety system"
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window without what cannot be."""
+        """Return the window without implausible rows."""
         return self.timed(self.finite(frame))
 
     def warnings(self) -> list[str]:
-        """Say what was found, once all was seen."""
+        """Report what was found, after the last window."""
         return [*self._said_of_numbers(), *self._said_of_time()]
 
 
@@ -161,7 +161,7 @@ class RobotChecks(Checks):
         self._joints = self._tcp = False
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window without what cannot be."""
+        """Return the window without implausible rows."""
         frame = scaling_while_playing(self.timed(self.finite(frame)))
         times = column(frame, "t_s")
         frame = self.drop(frame, repeated(times), "repeats the time of the row before it")
@@ -181,21 +181,21 @@ class RobotChecks(Checks):
         return frame
 
     def warnings(self) -> list[str]:
-        """Say what was found, once all was seen."""
+        """Report what was found, after the last window."""
         said = [*self._said_of_numbers(), *self._said_of_time(), *self._said_of_periods()]
         still, others = self._places.warnings()
         said += others
         for name, seen in self._fractions.items():
             if seen.rows:
                 percent = 1.5 < seen.most <= 200.0
-                likely = "likely percent, say scaling_max = 100" if percent else "no fraction"
+                likely = "probably percent, set scaling_max = 100" if percent else "not a fraction"
                 said.append(f"{name} reaches {seen.most:g} in {seen.rows} rows: {likely}; unknown there")
         if self._speed.rows:
             likely = "likely mm/s" if self._speed.rows > 0.1 * self._speed.known else "garbled"
             top, rows = f"{self._speed.most:.4g}", self._speed.rows
             said.append(f"tcp_speed_m_s reaches {top} m/s in {rows} rows: {likely}; unknown there")
         if self._turned:
-            said.append(f'{self._turned} exceeds {ANGLE_RAD:.0f} rad: likely degrees; say joint_unit = "deg"')
+            said.append(f'{self._turned} exceeds {ANGLE_RAD:.0f} rad: probably degrees; set joint_unit = "deg"')
         if self._joints and not self._tcp:
             said.append(NO_TCP)
         return [*said, *still]
@@ -218,7 +218,7 @@ class PeopleChecks(Checks):
         return _NEAR * frame["person"].n_unique()
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window without what cannot be."""
+        """Return the window without implausible rows."""
         frame = self.timed(self._nobody.look(self.finite(frame)))
         groups, times = tracks(frame), column(frame, "t_s")
         if any((np.diff(times[rows]) <= 0.0).any() for rows in groups):  # else no time is twice there, or stray
@@ -236,13 +236,13 @@ class PeopleChecks(Checks):
         return self.drop(frame, bad, "its time does not fit between its neighbours")
 
     def warnings(self) -> list[str]:
-        """Say what was found, once all was seen."""
+        """Report what was found, after the last window."""
         still, others = self._places.warnings()
         return [*self._said_of_numbers(), *self._said_of_time(), *self._nobody.warnings(), *others, *still]
 
 
 class _Beyond:
-    """Counts the values of a column that cannot be, and makes them unknown."""
+    """Counts the implausible values of a column, and makes them unknown."""
 
     def __init__(self) -> None:
         self.rows, self.known, self.most = 0, 0, -np.inf
@@ -260,7 +260,7 @@ class _Beyond:
 def scaling_while_playing(frame: pl.DataFrame) -> pl.DataFrame:
     """Return robot rows whose scaling is unknown where the program is known not to run.
 
-    A controller writes what it likes for a program that is paused or stopped, mostly 0: that is no safety stop.
+    While a program is paused or stopped a controller writes any value, mostly 0: that is not a protective stop.
     """
     if not {"scaling", "state"}.issubset(frame.columns) or not (frame["state"] != "playing").any():
         return frame
@@ -269,18 +269,18 @@ def scaling_while_playing(frame: pl.DataFrame) -> pl.DataFrame:
 
 
 def placed(checks: Checks, frame: pl.DataFrame, places: Places, groups: Sequence[Track]) -> pl.DataFrame:
-    """Set aside positions out of reach and single positions that nothing can have jumped to."""
+    """Set aside positions out of reach and single implausible jumps."""
     kind: Kind = places.kind
     times, xyz = column(frame, "t_s"), positions(frame, kind)
     beyond = places.out_of_reach(xyz, is_here(frame))
-    reason = f"{kind.whose} more than {kind.reach_m:.0f} m away: no such place"
+    reason = f"{kind.whose} more than {kind.reach_m:.0f} m away: implausible position"
     if beyond.any():
         frame = checks.drop(frame, beyond, reason)
         groups = tracks(frame)
         times, xyz = times[~beyond], xyz[:, ~beyond]
     stray = places.strays(times, xyz, groups, is_here(frame))
     places.look_still(xyz[:, judged_rows(frame)])
-    jumped = f"{kind.whose} cannot have jumped there and back (faster than {kind.speed_m_s:.0f} m/s)"
+    jumped = f"{kind.whose} jumps there and back implausibly fast (faster than {kind.speed_m_s:.0f} m/s)"
     return checks.drop(frame, stray, jumped)
 
 

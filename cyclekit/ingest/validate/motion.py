@@ -1,4 +1,4 @@
-"""Positions that cannot be: out of reach, jumped to and back from, or never changing by a hair."""
+"""Implausible positions: out of reach, jumps there and back, or never changing at all."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     Track = NDArray[np.int64] | slice
 
 STILL_ROWS = 100
-"""A value that stays the same over fewer rows says nothing."""
+"""A constant value over fewer rows is not reported."""
 NOWHERE_M = 1e9
 NEAR_M = 0.02
-"""Nobody, and no tool, is never farther from the origin than this: a robot has a base, a tracker a camera there."""
+"""A person or a tool always gets farther from the origin than this: the robot's base or the camera is there."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class Kind:
     """Which columns are a position, and what is possible there.
 
     Attributes:
-        speed_m_s: Nothing at the end of a robot arm, and nobody on foot, is faster.
-        slack_m: A shorter step is no jump however short the time: clocks jitter, tracks move from head to hip.
-        reach_m: Farther away than this is no robot on a gantry, and nobody in the same hall.
-        likely: What a jump that stays comes from.
+        speed_m_s: Maximum plausible speed of a robot's TCP or of a person on foot.
+        slack_m: A shorter step is not a jump, however short the time: clocks jitter, tracks move from head to hip.
+        reach_m: Maximum plausible distance: a robot on a gantry, a person in the same hall.
+        likely: Likely cause of a lasting jump.
     """
 
     whose: str
@@ -64,7 +64,7 @@ class Places:
     def out_of_reach(self, xyz: Vector, here: Mask) -> Mask:
         """Tell which positions, shape (3, N), are out of reach; none where most are, for then the unit is another.
 
-        As a whole such a table is consistent, and only a person knows what it is.
+        As a whole such a table is consistent, and only the user knows its unit.
         """
         far = _length(_without_nan(np.clip(xyz, -NOWHERE_M, NOWHERE_M)))
         beyond = far > self.kind.reach_m
@@ -117,7 +117,7 @@ class Places:
         return np.asarray((way > possible) & (step > 0))
 
     def look_still(self, xyz: Vector) -> None:
-        """Note how far away it was and whether it ever changed; a sensor has noise, even of who stands still."""
+        """Note the distance and whether it ever changed; a sensor has noise even when a person stands still."""
         known = np.isfinite(xyz[0]) & np.isfinite(xyz[1])
         if not known.all():
             xyz = xyz[:, known]
@@ -131,17 +131,17 @@ class Places:
         self._still = self._still and bool(((xyz[0] == x) & (xyz[1] == y)).all())
 
     def warnings(self) -> tuple[list[str], list[str]]:
-        """Say whether the position never changed, and all else."""
+        """Report whether the position never changed, and the rest."""
         kind, said = self.kind, []
         if self._far_rows:
             said.append(
-                f"{kind.whose} is {self._far_m:.0f} m away in {self._far_rows} rows: likely millimetres; "
-                'say length_unit = "mm", or the unit in the export'
+                f"{kind.whose} is {self._far_m:.0f} m away in {self._far_rows} rows: probably millimetres; "
+                'set length_unit = "mm", or correct the unit in the export'
             )
         if 0.0 < self._most_m < NEAR_M and self._seen >= STILL_ROWS:
             said.append(
-                f"{kind.whose} is never farther than {1e3 * self._most_m:.1f} mm from the origin on any axis: likely "
-                "metres that are said to be millimetres; correct the unit"
+                f"{kind.whose} is never farther than {1e3 * self._most_m:.1f} mm from the origin on any axis: probably "
+                "metres with the unit given as millimetres; correct the unit"
             )
         if self._jumps:
             said.append(f"{kind.whose} jumps faster than {kind.speed_m_s:.0f} m/s {self._jumps} time(s): {kind.likely}")
@@ -149,7 +149,7 @@ class Places:
             return [], said
         x, y = self._same
         return [
-            f"{kind.whose} stays at exactly ({x:g}, {y:g}) m in all {self._seen} rows: is the right signal logged?"
+            f"{kind.whose} stays at exactly ({x:g}, {y:g}) m in all {self._seen} rows: check the logged signal"
         ], said
 
 

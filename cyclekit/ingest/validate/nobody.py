@@ -1,4 +1,4 @@
-"""Places that trackers write where they see nobody: 0, 0, 0; -1, -1, -1; 9999, 9999, 9999.
+"""Positions that trackers write while they see no person: 0, 0, 0; -1, -1, -1; 9999, 9999, 9999.
 
 Taken for places they are a person at the robot's base, or far away. No measurement is exactly the same on three axes,
 so such a row is one in which the person is not seen. Of a tracker that knows x and y only it is believed where the
@@ -28,11 +28,11 @@ UNITS_M = (1.0, 0.01, 0.001, 0.0254)
 STANDS_FOR_NOBODY = np.unique(np.outer(UNITS_M, WRITTEN))
 """Metres of WRITTEN in each unit of length."""
 BESIDE_M = 0.3
-"""From one row to the next nobody walks farther."""
+"""Maximum plausible step of a person from one row to the next, m."""
 
 
 class Nobody:
-    """Finds such rows, window after window, and makes their places unknown."""
+    """Finds such rows, window after window, and makes their positions unknown."""
 
     def __init__(self) -> None:
         self._rows: dict[float, int] = {}
@@ -40,7 +40,7 @@ class Nobody:
         self._last: dict[str | None, tuple[float, float]] = {}  # where each person was seen last
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window with unknown places where nobody is seen."""
+        """Return the window with unknown positions where no person is seen."""
         here = frame[PLACE].to_numpy() == HERE
         self._seen += int(here.sum())
         if not {"x_m", "y_m"}.issubset(frame.columns):
@@ -84,10 +84,10 @@ class Nobody:
         self._last |= {person: (x, y) for person, x, y in last.iter_rows()}
 
     def warnings(self) -> list[str]:
-        """Say which places stood for nobody, and how often."""
+        """Report which positions meant no person, and how often."""
         return [
             f"a person is at exactly {value:g} m on every axis in {count} of {self._seen} rows: "
-            "that stands for nobody seen; unknown there"
+            "this means no person seen; unknown there"
             for value, count in sorted(self._rows.items(), key=lambda item: -item[1])
         ]
 

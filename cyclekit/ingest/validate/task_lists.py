@@ -20,7 +20,7 @@ LONGEST_S, SHORTEST_S = 86_400.0, 1e-3
 SHOWN = 6
 """Agents that are named."""
 TOUCH_S = 1e-3
-"""A task may start so much before its agent's last one has ended: clocks are rounded."""
+"""A task may start this much before its agent's previous one has ended: clocks are rounded."""
 _READ = ("t_s", "end_s", "agent_name")
 
 
@@ -32,14 +32,14 @@ class TaskChecks(Checks):
         self._rows: list[pl.DataFrame] = []
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window without what cannot be."""
+        """Return the window without implausible rows."""
         frame = self.timed(self.finite(frame))
         here = frame.filter(pl.col(PLACE) == HERE)
         self._rows.append(here.select(name for name in _READ if name in here.columns))
         return frame
 
     def warnings(self) -> list[str]:
-        """Say what was found, once all was seen."""
+        """Report what was found, after the last window."""
         said = self._said_of_numbers()
         rows = pl.concat(self._rows) if self._rows else pl.DataFrame()
         if rows.is_empty() or set(rows.columns) != set(_READ):
@@ -49,12 +49,12 @@ class TaskChecks(Checks):
         said += self._said_of_overlaps(overlaps_of(rows, ["agent_name"]).filter(pl.col("overlaps") > 0))
         median_s = (rows["end_s"] - rows["t_s"]).median()
         if isinstance(median_s, float) and (median_s > LONGEST_S or 0.0 < median_s < SHORTEST_S):
-            said.append(f"half of the tasks take {median_s:.3g} s: is the unit of time right? give time_unit")
+            said.append(f"half of the tasks take {median_s:.3g} s: check the unit of time and give time_unit")
         return said
 
     def _said_of_overlaps(self, agents: pl.DataFrame) -> list[str]:
         said = [
-            f"{count} of {tasks} tasks of {name!r} start before its last one has ended, by up to {most:.1f} s"
+            f"{count} of {tasks} tasks of {name!r} start before its previous task has ended, by up to {most:.1f} s"
             for name, tasks, count, most in agents[:SHOWN].iter_rows()
         ]
         return [*said, f"so do tasks of {agents.height - SHOWN} other agents"] if agents.height > SHOWN else said

@@ -1,4 +1,4 @@
-"""What cannot be: values of a recording that no cell produces, found, named with the likely cure, and kept out.
+"""Implausible values of a recording: found, reported with the likely cure, and kept out.
 
 Many containers have no checksum, so a flipped bit or a slip of units passes every reader; only the values can give it
 away. A row whose time or position is impossible beside its neighbours is set aside; a column that looks wrong as a

@@ -4,7 +4,7 @@ The source paper: "the ratio between the measured velocity and the velocity obta
 presence". Here that ratio is the rate at which the nominal time of the motion's path advances: each repetition of a
 motion is matched to the path by place (`path`), the path's nominal time comes from runs with nobody in the cell or from
 the fastest pace of all repetitions at each place (`reference`), and the rate is fitted as what it is, piecewise
-constant with ramps (`advance`). Where it cannot be known it is unknown, with the reason.
+constant with ramps (`advance`). Where it cannot be determined it is unknown, with the reason.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ if TYPE_CHECKING:
 __all__ = ["Reference", "infer_overrides"]
 
 UNSURE = 0.1
-"""An inferred scaling of a larger standard deviation is not told."""
+"""An inferred scaling with a larger standard deviation is left unknown."""
 LEAST_SD = 3e-4
-"""What the reference itself is known to."""
+"""Standard deviation of the reference itself."""
 EDGE_SD = 0.05
 """In a ramp one scaling for several rows is wrong by up to what it changes from row to row; at an edge by this."""
 SLOW = 0.2
-"""A repetition whose logged scaling is lower tells nothing about the pace at full speed."""
+"""A repetition with a lower logged scaling is not used for the speed at full override."""
 PATHS = 4
-"""Between two places so many different paths are looked for."""
+"""Maximum number of different paths between two places."""
 LEAST_NOISE = 1e-6
 """Noise of a coordinate (rad or m) that shows none: logs are written with so many digits."""
 HALTED, CRAWL_M_S = 0.02, 6e-3
@@ -81,7 +81,7 @@ def infer_overrides(
     progress: Callable[[float], None] = lambda _: None,
     engine: Engine = LOCAL,
 ) -> tuple[list[list[InferredScaling]], dict[str, list[Reference]]]:
-    """Return the scaling of each run that does not know it, where the robot was on its way.
+    """Return the scaling of each run that did not log it, during motions.
 
     Args:
         runs: All runs; those that know their scaling serve as references too.

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     Points = NDArray[np.float64]
 
 AMONG = 60
-"""The envelope is taken over so many repetitions, the fastest ones."""
+"""The envelope is taken over this many repetitions, the fastest ones."""
 TOP = 0.05
 """The nominal pace is what this fraction of the repetitions reached, so that one outlier does not set it."""
 WITNESSES = 3
@@ -46,7 +46,7 @@ CLEAR = 10.0
 STRAIGHT = 0.01
 """A TCP that never leaves the straight line to its goal by more than this fraction of its length goes straight."""
 LOOKED_AT = 60
-"""So many rows of a repetition tell which path it takes."""
+"""Rows of a repetition by which its path is identified."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Reference:
             noise, and of the TCP along its path, m/s and m/s² (NaN: the TCP is not known).
         noise: Its standard deviation by the noise of the log, (2, D + 1); that of the TCP is taken for 0.
         straight: The TCP goes straight to its goal.
-        slowed: It was slowed in every repetition by so much (its share of full speed); 1 = there is no sign of that.
+        slowed: Share of full speed at which every repetition ran; 1 = no sign of slowing.
     """
 
     path: Path

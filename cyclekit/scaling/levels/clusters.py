@@ -24,7 +24,7 @@ _LEAST_EPS = 0.01
 _USUAL_HOLD_S = 1.5
 """How long a short plateau lasts; how far its mean may lie from the level's is what eps must bridge."""
 _GRIDS = (0.05, 0.01)
-"""Steps in which people choose speed levels."""
+"""Usual steps of speed levels."""
 _SIGMAS = 2.5
 _SLIDERS_DIFFER = 0.02
 _LOWEST_SLIDER = 0.1
@@ -71,7 +71,7 @@ class Cluster:
 
     @classmethod
     def fixed(cls, levels: Sequence[float]) -> Cluster:
-        """Return levels that somebody gave."""
+        """Return levels given by the caller."""
         value = np.unique(np.asarray(levels, np.float64))
         return cls(value, None, np.zeros(value.size))
 

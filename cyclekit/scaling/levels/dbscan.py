@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 UNKNOWN = -1
-"""Label of what is in no cluster."""
+"""Label of values outside of all clusters."""
 
 
 def dbscan_1d(

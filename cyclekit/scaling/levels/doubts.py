@@ -1,4 +1,4 @@
-"""Reasons to believe that a speed scaling is no staircase."""
+"""Reasons why a speed scaling may not have discrete levels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _MANY_LEVELS = 12
 """More levels than any safety configuration offers: then the values are not a staircase."""
 _WIDE = 6.0
-"""A cluster whose middle 90 % spread over more than this many eps is no single level."""
+"""A cluster whose middle 90 % spread over more than this many eps is not a single level."""
 _MUCH_UNKNOWN = 0.2
 _LITTLE_HELD = 0.5
 _MUCH_NOISE = 0.15

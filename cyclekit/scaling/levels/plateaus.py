@@ -27,13 +27,13 @@ _WINDOW_S = 50.0
 """A window of (50 s x rate x noise)^(2/3) samples tells a ramp of 0.2 a second (full range in 5 s) from a plateau."""
 _SIGMAS = 3.5
 _LEAST_STEP = 0.01
-"""Windows whose means differ by less than this agree however little noise there is."""
+"""Windows whose means differ by less than this agree, even without noise."""
 _DRIFT = 0.03
 """A plateau whose fitted line rises or falls by more than this is a slow ramp."""
 _NARROWEST_S, _WIDEST_S = 0.1, 1.0
 """Bounds of the window: with shorter ones a slow ramp of many samples looks steady from one to the next."""
 _SHORTEST_S = 0.2
-"""What is held for a shorter time is no plateau; nor is what is seen in one sample only."""
+"""A value held for a shorter time is not a plateau; nor is a single sample."""
 _EVIDENCE = 30.0
 """A short plateau must lower the squared error of a straight way past it by this many noise variances (3 ln T)."""
 _HINGE_PLACES = 120

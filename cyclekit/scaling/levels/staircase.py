@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import Note
 
 LEAST_HELD_S = 1.0
-"""A level is held for at least so long, all plateaus together; short, so that a rare level survives."""
+"""Minimum time for which a level is held, all plateaus together; short, so that a rare level survives."""
 PLATEAU = "plateau"
 """The way to find the levels by default; those of `FINDERS` look at the values without their order in time."""
 

@@ -1,4 +1,4 @@
-"""The copy on this machine of what stands at a URL: where it is kept."""
+"""Local copies of URLs: where they are kept."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The file system behind a URL: objects read and put, every failure said with the URL and the cure."""
+"""The file system behind a URL: objects read and written, every error with the URL and the cure."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def opened(url: str) -> tuple[fs.FileSystem, str]:
             found, path = url_to_fs(url)
         except (ImportError, ValueError):
             kinds = "Known: file, s3, gs, abfs, hdfs; more with a package of fsspec's installed."
-            raise StorageError(url, f"no address that can be used ({error})", cure=kinds) from error
+            raise StorageError(url, f"not a usable address ({error})", cure=kinds) from error
         system = fs.PyFileSystem(fs.FSSpecHandler(found))
     return system, path.rstrip("/")
 
@@ -120,7 +120,7 @@ def fetch(system: fs.FileSystem, key: str, target: Path, wanted: ManifestEntry |
             digest.update(piece)
             handle.write(piece)
     if wanted is not None and (size, digest.hexdigest()) != (wanted.size, wanted.sha256):
-        msg = f"{key} is not what its manifest says"
+        msg = f"{key} does not match its manifest"
         raise OSError(msg)
 
 
@@ -132,5 +132,5 @@ def send(system: fs.FileSystem, file: Path, key: str) -> None:
         while piece := handle.read(_STEP):
             stream.write(piece)
     if system.get_file_info(key).size != file.stat().st_size:
-        msg = f"{key} did not arrive whole"
+        msg = f"{key} arrived incomplete"
         raise OSError(msg)

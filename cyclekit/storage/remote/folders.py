@@ -117,7 +117,7 @@ def mirrored(place: Path | str) -> Path:
         with ThreadPoolExecutor(AT_ONCE) as pool:
             list(pool.map(lambda file: _mirror(system, files[file], file), files))
     if not files:
-        raise StorageError(url, "there is nothing", cure="Check the address.")
+        raise StorageError(url, "nothing was found there", cure="Check the address.")
     return target
 
 

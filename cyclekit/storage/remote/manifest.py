@@ -85,7 +85,7 @@ def check(files: Files) -> None:
         if name in folders:
             raise ValueError(f"{name[:120]!r} is a file and a folder")
         if entry.part != part_of(name, entry.sha256):
-            raise ValueError(f"the part of {name[:120]!r} is not where it would be published")
+            raise ValueError(f"the part of {name[:120]!r} is not at the address where it would be published")
 
 
 def part_of(name: str, sha256: str) -> str:

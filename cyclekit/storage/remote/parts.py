@@ -125,7 +125,7 @@ def _check(entries: Files, folder: Path) -> None:
     try:
         check(entries)
     except ValueError as error:
-        raise CyclekitError(f"{folder}: cannot be published ({error})", cure="Rename what is named.") from error
+        raise CyclekitError(f"{folder}: cannot be published ({error})", cure="Rename the file named above.") from error
 
 
 def _entry(name: str, file: Path) -> ManifestEntry:

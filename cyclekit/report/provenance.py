@@ -1,7 +1,6 @@
-"""Where the numbers come from: recordings, clocks, frames, rows set aside, warnings, versions.
+"""Provenance of the numbers: recordings, clocks, frames, rows set aside, warnings, versions.
 
-A dataset can rest on thousands of files; equal ones are put together, and what is unusual keeps its name. Reads the
-dataset's card only.
+A dataset can come from thousands of files: similar recordings are grouped. Reads the dataset's card only.
 """
 
 from __future__ import annotations
@@ -21,15 +20,15 @@ MOST_FILES = 12
 
 @dataclass(frozen=True)
 class Source:
-    """Recordings read alike.
+    """A group of recordings read in the same way.
 
     Attributes:
         adapter: Its name, package and version.
-        tables: What they hold, in words.
-        recordings: How many, from how many files.
-        rows: Rows read and rows set aside.
-        rate_hz, hours: Mean rate where known; total length.
-        clock, frame: How time and place were brought to the robot's.
+        tables: Their tables, as text.
+        recordings: Number of recordings.
+        rows, set_aside: Rows read and rows set aside.
+        rate_hz, hours: Mean rate where known; total duration.
+        clock, frame: How clock and frame were related to the robot's.
     """
 
     adapter: str
@@ -46,15 +45,15 @@ class Source:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Everything a reader needs to judge the logs.
+    """Provenance of a dataset.
 
     Attributes:
-        sources: Recordings, put together where alike.
+        sources: Groups of similar recordings.
         files: Path and checksum of the first files; `more_files` others are in the dataset's card.
         set_aside: Reason and number of rows, most frequent first.
         warnings: Text and how often, most frequent first; `more_warnings` others.
         not_read: Path and reason.
-        versions: What made dataset and model.
+        versions: Versions that made dataset and model.
     """
 
     sources: tuple[Source, ...]
@@ -96,7 +95,7 @@ def provenance(dataset: Dataset, versions: Mapping[str, str]) -> Provenance:
 
 
 def _checksum(source: Mapping[str, Any]) -> str:
-    """Return the checksum of a log, and by which function it was made if that is said."""
+    """Return the checksum of a log with the name of its hash function; empty without one."""
     return next((f"{kind}:{source[kind]}" for kind in ("blake3", "sha256") if source.get(kind)), "")
 
 
@@ -109,12 +108,12 @@ def _kind(record: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _clock(clock: Mapping[str, Any]) -> str:
-    """The kind of clock and how it was related; what differs per recording follows from all of them together."""
+    """Kind of clock and method of relating it; `_clock_fits` summarises what differs per recording."""
     return ", ".join(str(clock[key]) for key in ("kind", "method") if clock.get(key)) or "not stated"
 
 
 def _clock_fits(records: Iterable[Mapping[str, Any]]) -> str:
-    """How good the fits of like clocks are: offset where they share it, range of rates, worst residual, doubts."""
+    """Quality of the clock fits of a group: common offset, range of rates, largest residual, doubts."""
     clocks = [record.get("clock", {}) for record in records]
     parts = []
     offsets = [float(clock["offset_s"]) for clock in clocks if clock.get("offset_s") is not None]

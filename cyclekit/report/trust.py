@@ -1,4 +1,4 @@
-"""Section 5: what the numbers rest on, how good the model is, and what this page is not."""
+"""Section 5: validation of the model and the estimates, the data, and what this page is not."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 _CARD_METRICS = ("rows", "mse_mean", "mse_argmax", "mae", "bias", "accuracy")
 
 MODEL, CONSTANT, STAIRCASE = "model", "constant mean", "distance staircase"
-"""Rows of an evaluation: the model's own begin with its name."""
+"""Rows of an evaluation; rows of the model begin with `model`."""
 
 _GAPS = {"absent": "gap_absent", "occluded": "gap_occluded", "outside": "gap_outside"}
 
 
 class Judged(Protocol):
-    """What the report needs of an evaluation: its numbers as JSON values."""
+    """The part of an evaluation that the report uses: its numbers as JSON values."""
 
     def to_json(self) -> dict[str, Any]:
         """`mse` (rows of name, mse, note), `accuracy`, `confusion` (logged x predicted), `levels`; all optional."""
@@ -52,7 +52,7 @@ def section(
     ranked: Sequence[CycleEstimate] = (),
     check: Check | None = None,
 ) -> dict[str, Any]:
-    """Return what the template needs for section 5; `check` is how the rollout did on what was logged."""
+    """Return what the template needs for section 5; `check` is the backtest on logged executions."""
     versions = {texts("trust.made_dataset"): f"cyclekit {dataset.card.get('cyclekit_version', 'unknown')}"}
     versions[texts("trust.layout")] = str(dataset.card.get("schema_version", "unknown"))
     if model is not None:
@@ -124,7 +124,7 @@ def _judged_rows(texts: Texts, judged: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _network_and_baselines(texts: Texts, judged: Mapping[str, Any], check: Check | None) -> list[str]:
-    """Say with which row of the errors the cycle times are made, and what it means if a baseline has a smaller one."""
+    """Say which row the cycle times come from, and what a smaller error of a baseline means."""
     errors = {str(entry.get("name")): float(entry["mse"]) for entry in judged.get("mse") or ()}
     model = errors.get(MODEL)
     rivals = {name: mse for name, mse in errors.items() if not name.startswith(MODEL)}
@@ -188,7 +188,7 @@ def _confusion(texts: Texts, judged: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _calibration(
     texts: Texts, samples: pl.DataFrame, judged: Mapping[str, Any], model: Predicts | None
 ) -> list[dict[str, Any]]:
-    """Predicted against logged means, on the executions that the model was judged by."""
+    """Predicted against logged means, on the executions that the model was evaluated on."""
     from cyclekit.report import maps
 
     found = calibration(samples, judged.get("executions") or (), model)
@@ -210,7 +210,7 @@ def _calibration(
 
 
 def _unseen(texts: Texts, samples: pl.DataFrame) -> list[Table]:
-    """Why the operator is not seen, as parts of all samples."""
+    """Reasons for missing operator positions, as shares of all samples."""
     gaps = samples["human_gap"].drop_nulls()
     if not len(gaps):
         return []

@@ -3,7 +3,8 @@
     facts = compose_report(dataset, model, Path("report.html"), estimates=estimates, evaluation=evaluation)
     write_pdf(facts.path, Path("report.pdf"))
 
-What is missing is said on the page, and is no error. The only room that knows jinja2 and matplotlib.
+The page names what is missing; that is not an error. Besides `plots`, only this package imports matplotlib; only it
+imports jinja2.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Section 1: what a cycle takes, sequence by sequence, and how sure that is.
+"""Section 1: cycle time per sequence with its confidence interval.
 
-Numbers are rounded to their intervals; sequences that the logs cannot tell apart are said to be so, and those that do
-different work are not ranked against each other.
+Numbers are rounded to their intervals. Sequences with overlapping intervals are named; sequences of different work are
+not ranked against each other.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ def section(
         texts: The words.
         ranked: Estimates, those of the same work together, the fastest first.
         seen: What the logs hold.
-        has_model: Whether anything is predicted.
+        has_model: True where a model is given.
         takt_s: The takt time.
         checked: Whether logged executions were rolled out.
-        found: The verdict; None where nothing was asked for.
+        found: The verdict; None without a takt, an order search or changes.
     """
     missing = [] if has_model else [texts("answer.no_model")]
     said = {"headline": verdict.in_words(texts, found), "lead": [verdict.basis(texts, found)]} if found else {}
@@ -130,7 +130,7 @@ def _logged(texts: ReportTexts, seen: Overview, takt_s: float | None, missing: S
         share = percent(float((durations > takt_s).mean()))
         facts.append(texts("answer.logged_takt", share=share, takt=given(takt_s)))
     found["sentences"] = ([" ".join(facts)] if facts else []) + list(missing)
-    return {**found, "headline": texts(key, median=seconds(mean))}
+    return {**found, "headline": texts(key, mean=seconds(mean))}
 
 
 def _picture(
@@ -151,7 +151,7 @@ def _picture(
 
 
 def _table(texts: ReportTexts, works: Mapping[Work, Sequence[CycleEstimate]], takt_s: float | None) -> ReportTable:
-    """One row per sequence; ranks count within a work, and where there are several, the time per visit is told."""
+    """One row per sequence, ranked within its work; with several kinds of work also the time per visit."""
     several = len(works) > 1
     levels = sorted(next(iter(works.values()))[0].quantiles_s)
     heads = [
@@ -177,7 +177,7 @@ def _table(texts: ReportTexts, works: Mapping[Work, Sequence[CycleEstimate]], ta
 
 
 def _rank(place: int, work: Sequence[CycleEstimate], several: bool) -> str:
-    """The rank among the sequences of the same work; a dash where there is no other."""
+    """The rank among the sequences of the same work; a dash where there is only one."""
     if not several:
         return str(place)
     return f"{place}/{len(work)}" if len(work) > 1 else UNKNOWN

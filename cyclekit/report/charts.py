@@ -1,7 +1,7 @@
-"""The bars of the page: cycle times, and where the time goes.
+"""Bar charts of the page: cycle times, and where the time goes.
 
 Each function draws one figure for a width in inches and leaves out what does not fit a phone. Numbers come from
-`findings` and the estimates; turning a figure into SVG is the business of `pictures`.
+`findings` and the estimates; `pictures` turns a figure into SVG.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def _two_lines(name: str, longest: int) -> str:
 
 
 def _key(figure: Figure, axes: Axes, entries: Sequence[tuple[str, str, str]], width_in: float) -> None:
-    """A legend above the plot, in one line on a desk and two columns on a phone."""
+    """A legend above the plot: one line on a wide screen, two columns on a phone."""
     handles = [
         axes.plot([], [], marker, color=colour, markersize=7, markeredgewidth=1.4 if marker == "|" else 0)[0]
         for marker, colour, _ in entries

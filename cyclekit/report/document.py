@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 
 PARTS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 MARK = "<!-- written by cyclekit -->"
-"""Tells a later report that it may replace the file."""
+"""Marks a file that a later report may replace."""
 ORDER = ("answer", "where", "why", "helps", "trust")
 
 
 @dataclass(frozen=True)
 class ReportInputs:
-    """What the page was given beside the logs."""
+    """Inputs of the page besides the logs."""
 
     ranked: Sequence[CycleEstimate]
     what_if: Sequence[Tried]
@@ -55,7 +55,7 @@ def as_json(
     samples: pl.DataFrame,
     sections: Mapping[str, Any],
 ) -> str:
-    """Return the whole report as one JSON document; what is not known is null."""
+    """Return the whole report as one JSON document; unknown values are null."""
     found = safety_function(samples, dataset.levels, None)
     document = {
         "cell": cell,
@@ -85,7 +85,8 @@ def as_csv(
 ) -> str:
     """Return one row per sequence (order 0, with its work) and per task of it; without any, one per logged task.
 
-    What was tried follows, one row each, its name as `change`; and the order found, as change `order`, a row per visit.
+    Then one row per change tried, with its name in `change`, and one row per visit of the order found, with `change` =
+    `order`.
     """
     saves = ["saves_s", "saves_low_s", "saves_high_s"]
     heads = ["sequence", "order", "task", "expected_s", "low_s", "high_s", *PARTS, "seen", "change", *saves, "work"]
@@ -118,7 +119,7 @@ def _tried_rows(ranked: Sequence[CycleEstimate], what_if: Sequence[Tried]) -> It
 
 
 def as_markdown(texts: ReportTexts, cell: str, made: str, sections: Mapping[str, Any]) -> str:
-    """Return headings, sentences and tables; pictures are said in words."""
+    """Return headings, sentences and tables as Markdown; without pictures."""
     lines = [f"# {markdown(texts('page.title', cell=cell))}", "", made, ""]
     for number, key in enumerate(ORDER, start=1):
         section = sections[key]

@@ -1,7 +1,7 @@
-"""What the logs of a dataset say, as a few numbers and small arrays that fit on a page.
+"""Findings from the logs of a dataset: a few numbers and small arrays that fit on a page.
 
-Everything is counted out of samples and tasks; nothing is predicted here except by the model that is passed in. How it
-looks is the business of `charts` and the template.
+All of it is computed from samples and tasks; only the model that is passed in makes predictions. `charts` and the
+template set the look.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ _PARTS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
 class Predicts(Protocol):
-    """What the report needs of a trained model."""
+    """The part of a trained model that the report uses."""
 
     @property
     def problem(self) -> str:
-        """Which question the model answers."""
+        """Problem that the model was trained for: `now`, or one ahead in time."""
         ...
 
     @property
     def network(self) -> str:
-        """Which kind of network it is."""
+        """Kind of network."""
         ...
 
     @property
     def card(self) -> TrainingCard:
-        """How it came about, with its metrics."""
+        """Training record with its metrics."""
         ...
 
     def predict(self, X: NDArray[np.floating[Any]], /) -> NDArray[np.floating[Any]]:
@@ -66,19 +66,19 @@ class Share:
 
     @property
     def total_s(self) -> float:
-        """Mean length of the task."""
+        """Mean duration of the task, s."""
         return self.nominal_s + self.safety_s + self.dwell_s + self.wait_s
 
 
 @dataclass(frozen=True)
 class Overview:
-    """The logs in one paragraph.
+    """Summary of the logs.
 
     Attributes:
-        executions: How many, and how many of them are complete.
+        executions, complete: Number of executions, and of complete ones.
         duration_s: Durations of the complete executions, shape (E,), s.
         slowed: Fraction of the robot's moving time below full speed; None where unknown.
-        halted: The same at standstill.
+        halted: The same at scaling 0.
         operator_seen: Fraction of all samples with an operator position.
         lost_s: Mean safety loss per complete execution; None where unknown.
         inferred: Fraction of known scaling that is inferred, not logged.
@@ -96,7 +96,7 @@ class Overview:
 
 @dataclass(frozen=True)
 class Band:
-    """One level of the staircase and where it was in force: 90 % of its distances lie between low and high."""
+    """One speed level and its distances: 90 % of its samples lie between low and high."""
 
     scaling: float
     low_m: float
@@ -114,7 +114,7 @@ class LoggedResponse:
         logged, predicted: Mean scaling per bin, shape (B,); `predicted` is None without a model of problem `now`.
         bands: One per level.
         explained: Part of the variance of scaling that distance alone explains, in [0, 1].
-        samples: How many samples it rests on.
+        samples: Number of samples used.
     """
 
     cells: NDArray[np.float64]
@@ -216,7 +216,7 @@ def _histogram(slot: NDArray[np.int64], scaling: NDArray[np.float64]) -> NDArray
 def _predicted(
     model: Predicts | None, x: NDArray[np.float64], slot: NDArray[np.int64], filled: NDArray[np.int64], seed: int
 ) -> NDArray[np.float64] | None:
-    """Mean prediction per bin, from at most 50 000 samples: a mean needs no more, and a page should be quick."""
+    """Mean prediction per bin, from at most 50 000 samples: enough for a mean, and quick."""
     if model is None or model.problem != "now":
         return None
     picked = np.random.default_rng(seed).permutation(len(x))[:50_000]
@@ -242,13 +242,13 @@ def _bands(step: pl.Series, distance: NDArray[np.float64], levels: Sequence[floa
 
 @dataclass(frozen=True)
 class Loss:
-    """Time lost to safety while the operator was on one activity, per execution.
+    """Time lost to safety during one operator task, per execution.
 
     Attributes:
-        human_task: The operator's activity; None where it is not known.
-        seconds: Lost in all meanwhile.
-        robot_task: The robot's task that lost most of it.
-        worst_s: How much that one lost.
+        human_task: The operator's task; None where unknown.
+        seconds: Time lost during it, s.
+        robot_task: The robot's task with the largest part of it.
+        worst_s: That part, s.
     """
 
     human_task: str | None
@@ -258,17 +258,17 @@ class Loss:
 
 
 def sample_s(samples: pl.DataFrame) -> float:
-    """Return how much time a sample stands for, s: the usual step from one to the next of its execution."""
+    """Return the median step between samples of one execution, s: the time that a sample represents."""
     step = samples.select(pl.col("t_s").diff().over("execution").median()).item()
     return float(step) if step else 0.0
 
 
 def losses(samples: pl.DataFrame, executions: int) -> list[Loss]:
-    """Return what the operator did when time was lost, the costliest first.
+    """Return the time lost per operator task, the largest first.
 
     Args:
         samples: Samples of all executions.
-        executions: By how many the sums are divided.
+        executions: Number of executions, by which the sums are divided.
     """
     slow = samples.filter(pl.col("robot_moving") & (pl.col("scaling") < FULL) & pl.col("robot_task").is_not_null())
     if slow.is_empty() or not executions:

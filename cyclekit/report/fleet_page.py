@@ -1,6 +1,6 @@
-"""The page of a fleet: cells by the time they lose to safety, what changed since last month, and which needs a look.
+"""The page of a fleet: cells ranked by time lost to safety, changes since last month, and cells that need a look.
 
-Each cell links to its own report. The figures come from whoever knows the cells; here they become words.
+Each cell links to its own report. The caller passes the figures; this module writes the sentences.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FLEET_PAGE = "fleet.html.jinja"
 OLD_DAYS = 7
 """A cell whose newest log is older than this needs a look: its logger may have stopped."""
 MUCH_SET_ASIDE = 0.01
-"""So does one of whose rows more than this part could not be used."""
+"""A cell with a larger share of rows set aside than this needs a look too."""
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class CellLine:
         name: Its name.
         figures: Nothing in it is known where there is no report yet.
         failed: Which stages failed and why.
-        unread: Logs that could not be read, and why; empty where all could.
-        link: Its report, relative to the page; None without one.
+        unread: Logs that could not be read, and why; empty if all were read.
+        link: Path of its report, relative to the page; None without one.
     """
 
     name: str
@@ -46,12 +46,12 @@ class CellLine:
 
 
 def fleet_page(name: str, cells: Sequence[CellLine], today: dt.date) -> str:
-    """Return the page as HTML that needs nothing else but the reports that it links to.
+    """Return the page as one self-contained HTML document with links to the reports.
 
     Args:
-        name: Of the fleet.
+        name: Name of the fleet.
         cells: Its cells, in any order.
-        today: The day by which logs are old.
+        today: Date against which the age of logs is counted.
     """
     look = Template()
     texts = look.texts
@@ -108,7 +108,7 @@ def _drift(texts: ReportTexts, known: FiguresCard) -> str:
 
 
 def _worries(texts: ReportTexts, cell: CellLine, today: dt.date) -> list[str]:
-    """Return why a cell needs a look, one sentence each; none where it does not."""
+    """Return the reasons why a cell needs a look, one sentence each; empty if it needs none."""
     known, found = cell.figures, [texts("fleet.failed", why=why) for why in cell.failed]
     if cell.unread:
         found.append(texts("fleet.unread", why=cell.unread))

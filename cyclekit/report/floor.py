@@ -1,7 +1,7 @@
-"""The floor plan: where the operator was, where time was lost, and how fast the robot goes for an operator there.
+"""The floor plan: operator positions, where time was lost, and the robot speed by operator position.
 
-Squares of a grid in the base frame, counted out of the samples; the zones are asked of the model, or read from the log
-where there is none. How it looks is the business of `maps`.
+Squares of a grid in the base frame, computed from the samples. The zones come from the model, or from the log
+without a model. `maps` draws them.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ if TYPE_CHECKING:
 
 CELL_M = 0.2
 LEAST_SAMPLES = 10
-"""A square in which the operator was for fewer samples says nothing about the zone."""
+"""Squares with fewer operator samples are left out of the zone map."""
 
 ROBOT_SPOTS = 150
 
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """What happened where; all squares have the side `cell_m`, all positions are metres in the base frame.
+    """Floor plan; all squares have the side `cell_m`, all positions are metres in the base frame.
 
     Attributes:
         seen: Squares with an operator: x, y, seconds per execution; shape (C, 3).
-        lost: Squares in which time was lost: x, y, seconds per execution, mean scaling meanwhile; shape (L, 4).
-        zones: Squares with the mean scaling for an operator there, over the robot's ways: x, y, scaling; shape (Z, 3).
-        zones_of_model: True if the zones are the model's, False if they are means of the log.
-        robot_m: The tool's way in one execution, shape (R, 2), NaN where it is unknown.
-        robot_known: False where no log is a robot's, so that nobody knows where it stands.
+        lost: Squares with time lost: x, y, seconds per execution, mean scaling during that time; shape (L, 4).
+        zones: Squares with the mean scaling for an operator there, over the robot's path: x, y, scaling; shape (Z, 3).
+        zones_of_model: True if the model predicted the zones, False if they are means of the log.
+        robot_m: Tool path of one execution, shape (R, 2), NaN where unknown.
+        robot_known: False without a robot log; the position of the base is then not drawn.
         places: Named places of the robot.
         human_places: Named places of the operator.
-        furniture: What stands there, by name.
+        furniture: Boxes of the cell file (tables, machines), by name.
         cell_m: Side of a square.
     """
 
@@ -65,7 +65,7 @@ def floor_plan(dataset: Dataset, samples: pl.DataFrame, model: Predicts | None =
     Args:
         dataset: Names the places.
         samples: Samples of all executions.
-        model: Of problem `now`; another is not asked.
+        model: Model of problem `now`; others are ignored.
     """
     seen = samples.filter(pl.col("human_x_m").is_not_null() & pl.col("human_y_m").is_not_null())
     if seen.is_empty():
@@ -90,7 +90,7 @@ def floor_plan(dataset: Dataset, samples: pl.DataFrame, model: Predicts | None =
 
 
 def has_robot(samples: pl.DataFrame) -> bool:
-    """Whether any log says anything of a robot."""
+    """Tell whether any sample holds robot data."""
     return any(samples[name].count() > 0 for name in ("robot_x_m", "robot_moving", "scaling"))
 
 
@@ -107,7 +107,7 @@ def _of_log(seen: pl.DataFrame) -> NDArray[np.float64]:
 
 
 def _of_model(model: Predicts, seen: pl.DataFrame) -> NDArray[np.float64]:
-    """Mean of the model over the robot's ways, for an operator of usual height in each square."""
+    """Mean prediction over the robot's path, for an operator of median height in each square."""
     robot = seen.filter(pl.col("robot_moving")).select("robot_x_m", "robot_y_m", "robot_z_m").drop_nulls()
     squares = _squares(seen, pl.len().alias("count"))
     squares = squares[squares[:, 2] >= LEAST_SAMPLES]

@@ -1,7 +1,6 @@
-"""Section 4: what would help: the bound of any change, other orders, changes that were tried, the costliest moments.
+"""Section 4: what would help: the lower bound of any change, other orders, changes tried, where time is lost.
 
-Nothing is guessed: every row is an estimate that was made, or a sum over the log. What was tried is read and held in
-`tried`; the order is that of `plan`.
+Every row is an estimate or a sum over the log. `tried` reads and holds the changes; `plan` gives the order.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ def section(
 
 
 def _bound(texts: ReportTexts, ranked: Sequence[CycleEstimate], seen: Overview) -> str:
-    """What no change of the safety function can beat: the cycle without any slow-down."""
+    """The lower bound for any change of the safety function: the cycle without slow-down."""
     if ranked:
         best = ranked[0]
         values = {"mean": seconds(best.expected_s), "lost": seconds(best.safety_loss_s)}
@@ -63,7 +62,7 @@ def _bound(texts: ReportTexts, ranked: Sequence[CycleEstimate], seen: Overview) 
 
 
 def _order(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> str:
-    """What the order alone is worth among sequences of the same work, the fastest first, if that can be told."""
+    """The saving of the order alone among sequences of the same work (fastest first), if it is clear."""
     if len(ranked) < 2:
         return ""
     best, last = ranked[0], ranked[-1]
@@ -77,7 +76,7 @@ def _order(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> str:
 def _best(
     texts: ReportTexts, tried: Sequence[Tried], ranked: Sequence[CycleEstimate], before: Mapping[str, CycleEstimate]
 ) -> str:
-    """The change that saves most of one sequence, if it is sure to: of the fastest one, where that was tried."""
+    """The change with the largest clear saving on one sequence: on the fastest one, where changes of it were tried."""
     names = [each.sequence for each in tried]
     of = next((each.name for each in ranked if each.name in names), names[0] if names else None)
     sure = [each for each in tried if each.sequence == of and each.surely_saves(before)]
@@ -118,7 +117,7 @@ def _what_if(texts: ReportTexts, tried: Sequence[Tried], before: Mapping[str, Cy
 
 
 def _limits(tried: Sequence[Tried]) -> list[str]:
-    """What limits each number; the sequence is named where it does not hold for all of them."""
+    """Limits of each number; names the sequence if the limit does not hold for all of them."""
     found = []
     for each in tried:
         alike = [other for other in tried if other.label == each.label]
@@ -129,7 +128,7 @@ def _limits(tried: Sequence[Tried]) -> list[str]:
 
 
 def _plan_saves(texts: ReportTexts, planned: OrderPlan | None) -> str:
-    """What the best order found saves, in a sentence."""
+    """The saving of the best order found, as a sentence."""
     if planned is None:
         return ""
     saved, low, high = planned.saves_s
@@ -141,7 +140,7 @@ def _plan_saves(texts: ReportTexts, planned: OrderPlan | None) -> str:
 
 
 def _plan(texts: ReportTexts, planned: OrderPlan | None) -> ReportTable | None:
-    """The order found, and what its saving rests on."""
+    """The order found, its saving and the number of orders and executions compared."""
     if planned is None:
         return None
     saved, low, high = planned.saves_s
@@ -162,7 +161,7 @@ def _plan(texts: ReportTexts, planned: OrderPlan | None) -> ReportTable | None:
 
 
 def _moments(texts: ReportTexts, samples: pl.DataFrame, seen: Overview) -> ReportTable | None:
-    """What both did while most time was lost: where a change of the operator's or the robot's work pays."""
+    """Time lost by operator task, with the robot task that lost most."""
     found = losses(samples, seen.executions)
     if not found:
         return None

@@ -1,4 +1,4 @@
-"""Is the model right on average? Its predictions in bins, beside what was logged, where it was judged."""
+"""Calibration of the model: mean predicted and mean logged scaling per bin, on the executions it was evaluated on."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LEAST = 20
 """A bin with fewer samples is left out."""
 
 MOST = 50_000
-"""So many samples are enough for ten means, and a page should be quick."""
+"""Maximum number of samples: enough for ten means, and quick."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class PredictionBins:
     Attributes:
         predicted: Mean prediction of the bin.
         logged: Mean logged scaling of the same samples.
-        count: How many samples.
+        count: Number of samples.
     """
 
     predicted: NDArray[np.float64]
@@ -50,7 +50,7 @@ def calibration(samples: pl.DataFrame, executions: Sequence[str], model: Predict
 
     Args:
         samples: Samples of all executions.
-        executions: Those that the model was judged by.
+        executions: Executions that the model was evaluated on.
         model: The model.
     """
     if model is None or model.problem != "now" or not executions:

@@ -1,7 +1,7 @@
-"""The pictures that explain: scaling against distance, the floor plans, the heatmap of the levels, the calibration.
+"""Figures of scaling against distance, floor plans, heatmap of the levels, calibration.
 
-Each function draws one figure for a width in inches; all of it is vectors, and what the reader points at says its
-numbers. They come from `findings`, `floor` and `judged`; turning a figure into SVG is the business of `pictures`.
+Each function draws one vector figure for a width in inches, with the numbers as tooltips. The numbers come from
+`findings`, `floor` and `judged`; `pictures` turns a figure into SVG.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def staircase(width_in: float, found: LoggedResponse, levels: Sequence[float], l
 
 
 def lost_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Figure:
-    """The floor from above: how long the operator was where (grey), and where time was lost (squares)."""
+    """Floor plan: time per operator position (grey) and time lost (squares)."""
     figure, axes = _floor(width_in, plan)
     longest = float(plan.seen[:, 2].max())
     for x, y, seconds in plan.seen.tolist():
@@ -95,7 +95,7 @@ def lost_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Fig
 
 
 def zone_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Figure:
-    """The floor from above: the robot's mean speed for an operator in each square."""
+    """Floor plan: mean robot speed for an operator in each square."""
     figure, axes = _floor(width_in, plan)
     for x, y, scaling in plan.zones.tolist():
         square = _square(axes, x, y, plan.cell_m, colours.scaling_hex(scaling), alpha=0.85)
@@ -134,7 +134,7 @@ def heatmap(width_in: float, counts: NDArray[np.float64], names: Sequence[str], 
 
 
 def calibration(width_in: float, found: PredictionBins, labels: Mapping[str, str]) -> Figure:
-    """Mean logged scaling where the model predicted so much, beside the line on which both are equal."""
+    """Mean logged scaling per bin of predicted scaling, with the line on which both are equal."""
     side = min(width_in, 4.6)
     figure = Figure(figsize=(width_in, 0.75 * side), layout="constrained")
     axes = figure.add_subplot()
@@ -163,7 +163,7 @@ def _floor(width_in: float, plan: FloorPlan) -> tuple[Figure, Axes]:
     height_in = min(0.78, max(0.45, float(span[1] / span[0]))) * (width_in - 0.7) + 0.9
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     axes = figure.add_subplot()
-    half = plan.cell_m / 2  # said once: a patch that tells the axes its own limits costs more than its drawing
+    half = plan.cell_m / 2  # set once: limits updated by every patch cost more than the drawing
     axes.update_datalim([plan.seen[:, :2].min(axis=0) - half, plan.seen[:, :2].max(axis=0) + half])
     return figure, axes
 
@@ -175,7 +175,7 @@ def _square(axes: Axes, x: float, y: float, side: float, colour: str, alpha: flo
 
 
 def _furniture(axes: Axes, plan: FloorPlan, labels: Mapping[str, str]) -> None:
-    """What stands in the cell: tables, the robot's base and way, places, axes and colour scale."""
+    """Tables, robot base and path, places, axes and colour scale."""
     for name, thing in plan.furniture.items():
         (x, y, _), (length, width, _) = thing.xyz_m, thing.size_m
         corner = (x - length / 2, y - width / 2)

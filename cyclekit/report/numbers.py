@@ -1,7 +1,7 @@
-"""Numbers as a careful person writes them: rounded to what is known, with their unit.
+"""Numbers as text: rounded to their uncertainty, with their unit.
 
 A number with an interval is rounded so that the interval's half-width shows one digit (two where it starts with 1);
-a number without one shows three significant digits. Which numbers appear is the business of `findings`.
+a number without one shows three significant digits. `findings` computes the numbers.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ _MINUS = "−"
 
 
 def decimals_for(half_width: float) -> int:
-    """Return how many decimals a number of this uncertainty deserves; negative means tens, hundreds."""
+    """Return the number of decimals for this uncertainty; negative means tens, hundreds."""
     if not math.isfinite(half_width) or half_width <= 0:
         return 2
     exponent = math.floor(math.log10(half_width))
@@ -64,7 +64,7 @@ def signed_percent(fraction: float) -> str:
 
 
 def given(value: float) -> str:
-    """Write a number that a person gave as he gave it: 95, 27.5; two decimals at most."""
+    """Write a number that the user gave, without trailing zeros: 95, 27.5; at most two decimals."""
     return fixed(value, next((n for n in (0, 1) if round(value, n) == round(value, 2)), 2))
 
 
@@ -79,5 +79,5 @@ def with_uncertainty(value: float, low: float, high: float) -> tuple[str, str]:
 
 
 def count(value: int) -> str:
-    """Write a whole number with narrow spaces between thousands, at which no line ends."""
+    """Write a whole number with narrow no-break spaces between thousands."""
     return f"{value:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")

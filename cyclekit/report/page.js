@@ -1,9 +1,9 @@
 "use strict";
-// The page is complete without this: it shows the numbers under the pointer, and hides the rows that are not asked for.
+// Optional: the page is complete without it. Shows the numbers under the pointer and filters rows.
 (() => {
   const tip = document.createElement("div");
   tip.className = "tip-box";
-  tip.setAttribute("aria-hidden", "true"); // the same numbers stand in the tables
+  tip.setAttribute("aria-hidden", "true"); // the tables hold the same numbers
   tip.hidden = true;
   document.body.append(tip);
 

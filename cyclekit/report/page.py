@@ -1,7 +1,7 @@
-"""Put the page together: numbers become sentences, tables and pictures; the template sets them.
+"""Build the page: numbers become sentences, tables and pictures; the template arranges them.
 
-The sections are in the order in which an integrator asks: the answer, where the time goes, why, what would help, and
-how sure that is. Each section is built by its own module; the words are in `texts.toml`.
+The sections are: the answer, where the time goes, why, what would help, and how reliable the numbers are. Each section
+is built by its own module; the words are in `texts.toml`.
 """
 
 from __future__ import annotations
@@ -93,22 +93,22 @@ def compose_report(
     template: Path | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> ReportFacts:
-    """Write the report of a dataset, as one HTML page that needs nothing else, or as data.
+    """Write the report of a dataset, as one self-contained HTML page, or as data.
 
     Args:
         dataset: The logs.
         model: Trained model whose safety function and metrics are shown; None for logs alone.
-        out: The file; an existing one is replaced when the new one is complete.
+        out: File to write; an existing one is replaced when the new one is complete.
         estimates: Sequences to rank; without any the page describes the logged executions.
         evaluation: Held-out metrics with baselines; without it the model's own card is shown.
-        check: How the rollout did on what was logged; without it no coverage is told.
+        check: Backtest on logged executions; without it the page states no coverage.
         what_if: The same sequences under other conditions.
         planned: The order found for the same work.
-        takt_s: Takt time that the cycles are held against, s.
-        missing: What was not asked for and could not be computed, and why, one sentence each; said in the last section.
+        takt_s: Takt time to compare the cycles with, s.
+        missing: Optional parts that could not be computed, and why, one sentence each; shown in the last section.
         cell_name: Title of the page; the dataset's name where not given.
         kind: `html`; `json` for everything, `csv` for the seconds per task, `md` for words and tables.
-        template: Folder whose files take the place of the page's own (docs/report.md).
+        template: Folder whose files replace the page's own (docs/report.md).
         progress: Called with the part done and a short text.
 
     Raises:

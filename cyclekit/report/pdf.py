@@ -1,7 +1,7 @@
-"""The page as PDF, printed by the browser that is there.
+"""The page as PDF, printed by an installed browser.
 
-A browser sets the page as the reader sees it, vectors and all, and costs no further dependency: Windows comes with
-Edge, and Chromium or Chrome is on most other machines. It reads the file only; the page lets it load nothing else.
+A browser prints the page as the reader sees it, with vector pictures, and needs no further dependency: Windows comes
+with Edge, and most other machines have Chromium or Chrome. The page's content policy blocks loading anything else.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PATIENCE_S = 120.0
 
 
 def find_browser() -> Path | None:
-    """Return a browser of Chromium's family that is installed here, None if there is none."""
+    """Return an installed browser of the Chromium family, None if there is none."""
     for name in NAMES:
         if found := shutil.which(name):
             return Path(found)
@@ -37,7 +37,7 @@ def find_browser() -> Path | None:
 
 
 def need_browser() -> Path:
-    """Return a browser that can print, before there is a page to be printed.
+    """Return a browser that can print; called before the page is made, so that the error comes early.
 
     Raises:
         CyclekitError: None is installed.
@@ -50,7 +50,7 @@ def need_browser() -> Path:
 
 
 def browser_options(profile: Path) -> list[str]:
-    """Return the options under which a browser works unseen, in a profile of its own, and calls nobody."""
+    """Return the options for a headless browser with its own profile and without network calls of its own."""
     options = ["--headless", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
     if sys.platform.startswith("linux") and os.geteuid() == 0:
         options.append("--no-sandbox")  # Chromium has no sandbox for root
@@ -75,11 +75,11 @@ def write_pdf(page: Path, out: Path) -> int:
                 [str(browser), *options, page.resolve().as_uri()], capture_output=True, timeout=PATIENCE_S, check=False
             )
         except (OSError, subprocess.TimeoutExpired) as error:
-            msg = f"{browser} does not print the page ({error})"
+            msg = f"{browser}: printing the page failed ({error})"
             raise CyclekitError(msg, cure="Open the page in a browser and print it to PDF.") from error
         if not printed.is_file():
             said = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or [f"code {done.returncode}"]
-            msg = f"{browser} does not print the page ({said[0]})"
+            msg = f"{browser}: printing the page failed ({said[0]})"
             raise CyclekitError(msg, cure="Open the page in a browser and print it to PDF.")
-        temporary.write_bytes(printed.read_bytes() + b"\n% written by cyclekit\n")  # a remark: readers skip it
+        temporary.write_bytes(printed.read_bytes() + b"\n% written by cyclekit\n")  # a PDF comment: viewers ignore it
     return out.stat().st_size

@@ -1,7 +1,7 @@
-"""Matplotlib figures as clean inline SVG: text stays text, ids are unique on the page, nothing points outside.
+"""Matplotlib figures as inline SVG: text stays text, ids are unique on the page, no external references.
 
-Every picture exists twice, for a desk and for a phone; the page shows the one that fits. What is drawn is the business
-of `charts`.
+Every picture exists twice, for a wide screen and for a phone; the page shows the one that fits. `charts` and `maps`
+draw them.
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ STYLE = {
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture, drawn when a page shows it: words and data need none.
+    """One picture; drawn only when a page shows it (not for JSON, CSV or Markdown).
 
     Attributes:
         name: Short and unique on the page; ids inside the SVG start with it.
-        alt: What the picture shows, for those who cannot see it.
+        alt: Alternative text for screen readers.
         draw: Makes the figure for a width in inches.
     """
 
@@ -72,7 +72,7 @@ class Picture:
 
     @cached_property
     def wide(self) -> str:
-        """SVG element for a desk."""
+        """SVG element for a wide screen."""
         return self._drawn(WIDE_IN, "w")
 
     @cached_property
@@ -86,7 +86,7 @@ class Picture:
 
 
 def tip(figure: Figure, artist: Artist, text: str, row: str = "") -> None:
-    """Let the page say `text` where the reader points at `artist`; `row` is what the page's filter looks at."""
+    """Give `artist` the tooltip `text`; the page's filter matches `row`."""
     tips: list[tuple[str, str]] = figure.__dict__.setdefault("cyclekit_tips", [])
     artist.set_gid(f"tip{len(tips)}")
     tips.append((text, row))
@@ -110,7 +110,9 @@ def _to_svg(figure: Figure, prefix: str, alt: str) -> str:
     buffer = io.StringIO()
     canvas: Any = FigureCanvasSVG(figure)
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # the reader's font counts; and the warning would show a name raw
+        warnings.filterwarnings(
+            "ignore", "Glyph"
+        )  # the browser's font counts, and the warning would print a name unescaped
         canvas.print_svg(buffer, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = visible(buffer.getvalue())
     text = text[text.index("<svg") :]

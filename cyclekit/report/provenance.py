@@ -1,7 +1,6 @@
-"""Where the numbers come from: recordings, clocks, frames, rows set aside, warnings, versions.
+"""Provenance of the numbers: recordings, clocks, frames, rows set aside, warnings, versions.
 
-A dataset can rest on thousands of files; equal ones are put together, and what is unusual keeps its name. Reads the
-dataset's card only.
+A dataset can come from thousands of files: similar recordings are grouped. Reads the dataset's card only.
 """
 
 from __future__ import annotations
@@ -24,15 +23,15 @@ MOST_FILES = 12
 
 @dataclass(frozen=True)
 class LogSource:
-    """Recordings read alike.
+    """A group of recordings read in the same way.
 
     Attributes:
         adapter: Its name, package and version.
-        tables: What they hold, in words.
-        recordings: How many, from how many files.
-        rows: Rows read and rows set aside.
-        rate_hz, hours: Mean rate where known; total length.
-        clock, frame: How time and place were brought to the robot's.
+        tables: Their tables, as text.
+        recordings: Number of recordings.
+        rows, set_aside: Rows read and rows set aside.
+        rate_hz, hours: Mean rate where known; total duration.
+        clock, frame: How clock and frame were related to the robot's.
     """
 
     adapter: str
@@ -49,15 +48,15 @@ class LogSource:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Everything a reader needs to judge the logs.
+    """Provenance of a dataset.
 
     Attributes:
-        sources: Recordings, put together where alike.
+        sources: Groups of similar recordings.
         files: Path and checksum of the first files; `more_files` others are in the dataset's card.
         set_aside: Reason and number of rows, most frequent first.
         warnings: Text and how often, most frequent first; `more_warnings` others.
         not_read: Path and reason.
-        versions: What made dataset and model.
+        versions: Versions that made dataset and model.
     """
 
     sources: tuple[LogSource, ...]

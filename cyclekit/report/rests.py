@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def tables(texts: ReportTexts, ranked: Sequence[CycleEstimate], check: Check | None) -> list[ReportTable]:
-    """Return the tables that there is something for."""
+    """Return the tables that have content."""
     found = (_rollout(texts, check) if check else None, _support(texts, ranked) if ranked else None)
     return [table for table in found if table is not None]
 

@@ -1,7 +1,4 @@
-"""A table as the template sets it: caption, heads, rows of text, and which columns are numbers.
-
-What stands in it is the business of the sections.
-"""
+"""A table for the template: caption, heads, rows of text, numeric columns. The sections fill it."""
 
 from __future__ import annotations
 
@@ -20,11 +17,11 @@ class ReportTable:
         caption: What the table shows; also its name for screen readers.
         heads: Column heads.
         rows: One text per column; the first names the row.
-        numeric: Columns that hold numbers, set flush right.
-        silent: The caption repeats what stands above it; it is there for screen readers only.
-        title: Heading above it, where it has one of its own.
-        text, after: A sentence before and one after it.
-        items: A plain list below the table or in its place.
+        numeric: Columns that hold numbers, aligned right.
+        silent: The caption repeats the text above the table and is for screen readers only.
+        title: Heading of its own; empty without one.
+        text, after: Sentence before and after the table.
+        items: List below the table, or without a table.
     """
 
     caption: str = ""
@@ -39,5 +36,5 @@ class ReportTable:
 
 
 def spell(task: str) -> str:
-    """Write a task `a->b` as people read it."""
+    """Write a task `a->b` for display."""
     return task.replace("->", " → ")

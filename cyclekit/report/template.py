@@ -1,7 +1,7 @@
-"""The look of the page: template, style, script and words, each of which a folder of the integrator can replace.
+"""The look of the page: template, style, script and texts; a folder of the integrator can replace each.
 
-What lies in the folder under the name of one of the page's own files takes its place: `page.html.jinja`, `page.css`,
-`page.js`. `texts.toml` replaces single texts (a language, or a house's own words), `extra.css` comes after the style,
+Files in the folder replace the page's files of the same name: `page.html.jinja`, `page.css`, `page.js`. `texts.toml`
+replaces single texts (another language, or the company's own words), `extra.css` is added after the style,
 `cover.html.jinja` before the first section, `logo.svg` or `logo.png` in the head. Templates run in jinja's sandbox.
 """
 
@@ -32,26 +32,26 @@ LOGOS = {"logo.svg": "image/svg+xml", "logo.png": "image/png"}
 KNOWN = (PAGE, STYLE, SCRIPT, "texts.toml", "extra.css", "cover.html.jinja", *LOGOS)
 
 _WRONG = (jinja2.TemplateError, ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
-"""What a template can raise while it runs."""
+"""Errors that a running template can raise."""
 
 
 def _shown(value: object) -> object:
-    """What a page is filled with: jinja escapes HTML, this what turns a line around or is no text at all."""
+    """Escape control and bidirectional characters; jinja itself escapes HTML."""
     return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 class Template:
-    """The page's own files, and over them those of a folder."""
+    """The page's own files, and the files of a folder that replace them."""
 
     def __init__(self, folder: Path | None = None) -> None:
-        """Look into `folder`, if one is given.
+        """Check `folder`, if one is given.
 
         Raises:
-            CyclekitError: There is no such folder, it has none of the known files, or its texts are no texts.
+            CyclekitError: The folder does not exist, holds none of the known files, or its texts.toml is invalid.
         """
         self.folder = folder
         if folder is not None and not any((folder / name).is_file() for name in KNOWN):
-            msg = f"{folder}: {'no template in it' if folder.is_dir() else 'no such folder'}"
+            msg = f"{folder}: {'no template file found' if folder.is_dir() else 'no such folder'}"
             raise CyclekitError(msg, cure=f"Put one or more of these files there: {', '.join(KNOWN)}.")
         self.texts = self._texts()
 
@@ -79,11 +79,11 @@ class Template:
                 **values,
             )
         except _WRONG as error:
-            msg = f"{self.folder}: the template cannot be set ({error})"
+            msg = f"{self.folder}: the template cannot be rendered ({error})"
             raise CyclekitError(msg, cure=f"Compare it with {PAGE} of cyclekit.report.") from error
 
     def _replaced(self, name: str) -> str | None:
-        """Return the folder's file of that name, as a template asks for it."""
+        """Return the folder's file of that name; jinja calls this."""
         return self._extra(*name.split("/")) or None
 
     def _own(self, name: str) -> str | None:
@@ -99,7 +99,7 @@ class Template:
         """Return a file of the folder, None where there is none.
 
         Raises:
-            OutsideFolder: It is elsewhere: what a template of somebody else names would stand on a customer's page.
+            OutsideFolder: The name leads out of the folder, so the page would show a file that it should not.
         """
         file = inside(self.folder, *names) if self.folder else None
         return file if file is not None and file.is_file() else None

@@ -1,7 +1,7 @@
-"""The words of the report, out of one file per language.
+"""Texts of the report, one file per language.
 
-A text is asked for by its place in the file (`answer.title`) and filled with values; a missing one is a mistake of ours
-and raises at once. What is said where is the business of the template.
+A text is looked up by its key in the file (`answer.title`) and filled with values; a missing key is a bug and raises at
+once. The sections and the template choose the texts.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _UNIT = re.compile(r"(?<=\d) (?=(?:%|s|m|h|min)(?![\w]))")
-"""The space between a number and its unit, where no line may end."""
+"""The space between a number and its unit; becomes a no-break space."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class ReportTexts:
         """Return the text at `section.name`, filled in.
 
         Raises:
-            KeyError: There is no such text, or it needs a value that was not given.
+            KeyError: The text does not exist, or a value that it needs was not given.
         """
         section, _, name = key.partition(".")
         return _UNIT.sub("\N{NO-BREAK SPACE}", self.sections[section][name].format(**values))
@@ -41,7 +41,7 @@ class ReportTexts:
         """Return the texts with some of them replaced; `language` may be among the changes.
 
         Raises:
-            ValueError: A change names no text of ours, or is filled with values that ours does not have.
+            ValueError: A changed text does not exist, or uses a value that the original does not have.
         """
         sections = {name: dict(texts) for name, texts in self.sections.items()}
         language = str(changes.get("language", self.language))

@@ -1,6 +1,6 @@
-"""What was tried: cycle times of the same sequences under a change, computed here or read from a file.
+"""Changes tried: cycle times of the same sequences under a change, computed or read from a file.
 
-Whether a change saves anything is said by `helps`.
+`helps` reports the savings.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ class Tried:
     """One sequence under one change.
 
     Attributes:
-        label: What was changed, in the user's words.
+        label: Name of the change, as the user wrote it.
         sequence: Name of the sequence.
         expected_s: Mean cycle time.
         low_s, high_s: Its 95 % interval.
-        saves_s: What it saves, with its 95 % interval over common operators; None where only the estimate is known.
-        support: Part of the cycle that runs through logged positions; None where not known.
+        saves_s: Saving with its 95 % interval over common operator tracks; None where only the estimate is known.
+        support: Share of the cycle near logged positions; None where unknown.
         limits: What limits the number, one sentence each.
-        places: Ordered places of the sequence, the start first; empty where not known.
-        operator: What the operator was asked to do; None where that was left open.
+        places: Ordered places of the sequence, the start first; empty where unknown.
+        operator: Operator tasks of the sequence; None if it names none.
     """
 
     label: str
@@ -49,14 +49,15 @@ class Tried:
 
     @staticmethod
     def of(found: WhatIf) -> Tried:
-        """Return what `whatif` found as a row of the page."""
+        """Return a result of `whatif` as a row of the page."""
         return _answer(found.to_dict())
 
     def saves(self, before: Mapping[str, CycleEstimate]) -> tuple[float, float | None, float | None] | None:
         """Return the saving in seconds and its interval.
 
-        Without one: against the estimate of the same sequence as the cell is, by name; None where there is none, or it
-        visits other places under the same name.
+        Without `saves_s`: against the unchanged estimate of the sequence of that name, without interval; None if there
+            is
+        none, or if it visits other places.
         """
         if self.saves_s is not None:
             return self.saves_s
@@ -90,22 +91,24 @@ def _interval(estimate: Mapping[str, Any]) -> tuple[str, float, float, float]:
 
 
 def _what(estimate: Mapping[str, Any]) -> dict[str, Any]:
-    """What the sequence is: its places, and what the operator was asked to do."""
+    """Places and operator tasks of the sequence."""
     operator = estimate.get("operator")
     return {"places": tuple(estimate.get("places", ())), "operator": None if operator is None else tuple(operator)}
 
 
 def load_tried(file: Path, label: str | None = None) -> list[Tried]:
-    """Read what was tried: what `cyclekit whatif --out x.json` wrote, or `cyclekit estimate --out x.json`.
+    """Read the output of `cyclekit whatif --out x.json` or `cyclekit estimate --out x.json`.
 
     Args:
         file: The JSON document.
-        label: Name of the change; estimates need one, the answers of `whatif` have their own.
+        label: Name of the change; needed for estimates, while answers of `whatif` bring their own.
 
     Raises:
-        CyclekitError: The file cannot be read, or is no such document.
+        CyclekitError: The file cannot be read, or is not such a document.
     """
-    cure = "Give what `cyclekit whatif … --out FILE.json` wrote, or LABEL=FILE.json with that of `cyclekit estimate`."
+    cure = (
+        "Give the file of `cyclekit whatif … --out FILE.json`, or LABEL=FILE.json with the file of `cyclekit estimate`."
+    )
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
         return _tried(document, label)
@@ -113,7 +116,7 @@ def load_tried(file: Path, label: str | None = None) -> list[Tried]:
         msg = f"{file}: cannot be read ({error.strerror})"
         raise CyclekitError(msg, cure=cure) from error
     except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-        msg = f"{file}: nothing that was tried ({type(error).__name__}: {error})"
+        msg = f"{file}: no output of whatif or estimate ({type(error).__name__}: {error})"
         raise CyclekitError(msg, cure=cure) from error
 
 
@@ -121,6 +124,6 @@ def _tried(document: Mapping[str, Any], label: str | None) -> list[Tried]:
     if "answers" in document:
         return [_answer(entry) for entry in document["answers"]]
     if label is None:
-        msg = "estimates without the name of a change"
+        msg = "an estimate needs the name of its change"
         raise ValueError(msg)
     return [Tried(label, *_interval(entry), **_what(entry)) for entry in document["sequences"]]

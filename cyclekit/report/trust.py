@@ -1,4 +1,4 @@
-"""Section 5: what the numbers rest on, how good the model is, and what this page is not."""
+"""Section 5: validation of the model and the estimates, the data, and what this page is not."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
 _CARD_METRICS = ("rows", "mse_mean", "mse_argmax", "mae", "bias", "accuracy")
 
 MODEL, CONSTANT, STAIRCASE = "model", "constant mean", "distance staircase"
-"""Rows of an evaluation: the model's own begin with its name."""
+"""Rows of an evaluation; rows of the model begin with `model`."""
 
 _GAPS = {"absent": "gap_absent", "occluded": "gap_occluded", "outside": "gap_outside"}
 
 
 class Judged(Protocol):
-    """What the report needs of an evaluation: its numbers as JSON values."""
+    """The part of an evaluation that the report uses: its numbers as JSON values."""
 
     def to_dict(self) -> dict[str, Any]:
         """`mse` (rows of name, mse, note), `accuracy`, `confusion` (logged x predicted), `levels`; all optional."""
@@ -125,7 +125,7 @@ def _judged_rows(texts: ReportTexts, judged: Mapping[str, Any]) -> list[list[str
 
 
 def _network_and_baselines(texts: ReportTexts, judged: Mapping[str, Any], check: Check | None) -> list[str]:
-    """Say with which row of the errors the cycle times are made, and what it means if a baseline has a smaller one."""
+    """Say which row the cycle times come from, and what a smaller error of a baseline means."""
     errors = {str(entry.get("name")): float(entry["mse"]) for entry in judged.get("mse") or ()}
     model = errors.get(MODEL)
     rivals = {name: mse for name, mse in errors.items() if not name.startswith(MODEL)}
@@ -189,7 +189,7 @@ def _confusion(texts: ReportTexts, judged: Mapping[str, Any]) -> list[dict[str, 
 def _calibration(
     texts: ReportTexts, samples: pl.DataFrame, judged: Mapping[str, Any], model: Predicts | None
 ) -> list[dict[str, Any]]:
-    """Predicted against logged means, on the executions that the model was judged by."""
+    """Predicted against logged means, on the executions that the model was evaluated on."""
     from cyclekit.report import maps
 
     found = calibration(samples, judged.get("executions") or (), model)
@@ -211,7 +211,7 @@ def _calibration(
 
 
 def _unseen(texts: ReportTexts, samples: pl.DataFrame) -> list[ReportTable]:
-    """Why the operator is not seen, as parts of all samples."""
+    """Reasons for missing operator positions, as shares of all samples."""
     gaps = samples["human_gap"].drop_nulls()
     if not len(gaps):
         return []

@@ -1,7 +1,6 @@
-"""The verdict: today's logged cycle beside the best order and change that were found for the same work.
+"""The verdict: today's logged cycle time against the best order and change found for the same work.
 
-Today is what was logged and nothing else: the executions that did this work. An estimate of an order that never ran is
-no cycle of today.
+"Today" uses only the logged executions that did this work, never an estimate of an order that did not run.
 """
 
 from __future__ import annotations
@@ -31,10 +30,10 @@ class Today:
     """The logged executions that did the work.
 
     Attributes:
-        executions: How many.
+        executions: Number of them.
         mean_s: Their mean cycle time.
-        low_s, high_s: Its 95 % interval from resampling executions; both the mean where there is one execution.
-        missed: How many took longer than the takt; None without a takt.
+        low_s, high_s: Its 95 % interval from resampling executions; both equal the mean for one execution.
+        missed: Number of executions longer than the takt; None without a takt.
     """
 
     executions: int
@@ -45,21 +44,21 @@ class Today:
 
     @property
     def missed_share(self) -> float | None:
-        """Part of the executions that took longer than the takt."""
+        """Share of the executions longer than the takt."""
         return None if self.missed is None else self.missed / self.executions
 
 
 @dataclass(frozen=True)
 class TaktVerdict:
-    """What the page says first.
+    """The first statement of the page.
 
     Attributes:
-        work: What is compared.
+        work: The work whose cycle times are compared.
         takt_s: The takt time, if one was given.
-        today: The logged cycle; None where no logged execution is known to do this work.
-        planned: The order found, if one was searched for.
+        today: The logged cycle; None if no logged execution does this work.
+        planned: The order found, if a search was made.
         best: The estimate of the fastest sequence of this work, if there is one.
-        change: The change under which a sequence of this work takes least time, of those that are sure to save time.
+        change: The fastest change of a sequence of this work, among those that clearly save time.
     """
 
     work: Work
@@ -71,13 +70,13 @@ class TaktVerdict:
 
     @property
     def order(self) -> OrderPlan | None:
-        """The order found, unless a sequence that was given is quicker."""
+        """The order found, unless a given sequence is faster."""
         given = self.best is not None and self.planned is not None and self.best.places != self.planned.places
         return None if given else self.planned
 
     @property
     def expected_s(self) -> float | None:
-        """Mean cycle time of the best order: as estimated, else as the search has it."""
+        """Mean cycle time of the best order, s: from the estimate, otherwise from the search."""
         if self.best is not None:
             return self.best.expected_s
         return None if self.planned is None else self.planned.expected_s
@@ -104,9 +103,9 @@ def verdict(
     planned: OrderPlan | None,
     takt_s: float | None,
 ) -> TaktVerdict | None:
-    """Hold what was found against today's cycle; None where nothing was asked for.
+    """Compare the results with today's cycle; None without a takt, an order search or changes.
 
-    What is compared is the work of the order found; else that of the first sequences whose work was logged.
+    The compared work is that of the order found; otherwise of the first sequences whose work was logged.
 
     Args:
         dataset: The logs.
@@ -126,7 +125,7 @@ def verdict(
 
 
 def today_of(dataset: Dataset, work: Work, takt_s: float | None) -> Today | None:
-    """Return the logged executions that did this work, runs meant to be without an operator left out."""
+    """Return the logged executions that did this work, without reference runs (those without an operator)."""
     durations = dict(dataset.executions.filter("complete").select("execution", "duration_s").iter_rows())
     names = [
         one.execution
@@ -142,7 +141,7 @@ def today_of(dataset: Dataset, work: Work, takt_s: float | None) -> Today | None
 
 
 def best_change(work: Work, ranked: Sequence[CycleEstimate], tried: Sequence[Tried]) -> Tried | None:
-    """Return the change under which this work takes least time, of those that are sure to save time."""
+    """Return the fastest change for this work, among those that clearly save time."""
     before = {each.name: each for each in ranked}
     mine = by_work(tried).get(work, [])
     return min((each for each in mine if each.surely_saves(before)), key=lambda each: each.expected_s, default=None)
@@ -164,7 +163,7 @@ def _today(texts: ReportTexts, found: TaktVerdict) -> str:
 
 
 def _found(texts: ReportTexts, found: TaktVerdict) -> str:
-    """What was found: the order or the fastest sequence, and the best change, beside today."""
+    """The order found or the fastest sequence, and the best change, against today."""
     best, change, said = found.best, found.change, ""
     if found.order is not None:
         said = texts("verdict.order_none")
@@ -187,7 +186,7 @@ def _found(texts: ReportTexts, found: TaktVerdict) -> str:
 
 
 def _mean(found: TaktVerdict) -> str:
-    """The mean of the best order, rounded as its interval allows where it has one."""
+    """The mean of the best order, rounded to its interval if it has one."""
     if found.best is None:
         return fixed(found.expected_s, 1)
     return with_uncertainty(found.best.expected_s, found.best.expected_low_s, found.best.expected_high_s)[0]
@@ -198,12 +197,12 @@ def _overlap(best: CycleEstimate, today: Today) -> bool:
 
 
 def _beside(found: TaktVerdict, mean_s: float) -> str:
-    """The difference from today, as ` (-9 %)`; nothing without a cycle of today."""
+    """The difference from today, as ` (-9 %)`; empty without a cycle of today."""
     return "" if found.today is None else f" ({signed_percent(mean_s / found.today.mean_s - 1)})"
 
 
 def basis(texts: ReportTexts, found: TaktVerdict) -> str:
-    """Return the numbers of today, or that no logged execution is known to do this work."""
+    """Return the numbers of today, or the statement that no logged execution does this work."""
     today = found.today
     if today is None:
         return texts("verdict.no_today", work=str(found.work))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cyclekit.report.texts import ReportTexts
 
 MOST_SEQUENCES = 3
-"""So many sequences are drawn task by task; the others are in the first picture and in the tables."""
+"""Maximum number of sequences drawn task by task; the others are in the first picture and in the tables."""
 
 MOST_LOGGED, MOST_ROWS = 12, 30
 
@@ -104,7 +104,7 @@ def _table(texts: ReportTexts, caption: str, rows: Sequence[Share], *, seen: boo
 
 
 def _activity(texts: ReportTexts, ranked: Sequence[CycleEstimate]) -> ReportTable | None:
-    """Safety loss by what the operator was doing, for the sequences that know it."""
+    """Safety loss by operator task, for the sequences that have it."""
     shown = [each for each in ranked[:MOST_SEQUENCES] if each.safety_by_activity_s]
     if not shown:
         return None

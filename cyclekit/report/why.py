@@ -1,4 +1,4 @@
-"""Section 3: why the robot is slowed: scaling against distance, and where the operator was."""
+"""Section 3: why the robot slows down: scaling against distance, and operator positions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DATA_M = 0.25
 """Distance per row of the table behind the staircase."""
 
 EXPLAINS = 0.8
-"""From this part of the variance on, distance is said to be what the safety function acts on."""
+"""From this share of explained variance on, the page says that the safety function acts on distance."""
 
 
 def section(

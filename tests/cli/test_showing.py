@@ -36,7 +36,7 @@ def empty_cell(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_without_a_model_the_report_is_about_the_logs(cyclekit: Shell, cell: Path, tmp_path: Path) -> None:
     done = cyclekit("report", cell, "--out", tmp_path / "r.html", "--json")
     assert done.code == 0, done.err
-    assert "No model was given, so nothing here is predicted." in done.document["missing"]
+    assert "No model was given: this report contains no predictions." in done.document["missing"]
     assert "A logged execution takes" in (tmp_path / "r.html").read_text("utf-8")
 
 
@@ -45,7 +45,7 @@ def test_a_cell_without_an_operator_gives_an_honest_page_and_replay(
 ) -> None:
     page = cyclekit("report", empty_cell, "--out", tmp_path / "r.html", "--json")
     assert page.code == 0, page.err
-    assert any("No operator position" in text for text in page.document["missing"])
+    assert any("no operator position" in text for text in page.document["missing"])
     replay = cyclekit("replay", empty_cell, "--execution", "1", "--out", tmp_path / "x.rrd", "--json")
     assert replay.code == 0, replay.err
     assert any("No operator position" in text for text in replay.document["notes"])

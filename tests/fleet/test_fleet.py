@@ -302,11 +302,11 @@ def test_the_page_ranks_cells_and_names_those_that_need_a_look() -> None:
     assert "5 of the cells need a look" in look
     for said in (
         "20 days old",
-        "of its rows had to be set aside",
+        "of the rows were set aside",
         "Logs not read: a.csv: cut",
         "0.010 -&gt; 0.090",
         "ingest: no such folder",
-        "The error of its model is large: mean absolute error 0.148.",
+        "The error of the model is large: mean absolute error 0.148.",
     ):
         assert said in look
     assert "good/report.html" not in look

@@ -43,12 +43,12 @@ def test_the_report_as_markdown_has_every_table_whole(dataset, written, tmp_path
     assert [line for line in text.splitlines() if line.startswith("## ")] == [
         "## 1 The answer",
         "## 2 Where the time goes",
-        "## 3 Why the robot is slowed",
+        "## 3 Why the robot slows down",
         "## 4 What would help",
-        "## 5 Validation and data",
+        "## 5 How reliable are these numbers?",
     ]
     assert "A \\| first" in text
-    assert "This is no safety validation" in text
+    assert "Not a safety validation" in text
     for block in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
         columns = {len(re.findall(r"(?<!\\)\|", line)) for line in block.splitlines()}
         assert len(columns) == 1

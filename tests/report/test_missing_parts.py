@@ -15,9 +15,9 @@ from cyclekit.storage.atomic import write_parquet
 @pytest.mark.parametrize(
     ("absent", "sentence"),
     [
-        (["scaling", "scaling_origin", "step"], "Speed scaling is not known in these logs"),
-        ([f"human_{axis}_m" for axis in "xyz"], "No operator position is in these logs"),
-        ([f"robot_{axis}_m" for axis in "xyz"], "too few samples"),
+        (["scaling", "scaling_origin", "step"], "Speed scaling is unknown in these logs"),
+        ([f"human_{axis}_m" for axis in "xyz"], "The logs hold no operator position"),
+        ([f"robot_{axis}_m" for axis in "xyz"], "Too few samples"),
         (["robot_moving", "robot_task", "human_task", "step"], "No sequence was estimated"),
     ],
 )
@@ -43,9 +43,9 @@ def test_a_tracker_alone_shows_where_people_were_and_no_robot(dataset, tmp_path)
         write_parquet(rows.with_columns(pl.lit(None).cast(rows.schema[c]).alias(c) for c in gone), file)
     facts = compose_report(Dataset.open(path), None, tmp_path / "r.html")
     page = Page(facts.path.read_text("utf-8"))
-    assert any("No robot is in these logs" in text for text in facts.missing)
-    assert "Where the operator was when" not in page.text
-    assert "Where the operator was" in page.text
+    assert any("The logs hold no robot" in text for text in facts.missing)
+    assert "Operator positions while the robot was slowed" not in page.text
+    assert "Operator positions" in page.text
     (floor,) = [words for words in facts.path.read_text("utf-8").split("<figure>")[1:] if "Floor plan" in words]
     assert ">robot<" not in floor
     assert "robot speed" not in floor

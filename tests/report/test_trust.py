@@ -31,7 +31,7 @@ def test_how_often_the_intervals_held_is_told_as_measured(dataset, tmp_path):
     check = checked()
     text = text_of(dataset, tmp_path / "r.html", check=check)
     assert check.coverage == 0.9
-    assert "Coverage: logged executions inside their 90 % interval (should be 90 %) 90 %" in text
+    assert "Coverage of the 90 % prediction interval (nominal 90 %) 90 %" in text
     assert "Logged executions rolled out 40" in text
     assert "Of these, unseen by the model 10" in text
     assert "was not measured for this report" not in text
@@ -41,14 +41,14 @@ def test_how_often_the_intervals_held_is_told_as_measured(dataset, tmp_path):
 def test_without_a_check_no_coverage_is_claimed(dataset, tmp_path):
     text = text_of(dataset, tmp_path / "r.html")
     assert "was not measured for this report" in text
-    assert "the error of the model itself is not in them" in text
+    assert "they do not include the error of the model" in text
 
 
 def test_too_few_executions_for_a_coverage_are_said_to_be_so(dataset, tmp_path):
     text = text_of(dataset, tmp_path / "r.html", check=checked(executions=4))
     assert "4 logged executions are too few for quantiles that hold" in text
     assert "was not measured for this report" in text
-    assert "should be 90 %" not in text
+    assert "nominal 90 %" not in text
 
 
 def test_what_a_sequence_rests_on_is_said_beside_the_proof(dataset, tmp_path):
@@ -80,16 +80,16 @@ def said(dataset, out, **given):
 
 def test_a_baseline_with_the_smaller_error_is_explained_and_what_the_numbers_are_made_with(dataset, tmp_path):
     text = said(dataset, tmp_path / "r.html", evaluation=Beaten(), check=checked())
-    assert "estimated cycle times are made with the network (row “model”)" in text
+    assert "estimated cycle times come from the network (row “model”)" in text
     assert "the distance staircase has the smaller error (MSE 8.20 · 10⁻⁵, the network 8.00 · 10⁻⁴)" in text
-    assert "the network explains 99 %, the distance staircase over 99 %" in text
-    assert "measured by the backtest: bias 0.00 % (95 % CI ± 0.00 %)" in text
+    assert "Explained variance of the logged speed: network 99 %, distance staircase over 99 %" in text
+    assert "from the backtest: bias 0.00 % (95 % CI ± 0.00 %)" in text
     other = said(dataset, tmp_path / "o.html", evaluation=Beaten("gradient boosting"))
-    assert "more can be learned from these logs than the network did" in other
-    assert "takes for granted" not in other
+    assert "the network has not learned all that these logs show" in other
+    assert "this baseline assumes" not in other
 
 
 def test_a_network_that_is_better_than_its_baselines_needs_no_explanation(dataset, tmp_path):
     text = said(dataset, tmp_path / "r.html", evaluation=Beaten(mse=0.01))
-    assert "made with the network" in text
+    assert "come from the network" in text
     assert "has the smaller error" not in text

@@ -71,8 +71,8 @@ def test_where_no_logged_execution_does_the_work_there_is_no_today(logged, tmp_p
     assert found["answer"] == "“longer” takes 50.0 s on average."
     assert found["verdict"]["today"] is None
     assert found["sentences"]["answer"][0] == (
-        "No logged execution is known to do this work (5 visits (a x2, b x2, home)), "
-        "so there is no cycle of today to compare with."
+        "No logged execution does this work (5 visits (a x2, b x2, home)): "
+        "there is no cycle time of today to compare with."
     )
 
 
@@ -84,7 +84,7 @@ def test_a_sequence_within_todays_interval_is_not_said_to_be_quicker(logged, tmp
 def test_an_order_that_is_not_sure_to_save_time_is_no_answer(logged, tmp_path):
     even = replace(PLANNED, saves_s=(0.2, -0.4, 0.8))
     found = document(logged, tmp_path, planned=even, estimates=[estimate("order found", 30.8, places=TURNED)])
-    assert found["answer"] == "Today 31.0 s. No order of the same work was found that is sure to take less time."
+    assert found["answer"] == "Today 31.0 s. No clearly faster order of the same work was found."
 
 
 def test_a_change_of_other_work_or_without_a_sure_saving_is_not_in_the_verdict(logged, tmp_path):
@@ -110,9 +110,9 @@ def test_different_work_is_neither_ranked_nor_said_to_save_time(logged, tmp_path
     text = facts.path.read_text("utf-8").replace("\N{NO-BREAK SPACE}", " ")
     shown = Page(text).text if kind == "html" else text
     assert "The sequences do 2 different kinds of work." in shown
-    assert "worth something" not in shown
+    assert "Order alone" not in shown
     assert "less per cycle" not in shown
-    assert "told apart" not in shown
+    assert "No clear difference" not in shown
     assert "Fastest: " not in shown
     if kind == "md":
         assert "| two | – | 18.0 |" in shown
@@ -127,7 +127,7 @@ def test_within_the_same_work_ranks_and_the_worth_of_the_order_stay(logged, tmp_
     text = text.replace("\N{NO-BREAK SPACE}", " ")
     assert "| two | 1/2 |" in text
     assert "| turned | 2/2 |" in text
-    assert "of the same work, “two” takes 4.0 s less per cycle than “turned”" in text
+    assert "Order alone: of the same work, “two” takes 4.0 s less per cycle than “turned”" in text
 
 
 def test_the_same_name_for_other_places_saves_nothing(logged, tmp_path):
@@ -146,8 +146,8 @@ def test_the_work_of_each_sequence_is_in_the_table_of_seconds(logged, tmp_path):
 @pytest.mark.parametrize(
     ("lost", "said"),
     [
-        (3.8, "The largest share of that, 11 %, is lost on b → c: 3.8 s"),
-        (20.0, "Most of that, 59 %, is lost on b → c: 20.0 s"),
+        (3.8, "Largest part of it: b → c, 3.8 s per cycle (11 %)"),
+        (20.0, "Most of it: b → c, 20.0 s per cycle (59 %)"),
     ],
 )
 def test_most_is_said_of_more_than_half_only(dataset, tmp_path, lost, said):
@@ -159,7 +159,7 @@ def test_most_is_said_of_more_than_half_only(dataset, tmp_path, lost, said):
 def test_the_bound_of_an_order_that_never_ran_is_not_held_against_today(dataset, tmp_path):
     found = document(dataset, tmp_path, estimates=[estimate("A first", 30.0)])
     (bound, *_) = found["sentences"]["helps"]
-    assert bound.endswith("15.0 s below the 30.0 s expected as the cell is.")
+    assert bound.endswith("15.0 s below the expected 30.0 s.")
     assert "today" not in bound
     (bound, *_) = document(dataset, tmp_path)["sentences"]["helps"]
     assert bound.endswith("below today's logged mean.")

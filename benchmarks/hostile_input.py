@@ -246,9 +246,9 @@ class Lab:
         yield page(describe(self.dataset))
         assert found.furniture is not None
         for record in found.recordings:
-            there = os.path.normpath(self.dataset / "recordings" / record["id"])
+            there = os.path.normpath(self.dataset / "recordings" / record.id)
             with contextlib.suppress(CyclekitError):
-                if found.recorded(record["id"], "robot") is not None and not there.startswith(str(self.dataset)):
+                if found.recorded(record.id, "robot") is not None and not there.startswith(str(self.dataset)):
                     yield SECRET
         found.samples()
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from cluster import bucket, cluster, small_cell  # noqa: F401 - fixtures for every folder
 from hypothesis import settings
-from known_cells import constant, hand_made, logged, staircase, truth  # noqa: F401
+from known_cells import check, constant, hand_made, logged, staircase, truth  # noqa: F401
 from made_once import changed, shared_folder
 from simulated_cells import boxes, cells, large, logs, motive_log, reads, robot_log, three_runs  # noqa: F401
 

@@ -11,8 +11,11 @@ from cyclekit.api.given import dataset_of, path_of, place_of
 from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
+from cyclekit.errors import UnknownName
 from cyclekit.learning.labelling import scaling_in_time, staircase_of
 from cyclekit.scaling.levels import second_opinion
+from cyclekit.scaling.levels.clusters import FINDERS
+from cyclekit.scaling.levels.staircase import PLATEAU
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
@@ -76,9 +79,12 @@ def find_levels(dataset: Dataset | Place, *, method: str = "plateau", picture: P
         picture: Also draw them: a .svg, .png or .pdf file.
 
     Raises:
+        UnknownName: There is no such method.
         DatasetError: There is no dataset, or it has no positions.
         OutputError: The picture would replace the dataset, or what is no picture of cyclekit's.
     """
+    if method not in (PLATEAU, *FINDERS):
+        raise UnknownName("self-labelling", "method", method, (PLATEAU, *FINDERS))
     file = path_of(picture)
     check_output(file, "picture", [place_of(dataset)], option="--picture", endings=(".svg", ".png", ".pdf"))
     opened = dataset_of(dataset)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from cyclekit.config.sequences import TaskSequence
-    from cyclekit.estimate.entry import Question
     from cyclekit.estimate.program import Program
+    from cyclekit.estimate.question import Question
 
 MANY = 50
 """More sequences than this are looked up in the table of arrivals; so many of the best are walked."""

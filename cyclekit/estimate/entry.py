@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,48 +17,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config.sequences import TaskSequence
-    from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.check import Check
     from cyclekit.estimate.history import Combined
     from cyclekit.estimate.means import Means
-    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.program import Program
-    from cyclekit.estimate.safety import Dynamics, SafetyModel
+    from cyclekit.estimate.question import Question
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled
-    from cyclekit.parallel.engine import Engine
 
 LEAST_SUPPORT = 0.5
 """Below this part of the cycle in logged cells the question is refused."""
 TOLD = 0.005
 """A smaller share of history is not told in words."""
-
-
-@dataclass(frozen=True)
-class Altered:
-    """Another cell than the one that was logged: tasks and tracks made of the logged ones, and how s follows there."""
-
-    tasks: Callable[[Mapping[str, NominalTask]], Mapping[str, NominalTask]]
-    tracks: Callable[[OperatorTracks, Mapping[str, NominalTask]], OperatorTracks]
-    dynamics: Dynamics
-    moved: Mapping[str, float] = field(default_factory=dict)
-    """What logged durations moved the number of each sequence by in the cell that was logged, as a factor, by name."""
-
-
-@dataclass(frozen=True)
-class Question:
-    """Everything that one call asks with."""
-
-    model: SafetyModel
-    dataset: Dataset
-    estimator: str
-    quantiles: tuple[float, ...]
-    takt_s: float | None
-    seed: int
-    extrapolate: bool
-    check: Check | None
-    altered: Altered | None
-    engine: Engine
 
 
 def entry_of(

@@ -28,7 +28,7 @@ LEAST_UNSEEN = 3
 
 
 @dataclass(frozen=True)
-class Judged:
+class ModelBias:
     """How far a rollout is off, as part of the duration.
 
     Attributes:
@@ -42,7 +42,7 @@ class Judged:
     error: float
 
 
-def judge(off: Vector, unseen: NDArray[np.bool_]) -> Judged:
+def judge(off: Vector, unseen: NDArray[np.bool_]) -> ModelBias:
     """Return how far a rollout beside the own operators is off.
 
     Args:
@@ -54,7 +54,7 @@ def judge(off: Vector, unseen: NDArray[np.bool_]) -> Judged:
     if len(some) == len(off) and unseen.any():
         # were they no different, this would be as large as the standard error by chance; what they show beyond is new
         error = float(np.hypot(error, (off[unseen].mean() - bias) * np.sqrt(unseen.mean())))
-    return Judged(some, bias, error)
+    return ModelBias(some, bias, error)
 
 
 def _standard_error(values: Vector) -> float:

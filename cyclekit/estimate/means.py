@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.estimate.check import Check
-    from cyclekit.estimate.entry import Question
+    from cyclekit.estimate.question import Question
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled
 

@@ -16,12 +16,13 @@ import numpy as np
 
 from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate.cycles import MANY, cycles_of
-from cyclekit.estimate.entry import LEAST_SUPPORT, Altered, Question, entry_of
+from cyclekit.estimate.entry import LEAST_SUPPORT, entry_of
 from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs
 from cyclekit.estimate.means import history_of, means_of
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
+from cyclekit.estimate.question import Altered, Question
 from cyclekit.estimate.resample import TOGETHER, means_below, resampled
 from cyclekit.estimate.same_work import by_work
 from cyclekit.estimate.tracks import OperatorTracks

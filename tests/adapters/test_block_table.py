@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit_adapters.text import block_table
-from cyclekit_adapters.text.delimited import Layout
+from cyclekit_adapters.text.delimited import TextLayout
 from cyclekit_adapters.text.text_rows import Wanted
 
 numbers = st.one_of(st.floats(allow_nan=False, allow_infinity=False).map(repr), st.integers(-(10**20), 10**20).map(str))
@@ -29,7 +29,7 @@ def bits(table):
     st.lists(lines, min_size=1, max_size=6), st.sampled_from(",; \t"), st.sampled_from(["\n", "\r\n"]), st.booleans()
 )
 def test_the_short_way_finds_what_the_long_one_does(rows, mark, end, last_too):
-    layout = Layout(("a", "b", "c"), mark, header_lines=0)
+    layout = TextLayout(("a", "b", "c"), mark, header_lines=0)
     wanted = Wanted(("a", "b", "c") if last_too else ("a", "b"))
     block = "".join(mark.join(row) + end for row in rows).encode()
     short = block_table.table_of(block, layout, wanted)
@@ -41,7 +41,7 @@ def test_the_short_way_finds_what_the_long_one_does(rows, mark, end, last_too):
 
 
 def test_a_log_of_numbers_alone_takes_the_short_way():
-    layout = Layout(("a", "b", "c"), " ", header_lines=0)
+    layout = TextLayout(("a", "b", "c"), " ", header_lines=0)
     with mock.patch.object(block_table, "_parsed", side_effect=AssertionError):
         for end in ("\n", "\r\n"):
             table = block_table.table_of(f"1 -2.5 3e-3{end}4 5 6{end}".encode(), layout, Wanted(("c", "a")))

@@ -57,7 +57,10 @@ from importlib import import_module
 from importlib.metadata import entry_points
 for point in entry_points(group="cyclekit.adapters"): point.load()
 for name in set(cyclekit.__all__) - {"write_replay"}: getattr(cyclekit, name)
-for name in ("estimate.rollout", "evaluate", "plan", "zones", "whatif", "report", "fleet.run", "convert", "calibrate"):
+for name in (
+    *("estimate.rollout", "learning.evaluation.evaluate", "estimate.plan", "learning.safety_function"),
+    *("estimate.whatif", "report", "fleet.run", "ingest.convert", "alignment.calibrate"),
+):
     import_module("cyclekit." + name)
 from cyclekit.cli import app
 app()

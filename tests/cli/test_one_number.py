@@ -12,6 +12,7 @@ import pytest
 import cyclekit as library
 from cyclekit.cli import demo
 from cyclekit.cli.terminal import Terminal
+from cyclekit.dataset.cards import CellLedger
 from cyclekit.fleet import stages
 from cyclekit.fleet.read import FleetCell
 
@@ -97,8 +98,9 @@ def by_the_fleet(dataset: Path, model: Path, file: Path, monkeypatch: pytest.Mon
         raise Enough
 
     monkeypatch.setattr("cyclekit.api.report.compose_report", compose_report)
+    cell = FleetCell("cell", (), str(model.parent), sequences=str(file))
     with pytest.raises(Enough):
-        stages._report(FleetCell("cell", (), str(model.parent), sequences=str(file)), {"days": {}})
+        stages._report(stages.CellAtWork(cell, CellLedger(cell="cell")))
     return given[0]
 
 

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from cyclekit import Dataset
 from cyclekit.config import load_cell
 from cyclekit.config.sequences import load_sequences
-from cyclekit.dataset.cards import BadCard, DatasetCard, checked, parse_json, plain
+from cyclekit.dataset.cards import BadCard, CellLedger, DatasetCard, checked, parse_json, plain
 from cyclekit.errors import ConfigError, DatasetError, ModelError
 from cyclekit.fleet.read import FleetCell
 from cyclekit.fleet.stages import read_ledger
@@ -206,4 +206,4 @@ def test_a_kept_recording_whose_card_is_none_is_not_taken_over(tmp_path: Path, t
 def test_a_cell_of_a_fleet_that_says_nonsense_is_one_of_which_nothing_is_known(tmp_path: Path, text: str):
     (tmp_path / "cell.json").write_text(text, encoding="utf-8")
     found = read_ledger(FleetCell("press-1", ("logs",), str(tmp_path)))
-    assert found == {"stages": {}, "days": {}, "figures": {}, "cell": "press-1"}
+    assert found == CellLedger(cell="press-1")

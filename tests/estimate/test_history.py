@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="module")
 def order(logged: Dataset) -> TaskSequence:
-    return TaskSequence("A", tuple(logged.card["executions"][0]["places"]))
+    return TaskSequence("A", tuple(logged.card.executions[0].places))
 
 
 def test_the_sum_and_its_resamples_are_those_of_the_estimator_history(
@@ -85,7 +85,7 @@ def test_the_number_lies_between_both_and_says_so(logged: Dataset, staircase: An
     assert np.mean(found.durations_s) == pytest.approx(found.expected_s)
     assert sum(task.expected_s for task in found.tasks) == pytest.approx(found.expected_s)
     assert found.expected_low_s < found.expected_s < found.expected_high_s
-    assert found.to_json()["combined"]["history_share"] == both.history_share
+    assert found.to_dict()["combined"]["history_share"] == both.history_share
     told = " ".join(rests_on([found]).split())
     assert f"{both.history_share:.0%} of the number is what the same tasks took in the logs" in told
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.cards import TrainingCard
 from cyclekit.estimate import walk as walking
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.program import draw_stands, lay_out
@@ -27,7 +28,7 @@ TRACKS = 5
 class Smooth:
     """A scaling that differs at every pair of positions, so that no mistaken row or instant goes unseen."""
 
-    problem, card = "now", {"scaling_without_operator": 0.9}
+    problem, card = "now", TrainingCard(scaling_without_operator=0.9)
 
     def predict(self, X: np.ndarray) -> np.ndarray:
         apart = np.linalg.norm(X[:, :3].astype(float) - X[:, 3:], axis=1)

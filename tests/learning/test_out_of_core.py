@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
@@ -60,7 +62,7 @@ def test_blocks_hand_out_every_row_once_and_from_all_over(rows: int, monkeypatch
     monkeypatch.setattr(model_rows, "_BLOCK_ROWS", 64)
     monkeypatch.setattr(model_rows, "_BLOCKS", 32)
     nothing = torch.zeros(rows)
-    learn = model_rows.Rows(*[nothing] * 2, nothing[:, None], *[nothing] * 5, None, None, in_blocks=True)
+    learn = model_rows.TrainingRows(*[nothing] * 2, nothing[:, None], *[nothing] * 5, None, None, in_blocks=True)
     batches = list(learn.batches(max(rows // 512, 1)))
     order = torch.cat(batches).tolist()
     assert sorted(order) == list(range(rows))
@@ -78,7 +80,7 @@ def test_a_model_learned_from_files_is_as_good(logs: Dataset, monkeypatch: pytes
     assert card.split == whole.split
     assert card.rows == whole.rows
     assert card.metrics.mse_mean == pytest.approx(whole.metrics.mse_mean, rel=0.3)
-    assert "rows learned from in files" in card.warnings[0]
+    assert "rows learned from in files" in card.warnings[0].text
     assert not any("files" in text for text in whole.warnings)
 
 
@@ -96,7 +98,7 @@ def test_estimates_and_judgements_look_at_as_many_executions_as_memory_takes(
     (again,) = estimate(model, logs, [TaskSequence("one way", ("home", "conveyor"))], **asked)
     assert again.durations_s == found.durations_s
     assert f"{part.executions.height} of 6 logged executions were looked at" in " ".join(again.warnings)
-    model.card.dataset_sha256 = "another"
+    model = replace(model, card=structs.replace(model.card, dataset_sha256="another"))
     judged = evaluate(model, logs)
     assert len(judged.executions) == 2
     assert "2 of 6 executions are judged" in judged.notes[0]

@@ -56,7 +56,7 @@ def test_a_network_of_one_line_is_trained_saved_read_and_judged(
     assert "the nearest is 'toy'" in capsys.readouterr().err
     save_model(out, train(cell, ModelSpec.of("now", "toy", epochs=2)))
     model = load_model(out)
-    assert (model.network, model.card["network"]) == ("toy", "toy")
+    assert (model.network, model.card.network) == ("toy", "toy")
     chances = model.probabilities(np.zeros((2, len(model.inputs)), np.float32))
     np.testing.assert_allclose(chances.sum(axis=1), 1.0, atol=1e-6)
     assert run(["inspect", str(out)]) == 0

@@ -58,7 +58,7 @@ class Kind:
 
     @property
     def adapter(self) -> Adapter:
-        return import_module(f"cyclekit_adapters.{self.module}").ADAPTER
+        return import_module(f"cyclekit_adapters.formats.{self.module}").ADAPTER
 
     @property
     def is_mapped(self) -> bool:

@@ -249,7 +249,7 @@ def test_of_a_column_of_a_large_file_only_its_bytes_are_hashed(
     )
     opened = Dataset.open(large[0])
     pl.concat(opened.times("run_0", "robot"))
-    pieces = len(opened.card["files"][RECORDED]["blake3"])
+    pieces = len(opened.card.files[RECORDED].blake3)
     assert 0 < len(set(hashed)) < 0.8 * pieces
     hashed.clear()
     opened.recorded("run_0", "robot")

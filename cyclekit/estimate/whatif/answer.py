@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.entry import Altered
+from cyclekit.estimate.question import Altered
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.safety import Dynamics

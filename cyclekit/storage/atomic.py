@@ -14,7 +14,7 @@ import secrets
 import shutil
 import tempfile
 import time
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -184,21 +184,20 @@ def locked(path: Path, *, wait_s: float = 0.2) -> Iterator[None]:
         path = resolved(path)
         lock = beside(path, "lock")
         path.parent.mkdir(parents=True, exist_ok=True)
-        with ExitStack() as held:
-            try:
-                held.enter_context(FileLock(lock, wait_s, poll_interval=0.02, on_acquired=_sign))
-            except Timeout:
-                raise BusyPlace(path, _holder(lock)) from None
-            except OSError as error:
-                if error.errno not in _NO_LOCKS:
-                    raise
-            ours = held.pop_all()
-    with ours:
+        held = FileLock(lock, wait_s, thread_local=False, poll_interval=0.02, on_acquired=_sign)
         try:
-            yield
-        finally:
-            with suppress(OSError):  # while it is ours; on Windows it is open, and the end of the lock removes it
-                lock.unlink(missing_ok=True)
+            held.acquire()
+        except Timeout:
+            raise BusyPlace(path, _holder(lock)) from None
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # while it is ours; on Windows it is open, and the end of the lock removes it
+            lock.unlink(missing_ok=True)
+        held.release()
 
 
 def _sign(descriptor: int) -> None:

@@ -47,14 +47,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: Words after `cyclekit`; None takes them from the process.
     """
-    gc.disable()  # nothing that is imported is garbage; it is looked for as soon as a command works (`Terminal`)
     if arguments is None:
         restart_in_utf8()
         if not sys.warnoptions:  # `python -W` and PYTHONWARNINGS go before
             without_warnings_of_libraries()
     complete_streams()
     code = run(list(sys.argv[1:] if arguments is None else arguments))
-    gc.freeze()  # nor need it be looked for at the end: with all that was imported that takes a tenth of a second
+    gc.freeze()  # else the interpreter looks for garbage among all that was imported: a tenth of a short command's time
     sys.exit(code)
 
 

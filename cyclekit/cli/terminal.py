@@ -6,7 +6,6 @@ people, or as one JSON document for programs. What the numbers mean is the busin
 
 from __future__ import annotations
 
-import gc
 import math
 import sys
 import threading
@@ -36,12 +35,6 @@ class Terminal:
 
     json: bool
     quiet: bool
-
-    def __post_init__(self) -> None:
-        """Have garbage looked for from here on, if the start did without."""
-        if not gc.isenabled():
-            gc.freeze()  # what was imported stays
-            gc.enable()
 
     @contextmanager
     def progress(self, title: str) -> Iterator[Progress]:

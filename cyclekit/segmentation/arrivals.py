@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.segmentation.median import median
 from cyclekit.segmentation.motion import RobotRun, lengths
 
 if TYPE_CHECKING:
@@ -138,7 +137,7 @@ def _last(when: Vector, first_s: float, last_s: float) -> float | None:
 def _left(part: RobotRun, at: int, place_m: Vector, vague_s: float) -> tuple[float, float]:
     """Return when the robot left a place, not before and not after; row `at` is the last one in which it stands."""
     t_s, scaling = part.t_s, part.scaling
-    period_s = max(float(median(t_s[1:] - t_s[:-1])), 1e-4) if len(t_s) > 1 else 1.0
+    period_s = max(float(np.median(t_s[1:] - t_s[:-1])), 1e-4) if len(t_s) > 1 else 1.0
     off, reach = _off(part, at, place_m, SMOOTH_S, period_s)
     wide, wide_reach = _off(part, at, place_m, STILL_S, period_s)  # tells a halt from rest that is hardly away from it
     resting = np.flatnonzero(wide[: at + 1] <= wide_reach)
@@ -192,7 +191,7 @@ def _off(part: RobotRun, at: int, place_m: Vector, over_s: float, period_s: floa
     over = round(over_s / period_s) | 1
     smooth = _averaged(part.xyz_m, over)
     stood = smooth[: at + 1]
-    jitter = float(median(lengths(stood[over:] - stood[:-over]))) if at >= over else 0.0
+    jitter = float(np.median(lengths(stood[over:] - stood[:-over]))) if at >= over else 0.0
     reach = max(REST_M, 3.0 * jitter)
     rest_m = _rest(stood, part.scaling[: at + 1], place_m, reach, round(REST_S / period_s))
     return lengths(smooth - rest_m), reach
@@ -216,7 +215,7 @@ def _rest(xyz_m: Points, scaling: Vector, place_m: Vector, reach: float, enough:
     among = xyz_m[free] if free.any() else xyz_m
     distance = lengths(among - place_m)
     near = among[distance <= max(reach, 2.0 * float(distance.min()))]
-    return median(near if len(near) >= min(enough, len(among)) else among)
+    return np.asarray(np.median(near if len(near) >= min(enough, len(among)) else among, axis=0))
 
 
 def _known(scaling: Vector, off: Vector, reach: float, half: int) -> Vector:

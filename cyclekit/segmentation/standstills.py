@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.segmentation.median import median
 from cyclekit.segmentation.motion import half_window, lengths, pieces
 from cyclekit.segmentation.slow_motion import AXES, MIN_STOP_S, Stillness, quantum_of, stillness_of
 
@@ -75,7 +74,7 @@ def standing(run: Run) -> float:
         crawls.append(part.speed_m_s[slow][::thin])
         steps.append(lengths(np.diff(part.xyz_m, axis=0))[slow[1:] | slow[:-1]][::thin])
     crawl = np.concatenate(crawls)
-    noise = float(median(crawl)) if len(crawl) else 0.0
+    noise = float(np.median(crawl)) if len(crawl) else 0.0
     step = min(quantum_of(np.concatenate(steps)), TWITCH_M)
     over_s = 2 * half_window(run.period_s) * run.period_s
     return max(min(max(4.0 * noise, 1e-4), CRAWL_M_S), AXES * step / over_s)
@@ -179,7 +178,7 @@ def _is_twitch(before: _Stand, after: _Stand, period_s: float) -> bool:
 def _resting_place(run: Run, first: int, last: int) -> tuple[float, float, float]:
     """Return the median position of a standstill; of a long one from every n-th row."""
     places = [part.xyz_m[:: max(1, (last - first) // _PLACES)] for _, part in pieces(run, first, last)]
-    x, y, z = median(np.concatenate(places))
+    x, y, z = np.median(np.concatenate(places), axis=0)
     return float(x), float(y), float(z)
 
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.segmentation.median import median
 from cyclekit.segmentation.motion import (
     PAUSED,
     STOPPED,
@@ -172,7 +171,7 @@ def runs_of(
         between = np.diff(t, prepend=before)
         cuts += (begin + np.flatnonzero((between > gap_s) | (between <= 0))).tolist()
         firsts.append((begin, float(t[0])))
-        periods.append(median(between[1:]) if len(between) > 1 else np.nan)
+        periods.append(np.median(between[1:]) if len(between) > 1 else np.nan)
         before = t[-1]
     known = [float(period) for period in periods if np.isfinite(period)]
     period_s = float(np.median(known)) if known else 0.1

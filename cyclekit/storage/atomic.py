@@ -12,7 +12,6 @@ import errno
 import os
 import secrets
 import shutil
-import sys
 import tempfile
 import time
 from contextlib import contextmanager, suppress
@@ -20,18 +19,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import polars as pl
+from filelock import FileLock, Timeout
 
 from cyclekit.errors import BusyPlace, CyclekitError
 from cyclekit.storage.files import resolved, shortened
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from typing import IO
 
 COMPLETE = ".complete"
 _MANY = 64
 _CURE = "Check the folder, its permissions and the free space."
-_FAR = 1 << 30  # the locked byte lies beyond the text, which others may read then also on Windows
+_NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL)  # as file systems say it
 
 
 def write_parquet(frame: pl.DataFrame, file: Path) -> None:
@@ -185,98 +184,36 @@ def locked(path: Path, *, wait_s: float = 0.2) -> Iterator[None]:
         path = resolved(path)
         lock = beside(path, "lock")
         path.parent.mkdir(parents=True, exist_ok=True)
-    end = time.monotonic() + wait_s
-    while (handle := _try(lock, path)) is None:
-        if time.monotonic() >= end:
-            raise BusyPlace(path, _holder(lock))
-        time.sleep(0.02)
+        held = FileLock(lock, wait_s, thread_local=False, poll_interval=0.02, on_acquired=_sign)
+        try:
+            held.acquire()
+        except Timeout:
+            raise BusyPlace(path, _holder(lock)) from None
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
     try:
         yield
     finally:
-        _give_back(lock, handle)
+        with suppress(OSError):  # while it is ours; on Windows it is open, and the end of the lock removes it
+            lock.unlink(missing_ok=True)
+        held.release()
 
 
-def _give_back(lock: Path, handle: IO[str]) -> None:
-    windows = os.name == "nt"  # where a file that is open, here or elsewhere, is not deleted
-    with suppress(OSError):
-        if not windows:
-            lock.unlink(missing_ok=True)
-    with suppress(OSError):
-        handle.close()
-    with suppress(OSError):
-        if windows:
-            lock.unlink(missing_ok=True)
+def _sign(descriptor: int) -> None:
+    """Say in the lock file who holds it, behind the first byte, which on Windows is locked and nobody else can read."""
+    with suppress(OSError):  # a full disk: who we are stays unsaid
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, f" {os.getpid()}\n".encode())
 
 
 def _holder(lock: Path) -> str:
     try:
-        return f" (process {int(lock.read_text(encoding='utf-8'))})"
+        with lock.open("rb", buffering=0) as signed:
+            signed.seek(1)
+            return f" (process {int(signed.read(32))})"
     except (OSError, ValueError):
         return ""
-
-
-def _try(lock: Path, path: Path) -> IO[str] | None:
-    """Return the open lock file if it is ours now, None if it is another's."""
-    with _told(path):
-        try:
-            handle = lock.open("a+", encoding="utf-8")
-        except PermissionError:
-            if os.name == "nt" and lock.exists():  # just being deleted
-                return None
-            raise
-    if _take(handle.fileno()) and _is_still(lock, handle):
-        with suppress(OSError):  # a full disk: who we are stays unsaid
-            handle.truncate(0)
-            handle.write(f"{os.getpid()}\n")
-            handle.flush()
-        return handle
-    handle.close()
-    return None
-
-
-def _is_still(lock: Path, handle: IO[str]) -> bool:
-    """Tell whether the open file still has its name: the one before us may have removed it before we took it."""
-    try:
-        return os.fstat(handle.fileno()).st_ino == lock.stat().st_ino
-    except OSError:
-        return False
-
-
-if sys.platform == "win32":
-    import msvcrt
-
-    _OTHERS = (errno.EACCES, errno.EDEADLK)
-
-    def lock_open_file(descriptor: int) -> None:
-        """Lock an open file until it is closed or the process ends, without waiting.
-
-        Raises:
-            OSError: Another process holds the lock, or the file system knows none.
-        """
-        os.lseek(descriptor, _FAR, os.SEEK_SET)
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-
-else:
-    import fcntl
-
-    _OTHERS = (errno.EWOULDBLOCK, errno.EACCES)
-
-    def lock_open_file(descriptor: int) -> None:
-        """Lock an open file until it is closed or the process ends, without waiting.
-
-        Raises:
-            OSError: Another process holds the lock, or the file system knows none.
-        """
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _take(descriptor: int) -> bool:
-    """Tell whether the lock is ours now; where a file system knows no locks, it is."""
-    try:
-        lock_open_file(descriptor)
-    except OSError as error:
-        return error.errno not in _OTHERS
-    return True
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cyclekit.storage.atomic import lock_open_file
+from filelock import lock_descriptor
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -42,7 +42,7 @@ class Scratch:
         self.path = Path(tempfile.mkdtemp(prefix=_PREFIX))
         self._lock = (self.path / _LOCK).open("w", encoding="utf-8")
         with suppress(OSError):  # a file system without locks: nobody else can lock it either
-            lock_open_file(self._lock.fileno())
+            lock_descriptor(self._lock.fileno(), blocking=False)
 
     def remove(self) -> None:
         """Remove the folder with all that is in it."""
@@ -78,7 +78,6 @@ def _is_left(folder: Path) -> bool:
         return False
     with (folder / _LOCK).open("r+", encoding="utf-8") as handle:
         try:
-            lock_open_file(handle.fileno())
-        except OSError:  # its process lives, or nothing can be said
+            return lock_descriptor(handle.fileno(), blocking=False)
+        except OSError:  # a file system without locks: nothing can be said
             return False
-    return True

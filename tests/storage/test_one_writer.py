@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -90,13 +92,36 @@ def test_a_lock_of_a_killed_process_does_not_block(held: subprocess.Popen[bytes]
 
 def test_one_place_has_one_writer_and_the_next_has_its_turn(tmp_path: Path):
     with locked(tmp_path / "x"):
-        with pytest.raises(BusyPlace), locked(tmp_path / "x", wait_s=0.0):
+        with pytest.raises(BusyPlace), locked(tmp_path / "x", wait_s=0.05):
             pass
         with locked(tmp_path / "y"):
             pass
     with locked(tmp_path / "x"):
         pass
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_lock_file_holds_is_never_the_reason_to_refuse(tmp_path: Path):
+    (tmp_path / ".x.lock").write_text("of an older version, whose process is gone\n", encoding="utf-8")
+    with locked(tmp_path / "x", wait_s=0.0):
+        assert f"{os.getpid()}" in (tmp_path / ".x.lock").read_text(encoding="utf-8")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="its file systems all know locks")
+def test_where_a_file_system_knows_no_locks_the_writer_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def flock(*_: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", flock)
+    write_text(tmp_path / "page.html", "new")
+    assert [entry.name for entry in tmp_path.iterdir()] == ["page.html"]
+
+
+def test_a_folder_at_the_place_of_the_lock_is_named(tmp_path: Path):
+    (tmp_path / ".x.lock").mkdir()
+    with pytest.raises(CyclekitError, match=r"x: cannot be written"), locked(tmp_path / "x", wait_s=0.0):
+        pass
 
 
 TAKE_TURNS = """

@@ -14,7 +14,6 @@ import polars as pl
 from cyclekit.ingest.validate.motion import PERSON, TCP, Kind, Places
 from cyclekit.ingest.validate.nobody import Nobody
 from cyclekit.ingest.validate.window import HERE, PLACE, judged_rows
-from cyclekit.segmentation.median import median
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,7 +84,7 @@ class Checks:
         if len(far):
             self._ahead, self._furthest_s = self._ahead + len(far), max(self._furthest_s, float(far.max()))
         if self._period_s is None and (steps > 0).sum() >= 10:
-            self._period_s = float(median(steps[steps > 0]))
+            self._period_s = float(np.median(steps[steps > 0]))
         return frame
 
     def _said_of_numbers(self) -> list[str]:

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.segmentation.median import median
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -99,7 +97,7 @@ class Places:
         p = _without_nan(p)
         steps = np.diff(t)
         if self._usual_s is None and (steps > 0).any():
-            self._usual_s = float(median(steps[steps > 0]))
+            self._usual_s = float(np.median(steps[steps > 0]))
         jump = self._cannot(t, p)
         if not jump.any():
             return bad, 0

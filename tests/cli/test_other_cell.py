@@ -70,7 +70,7 @@ def test_a_large_bias_stands_above_the_numbers_and_in_the_json(
     model: Path, dataset: Path, sequences: Path, tmp_path: Path, cyclekit: Shell
 ):
     learned = load_model(model)
-    save_model(tmp_path / "slow", replace(learned, levels=tuple(0.8 * level for level in learned.levels)))
+    save_model(tmp_path / "slow", replace(learned, levels=tuple(0.6 * level for level in learned.levels)))
     words = ("estimate", tmp_path / "slow", sequences, "--dataset", dataset, "--extrapolate", "--other-cell", "--quiet")
     typed = cyclekit(*words, "--json")
     assert typed.code == 0, typed.err

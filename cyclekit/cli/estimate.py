@@ -245,7 +245,7 @@ def rests_on(found: Sequence[CycleEstimate]) -> str:
     lines: list[str] = []
     for entry in found:
         lines.append(
-            f"{entry.name}: {entry.estimator}, as {entry.why}; {entry.executions} logged executions, {entry.tracks} "
+            f"{entry.name}: {entry.estimator}: {entry.why}; {entry.executions} logged executions, {entry.tracks} "
             f"operator tracks; {_support(entry)}; mean {entry.expected_s:.1f} s (95% CI {entry.expected_low_s:.1f} to "
             f"{entry.expected_high_s:.1f} s)"
         )

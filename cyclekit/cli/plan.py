@@ -62,7 +62,7 @@ def _text(found: OrderPlan) -> str:
     ]
     if found.unlogged:
         lines.append(
-            f"left out: orders that need a task that was never logged; log these to have them searched: "
+            f"left out: orders that need a task that was never logged; log these tasks to include the orders: "
             f"{some(found.unlogged)}"
         )
     return "\n".join(lines)

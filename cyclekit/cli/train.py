@@ -112,7 +112,7 @@ def summary(card: TrainingCard) -> str:
         held_out = f"MSE {metrics.mse_mean:.2e}, mean absolute error {metrics.mae:.4f}{named}"
     return (
         f"{card.network} for problem {card.problem}, speed-scaling levels {levels}\n"
-        f"  {len(split.train) + len(split.validation) + len(split.test)} executions: {len(split.train)} to learn from, "
-        f"{len(split.validation)} to choose the epoch by, {len(split.test)} held out\n"
+        f"  {len(split.train) + len(split.validation) + len(split.test)} executions: {len(split.train)} for training, "
+        f"{len(split.validation)} for validation, {len(split.test)} held out\n"
         f"  held out: {held_out}"
     )

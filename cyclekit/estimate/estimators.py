@@ -51,7 +51,7 @@ def _nominal(_dataset: Dataset, program: Program, _seed: int) -> Rolled:
 
 
 ESTIMATORS: dict[str, Estimator] = {
-    "rollout": Estimator("rollout of the learned safety function with every logged operator track", "now"),
+    "rollout": Estimator("simulation of the learned safety function with every logged operator track", "now"),
     "average": Estimator("task durations from predicted mean scalings", "average", beside=_average, goals=True),
     "history": Estimator("logged durations of the same tasks", alone=_history),
     "nominal": Estimator("time without an operator", alone=_nominal),

@@ -102,7 +102,7 @@ class BrokenAdapter(LogError):
     def __init__(self, path: Path, adapter: str, package: str, told: str) -> None:
         """Name the log, then whose fault it is."""
         cause = f"adapter {adapter!r} of package {package!r} failed on it ({told})"
-        super().__init__(path, cause, cure=f"Leave the log out, or ask the makers of package {package}.")
+        super().__init__(path, cause, cure=f"Leave the log out, or ask the maintainers of package {package}.")
 
 
 class ConfigError(CyclekitError):
@@ -184,7 +184,7 @@ class OutsideFolder(CyclekitError):
         """Name the folder, the name as it can be printed, and what is wrong with it."""
         self.cause = f"{_printable(name)} cannot be used as the name of a file ({why})"
         super().__init__(
-            f"{folder}: {self.cause}", cure="It is damaged, or made to do harm: make it again, or get it again."
+            f"{folder}: {self.cause}", cure="It is damaged or crafted to do harm: make it again, or get it again."
         )
 
 

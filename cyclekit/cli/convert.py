@@ -14,17 +14,17 @@ EXAMPLE = "cyclekit convert logs/robot.csv --out robot.parquet --rate 10"
 
 
 def convert(
-    log: Annotated[Path, typer.Argument(help="A log: a file, or a folder that is one.", metavar="LOG")],
+    log: Annotated[Path, typer.Argument(help="A log: a file, or a folder that is one log.", metavar="LOG")],
     out: Annotated[Path, typer.Option(help="The table, .parquet or .csv.", metavar="FILE")],
     table: Annotated[
         str | None,
-        typer.Option(help="robot, people, events, task_list, safety, skeletons; default: the first there is."),
+        typer.Option(help="robot, people, events, task_list, safety, skeletons; default: the first one in the log."),
     ] = None,
     rate: Annotated[
-        float | None, typer.Option(help="Rows a second, averaged; default: every row.", metavar="HZ")
+        float | None, typer.Option(help="Rows per second, averaged; default: every row.", metavar="HZ")
     ] = None,
-    columns: Annotated[str, typer.Option(help="Columns to write, with commas between; default: all.")] = "",
-    cell: Annotated[Path | None, typer.Option(help="Cell file that says how the log is to be read.")] = None,
+    columns: Annotated[str, typer.Option(help="Columns to write, separated by commas; default: all.")] = "",
+    cell: Annotated[Path | None, typer.Option(help="Cell file with the settings for reading the log.")] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:

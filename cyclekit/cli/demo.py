@@ -48,12 +48,12 @@ def demo(
     executions: Annotated[int, typer.Option(min=5, help="How many executions are simulated.")] = 40,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same logs.")] = 1,
     operator_log: Annotated[
-        Path | None, typer.Option(help="A real tracker recording that walks instead of the simulated operator.")
+        Path | None, typer.Option(help="Real tracker recording to use instead of the simulated operator.")
     ] = None,
     operator_xyz: Annotated[
-        str | None, typer.Option(help="Where the recording's origin stands, base frame: x,y,z in m.")
+        str | None, typer.Option(help="Position of the recording's origin, base frame: x,y,z in m.")
     ] = None,
-    operator_yaw: Annotated[float, typer.Option(help="How the recording is turned about the vertical, degrees.")] = 0.0,
+    operator_yaw: Annotated[float, typer.Option(help="Rotation of the recording about the vertical, degrees.")] = 0.0,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:

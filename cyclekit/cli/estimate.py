@@ -48,11 +48,12 @@ def estimate(
         str | None, typer.Option(help="rollout, average, history or nominal; by default what suits the model.")
     ] = None,
     takt: Annotated[
-        str | None, typer.Option(metavar="TIME", help="Also tell how many cycles meet it, such as 105s.")
+        str | None,
+        typer.Option(metavar="TIME", help="Takt time, such as 105s: show the share of cycles within it."),
     ] = None,
-    quantiles: Annotated[str, typer.Option(metavar="LEVELS", help="Of single cycles, percent.")] = "5,50,95",
+    quantiles: Annotated[str, typer.Option(metavar="LEVELS", help="Quantiles of single cycles, percent.")] = "5,50,95",
     check: Checked = True,
-    seed: Annotated[int, typer.Option(min=0, help="Of the resampling of operator tracks.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling of operator tracks.")] = 0,
     extrapolate: Extrapolate = False,
     other_cell: OtherCell = False,
     engine: EngineName = "local",
@@ -187,15 +188,15 @@ def takt_table(found: Sequence[CycleEstimate]) -> str:
 def judged(check: Check) -> str:
     """Return how the rollout compares with the logged executions."""
     lines = [
-        f"{check.executions} logged executions rolled out beside their own operators: bias {check.own_bias:+.2%} "
+        f"{check.executions} logged executions rolled out with their own operator tracks: bias {check.own_bias:+.2%} "
         f"(95% CI +-{check.own_within:.2%}), {check.held_out} of them unseen by the network",
     ]
     if abs(check.factor - 1) >= 5e-5:
-        lines.append(f"so every duration above is corrected by {check.factor - 1:+.2%}")
+        lines.append(f"every duration above is corrected by {check.factor - 1:+.2%}")
     if check.coverage is not None:
         low, high = check.levels
         lines.append(
-            f"beside all other operators: {percent(check.coverage)} lie between the {100 * low:g}% and "
+            f"with all other operator tracks: {percent(check.coverage)} lie between the {100 * low:g}% and "
             f"{100 * high:g}% quantiles, which should hold {percent(high - low)}"
         )
     return "Backtest on logged executions\n" + bullet(lines)
@@ -244,7 +245,7 @@ def rests_on(found: Sequence[CycleEstimate]) -> str:
     lines: list[str] = []
     for entry in found:
         lines.append(
-            f"{entry.name}: {entry.estimator}, as {entry.why}; {entry.executions} logged executions, {entry.tracks} "
+            f"{entry.name}: {entry.estimator}: {entry.why}; {entry.executions} logged executions, {entry.tracks} "
             f"operator tracks; {_support(entry)}; mean {entry.expected_s:.1f} s (95% CI {entry.expected_low_s:.1f} to "
             f"{entry.expected_high_s:.1f} s)"
         )

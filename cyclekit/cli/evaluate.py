@@ -66,7 +66,7 @@ def _head(found: Evaluation) -> str:
     which = "held out from its training" if found.held_out else "of another dataset"
     lines = [f"{found.network} for problem {found.problem}, judged on {len(found.executions)} executions {which}"]
     metrics = found.metrics
-    named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy)} of levels named rightly"
+    named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy)} of levels predicted correctly"
     lines.append(f"{metrics.rows} samples: mean absolute error {metrics.mae:.4f}, bias {metrics.bias:+.4f}{named}")
     lines += [f"left out: {count} samples, {reason}" for reason, count in found.dropped.items()]
     return bullet(lines, mark="")
@@ -74,7 +74,7 @@ def _head(found: Evaluation) -> str:
 
 def _errors(found: Evaluation) -> str:
     rows = [[row.name, f"{row.mse:.2e}", row.note] for row in found.mse]
-    return table(["predicted by ", "MSE", "what it is "], rows)
+    return table(["predicted by ", "MSE", "method "], rows)
 
 
 def _better(found: Mapping[str, Evaluation], dataset: str) -> str:
@@ -89,7 +89,7 @@ def _levels(found: Evaluation) -> str:
         [f"{row.level:.2f}", str(row.rows), percent(row.recall), percent(row.precision), _signed(row.bias)]
         for row in found.levels
     ]
-    return table(["level ", "samples", "found", "named rightly", "bias"], rows) if rows else ""
+    return table(["level ", "samples", "found", "predicted correctly", "bias"], rows) if rows else ""
 
 
 def _drift(found: Drift | None) -> str:
@@ -108,7 +108,7 @@ def _drift(found: Drift | None) -> str:
             for shift in named[:8]
         ]
     before, after = found.executions
-    lines.append(f"judged by {before} executions of the training's logs and {after} of the newer ones")
+    lines.append(f"compared: {before} executions of the training's logs with {after} of the newer ones")
     return "\n".join(["Since the training", *lines])
 
 

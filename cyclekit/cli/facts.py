@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     )
 
 GAP_REASONS = {
-    "seen": "somebody is seen",
+    "seen": "operator seen",
     "occluded": "lost, and seen again within 5 s",
-    "absent": "nobody there, or away for longer",
-    "outside": "the log had not begun, or was over",
+    "absent": "no operator, or not seen for longer",
+    "outside": "before the start or after the end of the log",
 }
 UNEVEN = 0.02
 """Where the rate differs by less from that of the median step, steps are even."""
@@ -230,7 +230,7 @@ def _operator(seen: Mapping[str, Mapping[str, int]]) -> str:
         return ""
     lines = [f"  {name:<11} {count} samples: {GAP_REASONS[name]}" for name, count in total.items() if count]
     disbelieved = sum(counts.get("not_believed", 0) for counts in seen.values())
-    lines += [f"  not believed {disbelieved} positions: nobody moves that fast"] if disbelieved else []
+    lines += [f"  implausible {disbelieved} positions: faster than a person moves"] if disbelieved else []
     return "\n".join(["operator, by the logs of people", *lines])
 
 
@@ -270,7 +270,7 @@ def _model(found: ModelDescription) -> str:
     ]
     lines += [f"  dropped    {count} samples: {reason}" for reason, count in card.dropped.items()]
     if metrics is not None:
-        named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy)} of levels named rightly"
+        named = "" if metrics.accuracy is None else f", {percent(metrics.accuracy)} of levels predicted correctly"
         error = f"MSE {metrics.mse_mean:.2e}, mean absolute error {metrics.mae:.4f}"
         lines.append(bullet([f"{error}{named} ({metrics.rows} samples)"], mark="  held out   "))
     return "\n".join([*lines, bullet(texts(card.warnings), mark="  ! ")]).rstrip()

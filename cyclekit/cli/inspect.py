@@ -23,7 +23,7 @@ def inspect(
         Path | None, typer.Option(help="Cell file that says how logs are read; default: the one beside them.")
     ] = None,
     write_cell: Annotated[
-        bool, typer.Option("--write-cell", help="Give the cell file that fits these logs; a draft for unknown tables.")
+        bool, typer.Option("--write-cell", help="Print a cell file for these logs; a draft for unknown tables.")
     ] = False,
     follow_links: FollowLinks = False,
     verify: Annotated[

@@ -14,21 +14,19 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no r
 FollowLinks = Annotated[
     bool, typer.Option("--follow-links", help="Also read what links in a folder of logs lead to outside of it.")
 ]
-Extrapolate = Annotated[bool, typer.Option("--extrapolate", help="Answer even where nothing like it was logged.")]
-Checked = Annotated[
-    bool, typer.Option("--check/--no-check", help="Roll out logged executions too, and correct by them.")
-]
+Extrapolate = Annotated[bool, typer.Option("--extrapolate", help="Estimate outside of the logged data too.")]
+Checked = Annotated[bool, typer.Option("--check/--no-check", help="Validate on logged executions; correct the bias.")]
 
 OtherCell = Annotated[
-    bool, typer.Option("--other-cell", help="The model may be of another cell, or far off on these logs.")
+    bool, typer.Option("--other-cell", help="Accept a model of another cell, or with a large bias on these logs.")
 ]
 DatasetPlace = Annotated[str, typer.Argument(help="Dataset: a folder or its URL.", metavar="DATASET")]
 ModelPlace = Annotated[str, typer.Argument(help="Model: a folder or its URL.", metavar="MODEL")]
 LoggedPlace = Annotated[
     str, typer.Option("--dataset", help="Dataset that holds the robot's motions and the operator's tracks.")
 ]
-EngineName = Annotated[Literal["local", "ray"], typer.Option(help="Where the work is done (docs/fleet.md).")]
-Jobs = Annotated[int | None, typer.Option(min=1, help="At the same time; default: 1, with Ray as many as cores.")]
+EngineName = Annotated[Literal["local", "ray"], typer.Option(help="Where the jobs run (docs/fleet.md).")]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Jobs at the same time; default: 1, with Ray one per core.")]
 RayAddress = Annotated[
     str | None, typer.Option(help="Running cluster; default: one on this machine.", metavar="auto|HOST:PORT")
 ]
@@ -71,7 +69,7 @@ def _show_version(wanted: bool) -> None:
 
 def _first(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and leave.")
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
     pass
@@ -81,7 +79,7 @@ def seconds(text: str) -> float:
     """Return a duration such as `14s`, `14`, `1.5min` or `500ms` in seconds.
 
     Raises:
-        typer.BadParameter: It is no positive duration.
+        typer.BadParameter: It is not a positive duration.
     """
     units = {"ms": 0.001, "min": 60.0, "s": 1.0}
     word = text.strip().lower()
@@ -89,10 +87,10 @@ def seconds(text: str) -> float:
     try:
         value = float(word.removesuffix(unit)) * units.get(unit, 1.0)
     except ValueError as error:
-        msg = f"{text!r} is no duration; write it as 14s, 0.5min or 500ms"
+        msg = f"{text!r} is not a duration; write it as 14s, 0.5min or 500ms"
         raise typer.BadParameter(msg) from error
     if not 0 < value < float("inf"):
-        msg = f"{text!r} is no positive duration"
+        msg = f"{text!r} is not a positive duration"
         raise typer.BadParameter(msg)
     return value
 
@@ -106,7 +104,7 @@ def whole_numbers(text: str) -> tuple[int, ...]:
     try:
         found = tuple(dict.fromkeys(int(word) for word in text.split(",")))
     except ValueError as error:
-        msg = f"{text!r} are no whole numbers with commas between"
+        msg = f"{text!r} are not whole numbers separated by commas"
         raise typer.BadParameter(msg) from error
     if min(found) < 0:
         raise typer.BadParameter("seeds are not negative")
@@ -122,7 +120,7 @@ def levels(text: str) -> tuple[float, ...]:
     try:
         found = tuple(sorted({float(part) / 100 for part in text.split(",")}))
     except ValueError as error:
-        msg = f"{text!r} is no list of percentages; write them as 5,50,95"
+        msg = f"{text!r} is not a list of percentages; write them as 5,50,95"
         raise typer.BadParameter(msg) from error
     if len(found) < 2 or not 0 < found[0] <= found[-1] < 1:
         msg = f"{text!r}: give two percentages or more, each between 0 and 100, such as 5,50,95"

@@ -19,10 +19,10 @@ EXAMPLE = "cyclekit plan model jobs.toml --dataset dataset"
 
 def plan(
     model: ModelPlace,
-    jobs: Annotated[Path, typer.Argument(help="What is to be visited, and what comes first.", metavar="JOBS.toml")],
+    jobs: Annotated[Path, typer.Argument(help="Places to visit and their constraints (before).", metavar="JOBS.toml")],
     dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the order here, as a sequence file.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the search and the resampling.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search and the resampling.")] = 0,
     check: Checked = True,
     other_cell: OtherCell = False,
     json: Json = False,
@@ -56,13 +56,13 @@ def _text(found: OrderPlan) -> str:
     lines = [
         f"order: {', '.join(found.order)}",
         f"expected {found.expected_s:.1f} s{star}; {found.against} {found.against_s:.1f} s on average",
-        f"saves {saved:.1f} s a cycle ({low:.1f} to {high:.1f} s, 95%) beside the logged operators",
-        f"of that {found.saves_unseen_s:.1f} s with operators the order was not chosen by",
+        f"saves {saved:.1f} s a cycle ({low:.1f} to {high:.1f} s, 95%) with the logged operator tracks",
+        f"of that {found.saves_unseen_s:.1f} s on operator tracks that were not used to choose the order",
         f"{found.searched}: {found.tried} orders scored; {found.executions} logged executions",
     ]
     if found.unlogged:
         lines.append(
-            f"left out: orders that need a task that was never logged; log these to have them searched: "
+            f"left out: orders that need a task that was never logged; log these tasks to include the orders: "
             f"{some(found.unlogged)}"
         )
     return "\n".join(lines)

@@ -26,7 +26,7 @@ def report(
         str | None, typer.Option(help="Folder of the model; without it the page is about the logs.")
     ] = None,
     sequences: Annotated[Path | None, typer.Option(help="Sequence file whose estimates go into the page.")] = None,
-    takt: Annotated[str | None, typer.Option(help="Takt time that the cycles are held against, such as 105s.")] = None,
+    takt: Annotated[str | None, typer.Option(help="Takt time to compare the cycles with, such as 105s.")] = None,
     what_if: Annotated[
         list[str] | None,
         typer.Option(
@@ -41,7 +41,7 @@ def report(
         str | None, typer.Option("--format", help="html, json, csv or md; default: by the ending of --out.")
     ] = None,
     pdf: Annotated[
-        Path | None, typer.Option(help="Also print the page to this PDF, by the browser that is there.")
+        Path | None, typer.Option(help="Also print the page to this PDF, with an installed browser.")
     ] = None,
     template: Annotated[
         Path | None, typer.Option(help="Folder with your logo, cover, words or look (docs/report.md).")
@@ -105,7 +105,7 @@ def _format(kind: str | None, out: Path, pdf: Path | None) -> Format:
     asked = kind or {".htm": "html", ".markdown": "md"}.get(out.suffix.lower(), out.suffix.lower().lstrip("."))
     chosen = next((known for known in FORMATS if known == (asked or "html")), None)
     if chosen is None:
-        msg = f"{asked!r} is none of {', '.join(FORMATS)}"
+        msg = f"{asked!r} is not one of {', '.join(FORMATS)}"
         raise typer.BadParameter(msg, param_hint="--format" if kind else "--out")
     if pdf is not None and chosen != "html":
         raise typer.BadParameter("only the page can be printed; leave --format html", param_hint="--pdf")

@@ -32,28 +32,28 @@ def simulate(
     clock_drift: Annotated[float, typer.Option(help="Rate error of the tracker's clock; 50e-6 is 50 ppm.")] = 0.0,
     millimetres: Annotated[bool, typer.Option("--millimetres", help="The tracker writes millimetres.")] = False,
     silent_when_empty: Annotated[
-        bool, typer.Option("--silent-when-empty", help="The tracker writes nothing while nobody is there (CSV).")
+        bool, typer.Option("--silent-when-empty", help="The tracker writes no rows while the operator is absent (CSV).")
     ] = False,
     per_session: Annotated[
-        int, typer.Option("--executions-per-session", min=1, help="The logger starts anew after so many executions.")
+        int, typer.Option("--executions-per-session", min=1, help="Executions per logging session.")
     ] = 25,
     ramps: Annotated[float | None, typer.Option(help="Fastest change of the scaling, 1/s.")] = None,
     latency: Annotated[float, typer.Option(help="Reaction time of the safety system, s.")] = 0.0,
     hysteresis: Annotated[float, typer.Option(help="Extra distance before the robot speeds up again, m.")] = 0.0,
     operator_log: Annotated[
-        Path | None, typer.Option(help="A real tracker recording that walks instead of the simulated operator.")
+        Path | None, typer.Option(help="Real tracker recording to use instead of the simulated operator.")
     ] = None,
     operator_xyz: Annotated[
-        str | None, typer.Option(help="Where the recording's origin stands, base frame: x,y,z in m.")
+        str | None, typer.Option(help="Position of the recording's origin, base frame: x,y,z in m.")
     ] = None,
-    operator_yaw: Annotated[float, typer.Option(help="How the recording is turned about the vertical, degrees.")] = 0.0,
+    operator_yaw: Annotated[float, typer.Option(help="Rotation of the recording about the vertical, degrees.")] = 0.0,
     encoder_noise: Annotated[
         float, typer.Option(help="Noise of the joint angles, standard deviation, rad; a real UR5 shows 2e-5.")
     ] = 0.0,
     pick: Annotated[float | None, typer.Option(help="Process time of picking, s, instead of the scene's.")] = None,
     place: Annotated[float | None, typer.Option(help="Process time of placing, s, instead of the scene's.")] = None,
     without_operator: Annotated[
-        bool, typer.Option("--without-operator", help="The reference run: nobody in the cell.")
+        bool, typer.Option("--without-operator", help="Reference run without an operator.")
     ] = False,
     json: Json = False,
     quiet: Quiet = False,

@@ -46,15 +46,15 @@ def train(
     ] = "auto",
     optimiser: Annotated[
         Literal["auto", "muon", "adamw"],
-        typer.Option(help="How weights are moved; auto: muon where it was measured better."),
+        typer.Option(help="Optimiser; auto: muon where it was measured better."),
     ] = "auto",
     balance: Annotated[
         Literal["none", "classes"], typer.Option(help="classes: rare levels weigh as much as common ones.")
     ] = "none",
     noise: Annotated[float, typer.Option(min=0.0, help="Train for a tracker that is noisier by this, m.")] = 0.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of the split and of the training.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the split and of the training.")] = 0,
     seeds: Annotated[
-        str | None, typer.Option(help="Several seeds, with commas between: one model for each, OUT/seed-N.")
+        str | None, typer.Option(help="Several seeds, separated by commas: one model each, OUT/seed-N.")
     ] = None,
     engine: EngineName = "local",
     jobs: Jobs = None,
@@ -108,11 +108,11 @@ def summary(card: TrainingCard) -> str:
     levels = ", ".join(f"{level.value:.2f}" for level in card.levels or ()) or "none found"
     held_out = "nothing"
     if metrics is not None:
-        named = "" if metrics.accuracy is None else f", {100 * metrics.accuracy:.1f}% of levels named rightly"
+        named = "" if metrics.accuracy is None else f", {100 * metrics.accuracy:.1f}% of levels predicted correctly"
         held_out = f"MSE {metrics.mse_mean:.2e}, mean absolute error {metrics.mae:.4f}{named}"
     return (
         f"{card.network} for problem {card.problem}, speed-scaling levels {levels}\n"
-        f"  {len(split.train) + len(split.validation) + len(split.test)} executions: {len(split.train)} to learn from, "
-        f"{len(split.validation)} to choose the epoch by, {len(split.test)} held out\n"
+        f"  {len(split.train) + len(split.validation) + len(split.test)} executions: {len(split.train)} for training, "
+        f"{len(split.validation)} for validation, {len(split.test)} held out\n"
         f"  held out: {held_out}"
     )

@@ -27,7 +27,7 @@ def whatif(
     changes: Annotated[Path, typer.Argument(help="What is changed: [[change]] tables.", metavar="CHANGES.toml")],
     dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the result here, as JSON.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the resampling.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling.")] = 0,
     check: Checked = True,
     extrapolate: Extrapolate = False,
     other_cell: OtherCell = False,

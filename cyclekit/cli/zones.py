@@ -20,7 +20,7 @@ def zones(
     model: ModelPlace,
     dataset: DatasetPlace,
     out: Annotated[Path | None, typer.Option(help="Also draw it here, as SVG.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the resampling behind the intervals.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling for the intervals.")] = 0,
     other_cell: OtherCell = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -45,7 +45,7 @@ def _rule(found: SafetyFunction) -> str:
     )
     late = "unknown" if found.hysteresis_m is None else f"{found.hysteresis_m:.3f} m ({found.hysteresis_origin})"
     return (
-        f"levels, share of the samples: {levels}\nthe speed goes by: {found.rule}\nhysteresis: {late}\n"
+        f"levels, share of the samples: {levels}\nthe speed depends on: {found.rule}\nhysteresis: {late}\n"
         f"from {found.rows} samples of {found.executions} executions"
     )
 

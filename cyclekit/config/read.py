@@ -41,7 +41,7 @@ def load_cell(path: Path) -> Cell:
     sources = [_source(f"{where} sources[{i}]", entry) for i, entry in enumerate(entries)]
     cell = followed(where, {**raw, "sources": sources}, Cell)
     if cell.all_places_named and not cell.places:
-        raise ConfigError(f"{where}: all_places_named, and no place is named", cure="Name them: [places.NAME]")
+        raise ConfigError(f"{where}: all_places_named = true, but no place is named", cure="Name them: [places.NAME]")
     _check_levels(where, cell)
     _check_executions(f"{where} executions", cell.executions)
     if cell.robot is not None:
@@ -52,7 +52,7 @@ def load_cell(path: Path) -> Cell:
 def _check_levels(where: str, cell: Cell) -> None:
     if len(cell.levels) == 1 or list(cell.levels) != sorted(set(cell.levels)):
         cure = "Give two or more ascending fractions of full speed: levels = [0.0, 0.5, 1.0]"
-        raise ConfigError(f"{where}: levels = {list(cell.levels)} are no levels of a speed scaling", cure=cure)
+        raise ConfigError(f"{where}: levels = {list(cell.levels)} are not levels of a speed scaling", cure=cure)
 
 
 def _check_executions(where: str, executions: Executions) -> None:
@@ -99,7 +99,7 @@ def _map(where: str, raw: object) -> dict[str, object]:
 def _one_clock(where: str, entry: Mapping[str, Any]) -> None:
     said = [key for key in CLOCK_KEYS if key in entry and entry[key] != []]
     if len(said) > 1:
-        raise ConfigError(f"{where}: both {said[0]} and {said[1]} say how its clock runs", cure="Keep one of them.")
+        raise ConfigError(f"{where}: both {said[0]} and {said[1]} set how its clock runs", cure="Keep one of them.")
     if "clock_rate" in entry and said and "clock_offset_s" not in entry:
         raise ConfigError(f"{where}: clock_rate beside {said[0]}, which finds it", cure="Remove clock_rate.")
     if "sees_as" in entry and "sees" not in entry:
@@ -126,7 +126,7 @@ def _frame(where: str, raw: object) -> Frame:
     if told.yaw_deg is not None:
         raise ConfigError(f"{where}: both yaw_deg and rotation", cure="Keep one of them.")
     if not _orthonormal(told.rotation):
-        raise ConfigError(f"{where}: rotation is no rotation matrix", cure="Give three orthonormal rows, det +1.")
+        raise ConfigError(f"{where}: rotation is not a rotation matrix", cure="Give three orthonormal rows, det +1.")
     return Frame(told.xyz_m, told.rotation)
 
 

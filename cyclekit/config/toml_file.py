@@ -42,13 +42,17 @@ def read_toml(path: Path) -> dict[str, Any]:
         return all_in_one_line(tomllib.loads(content.decode("utf-8-sig").replace("\r\n", "\n")))
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
-        seen = f"{path}: line {line} is no text in UTF-8 (byte 0x{content[error.start]:02x})"
+        seen = f"{path}: line {line} is not text in UTF-8 (byte 0x{content[error.start]:02x})"
         raise ConfigError(seen, cure="Save the file in the encoding UTF-8.") from error
     except tomllib.TOMLDecodeError as error:
-        cure = "Mend the line named above." if "at line" in str(error) else "Close what is open at the end of the file."
+        cure = (
+            "Correct the line named above."
+            if "at line" in str(error)
+            else "Close the string, list or table that is open at the end of the file."
+        )
         raise ConfigError(f"{path}: not valid TOML ({error})", cure=cure) from error
     except RecursionError as error:
-        raise ConfigError(f"{path}: nested too deeply for TOML", cure="Check what the file is.") from error
+        raise ConfigError(f"{path}: nested too deeply for TOML", cure="Check the file.") from error
 
 
 def followed(where: str, raw: object, kind: type[Table], **given: object) -> Table:

@@ -368,7 +368,7 @@ class Dataset:
         if name not in by_name:
             names = list(by_name)
             shown = ", ".join(names[:3]) + (f" … {names[-1]} ({len(names)} in all)" if len(names) > 3 else "")
-            cure = f"Give one of {shown}, or a number from 1 to {len(names)}." if names else "It holds no execution."
+            cure = f"Give one of {shown}, or a number from 1 to {len(names)}." if names else "It has no execution."
             raise UnknownName(str(self.path), "execution", name, names, cure=cure)
         return by_name[name]
 

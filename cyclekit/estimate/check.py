@@ -151,18 +151,20 @@ class Check:
         """What speaks against the rollout, one sentence each."""
         found = []
         if self.executions < FEW_EXECUTIONS:
-            found.append(f"{self.executions} logged executions are too few for quantiles that hold")
+            found.append(f"{self.executions} logged executions are too few for reliable quantiles")
         if self._own_doubted:
-            found.append(f"beside their own operators the logged executions come out {self.own_bias:+.1%} off")
+            found.append(f"backtest with their own operator tracks: bias {self.own_bias:+.1%}")
         if self._reacts:
             found.append(
-                f"beside other operators the logged executions come out {self.crossed_bias:+.1%} off: the operator "
+                f"backtest with the other operator tracks: bias {self.crossed_bias:+.1%}; the operator "
                 "seems to react to the robot, which no rollout reproduces"
             )
         wanted = self.levels[1] - self.levels[0]
         scatter = (wanted * (1 - wanted) / max(self.executions, 1)) ** 0.5
         if self.coverage is not None and self.coverage < wanted - 3 * scatter:
-            found.append(f"only {self.coverage:.0%} of the logged executions lie in their {wanted:.0%} intervals")
+            found.append(
+                f"only {self.coverage:.0%} of the logged executions lie in their {wanted:.0%} prediction intervals"
+            )
         return tuple(found)
 
     def quantile(self, cycles_s: Vector, level: float) -> float:

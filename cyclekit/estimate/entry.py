@@ -97,8 +97,8 @@ def _why(estimator: str, combined: Combined | None) -> str:
     if combined is None or combined.history_share < TOLD:
         return why
     return (
-        f"{why} ({combined.rollout_s:.1f} s), and {combined.history_share:.0%} of the number is what "
-        f"the same tasks took in the logs ({combined.history_s:.1f} s)"
+        f"{why} ({combined.rollout_s:.1f} s), weighted {combined.history_share:.0%} with the logged durations "
+        f"of the same tasks ({combined.history_s:.1f} s)"
     )
 
 

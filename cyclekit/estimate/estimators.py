@@ -51,11 +51,9 @@ def _nominal(_dataset: Dataset, program: Program, _seed: int) -> Rolled:
 
 
 ESTIMATORS: dict[str, Estimator] = {
-    "rollout": Estimator("the learned safety function is walked beside every logged operator track", "now"),
-    "average": Estimator(
-        "the model predicts mean scalings, which give each task's duration", "average", beside=_average, goals=True
-    ),
-    "history": Estimator("logged durations of the same tasks were asked for", alone=_history),
-    "nominal": Estimator("the time without an operator was asked for", alone=_nominal),
+    "rollout": Estimator("simulation of the learned safety function with every logged operator track", "now"),
+    "average": Estimator("task durations from predicted mean scalings", "average", beside=_average, goals=True),
+    "history": Estimator("logged durations of the same tasks", alone=_history),
+    "nominal": Estimator("time without an operator", alone=_nominal),
 }
 """Estimators by name."""

@@ -71,7 +71,7 @@ def lay_out(sequence: TaskSequence, nominal: Mapping[str, NominalTask], dataset:
             raise UnknownName(sequence.shown, "place", place, places)
     if missing := [task for task in sequence.tasks if task not in nominal]:
         seen = f"{sequence.shown}: task {missing[0]!r} was never logged with a known speed scaling"
-        cure = f"Go by tasks that were: {_tasks_from(missing[0], nominal)}."
+        cure = f"Use tasks that were: {_tasks_from(missing[0], nominal)}."
         raise EstimateError(seen, cure=cure)
     tasks = tuple(nominal[task] for task in sequence.tasks)
     parts = [part for task in tasks for part in (task.nominal_s, task.dwell_s + task.wait_s)]

@@ -206,11 +206,13 @@ def _problem(ask: Question, sequence: TaskSequence, cycles: Rolled, until_s: flo
     stuck = float(np.mean(~np.isfinite(cycles.duration_s)))
     if stuck:
         seen = f"{sequence.shown}: {stuck:.0%} of the cycles do not end within {until_s:.0f} s"
-        cure = "The operator's tracks leave the robot halted; check the tracker's frame and clock."
+        cure = "The operator's tracks keep the robot at speed 0 %; check the tracker's frame and clock."
         return EstimateError(seen, cure=cure)
     if cycles.support < LEAST_SUPPORT and not ask.extrapolate:
-        seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through positions ever logged"
-        return EstimateError(seen, cure="Log this part of the cell, or ask with --extrapolate and mark the number.")
+        seen = f"{sequence.shown}: only {cycles.support:.0%} of it runs through logged positions"
+        return EstimateError(
+            seen, cure="Log this part of the cell, or estimate with --extrapolate and mark the number."
+        )
     return None
 
 

@@ -57,7 +57,7 @@ class Work:
         if len(often) <= SHOWN:
             text += f" ({', '.join(name if n == 1 else f'{name} x{n}' for name, n in often.items())})"
         text += f" from {self.start}" if self.start else ""
-        return text + (f" beside an operator at {', '.join(self.operator)}" if self.operator else "")
+        return text + (f" with an operator at {', '.join(self.operator)}" if self.operator else "")
 
 
 def work_of(places: Sequence[str], operator: tuple[str, ...] | None = None) -> Work:

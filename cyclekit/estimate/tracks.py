@@ -122,7 +122,7 @@ def operator_tracks(
         away = {name for name in complete - meant if name in tracks and tracks[name].away}
         begins = [name for name in tracks if name in away or name in begins]
     else:
-        partly = " that lasts as long as it does" if seen_in else ""
+        partly = " of its full length" if seen_in else ""
         seen = f"{dataset.path}: no complete execution has an operator track{partly}"
         raise EstimateError(seen, cure="Ingest the tracker's log together with the robot's.")
     if operator is not None:
@@ -259,7 +259,7 @@ def _matching(
     found = [name for name in begins if orders[name][: len(wanted)] == wanted]
     if not found:
         common = max(orders.values(), key=list(orders.values()).count)
-        seen = f"{dataset.path}: in no execution does the operator begin with {', '.join(wanted)}"
+        seen = f"{dataset.path}: no execution has an operator who begins with {', '.join(wanted)}"
         raise EstimateError(seen, nearest=", ".join(common[: len(wanted)]), cure=f"Known: {', '.join(names)}.")
     return found
 

@@ -136,7 +136,7 @@ def transit_table(
     names = tuple(sorted(tasks))
     arrivals = []
     for number, name in enumerate(names):
-        tell(number / len(names), f"walking {name}")
+        tell(number / len(names), f"simulating {name}")
         arrivals.append(_arrivals(model, tasks[name], cell_of, cells, tracks.step_s))
     start_s = _every(tracks.step_s) * tracks.step_s
     return TransitTable(names, np.stack(arrivals), start_s, tuple(tasks[name] for name in names))

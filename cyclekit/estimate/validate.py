@@ -1,6 +1,6 @@
-"""The validation on logged executions that every estimate rests on, and what it refuses.
+"""The validation on logged executions behind every estimate, and the models that it refuses.
 
-A model that comes out far off on the logs themselves says nothing of other sequences: mostly it is of another cell.
+A model with a large bias on the logs themselves predicts no other sequence: usually it is of another cell.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ def validated(
 
 
 def refuse_biased(check: Check | None) -> None:
-    """Refuse a model that comes out far off on the logged executions.
+    """Refuse a model with a large bias on the logged executions.
 
     Raises:
         ModelError: Its bias is beyond REFUSED_BIAS, and no chance.
     """
     if check is not None and check.biased(REFUSED_BIAS):
-        seen = f"{check.own_bias:+.1%} (+-{check.own_within:.1%}) off on {check.executions} logged executions"
+        seen = f"{check.own_bias:+.1%} (+-{check.own_within:.1%}) on {check.executions} logged executions"
         raise ModelError(
-            f"the model does not fit these logs: rolled out beside their own operators it is {seen}",
-            cure="Train it on them: cyclekit train DATASET --out MODEL; or add --other-cell to have the numbers anyway "
+            f"the model does not fit these logs: backtested with their own operator tracks, its bias is {seen}",
+            cure="Train it on them: cyclekit train DATASET --out MODEL; or add --other-cell to estimate anyway "
             "(from Python other_cell=True).",
         )

@@ -201,11 +201,11 @@ def _leads_out(path: Path, root: Path) -> bool:
 
 
 def _no_way_out(path: Path) -> LogError:
-    return LogError(path, "a link leads out of the folder of logs; --follow-links reads it all the same")
+    return LogError(path, "a link leads out of the folder of logs; --follow-links reads it too")
 
 
 def _no_text(path: Path) -> LogError:
-    return LogError(path, "its name is no text in UTF-8, and could not be written down", cure="Rename it.")
+    return LogError(path, "its name is not text in UTF-8 and cannot be stored", cure="Rename it.")
 
 
 def _some(not_read: Sequence[tuple[str, str]], count: int = 3) -> str:

@@ -109,7 +109,9 @@ class Nameless:
         first = min((span[0] for span in self._spans.values()), default=0.0)
         last = max((span[1] for span in self._spans.values()), default=0.0)
         if last - first > YEAR_S:
-            cause = "its times lie more than a year apart, so its clock was set while it recorded; that tells the date"
+            cause = (
+                "its times lie more than a year apart, so its clock was set while it recorded; that reveals the date"
+            )
             raise LogError(path, cause, cure="Split the log there, or ingest without --pseudonymise.")
 
     def _nameless_tasks(self, table: pl.DataFrame) -> pl.DataFrame:

@@ -190,7 +190,7 @@ def _recognises(entry: Registered, path: Path) -> bool:
     except Exception as error:
         if not (isinstance(error, OSError) and _is_about(error, path)):
             _broken[entry.name] = LeftOut(
-                entry.name, entry.package, f"it failed when asked about {path} ({_told(error)})"
+                entry.name, entry.package, f"its recognises() failed on {path} ({_told(error)})"
             )
         return False
 
@@ -284,7 +284,7 @@ def why_unknown(path: Path) -> UnknownFormat:
         return UnknownFormat(path, cause, cure="Save it as .xlsx without a password, or as CSV.")
     if _is_table(head):
         cause = 'no adapter recognises this content, a table: map its columns in cell.toml, with adapter = "csv"'
-        drafts = "`cyclekit inspect FILE --write-cell CELL.toml` drafts that"
+        drafts = "`cyclekit inspect FILE --write-cell CELL.toml` writes a draft"
         draft = command_line("inspect", path, "--write-cell", path.with_suffix(".toml"))
         return UnknownFormat(path, f"{cause} (docs/adapters.md); {drafts}", cure=f"Draft the map: {draft}")
     return UnknownFormat(path, "no adapter recognises this content", cure=cure)

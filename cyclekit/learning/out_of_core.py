@@ -80,7 +80,9 @@ def in_memory(dataset: Dataset, *, seed: int = 0) -> tuple[Dataset, str | None]:
     seen = set(done.filter(pl.col("execution").is_in(list(chosen)))["task"])
     rare = done.filter(~pl.col("task").is_in(list(seen))).sort("execution").group_by("task").first()
     chosen |= set(rare["execution"])
-    said = f"{len(chosen)} of {len(names)} logged executions were looked at, drawn at random: memory takes no more"
+    said = (
+        f"{len(chosen)} of {len(names)} logged executions were used, drawn at random: the memory is too small for all"
+    )
     return dataset.only([name for name in names if name in chosen]), said
 
 

@@ -67,7 +67,7 @@ if TYPE_CHECKING:
 LEAST_S = 10.0
 """Less log than this teaches nothing."""
 MIN_EXECUTIONS = 3
-"""One to learn from, one to choose the epoch, one to judge by."""
+"""One for training, one for validation, one for the test."""
 
 
 @one_thread()
@@ -282,11 +282,11 @@ def _check_learnable(dataset: Dataset, learn: Samples, check: Samples, held_out:
     count = int((learn.step >= 0).sum()) if spec.kind.names_levels else len(learn)
     if count < samples_in(LEAST_S / 2, dataset.rate_hz):
         what = "samples on a level" if spec.kind.names_levels else "usable samples"
-        msg = f"{dataset.path}: the executions to learn from hold only {count} {what}"
+        msg = f"{dataset.path}: the training executions have only {count} {what}"
         raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
-    for rows, purpose in ((check, "to stop at"), (held_out, "to judge by")):
+    for rows, purpose in ((check, "for validation"), (held_out, "for the test")):
         if not len(rows):
-            msg = f"{dataset.path}: the executions {purpose} hold no usable sample"
+            msg = f"{dataset.path}: the executions {purpose} have no usable sample"
             raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
 
 
@@ -299,7 +299,7 @@ def _other_opinion(dataset: Dataset, frame: pl.DataFrame, staircase: Staircase) 
 def _split(dataset: Dataset, names: Sequence[str], spec: ModelSpec) -> SplitCard:
     if len(names) < MIN_EXECUTIONS:
         msg = f"{dataset.path}: {len(names)} usable execution(s); at least {MIN_EXECUTIONS} are needed"
-        cure = "One to learn from, one to stop at, one to judge by: log more, or mark in cell.toml how they begin."
+        cure = "One for training, one for validation, one for the test: log more, or set in cell.toml how they begin."
         raise DatasetError(msg, cure=cure)
     learn, test = split_executions(names, test_fraction=spec.test_fraction, seed=spec.seed)
     if len(learn) < 2:
@@ -313,8 +313,8 @@ def _staircase(dataset: Dataset, frame: pl.DataFrame, spec: ModelSpec) -> Stairc
     scaling, _ = scaling_in_time(frame, dataset.rate_hz)
     staircase = staircase_of(dataset, frame)
     if np.nanmax(scaling) - np.nanmin(scaling) < 1e-6:
-        msg = f"{dataset.path}: the speed scaling is {np.nanmax(scaling):.2f} throughout, so there is nothing to learn"
-        raise DatasetError(msg, cure="Log executions in which the operator comes near enough to slow the robot.")
+        msg = f"{dataset.path}: the speed scaling is {np.nanmax(scaling):.2f} everywhere, so there is nothing to learn"
+        raise DatasetError(msg, cure="Log executions in which the operator is near enough to slow the robot.")
     if spec.kind.needs_levels and (staircase.levels.size < 2 or not staircase.is_staircase):
         msg = f"{dataset.path}: a {spec.network} needs at least two levels, but {'; '.join(texts(staircase.warnings))}"
         raise DatasetError(msg, cure="Train a network that needs none: --network regressor")

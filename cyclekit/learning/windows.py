@@ -280,8 +280,8 @@ def split_executions(
         DatasetError: There are fewer than two executions.
     """
     if len(names) < 2:
-        msg = f"{len(names)} execution: nothing can be held out to judge by"
-        raise DatasetError(msg, cure="Log the process at least twice, or mark in cell.toml how executions begin.")
+        msg = f"{len(names)} execution: none can be held out for the test"
+        raise DatasetError(msg, cure="Log the process at least twice, or set in cell.toml how executions begin.")
     count = min(max(round(test_fraction * len(names)), 1), len(names) - 1)
     held_out = set(np.random.default_rng(seed).permutation(sorted(names))[:count].tolist())
     return tuple(n for n in names if n not in held_out), tuple(n for n in names if n in held_out)

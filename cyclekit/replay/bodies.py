@@ -44,8 +44,8 @@ def log_people(sink: Sink) -> None:
     limbs = run.skeletons.of_operator if run.skeletons else np.zeros(len(run.t_s), dtype=np.bool_)
     known = np.isfinite(run.human_m[:, :2]).all(axis=1)
     if known.any():
-        standing = [run.human_m[row : row + int(alone)] for row, alone in enumerate(known & ~limbs)]
-        _bodies(sink, "scene/operator", standing, feet, colours.OPERATOR)
+        upright = [run.human_m[row : row + int(alone)] for row, alone in enumerate(known & ~limbs)]
+        _bodies(sink, "scene/operator", upright, feet, colours.OPERATOR)
         ground = run.human_m.copy()
         ground[:, 2] = feet + 0.02
         paint = np.tile(np.array(colours.to_rgb(colours.OPERATOR), dtype=np.uint8), (len(ground), 1))

@@ -30,7 +30,7 @@ HUES = ("#3f8fe0", "#f2b53c", "#62c4b4", "#e6a4ff")
 
 PALE = "#c9d1da"
 _LOOKS = {"nominal": "#3f8fe0", "safety": colours.SAFETY, "dwell": "#9aa5b1", "wait": "#e8ebef", "unknown": "#6b7480"}
-_WORDS = {"nominal": "motion at full speed", "safety": "safety slow-down", "dwell": "process", "wait": "waiting"}
+_WORDS = {"nominal": "motion at full speed", "safety": "safety slow-down", "dwell": "dwell", "wait": "wait"}
 
 
 def log_curves(sink: Sink, number: int | None = None) -> None:
@@ -91,7 +91,7 @@ def _curve(
 
 def _phase(sink: Sink, who: str, hue: str) -> None:
     if sink.phase is not None:
-        _curve(sink, "plots/phase", f"{who}way of the task done", hue, sink.run.t_s, (sink.phase % TASK) / (TASK - 1))
+        _curve(sink, "plots/phase", f"{who}progress of the task", hue, sink.run.t_s, (sink.phase % TASK) / (TASK - 1))
 
 
 def _accounts(sink: Sink, who: str, hue: str, *, alone: bool) -> None:
@@ -173,10 +173,10 @@ def _text(sink: Sink, path: str, lines: Sequence[LogLine]) -> None:
 
 
 def _percent(scaling: float) -> str:
-    return "halted" if scaling < 0.02 else f"{100 * scaling:.0f} %"
+    return f"{100 * scaling:.0f} %"
 
 
 def _doing(task: str | None, moving: bool | None) -> str | None:
     if task is None:
-        return None if moving is None else ("moving" if moving else "standing")
+        return None if moving is None else ("moving" if moving else "standstill")
     return spell(task) if moving is not False else f"at {task.rpartition('->')[2]}"

@@ -240,14 +240,14 @@ def _notes(rows: pl.DataFrame, joints: JointAngles | None, model: PredictsNow | 
     notes = []
     if not rows["robot_x_m"].count():
         seen = f"{len(joints.angle_rad)} joints are plotted instead" if joints else "no robot is shown"
-        notes.append(f"The log holds no robot tool position: {seen}.")
+        notes.append(f"The log has no robot tool position: {seen}.")
     if not rows["human_x_m"].count():
-        notes.append("No operator position: either nobody was there or nobody was tracked.")
+        notes.append("No operator position: the operator was absent or not tracked.")
     notes += [f"{text[0].upper()}{text[1:]}." for text in said_of_height(rows)]
     if not rows["scaling"].count():
         notes.append("Speed scaling is unknown in this execution.")
     if model is None:
         notes.append("No model was given: no predicted scaling.")
     elif model.problem != "now":
-        notes.append(f"The model answers problem '{model.problem}', not 'now': no predicted scaling.")
+        notes.append(f"The model predicts problem '{model.problem}', not 'now': no predicted scaling.")
     return tuple(notes)

@@ -1,8 +1,8 @@
 """The learned zones: how fast the model lets the robot go, for an operator on each square of the floor.
 
 The picture belongs to the robot's position of the instant and moves with it. Only squares near which an operator was
-ever logged are drawn: elsewhere the model has nothing to go by. It is what the model expects, not what the safety
-system guarantees, and the name of the view says so.
+ever logged are drawn: elsewhere the model would extrapolate. It is the prediction of the model, not a guarantee of the
+safety system, and the name of the view says so.
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ def opening(runs: Sequence[ReplayedExecution], order: Order, at: Focus) -> Openi
 def _span(run: ReplayedExecution, at: Focus) -> tuple[float, float] | None:
     if isinstance(at, float | int):
         if at > run.duration_s:
-            seen = f"execution {run.name} lasts {run.duration_s:.1f} s, so nothing of it plays at {at:g} s"
+            seen = f"execution {run.name} lasts {run.duration_s:.1f} s, so there is nothing to show at {at:g} s"
             raise CyclekitError(seen, cure="Give --at a time since the execution began, such as 12.5s.")
         return float(at), float(at)
     wrong = misses(run, 1)
@@ -170,13 +170,13 @@ def _right(run: ReplayedExecution) -> rrb.Vertical | None:
         views.append((3, rrb.TimeSeriesView(origin="/plots/distance", name=name, axis_x=whole)))
     tabs = []
     if scaled:
-        tabs.append(rrb.TimeSeriesView(origin="/plots/spent", name="Where each second went, s so far", axis_x=whole))
+        tabs.append(rrb.TimeSeriesView(origin="/plots/spent", name="Time by cause since the start, s", axis_x=whole))
     if np.isfinite(run.speed_m_s).any():
         tabs.append(rrb.TimeSeriesView(origin="/plots/speed", name="Tool speed, m/s", axis_x=whole))
     elif run.joints is not None:
         tabs.insert(0, rrb.TimeSeriesView(origin="/plots/joints", name="Joint angles, rad (most moved)", axis_x=whole))
     if not run.tasks.is_empty():
-        tabs.append(rrb.TimeSeriesView(origin="/plots/phase", name="Way of the task done", axis_x=whole))
+        tabs.append(rrb.TimeSeriesView(origin="/plots/phase", name="Progress of the task", axis_x=whole))
     if tabs:
         views.append((4, rrb.Tabs(*tabs) if len(tabs) > 1 else tabs[0]))
     return rrb.Vertical(*[v for _, v in views], row_shares=[share for share, _ in views]) if views else None
@@ -205,7 +205,7 @@ def _scene(run: ReplayedExecution, root: str = "", who: str = "") -> rrb.Spatial
     grid = rrb.LineGrid3D(
         visible=True, spacing=0.5, plane=rr.components.Plane3D.XY.with_distance(floor_m(run)), color=(150, 158, 168, 90)
     )
-    floor = "" if run.zones is None else "; floor: the speed the model expects with the operator there"
+    floor = "" if run.zones is None else "; floor: predicted speed scaling with the operator there"
     return rrb.Spatial3DView(
         origin=f"{root}/scene",
         name=who or f"Line: distance, in the colour of the robot's speed{floor}",

@@ -1,6 +1,6 @@
 """Where each second of one execution goes, as it goes: the cumulated account that ends at the task table's sums.
 
-Motion at full speed and safety loss come from the scaling, sample by sample; dwell and waiting from the tasks. Time of
+Motion at full speed and safety loss come from the scaling, sample by sample; dwell and wait from the tasks. Time of
 which the log says nothing is its own account. The totals of tasks are made by `account`; here they are spread over
 time.
 """
@@ -23,18 +23,18 @@ def ledger(run: ReplayedExecution) -> dict[str, NDArray[np.float64]]:
     """Return the seconds spent so far in each account, each of shape (T,); their sum is the time since `t_s[0]`."""
     count = len(run.t_s)
     step_s = np.diff(run.t_s, append=run.t_s[-1:])
-    standing = np.array([moving is False for moving in run.moving], dtype=np.bool_)
+    standstill = np.array([moving is False for moving in run.moving], dtype=np.bool_)
     known = np.isfinite(run.scaling) & ~_in_gap(run)
     part = {name: np.zeros(count) for name in ACCOUNTS}
-    moving = known & ~standing
+    moving = known & ~standstill
     part["nominal"][moving] = run.scaling[moving]
     part["safety"][moving] = 1.0 - run.scaling[moving]
     dwell = np.zeros(count, dtype=np.bool_)
     for task in run.tasks.iter_rows(named=True):
         dwell |= (run.t_s >= task["arrival_s"]) & (run.t_s < task["arrival_s"] + (task["dwell_s"] or 0.0))
-    part["dwell"][standing & dwell] = 1.0
-    part["wait"][standing & ~dwell] = 1.0
-    part["unknown"][~moving & ~standing] = 1.0
+    part["dwell"][standstill & dwell] = 1.0
+    part["wait"][standstill & ~dwell] = 1.0
+    part["unknown"][~moving & ~standstill] = 1.0
     return {name: np.concatenate([[0.0], np.cumsum(share * step_s)[:-1]]) for name, share in part.items()}
 
 

@@ -127,7 +127,7 @@ def write_replay(
     names = [dataset.find_execution(name) for name in wanted]
     if not 1 <= len(set(names)) <= MOST:
         msg = f"{len(names)} executions side by side"
-        raise CyclekitError(msg, cure=f"Name 1 to {MOST} of them: more cannot be told apart on a screen.")
+        raise CyclekitError(msg, cure=f"Name 1 to {MOST} of them: more are not readable on one screen.")
     runs: list[ReplayedExecution] = []
     for number, name in enumerate(dict.fromkeys(names)):
         say(0.7 * number / len(names), f"reading {name}")

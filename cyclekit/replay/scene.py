@@ -150,7 +150,7 @@ def _link(sink: Sink) -> None:
 def _link_label(distance_m: float, scaling: float) -> str:
     if np.isnan(scaling):
         return f"{distance_m:.2f} m"
-    return f"{distance_m:.2f} m: " + ("robot halted" if scaling < 0.02 else f"robot at {100 * scaling:.0f} % speed")
+    return f"{distance_m:.2f} m: robot at {100 * scaling:.0f} % speed"
 
 
 def _path(positions: NDArray[np.float64], colour: str) -> rr.LineStrips3D:

@@ -1,4 +1,4 @@
-"""Show a replay to browsers: Rerun's own web viewer, served by us, so that it calls nobody.
+"""Show a replay to browsers: Rerun's own web viewer, served from this machine; it opens no connection to others.
 
 Rerun's server listens on all interfaces by default, and its page asks the makers' servers for news and counts its use
 there, which no setting of this machine's Rerun changes. So the viewer's files are taken from Rerun's server once, on
@@ -75,10 +75,10 @@ class _Answer(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         if not self._is_for_us():
-            self.send_error(421, explain="This replay is served under the name and address that it was started with.")
+            self.send_error(421, explain="This replay is served only under the address that it was started with.")
             return
         if self.headers.get("Origin", self._here) != self._here:
-            self.send_error(403, explain="Pages from elsewhere get nothing from here.")
+            self.send_error(403, explain="Requests from pages of other sites are refused.")
             return
         path, _, query = self.path.partition("?")
         if path == "/" and "url=" not in query:
@@ -148,7 +148,7 @@ def serve(path: Path, *, bind: str = LOOPBACK, port: int = WEB_PORT) -> ReplaySe
     try:
         return ReplayServer(bind, port, path, _viewer_files())
     except (OSError, UnicodeError) as error:  # what is no name of a machine
-        msg = f"nothing can be served at {bind}:{port} ({getattr(error, 'strerror', None) or error})"
+        msg = f"cannot serve the replay at {bind}:{port} ({getattr(error, 'strerror', None) or error})"
         raise CyclekitError(msg, cure="Give another port with --port, or another address with --bind.") from error
 
 
@@ -174,6 +174,6 @@ def _fetched(address: str) -> bytes:
                 return bytes(answer.read())
         except OSError as error:
             if time.monotonic() > until_s:
-                msg = f"Rerun does not give its viewer for browsers ({error})"
+                msg = f"Rerun's viewer for browsers does not start ({error})"
                 raise CyclekitError(msg, cure="Open the replay in the native viewer instead: --open.") from error
             time.sleep(0.1)

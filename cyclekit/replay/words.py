@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cyclekit.replay.execution import ReplayedExecution
 
 SHORTEST_S = 0.25
-"""A change of speed or a lost operator shorter than this is not worth a sentence."""
+"""A change of speed or a lost operator shorter than this is not listed."""
 
 MOST_PERIODS = 2
 """A sample counts for the time up to the next one, and where that is missing for no more than two of its periods."""
@@ -34,7 +34,7 @@ FULL = 0.98
 
 @dataclass(frozen=True)
 class LogLine:
-    """One line of the log: when (seconds of the execution), what, how loud (INFO or WARN), and its colour."""
+    """One line of the log: when (seconds of the execution), what, its level (INFO or WARN), and its colour."""
 
     t_s: float
     text: str
@@ -44,7 +44,7 @@ class LogLine:
 
 @dataclass(frozen=True)
 class Slowdown:
-    """A stretch in which the robot, on its way, was slowed.
+    """A time in which a motion of the robot was slowed.
 
     Attributes:
         start_s, end_s: Seconds of the execution.
@@ -95,10 +95,10 @@ def slowdowns(run: ReplayedExecution) -> list[Slowdown]:
 
 
 def log_lines(run: ReplayedExecution) -> list[LogLine]:
-    """Return everything worth telling, in order of time."""
+    """Return the events of the execution, in order of time."""
     lines = [*_task_lines(run), *_operator_lines(run), *_slow_lines(run)]
     for start_s, end_s in run.gaps:
-        lines.append(LogLine(start_s, f"Gap in the log: nothing is known for {end_s - start_s:.1f} s", "WARN"))
+        lines.append(LogLine(start_s, f"Gap in the log: no samples for {end_s - start_s:.1f} s", "WARN"))
     lines.extend(LogLine(0.0, note, "WARN") for note in run.notes)
     return sorted(lines, key=lambda line: line.t_s)
 
@@ -123,15 +123,15 @@ def summary(run: ReplayedExecution) -> str:
     known = bool(np.isfinite(run.scaling).any())
     head = [f"## {run.duration_s:.1f} s" + (f", of which {lost_s:.1f} s lost to safety slow-down" if known else "")]
     if known and not found:
-        head.append("The robot was never slowed on its way.")
+        head.append("Safety never slowed a motion of the robot.")
     if found:
         worst = sorted(found, key=lambda each: -each.lost_s)[:4]
         head.append("**Where the time went**")
         head.extend(f"- **{each.lost_s:.1f} s** at {_clock(each.start_s)}: {markdown(_why(each))}" for each in worst)
     head.extend(f"- *{markdown(note)}*" for note in run.notes)
     if run.gaps:
-        head.append(f"- *{len(run.gaps)} gap(s) in the log; nothing is drawn across them.*")
-    head.append("Colour is the robot's speed: red halted, amber half speed, blue full speed, grey unknown.")
+        head.append(f"- *{len(run.gaps)} gap(s) in the log, left empty here.*")
+    head.append("Colour is the robot's speed: red speed 0 %, amber half speed, blue full speed, grey unknown.")
     return "\n\n".join(head[:2]) + "\n" + "\n".join(head[2:-1]) + f"\n\n{head[-1]}"
 
 
@@ -149,7 +149,7 @@ def lanes(labels: Sequence[str | None], t_s: NDArray[np.float64]) -> list[tuple[
 
 
 def _why(slow: Slowdown) -> str:
-    speed = "robot halted" if slow.lowest < 0.02 else f"robot down to {100 * slow.lowest:.0f} %"
+    speed = f"robot at {100 * slow.lowest:.0f} % speed"
     where = f" on {spell(slow.robot_task)}" if slow.robot_task else ""
     near = "" if np.isnan(slow.nearest_m) else f", operator {slow.nearest_m:.2f} m away"
     doing = f" ({slow.human_task})" if slow.human_task else ""
@@ -168,7 +168,7 @@ def _task_lines(run: ReplayedExecution) -> Iterator[LogLine]:
         yield LogLine(row["start_s"], f"Robot starts {spell(row['task'])}")
         took = row["arrival_s"] - row["start_s"]
         loss = row["safety_loss_s"]
-        lost = "" if loss is None else f", {loss:.1f} s of it slow-down" if loss >= 0.05 else ", never slowed"
+        lost = "" if loss is None else f", {loss:.1f} s of it slow-down" if loss >= 0.05 else ", no slow-down"
         yield LogLine(row["arrival_s"], f"Robot arrives at {row['goal_place']} after {took:.1f} s{lost}")
 
 

@@ -35,7 +35,7 @@ class SimulationOptions:
         ramp_up_per_s: Fastest rise of s per second; None: it jumps.
         latency_s: Age of the positions that s reacts to.
         hysteresis_m: How much farther than the threshold a person must go before s rises again.
-        operator_log: A real tracker recording that walks instead of the simulated operator.
+        operator_log: Real tracker recording to use instead of the simulated operator.
         operator_xyz_m: Where the recording's origin (turned Z up) stands in the base frame.
         operator_yaw_deg: How the recording is turned about the vertical.
         executions_per_session: After how many executions the logger starts a new session; a scene recorded without

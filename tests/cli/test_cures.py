@@ -183,7 +183,7 @@ def test_a_list_that_is_none_is_shown_as_one(tmp_path: Path):
 def test_the_line_that_is_to_be_mended_is_named(tmp_path: Path):
     file = tmp_path / "cell.toml"
     for content, said in (
-        ('name = "a"\n# Kühlregal\n'.encode("latin-1"), "line 2 is no text in UTF-8 (byte 0xfc)"),
+        ('name = "a"\n# Kühlregal\n'.encode("latin-1"), "line 2 is not text in UTF-8 (byte 0xfc)"),
         (b'name = "a"\nrate_hz = = 2\n', "at line 2"),
         (b'name = """a\n', "end of document"),
     ):

@@ -60,7 +60,7 @@ def test_every_command_refuses_it_and_names_the_flag(
     typed = cyclekit(*(stand_for.get(w, tmp_path / w if w.startswith("OUT") else w) for w in words.split()))
     assert typed.code == 1
     assert "not the cell" in typed.err
-    assert "places are not where it was trained" in typed.err
+    assert "places are not where they were in training" in typed.err
     assert "--other-cell" in typed.err
     assert not list(tmp_path.glob("OUT*"))
     assert "--other-cell" in cyclekit(words.split()[0], "--help").out
@@ -79,7 +79,7 @@ def test_a_large_bias_stands_above_the_numbers_and_in_the_json(
     shown = cyclekit(*words).out
     assert shown.startswith("WARNING: the model's bias is +")
     assert " s*" in shown.split("seconds:")[0]
-    assert "\n* beside their own operators the logged executions come out" in shown
+    assert "\n* backtest with their own operator tracks: bias" in shown
 
 
 def test_with_trained_on_two_datasets_are_compared_whatever_has_changed(

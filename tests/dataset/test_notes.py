@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 SOURCE = Path(__file__).parents[2] / "cyclekit"
 TRIP = [("stand", 0.5), ("move", 0.3), ("stand", 0.5), ("move", 0.0), ("stand", 0.5)]
-SAID = "clock: nothing says how its clock relates to the robot's"
+SAID = "clock: the offset of its clock to the robot's is unknown"
 VALUES = st.dictionaries(st.text(), st.text() | st.integers(-(2**53), 2**53) | st.floats(allow_nan=False))
 
 

@@ -84,9 +84,7 @@ def test_the_dataset_says_that_it_has_no_positions(listed) -> None:
     assert card["positions"] == []
     assert [entry["positions"] for entry in card["recordings"]] == [False]
     assert card["recordings"][0]["duration_s"] == 109.0
-    assert report.warnings == (
-        "no positions: nothing tells where robot and people were, so no motion or safety can be learned",
-    )
+    assert report.warnings == ("no positions of robot and people, so no motion or safety can be learned",)
     assert dataset.positions == ()
 
 
@@ -180,8 +178,8 @@ def test_beside_a_robot_log_the_operators_tasks_are_put_into_its_executions(tmp_
     assert dataset.positions == ("robot",)
     entry = next(entry for entry in dataset.recordings if entry.id == "plan")
     assert [text for text in entry.said if text.startswith("task list: ")] == [
-        "task list: 1 tasks of the robot are not used: its log tells its tasks",
-        "task list: 1 of 2 tasks of the operator lie outside of every execution",
+        "task list: 1 tasks of the robot are not used: its log shows its tasks",
+        "task list: 1 of 2 tasks of the operator are outside of every execution",
     ]
     again = ingest([logs], tmp_path / "dataset", rate_hz=5.0)
     assert again.recordings_kept == 2

@@ -87,7 +87,7 @@ def test_the_number_lies_between_both_and_says_so(logged: Dataset, staircase: An
     assert found.expected_low_s < found.expected_s < found.expected_high_s
     assert found.to_dict()["combined"]["history_share"] == both.history_share
     told = " ".join(rests_on([found]).split())
-    assert f"{both.history_share:.0%} of the number is what the same tasks took in the logs" in told
+    assert f"{both.history_share:.0%} with the logged durations of the same tasks" in told
 
 
 def test_a_model_in_doubt_leaves_more_to_history(logged: Dataset, staircase: Any, check: Check, order: TaskSequence):

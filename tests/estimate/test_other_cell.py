@@ -93,9 +93,12 @@ def test_the_same_cell_is_taken(logged: Dataset, change: Callable[[dict[str, Any
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda card: (newer(card), move(card, 0.3)), "places are not where it was trained, such as conveyor at (0.90"),
+        (
+            lambda card: (newer(card), move(card, 0.3)),
+            "places are not where they were in training, such as conveyor at (0.90",
+        ),
         (lambda card: (newer(card), card.update(levels=[0.1, 0.4, 0.6])), "has the levels 0.10, 0.40, 0.60"),
-        (turned, "stand in another frame"),
+        (turned, "are in another frame"),
     ],
     ids=["places", "levels", "frame"],
 )
@@ -132,7 +135,7 @@ BIASED = Check(40, 8, 0.2, 0.01, 0.2, 0.0, (0.0,) * 40, 0.9, None, (0.05, 0.95))
 
 
 def test_a_bias_beyond_ten_percent_is_refused_and_one_beyond_three_stands_above_the_numbers():
-    with pytest.raises(ModelError, match=r"\+20.0% .* off on 40 logged executions") as caught:
+    with pytest.raises(ModelError, match=r"\+20.0% .* on 40 logged executions") as caught:
         refuse_biased(BIASED)
     assert "--other-cell" in str(caught.value.cure)
     refuse_biased(replace(BIASED, own_error=0.07))  # chance

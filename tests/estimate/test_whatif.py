@@ -129,7 +129,7 @@ def test_what_is_logged_of_the_scaling_in_time_holds_after_a_change_unless_it_is
     kept, quicker = what_if(staircase, logged, [TaskSequence("A", places)], changes, validate=False)
     assert kept.saves_s[0] == pytest.approx(0.0)
     assert quicker.saves_s[0] > 1.0
-    said = "the changed safety function acts in time as the logged one does: latency_s 0.2"
+    said = "the changed safety function keeps the logged latency_s 0.2"
     assert f"{said}, ramp_up_per_s 0.3" in kept.after.warnings
     assert said in quicker.after.warnings
 
@@ -215,7 +215,7 @@ def test_the_command_answers_what_it_can_and_fails_where_it_can_answer_nothing(
             assert run(words) == 0
             shown = capsys.readouterr().out
             assert "Not answered\n- change 'too often': " in shown
-            assert "- small, A: rests on 16 operator tracks only" in " ".join(shown.split())
+            assert "- small, A: based on only 16 operator tracks" in " ".join(shown.split())
             out.unlink()
         else:
             assert "change 'too often'" in found["error"]["message"]

@@ -97,11 +97,11 @@ def test_estimates_and_judgements_look_at_as_many_executions_as_memory_takes(
     (found,) = estimate(model, part, [TaskSequence("one way", ("home", "conveyor"))], **asked)
     (again,) = estimate(model, logs, [TaskSequence("one way", ("home", "conveyor"))], **asked)
     assert again.durations_s == found.durations_s
-    assert f"{part.executions.height} of 6 logged executions were looked at" in " ".join(again.warnings)
+    assert f"{part.executions.height} of 6 logged executions were used" in " ".join(again.warnings)
     model = replace(model, card=structs.replace(model.card, dataset_sha256="another"))
     judged = evaluate(model, logs)
     assert len(judged.executions) == 2
-    assert "2 of 6 executions are judged" in judged.notes[0]
+    assert "2 of 6 executions are evaluated" in judged.notes[0]
 
 
 def test_executions_are_drawn_until_they_have_the_rows(logs: Dataset) -> None:

@@ -73,11 +73,11 @@ def test_an_estimator_of_one_line_answers(
     file = tmp_path / "s.toml"
     task = cell.tasks()["task"][0]
     file.write_text(f'[[sequence]]\nname = "A"\ntasks = ["{task}"]\n', encoding="utf-8")
-    monkeypatch.setitem(ESTIMATORS, "toy", Estimator("a toy was asked for", alone=_twice))
+    monkeypatch.setitem(ESTIMATORS, "toy", Estimator("a toy estimator", alone=_twice))
     save_model(tmp_path / "model", train(cell, ModelSpec.of(epochs=1)))
     words = ["--dataset", str(cell.path), "--estimator", "toy", "--no-check", "--json"]
     assert run(["estimate", str(tmp_path / "model"), str(file), *words]) == 0
-    assert "a toy was asked for" in capsys.readouterr().out
+    assert "a toy estimator" in capsys.readouterr().out
 
 
 def test_a_level_finder_of_one_line_is_a_method(

@@ -89,7 +89,7 @@ def test_both_timelines_differ_by_the_start_of_the_execution_in_its_session(tmp_
 
 
 def test_a_time_after_the_end_is_refused(dataset, tmp_path):
-    with pytest.raises(CyclekitError, match=r"lasts \d+\.\d s, so nothing of it plays at 9999 s"):
+    with pytest.raises(CyclekitError, match=r"lasts \d+\.\d s, so there is nothing to show at 9999 s"):
         write_replay(dataset, "1", tmp_path / "x.rrd", at=9999.0)
     assert not (tmp_path / "x.rrd").exists()
 

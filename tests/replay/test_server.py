@@ -116,5 +116,5 @@ def test_no_name_of_the_address_is_asked_for_in_the_network(tmp_path: Path, monk
 def test_an_address_that_is_none_is_said(bind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(module, "_viewer_files", dict)
     (tmp_path / "x.rrd").write_bytes(b"x")
-    with pytest.raises(CyclekitError, match="nothing can be served at"):
+    with pytest.raises(CyclekitError, match="cannot serve the replay at"):
         serve(tmp_path / "x.rrd", bind=bind, port=0)

@@ -299,5 +299,5 @@ def test_the_served_viewer_gets_nothing_from_elsewhere(served):
 
 def test_a_port_that_is_taken_is_said(served):
     server, replay = served
-    with pytest.raises(CyclekitError, match="nothing can be served"):
+    with pytest.raises(CyclekitError, match="cannot serve the replay"):
         serve(replay, port=server.server_address[1])

@@ -46,7 +46,7 @@ def test_without_a_check_no_coverage_is_claimed(dataset, tmp_path):
 
 def test_too_few_executions_for_a_coverage_are_said_to_be_so(dataset, tmp_path):
     text = text_of(dataset, tmp_path / "r.html", check=checked(executions=4))
-    assert "4 logged executions are too few for quantiles that hold" in text
+    assert "4 logged executions are too few for reliable quantiles" in text
     assert "was not measured for this report" in text
     assert "nominal 90 %" not in text
 

@@ -100,7 +100,7 @@ def _scaling_inferred(values: Mapping[str, Value]) -> str:
 
 def _events(values: Mapping[str, Value]) -> str:
     many = "one event" if values["events"] == 1 else f"{values['events']} events"
-    return f"its clock rests on {many}, which leaves nothing to check it by: record three or more"
+    return f"its clock is aligned on only {many}, too few to check it: record three or more"
 
 
 _REGRESSION = "learn it by regression: --network regressor"
@@ -111,17 +111,17 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "log-changed": "the log changed while it was read: is it still being written? ingest again when it is complete",
     # clocks
     "clock-assumed": (
-        "nothing says how its clock relates to the robot's: a common start is assumed; "
+        "the offset of its clock to the robot's is unknown: a common start is assumed; "
         "give clock_offset_s, sync or sees in cell.toml"
     ),
     "clock-restarted": (
-        "a device's clock was restarted while recording, so its stamps place no clock: split the log there"
+        "a device's clock was restarted while recording, so its stamps cannot align the clock: split the log there"
     ),
     "clock-stamps-apart": (
-        "a device's and its host's stamps move apart by more than clocks do, and no line follows them"
+        "a device's and its host's stamps drift apart by more than clocks do, and no linear fit describes them"
     ),
     "clock-stamps-late": (
-        "its stamps typically lie {late_s:.2g} s above the line that places its clock: delays, or a poor fit"
+        "its stamps typically lie {late_s:.2g} s above the line that aligns its clock: delays, or a poor fit"
     ),
     "clock-of-host-differs": (
         "its clock runs at {rate:.4f} times the speed of its host's, which no real clock does: if its time is "
@@ -129,24 +129,24 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     ),
     "clock-not-coarse": (
         "not aligned on the operator being near while the robot slows: no offset within {reach_s:.0f} s shows that, "
-        "and larger ones are not looked for"
+        "and larger ones are not searched"
     ),
     "clock-coarse": (
         "its clock was aligned by the operator being near while the robot slows: the reaction delay of the safety "
-        "function is hidden in it, so no delay in this dataset means anything"
+        "function is hidden in it, so delays in this dataset are meaningless"
     ),
     "clock-coarse-ambiguous": "{away_s:+.1f} s from there it fits almost as well",
     "clock-by-start": (
-        "placed by the time of day at which it began: good to a second or so, so no delay can be read from it"
+        "aligned by the time of day of its start: accurate to about a second, so no delay can be read from it"
     ),
     "clock-motion-ambiguous": (
         "its motion fits the robot's almost as well {away_s:+.2f} s away ({height:.0%} of the correlation): "
-        "a robot that repeats itself cannot tell one cycle from the next; let it do something once, or give sync"
+        "a robot that repeats itself cannot tell one cycle from the next; log a motion that occurs once, or give sync"
     ),
     "clock-motion-rough": "its motion fits the robot's only roughly (correlation {correlation:.2f})",
     "clock-events-few": _events,
-    "clock-events-disagree": "the events that place its clock disagree by {residual_s:.2g} s: check the pairs",
-    "clock-events-alone": "of {events} events only {used} place its clock: the others have no partner",
+    "clock-events-disagree": "the events that align its clock disagree by {residual_s:.2g} s: check the pairs",
+    "clock-events-alone": "of {events} events only {used} align its clock: the others have no partner",
     "clock-events-ambiguous": (
         "its events fit the robot's almost as well {away_s:+.2f} s away ({pairs:.0%} as many pairs): "
         "the clock may be off by that; record events at uneven intervals, or give sync_events"
@@ -162,13 +162,13 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     ),
     "heights-unknown": "heights are unknown: distances are horizontal",
     # task lists
-    "listed-of-robot": "{tasks} tasks of the robot are not used: its log tells its tasks",
-    "listed-outside": "{outside} of {tasks} tasks of the operator lie outside of every execution",
+    "listed-of-robot": "{tasks} tasks of the robot are not used: its log shows its tasks",
+    "listed-outside": "{outside} of {tasks} tasks of the operator are outside of every execution",
     # the dataset
-    "made-anew": "the dataset that was there was damaged, or of another version, and was made anew",
-    "repaired": "made anew, since the dataset was not as it was written: {files}",
+    "made-anew": "the existing dataset was damaged, or of another version, and was made again",
+    "repaired": "made again, because files had changed since they were written: {files}",
     "source-without-log": "source {path!r} of the cell file matches no log",
-    "no-positions": ("no positions: nothing tells where robot and people were, so no motion or safety can be learned"),
+    "no-positions": ("no positions of robot and people, so no motion or safety can be learned"),
     "logs-unpaired": (
         "{robots} robot logs ({robot}, …) are without people, {others} logs ({other}, …) without a "
         "robot: unclear which belong together. Put each session into a folder of its own, or give its logs the "
@@ -193,7 +193,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
         "the values are levels times an operator slider ({sliders}); the levels are given without it"
     ),
     "learned-in-files": (
-        "more samples than memory takes: levels were found in {executions} executions, rows learned from in files"
+        "more samples than fit into memory: levels were found in {executions} executions, rows learned from in files"
     ),
     "model-data": "{text}",
     "model-beaten": "{text}",

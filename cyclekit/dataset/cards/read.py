@@ -42,7 +42,7 @@ def read_content(file: Path, *, most_bytes: int = MAX_BYTES) -> bytes:
         BadCard: It is too large for a card.
     """
     if regular(file).stat().st_size > most_bytes:
-        raise BadCard(f"larger than {most_bytes >> 20} MB, which no card is")
+        raise BadCard(f"larger than {most_bytes >> 20} MB, too large for a card")
     return file.read_bytes()
 
 
@@ -55,13 +55,13 @@ def parse_json(content: bytes) -> dict[str, Any]:
     try:
         found = msgspec.json.decode(content)
     except UnicodeError as error:
-        raise BadCard("no text in UTF-8") from error
+        raise BadCard("not text in UTF-8") from error
     except RecursionError as error:
         raise BadCard("nested too deeply for JSON") from error
     except ValueError as error:
-        raise BadCard(f"no JSON that can be read ({_plain(error)})") from error
+        raise BadCard(f"not valid JSON ({_plain(error)})") from error
     if not isinstance(found, dict):
-        raise BadCard("no JSON object")
+        raise BadCard("not a JSON object")
     return found
 
 

@@ -124,7 +124,7 @@ def plan(
         EstimateError: Every allowed order needs a task that was never logged, or there is no operator track.
     """
     if model.problem != "now":
-        msg = f"the model predicts problem {model.problem!r}; a plan needs the scaling of the present instant"
+        msg = f"the model predicts problem {model.problem!r}; a plan needs the present scaling"
         cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
         raise ModelError(msg, cure=cure)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)
@@ -142,7 +142,7 @@ def plan(
     if not np.isfinite(looked_up):
         raise EstimateError(
             f"{jobs.shown}: cycles do not end within {3 * length:.0f} s",
-            cure="The operator's tracks leave the robot halted; check the tracker's frame and clock.",
+            cure="The operator's tracks keep the robot at speed 0 %; check the tracker's frame and clock.",
         )
     walker = Walker(model, dataset, jobs, seed, other_cell)
     (found,) = walker.estimates([order], validate=validate, check=check)

@@ -155,5 +155,5 @@ def load_jobs(path: Path) -> Jobs:
     """
     raw = read_toml(path)
     if not raw:
-        raise ConfigError(f"{path}: no work in it", cure=_EXAMPLE)
+        raise ConfigError(f"{path}: no jobs in it", cure=_EXAMPLE)
     return followed(str(path), raw, Jobs, shown=str(path), unlogged=frozenset())

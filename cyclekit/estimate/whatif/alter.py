@@ -174,7 +174,7 @@ def _as_often(
     share = float(away[own].mean())
     stretch = (1 / frequency - (1 - share)) / share if share > 0 else 0.0
     if share < 0.02 or stretch <= 0:
-        seen = f"change {name!r}: the operator is away {share:.0%} of the time, so he cannot come "
+        seen = f"change {name!r}: the operator is away {share:.0%} of the time, so the operator cannot come "
         raise EstimateError(
             f"{seen}{frequency:g} times as often",
             cure=f"At most {1 / max(1 - share, 1e-9):.2f} times is possible.",

@@ -168,9 +168,9 @@ def _marked(change: Change, after: CycleEstimate, logged: Dynamics) -> CycleEsti
     if change.levels:
         found.append(_in_time(change, logged))
     if change.base_m is not None and not change.levels:
-        found.append("the learned safety function is taken to move with the robot's base")
+        found.append("the learned safety function is assumed to move with the robot's base")
     if change.places:
-        found.append("motions to moved places are bent and stretched, not planned anew")
+        found.append("motions to moved places are bent and stretched logged motions, not planned again")
     return replace(after, warnings=(*after.warnings, *found))
 
 
@@ -179,8 +179,8 @@ def _in_time(change: Change, logged: Dynamics) -> str:
     kept = {name: value for name, value in vars(logged).items() if value and name not in change.dynamics}
     if kept:
         told = ", ".join(f"{name} {value:.3g}" for name, value in kept.items())
-        return f"the changed safety function acts in time as the logged one does: {told}"
-    return "nothing is kept of the logged latency, ramps or hysteresis: none is known, or the change gives them"
+        return f"the changed safety function keeps the logged {told}"
+    return "no logged latency, ramp or hysteresis is kept: none is known, or the change sets them"
 
 
 def _compared(change: Change, before: CycleEstimate, after: CycleEstimate, seed: int) -> WhatIf:

@@ -125,7 +125,7 @@ class Change:
     def _refuse_dynamics(self) -> None:
         for name, value in self.dynamics.items():
             if name.startswith("ramp_") and not value > 0:
-                self._refuse(f"{name} {value}", "Give more than 0 per second; inf means at once.")
+                self._refuse(f"{name} {value}", "Give more than 0 per second; inf means without a ramp.")
             if not name.startswith("ramp_") and not 0 <= value < math.inf:
                 self._refuse(f"{name} {value}", "Give 0 or more.")
 

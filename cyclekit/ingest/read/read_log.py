@@ -55,7 +55,7 @@ _ENDS = ("t_s", "end_s")
 QUARANTINE = "quarantine"
 MAKING = ".making-"
 """Begins the name of the folder that a recording is written in before it has its own."""
-UNPROTECTED = "none: a flipped bit passes unnoticed unless it makes a value impossible"
+UNPROTECTED = "none: a flipped bit is found only where it makes a value impossible"
 """What a recording's fact `checksum` says where its adapter knows of none."""
 SHORT_BYTES, SHORT_ROWS = 1 << 20, 1024
 """A recording of a log of fewer bytes, and of up to so many rows, can be held until others are written with it."""

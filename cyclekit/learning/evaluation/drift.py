@@ -100,7 +100,7 @@ def drift(model: TrainedModel, trained_on: Dataset, newer: Dataset) -> Drift:
         ModelError: The model predicts something else than the present scaling, or was not trained on that dataset.
     """
     if model.problem != "now":
-        msg = f"the model predicts problem {model.problem!r}; drift is read from the scaling of the present instant"
+        msg = f"the model predicts problem {model.problem!r}; drift is read from the present scaling"
         cure = f"Train one: {command_line('train', trained_on.place, '--problem', 'now', '--out', 'MODEL')}"
         raise ModelError(msg, cure=cure)
     held_out = model.card.held_out

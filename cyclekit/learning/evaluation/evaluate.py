@@ -126,7 +126,7 @@ class Evaluation(Result):
         return pl.DataFrame([dict(vars(row)) for row in self.mse])
 
     def _said(self) -> list[str]:
-        named = "" if self.accuracy is None else f", {self.accuracy:.1%} of levels named rightly"
+        named = "" if self.accuracy is None else f", {self.accuracy:.1%} of levels predicted correctly"
         about = f"{self.network} for problem {self.problem}, {len(self.executions)} executions"
         return [f"{about}; mean absolute error {self.metrics.mae:.4f}, MSE {self.metrics.mse_mean:.2e}{named}"]
 
@@ -164,29 +164,31 @@ def evaluate(
     executions = _held_out(model) if same else tuple(dataset.executions["execution"].to_list())
     every = len(executions)
     executions = some_executions(dataset, executions, memory_rows())
-    tell(0.02, "reading the executions to judge by")
+    tell(0.02, "reading the test executions")
     rows = _rows(model, dataset, executions)
     if not len(rows):
         why = "; ".join(f"{reason}: {count}" for reason, count in rows.dropped.items()) or "it is empty"
-        msg = f"{dataset.path}: no sample can be judged ({why})"
+        msg = f"{dataset.path}: no sample can be evaluated ({why})"
         raise DatasetError(msg, cure=f"See what the logs lack: {command_line('inspect', dataset.place)}")
-    tell(0.2, f"judging {len(rows)} samples")
+    tell(0.2, f"evaluating {len(rows)} samples")
     metrics = measure(model, rows)
     table, notes, better = list(_read_outs(metrics)), list[str](), None
     if len(executions) < every:
-        notes.append(f"{len(executions)} of {every} executions are judged, drawn at random: memory takes no more")
+        notes.append(
+            f"{len(executions)} of {every} executions are evaluated, drawn at random: the memory is too small for all"
+        )
     notes += said_of_height(dataset.samples(executions, columns=["human_x_m", "human_z_m"]))
     if same:
-        tell(0.4, "reading what the rivals learn from")
+        tell(0.4, "reading the training samples of the baselines")
         learned = _rows(model, dataset, some_executions(dataset, _learned_from(model), memory_rows()))
-        tell(0.6, f"fitting the rivals to {len(learned)} samples")
+        tell(0.6, f"fitting the baselines to {len(learned)} samples")
         others = rivals(learned, rows, model.levels, boosting=boosting)
         table += [ErrorRow(other.name, float(other.squared.mean()), other.note) for other in others]
         squared = (model.predict(rows.model_inputs) - rows.scaling) ** 2
         better = better_rival(model.card.spec, squared, {other.name: other.squared for other in others}, rows.execution)
     else:
-        notes.append("not the dataset the model was trained on: all executions are judged, without rivals")
-    tell(0.95, "naming levels")
+        notes.append("not the dataset the model was trained on: all executions are evaluated, without baselines")
+    tell(0.95, "evaluating levels")
     confusion = _confusion(model, rows) if model.levels and model.problem != "average" else None
     return Evaluation(
         model.problem,
@@ -252,10 +254,12 @@ def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) ->
 
 def _read_outs(metrics: Metrics) -> list[ErrorRow]:
     rows = [
-        ErrorRow("model", metrics.mse_mean, "best estimate: mean of the levels under their probabilities, or the value")
+        ErrorRow(
+            "model", metrics.mse_mean, "best estimate: mean of the levels weighted by their probabilities, or the value"
+        )
     ]
     if metrics.mse_argmax is not None:
-        rows.append(ErrorRow("model, step named", metrics.mse_argmax, "the level of the likeliest step"))
+        rows.append(ErrorRow("model, most likely step", metrics.mse_argmax, "the level of the most likely step"))
     return rows
 
 

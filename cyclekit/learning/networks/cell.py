@@ -68,9 +68,9 @@ def refuse_other_cell(card: TrainingCard, dataset: Dataset, *, other_cell: bool 
     reason = None if other_cell else other_cell_of(card, dataset)
     if reason is not None and card.cell is not None:
         raise ModelError(
-            f"{dataset.path}: not the cell {card.cell.name!r} that the model was learned in: {reason}",
-            cure="Train a model of this cell: cyclekit train DATASET --out MODEL; or add --other-cell where another "
-            "cell is meant (from Python other_cell=True).",
+            f"{dataset.path}: not the cell {card.cell.name!r} that the model was trained on: {reason}",
+            cure="Train a model of this cell: cyclekit train DATASET --out MODEL; or add --other-cell to use it for "
+            "another cell (from Python other_cell=True).",
         )
 
 
@@ -83,7 +83,7 @@ def other_cell_of(card: TrainingCard, dataset: Dataset) -> str | None:
     common = sorted(set(learned.logs) & set(here.logs))
     for log in common:
         if _moved(learned.logs[log], here.logs[log]):
-            return "the same logs stand in another frame"
+            return "the same logs are in another frame"
     if common:
         return None
     return _other_places(learned.places, here.places) or _other_levels(learned.levels, here.levels)
@@ -102,7 +102,7 @@ def _other_places(learned: Mapping[str, _Spot], here: Mapping[str, _Spot]) -> st
     was = (
         f", and was at ({', '.join(f'{value + 0.0:.2f}' for value in learned[first][:3])})" if first in learned else ""
     )
-    return f"{len(lost)} of {len(here)} places are not where it was trained, such as {first} at ({shown}) m{was}"
+    return f"{len(lost)} of {len(here)} places are not where they were in training, such as {first} at ({shown}) m{was}"
 
 
 def _found(name: str, place: _Spot, others: Mapping[str, _Spot]) -> bool:
@@ -120,7 +120,7 @@ def _other_levels(learned: Sequence[float], here: Sequence[float]) -> str | None
     if len(known) >= SAME * len(here):
         return None
     told, seen = (", ".join(f"{level:.2f}" for level in levels) for levels in (learned, here))
-    return f"the speed scaling has the levels {seen}, and had {told}"
+    return f"the speed scaling has the levels {seen}, in training {told}"
 
 
 def _frame(frame: FrameCard) -> tuple[float, ...] | None:

@@ -44,7 +44,7 @@ _DECAY_ROWS, _MOST_DECAY = 3000, 0.1
 
 
 class CutOff(ConfigError):
-    """A network answers 0, or 1, whatever it is asked: outputs are cut there and have no slope to learn by."""
+    """A network answers 0, or 1, for every input: outputs are cut there and have no slope to learn by."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ def _run(
         if spec.patience is not None and since >= spec.patience:
             break
     if mse > spread and not spec.kind.names_levels and (value := _cut_off(network, check)) is not None:
-        msg = f"training failed: after {number} epochs the network answers {value:g} whatever it is asked"
+        msg = f"training collapsed: after {number} epochs the output is {value:g} for every input"
         raise CutOff(msg, cure="Choose another --seed, --optimiser adamw or --norm none.")
     if not math.isfinite(best):
         msg = f"training diverged: the validation error is {mse} after {epochs} epochs"

@@ -77,7 +77,7 @@ class TrainedModel(Result):
     def predict(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """Return the scaling with the least expected squared error.
 
-        For a classifier that is the mean of the levels under its probabilities, not the level of the likeliest step.
+        For a classifier that is the mean of the levels under its probabilities, not the level of the most likely step.
 
         Args:
             X: Inputs, metres, base frame; columns as in `inputs`. Shape (N, F), of a recurrent network (N, K, F), the
@@ -118,7 +118,7 @@ class TrainedModel(Result):
         if names_levels(self.network):
             return np.asarray(self._run(X).argmax(axis=1), np.int64)
         if not self.levels:
-            msg = "the model knows no levels, so it cannot name a step"
+            msg = "the model has no levels, so it predicts no step"
             raise ModelError(msg)
         levels = np.array(self.levels)
         return np.searchsorted((levels[1:] + levels[:-1]) / 2, self.predict(X)).astype(np.int64)
@@ -139,7 +139,9 @@ class TrainedModel(Result):
         if bad.any():
             rows = int(bad.reshape(len(X), -1).any(axis=1).sum())
             msg = f"{rows} of {len(X)} rows hold an unknown input (NaN or infinite)"
-            raise ShapeError(msg, cure="Leave these rows out; where nobody is there, use scaling_without_operator.")
+            raise ShapeError(
+                msg, cure="Leave these rows out; where the operator is absent, use scaling_without_operator."
+            )
         return self._finite(X)
 
     def _finite(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
@@ -224,7 +226,7 @@ def _save(path: Path, model: TrainedModel) -> None:
 
 def _refuse_other(path: Path) -> None:
     if path.exists() and not (path.is_dir() and ((path / CARD).is_file() or not any(path.iterdir()))):
-        msg = f"{path}: is there already and is no model, so it is not replaced"
+        msg = f"{path}: exists and is not a model, so it is not replaced"
         raise ModelError(msg, cure="Choose another folder with --out.")
 
 

@@ -155,10 +155,12 @@ class ModelSpec:
         recurrent = self.kind.lstm_layers > 0
         count, every = self.history or ((2, 1) if recurrent else (1, 1))
         if recurrent and self.features == "distance":
-            raise ConfigError(f"a {self.network} with features {self.features!r}", cure="It sees positions only.")
+            raise ConfigError(
+                f"a {self.network} with features {self.features!r}", cure="Its inputs are positions only."
+            )
         if not (count > 1 if recurrent else count == 1) or not 1 <= every <= 1000 or count > 1000:
             msg = f"a {self.network} with a history of {count} samples, {every} rows apart"
-            cure = "Recurrent networks need 2 to 1000 samples; the others see one, (1, 1)."
+            cure = "Recurrent networks need 2 to 1000 samples; the others take one, (1, 1)."
             raise ConfigError(msg, cure=cure)
         if len(self.hidden) < self.kind.least_hidden:
             msg = f"{self.network} with {len(self.hidden)} hidden layers"

@@ -199,5 +199,5 @@ def _notes(rule: str, *, is_distance: bool, parts: Mapping[str, float]) -> tuple
             f"{rule if rule not in DISTANCES else 'the network'} "
             f"{parts[rule] if rule not in DISTANCES else parts['network']:.1%}; thresholds in metres mean little here"
         )
-    found.append("read from logs where nobody measured the safety system: no safety proof")
+    found.append("read from logs, the safety system was not measured: no safety proof")
     return tuple(found)

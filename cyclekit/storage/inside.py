@@ -65,8 +65,8 @@ def fitting(name: str) -> str:
 
     Two names may become one; who needs them apart numbers them.
     """
-    plain = shortened(_UNFIT.sub("_", name).rstrip(". "))
-    return plain if unfit(plain) is None else f"_{plain}"
+    plain = _UNFIT.sub("_", name).rstrip(". ")
+    return shortened(f"_{plain}" if not plain or _DEVICE.fullmatch(plain) else plain)
 
 
 def leads_out(path: Path, folder: Path) -> bool:

@@ -78,6 +78,8 @@ def test_whatever_the_name_the_path_is_in_the_folder_or_there_is_none(name: str)
 
 
 @given(NAMES)
+@example("NUL." + 300 * "x")  # must not be cut and marked in turn
+@example(240 * "x" + ". " + 10 * "y")
 def test_a_name_can_be_made_to_fit_and_then_stays_as_it_is(name: str):
     fit = fitting(name)
     assert unfit(fit) is None

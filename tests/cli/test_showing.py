@@ -64,7 +64,7 @@ def test_a_format_that_there_is_not_is_a_usage_error(cyclekit: Shell, cell: Path
     for options in (["--out", tmp_path / "r.docx"], ["--out", tmp_path / "r.html", "--format", "docx"]):
         failed = cyclekit("report", cell, *options)
         assert failed.code == 2
-        assert "'docx' is none of html, json, csv, md" in failed.err
+        assert "'docx' is not one of html, json, csv, md" in failed.err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -278,7 +278,7 @@ def test_a_robot_and_its_tracker_in_one_folder_are_one_session(tmp_path: Path, r
     found = Dataset.open(ingest([tmp_path / "logs"], tmp_path / "dataset").dataset)
     assert {entry.session for entry in found.recordings} == {found.executions["session"][0]}
     assert found.samples()["human_x_m"].null_count() == 0
-    assert any("clock relates" in text for entry in found.recordings for text in entry.said)
+    assert any("a common start is assumed" in text for entry in found.recordings for text in entry.said)
 
 
 def test_sessions_in_folders_of_their_own_keep_apart(tmp_path: Path, robot_log: Any, motive_log: Any):

@@ -49,14 +49,14 @@ def test_another_dataset_is_judged_whole_and_without_rivals(model, tmp_path):
     found = evaluate(model, other)
     assert not found.held_out
     assert list(found.executions) == other.executions["execution"].to_list()
-    assert [row.name for row in found.mse] == ["model", "model, step named"]
+    assert [row.name for row in found.mse] == ["model", "model, most likely step"]
     assert found.notes
 
 
 def test_the_rivals_stand_beside_the_model(judged):
     mse = {row.name: row.mse for row in judged.mse}
     assert list(mse) == [
-        "model", "model, step named", "constant mean", "distance staircase", "gradient boosting",
+        "model", "model, most likely step", "constant mean", "distance staircase", "gradient boosting",
     ]  # fmt: skip
     assert mse["model"] < mse["constant mean"] / 2
     assert mse["distance staircase"] < 0.003  # the cell's staircase is one of the distance

@@ -67,7 +67,7 @@ class Beaten:
     """An evaluation in which a baseline has the smaller error."""
 
     def __init__(self, best="distance staircase", mse=8.2e-5):
-        rows = {"model": 8.0e-4, "model, step named": 1.1e-3, "constant mean": 0.138, best: mse}
+        rows = {"model": 8.0e-4, "model, most likely step": 1.1e-3, "constant mean": 0.138, best: mse}
         self.rows = [{"name": name, "mse": value, "note": ""} for name, value in rows.items()]
 
     def to_dict(self):

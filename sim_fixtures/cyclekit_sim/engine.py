@@ -103,6 +103,13 @@ class _Cells:
         self._nominal_s = np.zeros(len(programs))
         self._segment = np.zeros(len(programs), dtype=np.int64)
         self.ends_s = [np.zeros(len(program.kind)) for program in programs]
+        self._look_up()
+
+    def _look_up(self) -> None:
+        """Look up what the running segments are; it stays until one of them ends."""
+        line, flat = self._line, self._line.base + self._segment
+        self._row, self._rows_per_s, self._length_s = line.row[flat], line.rows_per_s[flat], line.length_s[flat]
+        self._moving = line.moving[flat]
 
     @property
     def running(self) -> NDArray[np.bool_]:
@@ -116,19 +123,20 @@ class _Cells:
 
     def step(self, t_s: float, person_m: Array) -> tuple[Array, Array, Ints]:
         """Go on by one cycle from `t_s`; return nominal time, s and segment (B,) as they were at its start."""
-        line, dt, u = self._line, self._cycle_s, self._nominal_s
-        segment = self._segment.copy()
-        flat = line.base + segment
-        row, way = table_rows(line.row[flat], u, line.rows_per_s[flat])
+        dt, u, segment = self._cycle_s, self._nominal_s, self._segment
+        row, way = table_rows(self._row, u, self._rows_per_s)
         s = self._scaling.advance(self._tcp[row] + way[:, None] * self._tcp_step[row], person_m)
-        rate = np.where(line.moving[flat], s, 1.0)
-        left = line.length_s[flat] - u
+        rate = np.where(self._moving, s, 1.0)
+        left = self._length_s - u
         self._nominal_s = u + rate * dt
-        for b in np.flatnonzero(rate * dt >= left).tolist():
-            used = left[b] / rate[b]
-            self.ends_s[b][segment[b]] = t_s + used
-            self._segment[b] += 1
-            self._nominal_s[b] = (dt - used) * (s[b] if line.moving[flat[b] + 1] else 1.0)
+        ending = rate * dt >= left
+        if ending.any():
+            self._segment = segment + ending
+            self._look_up()
+            for b in np.flatnonzero(ending).tolist():
+                used = left[b] / rate[b]
+                self.ends_s[b][segment[b]] = t_s + used
+                self._nominal_s[b] = (dt - used) * (s[b] if self._moving[b] else 1.0)
         return u, s, segment
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from ruckig import InputParameter, Result, Ruckig, Trajectory
@@ -55,20 +56,33 @@ def plan_moves(places: Mapping[str, Place], pairs: Iterable[tuple[str, str]]) ->
         SimulationError: A place is out of reach, or ruckig finds no motion.
     """
     wanted = sorted(set(pairs))
-    joints = {name: reach(places[name]) for name in sorted({name for pair in wanted for name in pair})}
     first_row, rows, duration_s = {}, {}, {}
     parts: list[tuple[Array, ...]] = []
     at = 0
     for pair in wanted:
-        q, qd, duration = _plan(joints[pair[0]], joints[pair[1]])
-        first_row[pair], rows[pair], duration_s[pair] = at, len(q) - 1, duration
-        at += len(q)
-        # Move by move, so that a move is the same to the last bit whatever other moves are planned with it.
-        tcp_m, rotation = forward(q)
-        twist = np.einsum("tij,tj->ti", jacobian(q), qd)
-        parts.append((q, qd, tcp_m, quaternion(rotation), twist))
+        *part, duration = _move(places[pair[0]], places[pair[1]])
+        first_row[pair], rows[pair], duration_s[pair] = at, len(part[0]) - 1, duration
+        at += len(part[0])
+        parts.append(tuple(part))
     q_rad, qd_rad_s, tcp_m, turned, twist = (np.concatenate(column) for column in zip(*parts, strict=True))
     return MotionTable(q_rad, qd_rad_s, tcp_m, turned, twist, first_row, rows, duration_s)
+
+
+@lru_cache(maxsize=64)
+def _move(start: Place, goal: Place) -> tuple[Array, Array, Array, Array, Array, float]:
+    """Return joints, joint speeds, TCP, orientation, twist and duration of one move.
+
+    Move by move, so that a move is the same to the last bit whatever other moves are planned with it; and kept, as
+    the next simulation of a scene makes the same moves.
+    """
+    q, qd, duration = _plan(_joints(start), _joints(goal))
+    tcp_m, rotation = forward(q)
+    return q, qd, tcp_m, quaternion(rotation), np.einsum("tij,tj->ti", jacobian(q), qd), duration
+
+
+@lru_cache(maxsize=64)
+def _joints(place: Place) -> Array:
+    return reach(place)
 
 
 def _plan(start: Array, goal: Array) -> tuple[Array, Array, float]:

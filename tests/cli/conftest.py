@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
+from judged_once import judged_once  # noqa: F401 - for every test of this folder
 from made_once import made_once, simulated
 
 from cyclekit.cli import run

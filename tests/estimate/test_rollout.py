@@ -39,11 +39,6 @@ estimate = partial(estimate_validated, validate=False)
 SHORT = TaskSequence("short", ("home", "conveyor", "left_1", "home"))
 
 
-@pytest.fixture(scope="module")
-def routes(logged: Dataset) -> list[tuple[str, ...]]:
-    return [entry.places for entry in logged.card.executions]
-
-
 def some_route(routes: Sequence[tuple[str, ...]], length: int) -> TaskSequence:
     """A sequence of logged tasks: the first places of an execution, then the way home of another."""
     head = routes[0][: length - 2]

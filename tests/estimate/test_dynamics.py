@@ -1,0 +1,64 @@
+"""The dynamics of s: how late it follows, how fast it falls and rises, and where."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from cyclekit.dataset.cards import DynamicsCard, TrainingCard
+from cyclekit.estimate.check import check_rollout
+from cyclekit.estimate.safety import Dynamics, Follower
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.dataset import Dataset
+
+
+class Sides:
+    """0.2 where the operator is nearer than 2 m on the x axis, else 1."""
+
+    problem, card = "now", TrainingCard()
+
+    def predict(self, X: np.ndarray) -> np.ndarray:
+        return np.where(np.abs(X[:, 3] - X[:, 0]) < 2.0, 0.2, 1.0)
+
+
+def followed(dynamics: Dynamics, places: list[float]) -> list[float]:
+    follower = Follower(Sides(), dynamics, 0.1)
+    return [float(follower.advance(np.zeros((1, 3)), np.array([[x, 0.0, 0.0]]))[0]) for x in places]
+
+
+def test_s_follows_late_and_on_ramps():
+    steps = [3.0, 3.0, 1.0, 1.0, 1.0, 1.0, 3.0, 3.0]
+    assert followed(Dynamics(), steps) == [1, 1, 0.2, 0.2, 0.2, 0.2, 1, 1]
+    assert followed(Dynamics(latency_s=0.2), steps) == [1, 1, 1, 1, 0.2, 0.2, 0.2, 0.2]
+    assert followed(Dynamics(ramp_down_per_s=4.0, ramp_up_per_s=2.0), steps) == pytest.approx(
+        [1, 1, 0.6, 0.2, 0.2, 0.2, 0.4, 0.6]
+    )
+
+
+def test_s_rises_farther_out_than_it_falls():
+    way = [2.3, 2.1, 2.0, 1.85, 2.0, 2.1, 2.3]
+    assert followed(Dynamics(hysteresis_m=0.4), way) == [1, 1, 1, 1, 1, 1, 1]
+    way = [2.3, 1.7, 1.9, 2.1, 2.3]
+    assert followed(Dynamics(hysteresis_m=0.4), way) == [1, 0.2, 0.2, 0.2, 1]
+
+
+def test_what_the_card_tells_of_the_dynamics_is_used():
+    assert Dynamics.of(DynamicsCard()).none
+    card = DynamicsCard(latency_s=0.1, hysteresis_m=0.0)
+    assert Dynamics.of(card) == Dynamics(latency_s=0.1, hysteresis_m=0.0)
+    assert not Dynamics.of(card).none
+
+
+def test_beside_other_operators_s_follows_as_late_as_beside_their_own(
+    logged: Dataset, staircase: Any, monkeypatch: Any
+):
+    """Slow recovery makes every cycle longer; no operator reacts to the robot because of it."""
+    at_once = check_rollout(staircase, logged)
+    monkeypatch.setattr(logged, "card", structs.replace(logged.card, dynamics=DynamicsCard(ramp_up_per_s=0.1)))
+    slow = check_rollout(staircase, logged)
+    assert slow.own_bias > at_once.own_bias + 0.02
+    assert slow.crossed_bias - slow.own_bias == pytest.approx(at_once.crossed_bias - at_once.own_bias, abs=0.01)

@@ -5,7 +5,8 @@ import ezc3d
 import numpy as np
 import pytest
 from damage import read_damaged, read_or_refuse
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
@@ -112,7 +113,7 @@ def test_up_is_the_axis_that_points_up_on_the_screen(tmp_path, screen, up):
     assert ADAPTER.read(path, ReadOptions(map={"up": "y"})).up == "y"
 
 
-@settings(max_examples=30)
+@at_most(30)
 @given(frames=st.integers(1, 6), markers=st.integers(1, 4), analogs=st.integers(0, 3), seed=st.integers(0, 99))
 def test_points_are_what_ezc3d_reads_with_analog_samples_between_them_or_not(
     tmp_path_factory, frames, markers, analogs, seed

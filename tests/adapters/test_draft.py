@@ -5,7 +5,8 @@ import tomllib
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from examples import at_most
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
@@ -118,7 +119,7 @@ def tables(draw):
     return mark.join(name for name, _ in columns) + "\n" + "\n".join(rows) + "\n", truth
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@at_most(60, suppress_health_check=[HealthCheck.too_slow])
 @given(tables())
 def test_a_draft_without_doubt_reads_the_table_as_it_was_meant(tmp_path_factory, table):
     text, truth = table
@@ -317,7 +318,7 @@ cells = st.one_of(
 )
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+@at_most(150, suppress_health_check=[HealthCheck.too_slow])
 @given(
     rows=st.lists(st.lists(cells, min_size=1, max_size=6), max_size=8),
     mark=st.sampled_from([",", ";", "\t", "|", " "]),

@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 from damage import read_damaged
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
@@ -136,7 +137,7 @@ def link(a, d, alpha, theta):
     )
 
 
-@settings(max_examples=60, deadline=None)
+@at_most(60)
 @given(st.lists(st.floats(-3.1, 3.1), min_size=7, max_size=7))
 def test_the_flange_is_the_product_of_the_seven_link_matrices(q):
     h = math.pi / 2

@@ -5,7 +5,8 @@ import numpy as np
 import polars as pl
 import pytest
 from damage import read_damaged
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
@@ -200,7 +201,7 @@ def test_a_damaged_log_is_read_in_part_or_refused(tmp_path):
     read_damaged(ADAPTER, path, path.read_bytes(), seed=21)
 
 
-@settings(max_examples=40, deadline=None)
+@at_most(40)
 @given(st.lists(st.tuples(st.integers(-(10**6), 10**6), st.integers(1, 500)), min_size=1, max_size=20))
 def test_any_log_of_whole_rows_comes_back_as_it_was_written(tmp_path_factory, cycles):
     ipoc, rows = 0, []

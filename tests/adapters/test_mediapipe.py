@@ -5,7 +5,8 @@ import math
 import random
 
 import pytest
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
@@ -184,7 +185,7 @@ def dialects(draw):
     return "".join(mark.join(row) + "\n" for row in table)
 
 
-@settings(max_examples=120)
+@at_most(120)
 @given(text=dialects())
 def test_every_dialect_of_landmarks_has_one_reader_that_refuses_it(tmp_path_factory, text):
     path = tmp_path_factory.getbasetemp() / "any_landmarks.csv"

@@ -1,6 +1,7 @@
 import pytest
 from damage import read_damaged
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
@@ -122,7 +123,7 @@ def test_a_damaged_log_is_read_in_part_or_refused(tmp_path):
     read_damaged(ADAPTER, path, path.read_bytes(), seed=41, options=ReadOptions(rate_hz=100.0))
 
 
-@settings(max_examples=40, deadline=None)
+@at_most(40)
 @given(
     st.lists(st.tuples(*[st.floats(-5, 5)] * 3), min_size=1, max_size=20),
     st.floats(0.5, 2000),

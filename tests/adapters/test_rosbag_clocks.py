@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
@@ -238,7 +239,7 @@ def test_a_header_that_is_missing_in_some_messages_does_not_time_the_others(tmp_
     assert log.facts["time_because"] == f"no header time on 1 messages on {POSES}"
 
 
-@settings(max_examples=50, deadline=None)
+@at_most(50)
 @given(st.integers(0, 10**6), st.floats(-2e9, 2e9), st.floats(-4e-3, 4e-3), st.integers(2, 5000))
 def test_no_message_arrives_before_the_line_and_the_line_is_the_true_one(seed, offset, drift, count):
     rng = np.random.default_rng(seed)

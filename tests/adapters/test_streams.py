@@ -14,7 +14,8 @@ RATED = ReadOptions(rate_hz=25.0, skeletons=True)
 @pytest.mark.parametrize("block_bytes", [1, 100, 500])
 @pytest.mark.parametrize("name", WRITERS)
 def test_parts_of_a_log_are_together_the_log_read_at_once(tmp_path, monkeypatch, name, block_bytes):
-    path = WRITERS[name](tmp_path, 40)
+    frames = 40 if block_bytes == 500 else 16  # else nearly every line is a part
+    path = WRITERS[name](tmp_path, frames)
     adapter = adapter_named(name).adapter
     assert isinstance(adapter, StreamingAdapter)
     at_once = adapter.read(path, RATED)
@@ -24,7 +25,7 @@ def test_parts_of_a_log_are_together_the_log_read_at_once(tmp_path, monkeypatch,
     assert len(parts) > 1
     assert at_once.tables().keys() == together.tables().keys()
     for table, frame in at_once.tables().items():
-        assert frame.height > 30
+        assert frame.height > 0.75 * frames
         assert together.tables()[table].equals(frame), table
     assert (together.set_aside.sort("source_row")).equals(at_once.set_aside.sort("source_row"))
     assert (together.warnings, together.facts) == (at_once.warnings, at_once.facts)

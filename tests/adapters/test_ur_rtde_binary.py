@@ -4,7 +4,8 @@ import numpy as np
 import polars as pl
 import pytest
 from damage import read_damaged
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
@@ -149,7 +150,7 @@ def test_a_damaged_recording_is_read_in_part_or_refused(tmp_path, ur):
     read_damaged(ADAPTER, path, binary(sample(ur)), seed=11)
 
 
-@settings(max_examples=30, deadline=None)
+@at_most(30)
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=12), st.integers(0, 400))
 def test_whatever_doubles_were_sent_come_back_bit_by_bit(tmp_path_factory, values, cut):
     names = [f"actual_TCP_pose_{axis}" for axis in range(3)]

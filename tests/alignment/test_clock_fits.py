@@ -8,7 +8,8 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from examples import at_most
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import cyclekit
@@ -28,7 +29,7 @@ def worst_s(fit: Any, t_s: np.ndarray, rate: float = RATE, offset: float = OFFSE
     return float(np.abs((fit.rate - rate) * t_s + fit.offset_s - offset).max())
 
 
-@settings(max_examples=60, deadline=None)
+@at_most(60)
 @given(
     st.floats(-2e9, 2e9),
     st.floats(-3e-3, 3e-3),

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from examples import at_most
 from fabricated import fabricate_dataset
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -172,7 +173,7 @@ def test_a_name_in_a_table_is_one_row(name: str) -> None:
 
 
 @given(name=NAMES)
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30)
+@at_most(30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_no_argument_comes_back_as_a_control(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     capsys.readouterr()
     name = name.replace("\0", "").encode("utf-8", "ignore").decode()  # no process can be given the others

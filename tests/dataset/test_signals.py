@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 from log_cards import log_card
 
@@ -55,7 +56,7 @@ def by_hand(times: list[float], values: list[int | None]) -> list[float]:
     return found
 
 
-@settings(max_examples=60, deadline=None)
+@at_most(60)
 @given(st.lists(st.tuples(st.sampled_from([0.008, 0.5]), st.sampled_from([0, 1, 4, 5, None])), min_size=1, max_size=24),
        st.integers(1, 9))  # fmt: skip
 def test_changes_do_not_depend_on_the_parts_of_the_table(file: Path, rows, group_rows: int):

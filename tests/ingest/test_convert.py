@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
@@ -78,7 +79,7 @@ def test_nothing_is_averaged_across_a_gap_or_a_restart_of_the_clock():
     assert found["tcp_x_m"].to_list() == [0.0, 1.0, 2.0]
 
 
-@settings(max_examples=60, deadline=None)
+@at_most(60)
 @given(
     st.lists(st.sampled_from([0.008, 0.004, 0.1, 3.0, -0.5]), min_size=1, max_size=80),
     st.lists(st.integers(0, 80), max_size=5),

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import example, given, settings
+from examples import at_most
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Source
@@ -229,7 +230,7 @@ def test_an_average_never_looks_across_a_gap_or_beyond_the_log():
     assert found == pytest.approx(t_s + np.where(t_s > 5.5, 100.0, 0.0))
 
 
-@settings(max_examples=60, deadline=None)
+@at_most(60)
 @given(st.lists(st.floats(0.001, 0.5), min_size=2, max_size=60), st.lists(st.floats(0, 10), min_size=1, max_size=30))
 def test_the_average_of_a_straight_walk_is_the_walk_whatever_the_frames_and_times(steps: list[float], at: list[float]):
     t = np.cumsum(steps)
@@ -324,7 +325,7 @@ def test_nobody_in_the_cell_is_nobody_in_the_samples(cells: Cells):
     assert cell.dataset.tasks()["safety_loss_s"].abs().max() < 0.02
 
 
-@settings(max_examples=60, deadline=None)
+@at_most(60)
 @given(seed=st.integers(0, 10_000), width_s=st.sampled_from([0.0, 0.1]))
 @example(seed=244, width_s=0.0)  # a time that is that of the first row after a gap
 @example(seed=194, width_s=0.0)  # of the only row between two gaps

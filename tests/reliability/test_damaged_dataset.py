@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 import pytest
 from blake3 import blake3
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit import schema
@@ -294,7 +295,7 @@ def test_a_file_written_again_within_its_time_stamp_is_hashed_again(tmp_path: Pa
     assert checksums.change(file, entry) == "damaged"
 
 
-@settings(max_examples=50)
+@at_most(50)
 @given(st.dictionaries(st.text('ab\n"ü', max_size=3), st.text('ab\n"ü', max_size=9), min_size=1), st.data())
 def test_a_seal_breaks_with_any_change_of_what_stands_before_it(content: dict[str, str], data: st.DataObject):
     text = checksums.sealed(json.dumps(content, indent=1, ensure_ascii=False) + "\n")

@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from examples import drawn
 
 if TYPE_CHECKING:
     from types import ModuleType
 
 FILE = Path(__file__).parents[2] / "benchmarks" / "hostile_input.py"
+EXAMPLES = {"dataset card": drawn(100), "name of a log": drawn(100)}
+"""Inputs of the kinds that cost most, else 100; the slow tests below show that half find what is not checked."""
 KINDS = ("dataset card", "model card", "manifest", "cell file", "sequence file", "name of a log")
 
 
@@ -29,8 +32,9 @@ def benchmark(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_hostile_input_is_accepted_or_refused_in_one_message(kind: str, benchmark: ModuleType):
-    found = benchmark.run(100, 0, only=[kind])[kind]
-    assert found.inputs >= 90
+    count = EXAMPLES.get(kind, 100)
+    found = benchmark.run(count, 0, only=[kind])[kind]
+    assert found.inputs >= 0.9 * count
     assert found.accepted > 0  # else nothing but the first check was tried
     assert found.tracebacks == {}
     assert (found.outside, found.raw) == (0, 0), found.examples
@@ -58,7 +62,7 @@ def test_a_reader_without_checks_is_caught(
 ):
     for name, instead in careless.items():
         monkeypatch.setattr(name, instead)
-    assert benchmark.run(100, 0, only=[kind])[kind].outside > 0
+    assert benchmark.run(50, 0, only=[kind])[kind].outside > 0
 
 
 @pytest.mark.slow

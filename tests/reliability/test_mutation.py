@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from hypothesis import given, settings
+from examples import at_most, drawn
+from hypothesis import given
 from hypothesis import strategies as st
 from reliability.mutate import mutants
 from reliability.own_logs import OwnLog, own_logs
@@ -23,7 +24,7 @@ from cyclekit.ingest.registry import adapter_named
 if TYPE_CHECKING:
     from reliability.reading import Result
 
-EACH = 12
+EACH = drawn(12)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +59,7 @@ def test_a_harmed_log_gives_one_of_our_tables_or_one_of_our_refusals(logs: list[
     assert outcomes == {READ, PARTLY, REFUSED}
 
 
-@settings(max_examples=60, deadline=None)
+@at_most(60)
 @given(data=st.data())
 def test_any_bytes_anywhere_in_a_log_are_read_or_refused(logs: list[OwnLog], data: st.DataObject):
     log = data.draw(st.sampled_from(logs))

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
@@ -270,7 +271,7 @@ def test_runs_that_know_their_scaling_are_references_for_those_that_do_not():
     assert np.abs(found - expected)[seen].mean() < 0.01
 
 
-@settings(max_examples=60)
+@at_most(60)
 @given(st.floats(0.02, 1.0), st.integers(3, 300), st.floats(0.0, 1e4))
 def test_a_line_without_noise_has_its_slope_whatever_the_length(rate: float, rows: int, start: float):
     t = start + np.arange(rows) * PERIOD_S
@@ -286,7 +287,7 @@ def test_where_nothing_is_known_the_deviation_is_infinite():
     assert np.isfinite(found).all()
 
 
-@settings(max_examples=30)
+@at_most(30)
 @given(st.integers(0, 10_000), st.floats(0.2, 1.0))
 def test_a_repetition_is_found_where_it_is_on_the_path(seed: int, rate: float):
     reference, _ = run(lambda _: 1.0, noise=0.0)

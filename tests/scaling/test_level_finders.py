@@ -8,8 +8,9 @@ import warnings
 import numpy as np
 import polars as pl
 import pytest
+from examples import at_most
 from fabricated import LEVELS, fabricate_dataset
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
 from sklearn.cluster import DBSCAN, KMeans
@@ -152,7 +153,7 @@ def test_two_methods_that_disagree_are_a_warning():
     assert second_opinion(even, find_staircase(even)) is None
 
 
-@settings(max_examples=60, deadline=None)
+@at_most(60)
 @given(seed=st.integers(0, 10_000), eps=st.floats(0.001, 0.1), least=st.integers(1, 20))
 def test_weighted_clusters_are_those_of_scikit_learn_with_sample_weights(seed, eps, least):
     rng = np.random.default_rng(seed)
@@ -161,7 +162,7 @@ def test_weighted_clusters_are_those_of_scikit_learn_with_sample_weights(seed, e
     assert dbscan_1d(x, eps=eps, min_samples=least, weight=weight).tolist() == expected.tolist()
 
 
-@settings(max_examples=40, deadline=None)
+@at_most(40)
 @given(seed=st.integers(0, 10_000), k=st.integers(2, 5))
 def test_the_silhouette_is_that_of_scikit_learn_to_the_last_digits(seed, k):
     rng = np.random.default_rng(seed)

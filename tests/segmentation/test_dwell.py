@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 import pytest
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Source
@@ -134,7 +135,7 @@ def test_stands_in_which_it_was_halted_do_not_say_what_is_usual():
     )
 
 
-@settings(max_examples=60, deadline=None)
+@at_most(60)
 @given(waits_s=st.floats(0, 30), held_s=st.floats(0, 30), usual_s=st.floats(0.3, 5))
 def test_a_stand_is_overdue_since_the_process_was_over_however_long_it_waited_before(waits_s, held_s, usual_s):
     after_s = 0.5 * usual_s

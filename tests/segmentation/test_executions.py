@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.config import Cell, Executions, NamedPlace, load_cell
@@ -285,7 +286,7 @@ def test_spots_nearer_than_the_radius_are_one_group_and_none_is_left_out():
     assert sorted(np.concatenate(groups).tolist()) == list(range(70))
 
 
-@settings(max_examples=40, deadline=None)
+@at_most(40)
 @given(seed=st.integers(0, 10_000), shift=st.floats(-0.02, 0.02), turn=st.floats(0.0, 6.3))
 def test_groups_of_standstills_do_not_depend_on_where_the_axes_lie(seed: int, shift: float, turn: float):
     rng = np.random.default_rng(seed)
@@ -343,7 +344,7 @@ def test_tasks_are_found_in_spite_of_a_noisy_robot_log(cells: Cells, tmp_path: P
     assert late.abs().max() < 0.15
 
 
-@settings(max_examples=60, deadline=None)
+@at_most(60)
 @given(seed=st.integers(0, 10_000), spots=st.integers(1, 12), rows=st.integers(2, 400), centimetres=st.booleans())
 def test_passes_of_spots_are_counted_as_by_looking_at_every_row(seed: int, spots: int, rows: int, centimetres: bool):
     random = np.random.default_rng(seed)

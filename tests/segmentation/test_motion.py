@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.dataset.dataset import Dataset
@@ -148,7 +149,7 @@ def test_a_window_is_found_among_parts_of_any_length_and_order():
     assert found.scaling[355] == 0.25
 
 
-@settings(max_examples=40, deadline=None)
+@at_most(40)
 @given(st.lists(st.floats(0.0, 3.5), min_size=1, max_size=30), st.integers(0, 200), st.integers(0, 80))
 def test_samples_do_not_depend_on_how_a_log_is_stored(tmp_path_factory, times: list[float], hole: int, wide: int):
     frame = robot(np.delete(np.arange(450) / 125, slice(100 + hole, 100 + hole + wide)))

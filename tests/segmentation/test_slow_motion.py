@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import example, given, settings
+from examples import at_most
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cyclekit.dataset.dataset import Dataset
@@ -32,7 +33,7 @@ def there(t_s: np.ndarray, speed_m_s: float, way_s: float) -> np.ndarray:
     return np.column_stack([0.4 + 0.8 * x, 0.1 + 0.6 * x, np.full(len(t_s), 0.3)])
 
 
-@settings(max_examples=60, deadline=None)
+@at_most(60)
 @given(
     speed_m_s=st.floats(5e-4, 5e-2),
     quantum_m=st.sampled_from([0.0, 1e-6, 1e-5, 5e-5, 1e-4]),

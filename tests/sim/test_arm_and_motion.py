@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit_sim import SimulationError, scene_places
@@ -35,7 +36,7 @@ def test_the_tcp_is_where_the_data_sheet_puts_it(q: list[float]) -> None:
 
 
 @given(JOINTS, st.integers(0, 5))
-@settings(max_examples=30)
+@at_most(30)
 def test_the_jacobian_is_the_slope_of_the_tcp(q: list[float], joint: int) -> None:
     nudge = np.zeros(6)
     nudge[joint] = 1e-6

@@ -13,7 +13,8 @@ import numpy as np
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from examples import at_most
+from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit import schema
@@ -104,7 +105,7 @@ texts = st.lists(st.tuples(st.sampled_from(["playing", "paused", "", None]), st.
 
 
 @given(runs=texts, group_rows=st.integers(1, 9))
-@settings(deadline=None, max_examples=60)
+@at_most(60)
 def test_stretches_of_equal_texts_do_not_depend_on_the_pieces_of_a_table(
     runs: list[tuple[str | None, int]], group_rows: int, tmp_path_factory: pytest.TempPathFactory
 ):
@@ -126,7 +127,7 @@ def test_stretches_of_equal_texts_do_not_depend_on_the_pieces_of_a_table(
 _TEXTS = st.lists(st.sampled_from([None, "playing", "paused"]), min_size=1, max_size=30)
 
 
-@settings(deadline=None, max_examples=30)
+@at_most(30)
 @given(_TEXTS, st.lists(st.one_of(st.none(), st.floats(allow_nan=False), st.just(0.0)), min_size=30, max_size=30))
 def test_a_small_table_read_as_a_whole_says_what_it_says_in_pieces(
     tmp_path_factory: pytest.TempPathFactory, texts: list[str | None], numbers: list[float | None]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import random
 from typing import TYPE_CHECKING
 
+from examples import drawn
+
 from cyclekit.adapter import ReadOptions, Recording
 from cyclekit.errors import LogError
 
@@ -14,8 +16,10 @@ if TYPE_CHECKING:
 
     from cyclekit.adapter import Adapter
 
+CUTS, FLIPS, HOLES = drawn(30), drawn(40), drawn(15)
 
-def damaged(whole: bytes, seed: int, cuts: int = 30, flips: int = 40) -> Iterator[bytes]:
+
+def damaged(whole: bytes, seed: int, cuts: int = CUTS, flips: int = FLIPS) -> Iterator[bytes]:
     chance = random.Random(seed)
     for _ in range(cuts):
         yield whole[: chance.randrange(len(whole))]
@@ -24,7 +28,7 @@ def damaged(whole: bytes, seed: int, cuts: int = 30, flips: int = 40) -> Iterato
         for _ in range(chance.choice([1, 1, 8])):
             broken[chance.randrange(len(broken))] ^= 1 << chance.randrange(8)
         yield bytes(broken)
-    for _ in range(15):
+    for _ in range(HOLES):
         start = chance.randrange(len(whole))
         yield whole[:start] + bytes(min(64, len(whole) - start)) + whole[start + 64 :]
 
@@ -73,5 +77,5 @@ def read_damaged(
         rows.append(0 if log is None else log.rows_read)
     assert sum(count > 0 for count in rows) >= len(rows) / 10, "nearly every damaged copy is refused"
     if partly:
-        cut = rows[: harm.get("cuts", 30)]
+        cut = rows[: harm.get("cuts", CUTS)]
         assert any(0 < count < clean.rows_read for count in cut), "a log that was cut is refused as a whole"

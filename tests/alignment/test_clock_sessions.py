@@ -24,7 +24,7 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit_sim import SimulationOptions, simulate
 
 OFFSET_S, DRIFT, LEAD_S, ROBOT_START_S = 0.35, 50e-6, 6.0, 152.512
-EXECUTIONS = 10
+EXECUTIONS = 7
 
 
 def tracker_time(session_s: np.ndarray) -> np.ndarray:
@@ -34,10 +34,20 @@ def tracker_time(session_s: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Long enough for clocks to be placed as well as they can be."""
+    return logs_of(tmp_path_factory.mktemp("clocks") / "logs", EXECUTIONS)
+
+
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Long enough to say what is done with a clock."""
+    return logs_of(tmp_path_factory.mktemp("few") / "logs", 2)
+
+
+def logs_of(folder: Path, executions: int) -> Path:
     """The cell, with two logs more: the gripper as the tracker's input saw it, and the flange as the tracker saw it."""
-    folder = tmp_path_factory.mktemp("clocks") / "logs"
     options = SimulationOptions(clock_offset_s=OFFSET_S, clock_drift=DRIFT, dropout=0.05, delta_m=0.005)
-    simulate("box-picking", folder, executions=EXECUTIONS, seed=3, options=options)
+    simulate("box-picking", folder, executions=executions, seed=3, options=options)
     session = folder / "session_000"
     columns = ["timestamp", "actual_digital_output_bits", *(f"actual_TCP_pose_{i}" for i in range(3))]
     robot = pl.read_csv(session / "robot.csv", separator=" ", columns=columns).select(columns).to_numpy()
@@ -177,24 +187,24 @@ def test_pairs_of_the_cell_file_place_the_tracker(logs: Path, tmp_path: Path):
     assert worst_s(operator.clock, length_s(dataset)) < 1e-6
 
 
-def test_a_wrong_signal_is_refused_with_those_that_are_there(logs: Path, tmp_path: Path):
+def test_a_wrong_signal_is_refused_with_those_that_are_there(few: Path, tmp_path: Path):
     wrong = replace(GRIPPER, sync=Sync("digital-output 0", "sync_out"))
     with pytest.raises(ConfigError) as caught:
-        ingested(logs, tmp_path / "d", cell_with(logs, {"same_clock_as": GRIPPER.path}, wrong))
+        ingested(few, tmp_path / "d", cell_with(few, {"same_clock_as": GRIPPER.path}, wrong))
     assert caught.value.nearest == "sync_in"
     assert "gripper.csv" in str(caught.value)
     silent = replace(GRIPPER, sync=Sync("digital-output 7", "sync_in"))
     with pytest.raises(ConfigError, match="0 in the robot's"):
-        ingested(logs, tmp_path / "d", cell_with(logs, {"same_clock_as": GRIPPER.path}, silent))
+        ingested(few, tmp_path / "d", cell_with(few, {"same_clock_as": GRIPPER.path}, silent))
     with pytest.raises(ConfigError, match="holds none"):
-        ingested(logs, tmp_path / "d", cell_with(logs, {"sync": Sync("digital-output 0", "sync_in")}))
+        ingested(few, tmp_path / "d", cell_with(few, {"sync": Sync("digital-output 0", "sync_in")}))
     with pytest.raises(UnknownName, match="same_clock_as"):
-        ingested(logs, tmp_path / "d", cell_with(logs, {"same_clock_as": "nowhere.csv"}))
+        ingested(few, tmp_path / "d", cell_with(few, {"same_clock_as": "nowhere.csv"}))
 
 
-def test_two_logs_that_borrow_each_other_s_clock_are_refused(logs: Path, tmp_path: Path):
+def test_two_logs_that_borrow_each_other_s_clock_are_refused(few: Path, tmp_path: Path):
     with pytest.raises(ConfigError, match="borrows its clock"):
-        ingested(logs, tmp_path / "d", cell_with(logs, {"same_clock_as": "session_*/events.csv"}))
+        ingested(few, tmp_path / "d", cell_with(few, {"same_clock_as": "session_*/events.csv"}))
 
 
 def test_coarse_alignment_is_only_made_when_asked_for_and_goes_by_whole_samples(logs: Path, tmp_path: Path):
@@ -211,35 +221,35 @@ def test_coarse_alignment_is_only_made_when_asked_for_and_goes_by_whole_samples(
     assert not any("reaction delay" in text for text in again.said)
 
 
-def test_coarse_alignment_that_finds_nothing_says_so(logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_coarse_alignment_that_finds_nothing_says_so(few: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("cyclekit.alignment.recording_clocks.coarse_fit", lambda *_, **__: None)
-    operator = ingested(logs, tmp_path / "d", cell_with(logs, {}), align_clocks="coarse")[1]
+    operator = ingested(few, tmp_path / "d", cell_with(few, {}), align_clocks="coarse")[1]
     assert operator.clock.method == "assumed-common-start"
     (said,) = [text for text in operator.said if "not aligned on the operator" in text]
     assert "no offset within 120 s shows that" in said
     assert "clock_offset_s" in said
 
 
-def test_coarse_alignment_touches_no_clock_that_is_known(logs: Path, tmp_path: Path):
-    cell = cell_with(logs, {"clock_offset_s": 146.862})
-    assert ingested(logs, tmp_path / "d", cell, align_clocks="coarse")[1].clock.method == "cell-file"
+def test_coarse_alignment_touches_no_clock_that_is_known(few: Path, tmp_path: Path):
+    cell = cell_with(few, {"clock_offset_s": 146.862})
+    assert ingested(few, tmp_path / "d", cell, align_clocks="coarse")[1].clock.method == "cell-file"
 
 
-def test_start_texts_place_a_log_to_a_second_or_so(logs: Path, tmp_path: Path):
-    cell = cell_with(logs, {"start": "2026-03-02T14:03:05+01:00"})
+def test_start_texts_place_a_log_to_a_second_or_so(few: Path, tmp_path: Path):
+    cell = cell_with(few, {"start": "2026-03-02T14:03:05+01:00"})
     with pytest.raises(ConfigError, match="no time of day"):
-        ingested(logs, tmp_path / "d", cell)
+        ingested(few, tmp_path / "d", cell)
     robot = replace(cell.sources[0], start="2026-03-02T13:03:11+00:00")
-    _, operator = ingested(logs, tmp_path / "d", replace(cell, sources=(robot, *cell.sources[1:])))
+    _, operator = ingested(few, tmp_path / "d", replace(cell, sources=(robot, *cell.sources[1:])))
     assert operator.clock.method == "start-text"
     assert operator.clock.offset_s == pytest.approx(-6.0)
     assert any("accurate to about a second" in text for text in operator.said)
 
 
-def test_a_clock_found_once_is_kept_with_what_was_read_and_its_warnings_are_not_doubled(logs: Path, tmp_path: Path):
-    cell = cell_with(logs, {})
-    ingested(logs, tmp_path / "d", cell)
-    _, operator = ingested(logs, tmp_path / "d", replace(cell, bridge_s=0.4))
+def test_a_clock_found_once_is_kept_with_what_was_read_and_its_warnings_are_not_doubled(few: Path, tmp_path: Path):
+    cell = cell_with(few, {})
+    ingested(few, tmp_path / "d", cell)
+    _, operator = ingested(few, tmp_path / "d", replace(cell, bridge_s=0.4))
     assert len([text for text in operator.said if "a common start is assumed" in text]) == 1
 
 

@@ -6,10 +6,14 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from cyclekit.extras import EXTRAS
+
+if TYPE_CHECKING:
+    from .conftest import Shell
 
 ROOT = Path(__file__).parents[2]
 _BLOCK = "import sys; sys.modules.update(dict.fromkeys({packages!r})); "
@@ -33,12 +37,20 @@ def without(packages: tuple[str, ...], code: str, folder: Path) -> subprocess.Co
     ],
 )
 def test_a_command_without_its_extra_names_the_command_that_installs_it(
-    words: list[str], packages: tuple[str, ...], extras: str, tmp_path: Path
+    words: list[str],
+    packages: tuple[str, ...],
+    extras: str,
+    cyclekit: Shell,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    done = without(packages, f"from cyclekit.cli import main; main({words!r})", tmp_path)
-    assert done.returncode == 1, done.stderr
-    assert f'pip install "cyclekit[{extras}]"' in done.stderr
-    assert "Traceback" not in done.stderr
+    monkeypatch.chdir(tmp_path)
+    for package in packages:
+        monkeypatch.setitem(sys.modules, package, None)
+    done = cyclekit(*words)
+    assert done.code == 1, done.err
+    assert f'pip install "cyclekit[{extras}]"' in done.err
+    assert "Traceback" not in done.err
     assert list(tmp_path.iterdir()) == []  # refused before any work
 
 

@@ -14,10 +14,9 @@ from cyclekit.ingest.ingest import ingest
 from cyclekit.inspect.describe import describe
 from cyclekit.schema import QUARANTINE
 from cyclekit.storage.atomic import write_parquet
-from cyclekit_sim import SimulationOptions, simulate
 
 if TYPE_CHECKING:
-    pass
+    from simulated_cells import Cells
 
 
 def test_every_row_set_aside_is_in_one_table_with_file_line_and_reason(logs: Path, tmp_path: Path):
@@ -51,10 +50,7 @@ def test_a_table_that_polars_cannot_write_is_an_error_of_the_system(tmp_path: Pa
         write_parquet(pl.DataFrame({"x": [1.0]}), tmp_path / "a")
 
 
-def test_a_bag_with_checksums_says_so_and_a_csv_says_that_it_has_none(tmp_path: Path):
-    bag = simulate("box-picking", tmp_path / "bag", executions=1, seed=1, options=SimulationOptions(logs="mcap"))
-    ingest([bag], tmp_path / "from_bag")
-    (protected,) = Dataset.open(tmp_path / "from_bag").recordings
+def test_a_bag_with_checksums_says_so_and_a_csv_says_that_it_has_none(cells: Cells):
+    (protected,) = cells("laser-zones", 2, logs="mcap").dataset.recordings
     assert protected.facts["checksum"].startswith("CRC-32")
-    ingest([simulate("box-picking", tmp_path / "csv", executions=1, seed=1)], tmp_path / "from_csv")
-    assert all(r.facts["checksum"].startswith("none") for r in Dataset.open(tmp_path / "from_csv").recordings)
+    assert all(r.facts["checksum"].startswith("none") for r in cells("laser-zones", 2).dataset.recordings)

@@ -31,8 +31,14 @@ def cell(tmp_path_factory) -> Dataset:
 
 
 @pytest.fixture(scope="module")
+def small(tmp_path_factory) -> Dataset:
+    """Enough to learn from, and too little to learn much."""
+    return fabricate_dataset(tmp_path_factory.mktemp("small") / "dataset", executions=4, seed=1)
+
+
+@pytest.fixture(scope="module")
 def model(cell):
-    return train(cell, ModelSpec.of(batch=256, epochs=40))
+    return train(cell, ModelSpec.of(batch=256, epochs=24))
 
 
 def changed(dataset: Dataset, folder, *columns: pl.Expr, keep: int | None = None) -> Dataset:
@@ -84,7 +90,7 @@ def test_the_card_says_where_the_model_comes_from(model, cell):
     assert card.inputs == tuple(model.inputs)
     assert card.spec.batch == 256
     assert card.rows.train > card.rows.validation > 0
-    assert len(card.history) == 40
+    assert len(card.history) == 24
 
 
 def test_the_kept_weights_are_those_of_the_best_epoch(model, cell):
@@ -103,9 +109,9 @@ def test_a_trained_model_survives_the_disk(model, tmp_path):
 
 
 @pytest.mark.parametrize("optimiser", ["adamw", "muon"])
-def test_the_same_seed_gives_the_same_weights_and_another_seed_others(cell, optimiser):
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(small, optimiser):
     specs = [ModelSpec.of(epochs=2, seed=seed, optimiser=optimiser) for seed in (3, 3, 4)]
-    weights = [train(cell, spec).weights.layers[1][0] for spec in specs]
+    weights = [train(small, spec).weights.layers[1][0] for spec in specs]
     assert np.array_equal(weights[0], weights[1])
     assert not np.array_equal(weights[0], weights[2])
 
@@ -122,16 +128,16 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(cell, opti
 )
 def test_every_other_network_beats_the_constant_mean(cell, problem, network):
     horizon_s = None if problem == "now" else 2.0
-    model = train(cell, ModelSpec.of(problem, network, horizon_s, batch=256, epochs=15))
+    model = train(cell, ModelSpec.of(problem, network, horizon_s, batch=256, epochs=8))
     assert model.card.history[-1].loss < model.card.history[0].loss
     held_out = build_samples(cell.samples(model.card.split.test), problem, model.horizon_s, LEVELS, rate_hz=10.0)
     assert model.card.metrics.mse_mean < 0.9 * held_out.scaling.var()
     assert (model.card.metrics.accuracy is None) == (problem == "average")
 
 
-def test_progress_is_told_after_every_epoch(cell):
+def test_progress_is_told_after_every_epoch(small):
     told = []
-    train(cell, ModelSpec.of(epochs=3), progress=lambda fraction, text: told.append((fraction, text)))
+    train(small, ModelSpec.of(epochs=3), progress=lambda fraction, text: told.append((fraction, text)))
     assert [round(fraction, 3) for fraction, _ in told] == [0.333, 0.667, 1.0]
     assert "epoch 3 of 3" in told[-1][1]
 
@@ -223,7 +229,7 @@ def test_rows_that_are_less_sure_count_less(cell, tmp_path):
     sure = pl.when(pl.int_range(pl.len()) % 3 == 0).then(2.0).otherwise(0.0)
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    spec = ModelSpec.of("now", "regressor", batch=256, epochs=6)
+    spec = ModelSpec.of("now", "regressor", batch=256, epochs=4)
     blind = train(changed(cell, tmp_path / "a", wrong.alias("scaling")), spec)
     told = train(changed(cell, tmp_path / "b", wrong.alias("scaling"), sure.alias("scaling_sd")), spec)
     rows = build_samples(cell.samples(told.card.split.test), "now", 0.0, LEVELS, rate_hz=10.0)
@@ -233,7 +239,7 @@ def test_rows_that_are_less_sure_count_less(cell, tmp_path):
 
 def test_training_with_noise_suits_a_tracker_that_is_noisier_than_the_logs(cell):
     clean, aware = (
-        train(cell, ModelSpec.of("now", "regressor", batch=256, epochs=10, noise_m=noise)) for noise in (0.0, 0.3)
+        train(cell, ModelSpec.of("now", "regressor", batch=256, epochs=6, noise_m=noise)) for noise in (0.0, 0.3)
     )
     rows = build_samples(cell.samples(clean.card.split.test), "now", 0.0, LEVELS, rate_hz=10.0)
     noisy = rows.X.copy()
@@ -307,8 +313,8 @@ def test_executions_under_different_sliders_teach_one_safety_function(cell, tmp_
         ("ahead", {"network": "lstm-1"}, "positions"),
     ],
 )
-def test_a_network_sees_the_distance_too_where_the_present_scaling_is_asked_for(cell, problem, settings, sees):
-    model = train(cell, ModelSpec.of(problem, horizon_s=None if problem == "now" else 2.0, epochs=1, **settings))
+def test_a_network_sees_the_distance_too_where_the_present_scaling_is_asked_for(small, problem, settings, sees):
+    model = train(small, ModelSpec.of(problem, horizon_s=None if problem == "now" else 2.0, epochs=1, **settings))
     assert model.card.spec.features == sees
     assert (model.weights.distance is not None) == (sees == "distance")
 
@@ -352,7 +358,7 @@ def thrown(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 def test_a_network_that_answers_one_whatever_it_is_asked_is_learned_again_by_adamw(cell, thrown, monkeypatch):
     monkeypatch.setattr("cyclekit.learning.networks.spec.MUON_ROWS", 1)
-    model = train(cell, ModelSpec.of(network="regressor", epochs=12, batch=256))
+    model = train(cell, ModelSpec.of(network="regressor", epochs=6, batch=256))
     assert thrown == ["muon", "adamw"]
     assert model.card.spec.optimiser == "adamw"
     assert model.card.metrics.mse_mean < 0.1

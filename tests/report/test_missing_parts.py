@@ -65,6 +65,7 @@ def test_a_dataset_without_tasks_executions_or_provenance_still_gives_a_page(dat
     assert facts.pictures == 0
 
 
+@pytest.mark.usefixtures("words_only")
 def test_provenance_is_put_together_where_alike_and_counted(dataset, tmp_path):
     path = tmp_path / "many"
     shutil.copytree(dataset.path, path)

@@ -90,6 +90,7 @@ def test_names_from_the_logs_cannot_become_part_of_the_page(dataset, tmp_path):
     assert nasty in page.text
 
 
+@pytest.mark.usefixtures("words_only")
 def test_a_page_that_cannot_be_written_is_one_error_and_leaves_nothing(dataset, tmp_path):
     (tmp_path / "r.html").mkdir()
     with pytest.raises(CyclekitError, match="cannot be written"):
@@ -118,6 +119,7 @@ def test_every_text_is_asked_for_and_every_text_asked_for_exists():
     assert {key for key in known - asked if key.partition(".")[2] not in names} == set()
 
 
+@pytest.mark.usefixtures("words_only")
 def test_the_takt_is_held_against_single_cycles(dataset, tmp_path):
     cycles = tuple(float(v) for v in range(25, 35))
     facts = compose_report(

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 import pytest
+from made_once import simulated
 
 from cyclekit_sim import (
     SCENES,
@@ -18,6 +20,9 @@ from cyclekit_sim import (
     simulate,
     simulate_sequence,
 )
+
+if TYPE_CHECKING:
+    from simulated_cells import SimulatedCell
 
 HUMAN, ROBOT = [f"human_{a}_m" for a in "xyz"], [f"robot_{a}_m" for a in "xyz"]
 
@@ -40,23 +45,22 @@ def one(tmp_path: Path, executions: int = 1, scene: str = "box-picking", **optio
 
 @pytest.fixture(scope="module")
 def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("box") / "logs"
-    return simulate("box-picking", folder, executions=12, seed=3, options=SimulationOptions(executions_per_session=8))
+    return simulated(tmp_path_factory, "box-picking", 12, seed=3, executions_per_session=8)
 
 
 @pytest.fixture(scope="module")
 def packing(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return simulate("pick-and-package", tmp_path_factory.mktemp("pack") / "logs", executions=3, seed=3)
+    return simulated(tmp_path_factory, "pick-and-package", 4, seed=3)
 
 
 @pytest.fixture(scope="module")
 def zones(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return simulate("laser-zones", tmp_path_factory.mktemp("zones") / "logs", executions=12, seed=3)
+    return simulated(tmp_path_factory, "laser-zones", 6, seed=3)
 
 
 @pytest.fixture(scope="module")
 def visits(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return simulate("scanner-visits", tmp_path_factory.mktemp("sim") / "visits", executions=3, seed=1)
+    return simulated(tmp_path_factory, "scanner-visits", 6, seed=3)
 
 
 def test_the_true_scaling_is_the_papers_staircase_of_the_true_distance(box: Path, packing: Path) -> None:
@@ -155,9 +159,9 @@ def test_in_laser_zones_the_floor_tells_the_scaling_and_the_distance_does_not(zo
     assert ((best["s"] - best["m"]) ** 2).mean() > 0.01
 
 
-def test_an_execution_is_the_same_however_many_are_simulated(box: Path, tmp_path: Path) -> None:
-    few = simulate("box-picking", tmp_path / "few", executions=2, seed=3)
-    assert samples(few).equals(samples(box).filter(pl.col("execution") < 2))
+def test_an_execution_is_the_same_however_many_are_simulated(box: Path, boxes: SimulatedCell) -> None:
+    few = boxes.samples
+    assert few.equals(samples(box).filter(pl.col("execution") < 4))
 
 
 def test_latency_makes_the_scaling_follow_the_positions_of_earlier(tmp_path: Path) -> None:

@@ -22,7 +22,6 @@ import msgspec
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.config import Furniture
 from cyclekit.dataset import checksums
 from cyclekit.dataset.cards import BadCard, dataset_card, parse_json, read_content
 from cyclekit.dataset.files import DatasetFiles
@@ -36,6 +35,7 @@ from cyclekit.text.plain_text import all_in_one_line, needs_it
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from cyclekit.config import Furniture
     from cyclekit.dataset.cards import DatasetCard, ExecutionCard, PlaceCard, RecordingCard
 
 CARD, TASKS, QUARANTINE = DATASET_CARD, "tasks.parquet", "quarantine.parquet"
@@ -151,8 +151,7 @@ class Dataset:
     @property
     def furniture(self) -> dict[str, Furniture]:
         """What stands in the cell, by name, as the cell file says."""
-        told = self.card.settings.furniture
-        return {name: Furniture(one.xyz_m, one.size_m, one.yaw_deg) for name, one in told.items()}
+        return dict(self.card.settings.furniture)
 
     @property
     def levels(self) -> tuple[float, ...]:

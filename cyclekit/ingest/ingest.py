@@ -22,7 +22,6 @@ from msgspec import structs
 from cyclekit import schema
 from cyclekit.config import Cell
 from cyclekit.dataset.cards import (
-    CellSettings,
     DatasetCard,
     DynamicsCard,
     PlaceCard,
@@ -340,7 +339,7 @@ def _card(cell: Cell, derived: Derived, not_read: list[tuple[str, str]], wanted:
         fingerprint=wanted.fingerprint,
         pseudonymised=wanted.how.pseudonymise,
         skeletons=wanted.how.skeletons,
-        settings=checked(json.loads(json.dumps(cell, default=vars)), CellSettings),
+        settings=checked(json.loads(json.dumps(cell, default=vars)), Cell),
         rate_hz=cell.rate_hz,
         recordings=tuple(derived.recordings),
         not_read=tuple(UnreadCard(path=path, reason=reason) for path, reason in not_read),

@@ -42,7 +42,6 @@ from cyclekit.dataset.cards.recording import (
     SetAside,
     SourceFile,
 )
-from cyclekit.dataset.cards.settings import CellSettings
 
 __all__ = [
     "READ",
@@ -50,7 +49,6 @@ __all__ = [
     "BadCard",
     "CellCard",
     "CellLedger",
-    "CellSettings",
     "ClockCard",
     "ClockMethod",
     "DatasetCard",

@@ -9,7 +9,7 @@ from __future__ import annotations
 import codecs
 import gzip
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -59,20 +59,15 @@ class Origin:
 
 @dataclass(frozen=True, repr=False)
 class Trace(Result):
-    """A sample and its origins."""
+    """A sample and its origins; as a frame one row per row of a log, seconds of the session."""
 
     execution: str
     sample: dict[str, Any]
     origins: tuple[Origin, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return asdict(self)
-
-    def to_frame(self) -> pl.DataFrame:
-        """One row per row of a log behind the sample; seconds of the session."""
+    def _frame_rows(self) -> list[dict[str, object]]:
         names = ("table", "recording", "file", "row_is", "source_row", "t_s", "text")
-        return pl.DataFrame([{name: getattr(each, name) for name in names} for each in self.origins])
+        return [{name: getattr(each, name) for name in names} for each in self.origins]
 
     def _said(self) -> list[str]:
         at_s = self.sample["t_s"]

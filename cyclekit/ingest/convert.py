@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -59,14 +59,6 @@ class Converted(Result):
     rows_read: int
     rows_set_aside: int
     warnings: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {**vars(self), "out": str(self.out), "warnings": list(self.warnings)}
-
-    def to_frame(self) -> pl.DataFrame:
-        """One row: what was written, and how many rows were set aside."""
-        return pl.DataFrame([{name: value for name, value in self.to_dict().items() if name != "warnings"}])
 
     def _said(self) -> list[str]:
         aside = f", {self.rows_set_aside} of {self.rows_read} set aside" if self.rows_set_aside else ""

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    import polars as pl
-
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan import OrderPlan
@@ -64,12 +62,6 @@ class ReportFacts(Result):
         """Return plain JSON values."""
         document = {"report": str(self.path), "answer": self.headline, "sequences": self.sequences, "bytes": self.bytes}
         return {**document, "missing": list(self.missing), **({"pdf": str(self.pdf)} if self.pdf else {})}
-
-    def to_frame(self) -> pl.DataFrame:
-        """One row: what was written, and how large it is."""
-        import polars as pl
-
-        return pl.DataFrame([{name: value for name, value in self.to_dict().items() if name != "missing"}])
 
     def _said(self) -> list[str]:
         return [f"{self.headline}", f"{self.path}", *(f"missing: {text}" for text in self.missing)]

@@ -26,7 +26,7 @@ from cyclekit.text.plain_text import FORMULA
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -36,14 +36,7 @@ if TYPE_CHECKING:
 
     Vector = NDArray[np.float64]
 
-TABLES: Mapping[str, Mapping[str, schema.Column]] = {
-    "robot": schema.ROBOT,
-    "people": schema.PEOPLE,
-    "events": schema.EVENTS,
-    "task_list": schema.TASK_LIST,
-    "safety": schema.SAFETY,
-    "skeletons": schema.SKELETONS,
-}
+TABLES = {name: table for name, table in schema.OF_LOGS.items() if name != "stamps"}
 GAP_PERIODS, GAP_S = 5.0, 0.25
 """A silence longer than both is a gap: nothing is averaged across it."""
 

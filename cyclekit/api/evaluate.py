@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import dataset_of, trained_of
+from cyclekit.api.given import trained_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.learning.evaluation.drift import drift
 from cyclekit.learning.evaluation.evaluate import Evaluation, evaluate, evaluate_at
@@ -42,8 +42,8 @@ def evaluate_model(
         DatasetError: No sample can be judged.
         ModelError: The model is of another cell, or its card does not say what was held out.
     """
-    opened, judged = trained_of(model), dataset_of(dataset)
-    changed = None if trained_on is None else drift(opened, dataset_of(trained_on), judged)
+    opened, judged = trained_of(model), Dataset.of(dataset)
+    changed = None if trained_on is None else drift(opened, Dataset.of(trained_on), judged)
     foreign = other_cell or trained_on is not None
     return replace(evaluate(opened, judged, boosting=boosting, other_cell=foreign, progress=progress), drift=changed)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cyclekit.api.arguments import Place, checked
-from cyclekit.api.given import dataset_of, path_of, place_of
+from cyclekit.api.given import path_of, place_of
 from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
@@ -74,7 +74,7 @@ def find_levels(dataset: Dataset | Place, *, method: str = "plateau", picture: P
         raise UnknownName("self-labelling", "method", method, (PLATEAU, *FINDERS))
     file = path_of(picture)
     check_output(file, "picture", [place_of(dataset)], option="--picture", endings=(".svg", ".png", ".pdf"))
-    opened = dataset_of(dataset)
+    opened = Dataset.of(dataset)
     opened.require_positions()
     frame = opened.samples(columns=["execution", "t_s", "scaling"])
     found = staircase_of(opened, frame, method)

@@ -113,6 +113,11 @@ class Dataset:
         msg = f"{path}: {theirs}, this cyclekit reads version {schema.SCHEMA_VERSION}"
         raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
 
+    @classmethod
+    def of(cls, given: Dataset | Path | str) -> Dataset:
+        """Return a dataset that is open already as it is; one given by its folder or URL is opened."""
+        return given if isinstance(given, Dataset) else cls.open(given)
+
     def only(self, executions: Sequence[str]) -> Dataset:
         """Return the dataset as if it held these executions alone: their samples, tasks and entries.
 

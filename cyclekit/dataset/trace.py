@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError
 from cyclekit.storage.inside import inside
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import RecordingCard
-    from cyclekit.dataset.dataset import Dataset
 
 AROUND_S = 0.2
 """Rows of people and events this near to a sample are shown."""
@@ -77,19 +77,22 @@ class Trace(Result):
         ]
 
 
-def trace(dataset: Dataset, execution: str, at_s: float, *, logs: Path | str | None = None) -> Trace:
-    """Return the sample of an execution nearest to a time, and the rows of the logs behind it.
+def trace(
+    dataset: Dataset | str | Path, execution: str, at_s: float = 0.001, *, logs: str | Path | None = None
+) -> Trace:
+    """Say which lines of which logs the sample nearest to a time was made of.
 
     Args:
-        dataset: Where to look.
-        execution: Its name, or its number from 1.
-        at_s: Seconds since the execution began.
+        dataset: A dataset, its folder or its URL.
+        execution: Name of the execution, or its number from 1.
+        at_s: Time since the execution began, s.
         logs: Folder of the logs, or the log itself, to show the lines.
 
     Raises:
         UnknownName: There is no such execution.
         DatasetError: It has no samples, or `at_s` is after its end.
     """
+    dataset = Dataset.of(dataset)
     dataset.require_positions()
     name = dataset.find_execution(execution)
     entry = next(one for one in dataset.card.executions if one.execution == name)

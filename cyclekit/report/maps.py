@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from cyclekit.report.findings import LoggedResponse
     from cyclekit.report.floor import FloorPlan
     from cyclekit.report.judged import PredictionBins
+    from cyclekit.report.texts import ReportTexts
 
 _FAINTEST = 0.02
 """Squares with less than this part of the largest value are left out."""
@@ -72,6 +73,12 @@ def staircase(width_in: float, found: LoggedResponse, levels: Sequence[float], l
     axes.set_ylabel(labels["speed"])
     axes.legend(loc="lower right", handlelength=2.4)
     return figure
+
+
+def floor_labels(texts: ReportTexts) -> dict[str, str]:
+    """Return the words of a floor plan."""
+    words = texts.section("why")
+    return {key: words[key] for key in ("base", "x", "y", "tip_seen", "tip_lost", "tip_zone")}
 
 
 def lost_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Figure:

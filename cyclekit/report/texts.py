@@ -14,6 +14,8 @@ from importlib.resources import files
 from string import Formatter
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.report import figures
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -70,7 +72,7 @@ def _values(text: str) -> set[str]:
 
 @cache
 def load_texts() -> ReportTexts:
-    """Return the English texts."""
+    """Return the English texts: those of `texts.toml`, and the words that figures bring along."""
     content: dict[str, Any] = tomllib.loads(files("cyclekit.report").joinpath("texts.toml").read_text("utf-8"))
     language = str(content.pop("language"))
-    return ReportTexts(content, language)
+    return ReportTexts(content | {each.name: dict(each.words) for each in figures.FIGURES if each.words}, language)

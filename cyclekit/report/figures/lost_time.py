@@ -1,0 +1,32 @@
+"""The floor plan: where the operator was, and where time was lost."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cyclekit.report.figures.figure import Chart, Figure
+from cyclekit.report.numbers import fixed
+from cyclekit.report.pictures import Picture
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from cyclekit.report.inputs import PageInputs
+
+
+def _charts(page: PageInputs) -> Iterator[Chart]:
+    texts, plan = page.texts, page.plan
+    if plan is None:
+        return
+    from cyclekit.report import maps
+
+    labels, alt, kind = maps.floor_labels(texts), texts("why.map_picture_none"), "_seen"
+    if len(plan.lost):
+        labels, kind = labels | {"speed": texts("why.map_speed")}, ""
+        x, y = plan.lost[int(plan.lost[:, 2].argmax()), :2].tolist()
+        alt = texts("why.map_picture", x=fixed(x, 1), y=fixed(y, 1))
+    picture = Picture("floor", alt, lambda width_in: maps.lost_map(width_in, plan, labels))
+    yield Chart(picture, texts(f"why.map_caption{kind}"), title=texts(f"why.map_title{kind}"))
+
+
+LOST_TIME = Figure("lost_time", "why", _charts)

@@ -1,0 +1,31 @@
+"""The zone map: the robot's speed by operator position, as the model predicts it or as logged."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cyclekit.report.figures.figure import Chart, Figure
+from cyclekit.report.numbers import fixed, speed
+from cyclekit.report.pictures import Picture
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from cyclekit.report.inputs import PageInputs
+
+
+def _charts(page: PageInputs) -> Iterator[Chart]:
+    texts, plan = page.texts, page.plan
+    if plan is None or not len(plan.zones):
+        return
+    from cyclekit.report import maps
+
+    labels = maps.floor_labels(texts) | {"speed": texts("why.zone_speed")}
+    x, y, slowest = plan.zones[int(plan.zones[:, 2].argmin())].tolist()
+    alt = texts("why.zone_picture", x=fixed(x, 1), y=fixed(y, 1), speed=speed(slowest))
+    picture = Picture("zones", alt, lambda width_in: maps.zone_map(width_in, plan, labels))
+    caption = texts("why.zone_model" if plan.zones_of_model else "why.zone_log")
+    yield Chart(picture, caption, title=texts("why.zone_title"))
+
+
+ZONES = Figure("zones", "why", _charts)

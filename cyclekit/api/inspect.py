@@ -12,7 +12,8 @@ from cyclekit.config import cell_to_toml
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import OutputError
 from cyclekit.ingest.discover import suggest_cell
-from cyclekit.inspect.describe import DatasetDescription, Description, describe
+from cyclekit.inspect.describe import describe
+from cyclekit.inspect.facts import DatasetDescription, Description
 from cyclekit.storage.atomic import write_text
 from cyclekit.storage.outputs import check_writable
 from cyclekit.storage.remote.folders import local

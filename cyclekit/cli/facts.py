@@ -15,7 +15,7 @@ from cyclekit.text.plain_text import one_line
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cyclekit.inspect.describe import (
+    from cyclekit.inspect.facts import (
         DatasetDescription,
         Description,
         Gap,

@@ -27,7 +27,6 @@ from cyclekit.inspect.facts import (
     LogFacts,
     LogsDescription,
     ModelDescription,
-    TableFacts,
 )
 from cyclekit.inspect.lists import SafetySurvey, task_list_facts
 from cyclekit.inspect.survey import TableSurvey
@@ -43,17 +42,6 @@ if TYPE_CHECKING:
     from cyclekit.inspect.facts import SafetyFacts, TaskListFacts
 
     Progress = Callable[[float, str], None]
-
-__all__ = [
-    "DatasetDescription",
-    "Description",
-    "Gap",
-    "LogFacts",
-    "LogsDescription",
-    "ModelDescription",
-    "TableFacts",
-    "describe",
-]
 
 _OF_SAMPLES = ("scaling", "scaling_sd", "scaling_gap", "scaling_origin", "step", "robot_moving", "human_x_m")
 

@@ -20,7 +20,8 @@ from cyclekit.cli import terminal
 from cyclekit.cli.facts import page
 from cyclekit.cli.options import seconds, vector
 from cyclekit.cli.terminal import Terminal, bullet, duration, percent, table, write_json, write_out
-from cyclekit.inspect.describe import DatasetDescription, describe
+from cyclekit.inspect.describe import describe
+from cyclekit.inspect.facts import DatasetDescription
 
 
 def test_a_path_in_brackets_stays_in_the_table() -> None:

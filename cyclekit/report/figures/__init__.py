@@ -1,4 +1,4 @@
-"""The figures of the page: each is a module of this folder, and a line here puts it on the page.
+"""The figures of the page: each is a function in a module of this folder, and a line here puts it on the page.
 
 In: what the page is made of (`report.inputs`). Out: the charts of a section, in the order of `FIGURES`. A new figure
 brings its words along (`Figure.words`); nothing else of the report knows it.
@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cyclekit.report.figures.calibration import CALIBRATION
-from cyclekit.report.figures.confusion import CONFUSION
 from cyclekit.report.figures.cycle_times import CYCLE_TIMES
 from cyclekit.report.figures.figure import Chart as Chart
 from cyclekit.report.figures.figure import Figure as Figure
-from cyclekit.report.figures.lost_time import LOST_TIME
+from cyclekit.report.figures.floor_plans import LOST_TIME, ZONES
+from cyclekit.report.figures.predictions import CALIBRATION, CONFUSION
 from cyclekit.report.figures.staircase import STAIRCASE
 from cyclekit.report.figures.time_shares import TIME_SHARES
-from cyclekit.report.figures.zones import ZONES
 
 if TYPE_CHECKING:
     from cyclekit.report.inputs import PageInputs

@@ -1,4 +1,4 @@
-"""The heatmap of logged against predicted level, with its table."""
+"""Logged against predicted: the heatmap of levels, and the means on the executions judged."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.report.figures.figure import Chart, Figure
-from cyclekit.report.numbers import fixed, percent
+from cyclekit.report.judged import calibration
+from cyclekit.report.numbers import count, fixed, percent
 from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from cyclekit.report.inputs import PageInputs
 
 
-def _charts(page: PageInputs) -> Iterator[Chart]:
+def _confusion(page: PageInputs) -> Iterator[Chart]:
     from cyclekit.report import maps
 
     texts, judged = page.texts, page.judged
@@ -42,4 +43,29 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
     yield Chart(drawn, caption, title=name, numbers=table)
 
 
-CONFUSION = Figure("confusion", "trust", _charts)
+CONFUSION = Figure("confusion", "trust", _confusion)
+
+
+def _calibration(page: PageInputs) -> Iterator[Chart]:
+    from cyclekit.report import maps
+
+    texts = page.texts
+    found = calibration(page.samples, page.judged.get("executions") or (), page.model)
+    if found is None:
+        return
+    labels = {"logged": texts("trust.mean_logged"), "predicted": texts("trust.mean_predicted")}
+    labels["tip"] = texts.section("trust")["tip_calibration"]
+    caption = texts("trust.calibration")
+    heads = [texts("trust.mean_predicted"), texts("trust.mean_logged"), texts("why.count")]
+    rows = [
+        [percent(predicted), percent(logged), count(int(number))]
+        for predicted, logged, number in zip(found.predicted, found.logged, found.count, strict=True)
+    ]
+    name = texts("trust.calibration_title")
+    table = ReportTable(name, heads, rows, frozenset({0, 1, 2}), silent=True)
+    alt = texts("trust.calibration_picture", worst=percent(found.worst))
+    drawn = Picture("calibration", alt, lambda width_in: maps.calibration(width_in, found, labels))
+    yield Chart(drawn, caption, title=name, numbers=table)
+
+
+CALIBRATION = Figure("calibration", "trust", _calibration)

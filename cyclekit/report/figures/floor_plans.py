@@ -1,4 +1,4 @@
-"""The zone map: the robot's speed by operator position, as the model predicts it or as logged."""
+"""Floor plans: the robot's speed by operator position, and where the operator was and time was lost."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cyclekit.report.inputs import PageInputs
 
 
-def _charts(page: PageInputs) -> Iterator[Chart]:
+def _zones(page: PageInputs) -> Iterator[Chart]:
     texts, plan = page.texts, page.plan
     if plan is None or not len(plan.zones):
         return
@@ -28,4 +28,22 @@ def _charts(page: PageInputs) -> Iterator[Chart]:
     yield Chart(picture, caption, title=texts("why.zone_title"))
 
 
-ZONES = Figure("zones", "why", _charts)
+ZONES = Figure("zones", "why", _zones)
+
+
+def _lost_time(page: PageInputs) -> Iterator[Chart]:
+    texts, plan = page.texts, page.plan
+    if plan is None:
+        return
+    from cyclekit.report import maps
+
+    labels, alt, kind = maps.floor_labels(texts), texts("why.map_picture_none"), "_seen"
+    if len(plan.lost):
+        labels, kind = labels | {"speed": texts("why.map_speed")}, ""
+        x, y = plan.lost[int(plan.lost[:, 2].argmax()), :2].tolist()
+        alt = texts("why.map_picture", x=fixed(x, 1), y=fixed(y, 1))
+    picture = Picture("floor", alt, lambda width_in: maps.lost_map(width_in, plan, labels))
+    yield Chart(picture, texts(f"why.map_caption{kind}"), title=texts(f"why.map_title{kind}"))
+
+
+LOST_TIME = Figure("lost_time", "why", _lost_time)

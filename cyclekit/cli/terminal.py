@@ -7,6 +7,7 @@ people, or as one JSON document for programs. What the numbers mean is the busin
 from __future__ import annotations
 
 import math
+import shutil
 import sys
 import threading
 import time
@@ -107,8 +108,15 @@ def say_usage(error: typer.TyperException, *, as_json: bool) -> int:
     return 2
 
 
+def columns(most: int = 80) -> int:
+    """Return how many columns a page has: those of the terminal (or COLUMNS), at most `most`."""
+    return max(40, min(most, shutil.get_terminal_size((most, 24)).columns))
+
+
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "") -> str:
-    """Return a plain table of at most 80 columns; the first column is text, the others are right-aligned numbers.
+    """Return a plain table of at most 80 columns, fewer in a narrow terminal.
+
+    The first column is text, the others are right-aligned numbers.
 
     Args:
         header: One word per column; a column whose name ends in a blank is text and left-aligned.
@@ -128,7 +136,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = 
     for row in rows:
         grid.add_row(*(Text(one_line(cell)) for cell in row))  # as text: rich would take `[a]` in a path for a style
     page = io.StringIO()
-    Console(file=page, width=80, markup=False, highlight=False, emoji=False, no_color=True).print(grid)
+    Console(file=page, width=columns(), markup=False, highlight=False, emoji=False, no_color=True).print(grid)
     body = "\n".join(line.rstrip() for line in page.getvalue().splitlines())
     return f"{title}\n{body}" if title else body
 
@@ -238,12 +246,12 @@ def percent(fraction: float | None) -> str:
 
 
 def bullet(texts: Sequence[str], *, mark: str = "- ", width: int = 80) -> str:
-    """Return texts as lines of at most `width` columns, each with its mark."""
+    """Return texts as lines of at most `width` columns, fewer in a narrow terminal, each with its mark."""
     import textwrap
 
     mark = one_line(mark)
-    blank = " " * len(mark)
-    return "\n".join(textwrap.fill(text, width, initial_indent=mark, subsequent_indent=blank) for text in texts)
+    lines = textwrap.TextWrapper(columns(width), initial_indent=mark, subsequent_indent=" " * len(mark))
+    return "\n".join(map(lines.fill, texts))
 
 
 def write_out(file: Path, content: str | Mapping[str, Any]) -> None:

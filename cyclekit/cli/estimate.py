@@ -88,7 +88,7 @@ def estimate(
     if out is not None:
         terminal.remark(f"written: {out}")
     by_task = tasks_table(found[0]) if len(found) == 1 else ""
-    numbers = f"{estimates_table(found)}\n{CAPTION}\n{doubted(found)}".rstrip()
+    numbers = f"{estimates_table(found)}\n{bullet([CAPTION], mark='')}\n{doubted(found)}".rstrip()
     parts = [
         alarmed(found.alarms),
         numbers,

@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 PATIENCE_S = 2.0
 """Where there is no terminal to draw in, the first line of progress comes after this time, the next after twice it."""
 
+LEAST_TEXT = 12
+"""A column of texts narrower than this is hard to read."""
+
 
 @dataclass(frozen=True)
 class Terminal:
@@ -129,9 +132,17 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = 
     from rich.table import Table
     from rich.text import Text
 
+    texts = [index == 0 or name.endswith(" ") for index, name in enumerate(header)]
+    longest = [max(len(one_line(text)) for text in column) for column in zip(header, *rows, strict=True)]
+    if sum(longest) + 2 * len(longest) > columns():
+        header = [name if left else name.replace(" ", "\n") for name, left in zip(header, texts, strict=True)]
+        cells = [[*name.split("\n"), *(row[at] for row in rows)] for at, name in enumerate(header) if not texts[at]]
+        room = columns() - sum(2 + max(map(len, column)) for column in cells)
+        if cells and 0 < room < LEAST_TEXT * sum(texts):
+            return _stacked(header, rows, texts, title)
     grid = Table(box=None, pad_edge=False, show_edge=False, padding=(0, 2, 0, 0))
     for index, name in enumerate(header):
-        left = index == 0 or name.endswith(" ")
+        left = texts[index]
         grid.add_column(name.strip(), justify="left" if left else "right", overflow="fold", no_wrap=not left)
     for row in rows:
         grid.add_row(*(Text(one_line(cell)) for cell in row))  # as text: rich would take `[a]` in a path for a style
@@ -139,6 +150,17 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = 
     Console(file=page, width=columns(), markup=False, highlight=False, emoji=False, no_color=True).print(grid)
     body = "\n".join(line.rstrip() for line in page.getvalue().splitlines())
     return f"{title}\n{body}" if title else body
+
+
+def _stacked(header: Sequence[str], rows: Sequence[Sequence[str]], texts: Sequence[bool], title: str) -> str:
+    """Return a table whose texts stand in a line of their own above the numbers, for a narrow terminal."""
+    numbers = [["", *(cell for cell, left in zip(row, texts, strict=True) if not left)] for row in (header, *rows)]
+    lines = table(numbers[0], numbers[1:], title=title).splitlines()
+    head = len(lines) - len(rows)
+    for row, line in zip(rows, lines[head:], strict=True):
+        named = ", ".join(one_line(cell) for cell, left in zip(row, texts, strict=True) if left and cell)
+        lines += [bullet([named], mark=""), line]
+    return "\n".join(lines[:head] + lines[head + len(rows) :])
 
 
 class _Lines:

@@ -25,7 +25,7 @@ from cyclekit.storage.files import regular
 from cyclekit.storage.parquet_layout import layout_of
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
     from types import TracebackType
     from typing import IO, Self
@@ -321,49 +321,6 @@ def forget() -> None:
 
 def _floats(values: pl.Series) -> NDArray[np.float64]:
     return (values if values.dtype == pl.Float64 else values.cast(pl.Float64)).to_numpy()
-
-
-def spans(
-    file: Path,
-    columns: Container[str] | None = None,
-    *,
-    column: str | None = None,
-    least: float = -np.inf,
-    most: float = np.inf,
-) -> list[tuple[int, int]]:
-    """Return the bytes, from and to before, in which columns lie, in the row groups that may hold some values.
-
-    Where the file does not say what a row group holds, it may.
-
-    Args:
-        file: The Parquet file.
-        columns: Which; None = all.
-        column: The column of the values; None = all row groups.
-        least: The smallest of the values.
-        most: The largest.
-    """
-    with pq.ParquetFile(file) as parquet:
-        about, place = parquet.metadata, -1 if column is None else parquet.schema_arrow.get_field_index(column)
-    found = []
-    for number in range(about.num_row_groups):
-        group = about.row_group(number)
-        known = group.column(place).statistics if place >= 0 else None
-        if known is None or not known.has_min_max or (known.min <= most and known.max >= least):
-            parts = (group.column(index) for index in range(group.num_columns))
-            for part in parts:
-                if columns is None or part.path_in_schema in columns:
-                    begin = part.dictionary_page_offset or part.data_page_offset
-                    found.append((begin, begin + part.total_compressed_size))
-    return found
-
-
-def unpacked_bytes(file: Path, columns: Container[str]) -> int:
-    """Return how many bytes some columns of a Parquet table have when they are unpacked, not yet decoded."""
-    with pq.ParquetFile(file) as parquet:
-        about = parquet.metadata
-    groups = (about.row_group(number) for number in range(about.num_row_groups))
-    parts = (group.column(index) for group in groups for index in range(group.num_columns))
-    return sum(part.total_uncompressed_size for part in parts if part.path_in_schema in columns)
 
 
 def parts_of(file: Path) -> Iterator[pl.DataFrame]:

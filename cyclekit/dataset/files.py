@@ -118,7 +118,7 @@ class DatasetFiles:
         return rows.select(wanted)
 
     def check_rows(self, name: str, most: int, what: str) -> None:
-        """Refuse a table that holds more rows than the card speaks of.
+        """Refuse a table that holds more rows than the card states.
 
         Raises:
             DatasetError: It does, or is no file.
@@ -214,7 +214,7 @@ class DatasetFiles:
             count: How many rows the card says that there are.
 
         Raises:
-            DatasetError: The file or the index is missing or damaged, or other rows are meant than the card speaks of.
+            DatasetError: The file or the index is missing or damaged, or the number of rows differs from the card.
         """
         if not self.has(INDEX) or not self.whole(INDEX) or (rows := shared_rows(self._path, recording, table)) is None:
             return None

@@ -1,8 +1,7 @@
 """Parquet tables larger than memory: written piece by piece, read by ranges of rows.
 
-Same rows in the same pieces, same bytes. Row groups are large enough for a scan to be fast and small enough for a few
-of them to be nothing; numbers are split by bytes before they are compressed, which makes measured values a fifth
-smaller. What the tables mean is the business of `schema`.
+Same rows in the same pieces, same bytes. Row groups are large enough for a fast scan and small enough that a few of
+them need little memory. Numbers are split by bytes before they are compressed: measured values become a fifth smaller.
 """
 
 from __future__ import annotations
@@ -78,11 +77,11 @@ class TableWriter:
             self._put(GROUP_ROWS)
 
     def held(self) -> pl.DataFrame | None:
-        """Return all rows if nothing of them is on the disk yet, else None. Who takes them leaves the table alone."""
+        """Return all rows if none is on the disk yet, else None; the table must not be used afterwards."""
         return None if self._file is not None or not self._pieces else pl.concat(self._pieces)
 
     def close(self) -> None:
-        """Write what is left; `atomic.built` sees to it that it is on the disk before it is in place."""
+        """Write the remaining rows; `atomic.built` flushes the file to the disk."""
         try:
             if self._waiting or self.rows == 0:
                 self._put(self._waiting)
@@ -97,7 +96,7 @@ class TableWriter:
             raise
 
     def abandon(self) -> None:
-        """Give up: the file holds half a table, and the caller removes it."""
+        """Stop: the file holds a part of the table, and the caller removes it."""
         with suppress(Exception):
             self._behind.end()
         if self._parquet is not None:
@@ -300,10 +299,7 @@ _decoded = _Decoded()
 
 @contextmanager
 def keeping(most_bytes: int) -> Iterator[None]:
-    """Keep so much of what is decoded, for one who reads the same rows again and again; afterwards what is usual.
-
-    If it is more than that, nothing stays.
-    """
+    """Keep up to `most_bytes` of decoded columns inside the block, for repeated reads of the same rows."""
     _decoded.most_bytes = most_bytes
     try:
         yield
@@ -314,7 +310,7 @@ def keeping(most_bytes: int) -> Iterator[None]:
 
 
 def forget() -> None:
-    """Give back the memory of what was read last: for one who has other use for it now."""
+    """Free the memory of the columns that were decoded last."""
     _decoded.clear()
     pa.default_memory_pool().release_unused()  # else Arrow keeps it for the next table
 

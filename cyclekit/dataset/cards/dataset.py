@@ -33,7 +33,7 @@ class ExecutionCard(Card, frozen=True, kw_only=True):
         part: The file of its samples, without the ending; None = it has the name of the session.
         start_s, end_s: Session time.
         complete: The log shows all of it.
-        reference: Recorded with nobody in the cell, as the cell file says.
+        reference: Recorded without an operator, as the cell file says.
         places: Where the robot stopped, in order.
         logged_as: Its name in a task list; None where there is none.
     """

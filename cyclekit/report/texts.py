@@ -14,8 +14,6 @@ from importlib.resources import files
 from string import Formatter
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.report import figures
-
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -61,6 +59,10 @@ class ReportTexts:
                 sections[section][name] = str(text)
         return ReportTexts(sections, language)
 
+    def with_words(self, words: Mapping[str, Mapping[str, str]]) -> ReportTexts:
+        """Return the texts with further sections, by name."""
+        return ReportTexts({**self.sections, **{name: dict(texts) for name, texts in words.items()}}, self.language)
+
     def section(self, name: str) -> dict[str, str]:
         """Return all texts of one section, not filled in."""
         return self.sections[name]
@@ -72,7 +74,7 @@ def _values(text: str) -> set[str]:
 
 @cache
 def load_texts() -> ReportTexts:
-    """Return the English texts: those of `texts.toml`, and the words that figures bring along."""
+    """Return the English texts."""
     content: dict[str, Any] = tomllib.loads(files("cyclekit.report").joinpath("texts.toml").read_text("utf-8"))
     language = str(content.pop("language"))
-    return ReportTexts(content | {each.name: dict(each.words) for each in figures.FIGURES if each.words}, language)
+    return ReportTexts(content, language)

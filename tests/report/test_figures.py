@@ -12,7 +12,6 @@ from cyclekit.report.figures import Chart, Figure
 from cyclekit.report.inputs import PageInputs
 from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable
-from cyclekit.report.texts import load_texts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,13 +35,11 @@ def charts(page: PageInputs) -> Iterator[Chart]:
 
 
 @pytest.fixture(params=["answer", "where", "why", "helps", "trust"])
-def section(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def section(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """A section that has one figure more, with words of its own."""
     more = Figure("pace", request.param, charts, WORDS)
     monkeypatch.setattr(figures, "FIGURES", (*figures.FIGURES, more))
-    load_texts.cache_clear()
-    yield request.param
-    load_texts.cache_clear()
+    return request.param
 
 
 def test_a_figure_of_the_registry_is_on_the_page_in_its_section(section: str, dataset: Dataset, tmp_path: Path) -> None:

@@ -17,148 +17,98 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from cyclekit.adapter import Adapter, ReadOptions, Recording
-    from cyclekit.api.adapters import list_adapters
-    from cyclekit.api.calibrate import calibrate_tracker
-    from cyclekit.api.convert import convert_log
-    from cyclekit.api.estimate import estimate_cycles
-    from cyclekit.api.evaluate import evaluate_model, evaluate_models
-    from cyclekit.api.export import export_model
-    from cyclekit.api.ingest import ingest_logs
-    from cyclekit.api.inspect import draft_cell, inspect_logs
-    from cyclekit.api.levels import ScalingLevels, find_levels
-    from cyclekit.api.plan import plan_order
-    from cyclekit.api.replay import write_replay
-    from cyclekit.api.report import write_report
-    from cyclekit.api.simulate import simulate_logs
-    from cyclekit.api.trace import trace_sample
-    from cyclekit.api.train import train_model, train_seeds
-    from cyclekit.api.whatif import what_if
-    from cyclekit.api.zones import read_safety_function
-    from cyclekit.config.sequences import TaskSequence, load_sequences
-    from cyclekit.dataset.dataset import Dataset
-    from cyclekit.errors import CyclekitError
-    from cyclekit.estimate.answers import CycleEstimates
-    from cyclekit.estimate.plan.answer import OrderPlan
-    from cyclekit.estimate.plan.jobs import Jobs, load_jobs
-    from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.estimate.whatif.answer import WhatIf
-    from cyclekit.estimate.whatif.answers import WhatIfAnswers
-    from cyclekit.estimate.whatif.change import Change, load_changes
-    from cyclekit.fleet.run import FleetRun, run_fleet
-    from cyclekit.ingest.ingest import IngestReport
-    from cyclekit.learning.evaluation.evaluate import Evaluation
-    from cyclekit.learning.networks.saved import TrainedModel, load_model, save_model
-    from cyclekit.learning.networks.spec import ModelSpec
-    from cyclekit.learning.safety_function.answer import SafetyFunction
-    from cyclekit.parallel.engine import Engine
-    from cyclekit.text.results import Result
+    from cyclekit.adapter import Adapter as Adapter
+    from cyclekit.adapter import ReadOptions as ReadOptions
+    from cyclekit.adapter import Recording as Recording
+    from cyclekit.api.adapters import list_adapters as list_adapters
+    from cyclekit.api.calibrate import calibrate_tracker as calibrate_tracker
+    from cyclekit.api.convert import convert_log as convert_log
+    from cyclekit.api.estimate import estimate_cycles as estimate_cycles
+    from cyclekit.api.evaluate import evaluate_model as evaluate_model
+    from cyclekit.api.evaluate import evaluate_models as evaluate_models
+    from cyclekit.api.export import export_model as export_model
+    from cyclekit.api.ingest import ingest_logs as ingest_logs
+    from cyclekit.api.inspect import draft_cell as draft_cell
+    from cyclekit.api.inspect import inspect_logs as inspect_logs
+    from cyclekit.api.levels import ScalingLevels as ScalingLevels
+    from cyclekit.api.levels import find_levels as find_levels
+    from cyclekit.api.plan import plan_order as plan_order
+    from cyclekit.api.replay import write_replay as write_replay
+    from cyclekit.api.report import write_report as write_report
+    from cyclekit.api.simulate import simulate_logs as simulate_logs
+    from cyclekit.api.trace import trace_sample as trace_sample
+    from cyclekit.api.train import train_model as train_model
+    from cyclekit.api.train import train_seeds as train_seeds
+    from cyclekit.api.whatif import what_if as what_if
+    from cyclekit.api.zones import read_safety_function as read_safety_function
+    from cyclekit.config.sequences import TaskSequence as TaskSequence
+    from cyclekit.config.sequences import load_sequences as load_sequences
+    from cyclekit.dataset.dataset import Dataset as Dataset
+    from cyclekit.errors import CyclekitError as CyclekitError
+    from cyclekit.estimate.answers import CycleEstimates as CycleEstimates
+    from cyclekit.estimate.plan.answer import OrderPlan as OrderPlan
+    from cyclekit.estimate.plan.jobs import Jobs as Jobs
+    from cyclekit.estimate.plan.jobs import load_jobs as load_jobs
+    from cyclekit.estimate.result import CycleEstimate as CycleEstimate
+    from cyclekit.estimate.whatif.answer import WhatIf as WhatIf
+    from cyclekit.estimate.whatif.answers import WhatIfAnswers as WhatIfAnswers
+    from cyclekit.estimate.whatif.change import Change as Change
+    from cyclekit.estimate.whatif.change import load_changes as load_changes
+    from cyclekit.fleet.run import FleetRun as FleetRun
+    from cyclekit.fleet.run import run_fleet as run_fleet
+    from cyclekit.ingest.ingest import IngestReport as IngestReport
+    from cyclekit.learning.evaluation.evaluate import Evaluation as Evaluation
+    from cyclekit.learning.networks.saved import TrainedModel as TrainedModel
+    from cyclekit.learning.networks.saved import load_model as load_model
+    from cyclekit.learning.networks.saved import save_model as save_model
+    from cyclekit.learning.networks.spec import ModelSpec as ModelSpec
+    from cyclekit.learning.safety_function.answer import SafetyFunction as SafetyFunction
+    from cyclekit.parallel.engine import Engine as Engine
+    from cyclekit.text.results import Result as Result
 
     __version__: str
 
-_HOMES = {
-    "Adapter": "cyclekit.adapter:Adapter",
-    "Change": "cyclekit.estimate.whatif.change:Change",
-    "CycleEstimate": "cyclekit.estimate.result:CycleEstimate",
-    "CycleEstimates": "cyclekit.estimate.answers:CycleEstimates",
-    "CyclekitError": "cyclekit.errors:CyclekitError",
-    "Dataset": "cyclekit.dataset.dataset:Dataset",
-    "Engine": "cyclekit.parallel.engine:Engine",
-    "Evaluation": "cyclekit.learning.evaluation.evaluate:Evaluation",
-    "FleetRun": "cyclekit.fleet.run:FleetRun",
-    "IngestReport": "cyclekit.ingest.ingest:IngestReport",
-    "Jobs": "cyclekit.estimate.plan.jobs:Jobs",
-    "ModelSpec": "cyclekit.learning.networks.spec:ModelSpec",
-    "OrderPlan": "cyclekit.estimate.plan.answer:OrderPlan",
-    "ReadOptions": "cyclekit.adapter:ReadOptions",
-    "Recording": "cyclekit.adapter:Recording",
-    "Result": "cyclekit.text.results:Result",
-    "SafetyFunction": "cyclekit.learning.safety_function.answer:SafetyFunction",
-    "ScalingLevels": "cyclekit.api.levels:ScalingLevels",
-    "TaskSequence": "cyclekit.config.sequences:TaskSequence",
-    "TrainedModel": "cyclekit.learning.networks.saved:TrainedModel",
-    "WhatIf": "cyclekit.estimate.whatif.answer:WhatIf",
-    "WhatIfAnswers": "cyclekit.estimate.whatif.answers:WhatIfAnswers",
-    "calibrate_tracker": "cyclekit.api.calibrate:calibrate_tracker",
-    "convert_log": "cyclekit.api.convert:convert_log",
-    "draft_cell": "cyclekit.api.inspect:draft_cell",
-    "estimate_cycles": "cyclekit.api.estimate:estimate_cycles",
-    "evaluate_model": "cyclekit.api.evaluate:evaluate_model",
-    "evaluate_models": "cyclekit.api.evaluate:evaluate_models",
-    "export_model": "cyclekit.api.export:export_model",
-    "find_levels": "cyclekit.api.levels:find_levels",
-    "ingest_logs": "cyclekit.api.ingest:ingest_logs",
-    "inspect_logs": "cyclekit.api.inspect:inspect_logs",
-    "list_adapters": "cyclekit.api.adapters:list_adapters",
-    "load_changes": "cyclekit.estimate.whatif.change:load_changes",
-    "load_jobs": "cyclekit.estimate.plan.jobs:load_jobs",
-    "load_model": "cyclekit.learning.networks.saved:load_model",
-    "load_sequences": "cyclekit.config.sequences:load_sequences",
-    "plan_order": "cyclekit.api.plan:plan_order",
-    "read_safety_function": "cyclekit.api.zones:read_safety_function",
-    "run_fleet": "cyclekit.fleet.run:run_fleet",
-    "save_model": "cyclekit.learning.networks.saved:save_model",
-    "simulate_logs": "cyclekit.api.simulate:simulate_logs",
-    "trace_sample": "cyclekit.api.trace:trace_sample",
-    "train_model": "cyclekit.api.train:train_model",
-    "train_seeds": "cyclekit.api.train:train_seeds",
-    "what_if": "cyclekit.api.whatif:what_if",
-    "write_replay": "cyclekit.api.replay:write_replay",
-    "write_report": "cyclekit.api.report:write_report",
+_NAMES = {
+    "adapter": "Adapter ReadOptions Recording",
+    "api.adapters": "list_adapters",
+    "api.calibrate": "calibrate_tracker",
+    "api.convert": "convert_log",
+    "api.estimate": "estimate_cycles",
+    "api.evaluate": "evaluate_model evaluate_models",
+    "api.export": "export_model",
+    "api.ingest": "ingest_logs",
+    "api.inspect": "draft_cell inspect_logs",
+    "api.levels": "ScalingLevels find_levels",
+    "api.plan": "plan_order",
+    "api.replay": "write_replay",
+    "api.report": "write_report",
+    "api.simulate": "simulate_logs",
+    "api.trace": "trace_sample",
+    "api.train": "train_model train_seeds",
+    "api.whatif": "what_if",
+    "api.zones": "read_safety_function",
+    "config.sequences": "TaskSequence load_sequences",
+    "dataset.dataset": "Dataset",
+    "errors": "CyclekitError",
+    "estimate.answers": "CycleEstimates",
+    "estimate.plan.answer": "OrderPlan",
+    "estimate.plan.jobs": "Jobs load_jobs",
+    "estimate.result": "CycleEstimate",
+    "estimate.whatif.answer": "WhatIf",
+    "estimate.whatif.answers": "WhatIfAnswers",
+    "estimate.whatif.change": "Change load_changes",
+    "fleet.run": "FleetRun run_fleet",
+    "ingest.ingest": "IngestReport",
+    "learning.evaluation.evaluate": "Evaluation",
+    "learning.networks.saved": "TrainedModel load_model save_model",
+    "learning.networks.spec": "ModelSpec",
+    "learning.safety_function.answer": "SafetyFunction",
+    "parallel.engine": "Engine",
+    "text.results": "Result",
 }
-"""Where each public name lives. A name differs from every module's name, which would shadow it once imported."""
-
-__all__ = [
-    "Adapter",
-    "Change",
-    "CycleEstimate",
-    "CycleEstimates",
-    "CyclekitError",
-    "Dataset",
-    "Engine",
-    "Evaluation",
-    "FleetRun",
-    "IngestReport",
-    "Jobs",
-    "ModelSpec",
-    "OrderPlan",
-    "ReadOptions",
-    "Recording",
-    "Result",
-    "SafetyFunction",
-    "ScalingLevels",
-    "TaskSequence",
-    "TrainedModel",
-    "WhatIf",
-    "WhatIfAnswers",
-    "__version__",
-    "calibrate_tracker",
-    "convert_log",
-    "draft_cell",
-    "estimate_cycles",
-    "evaluate_model",
-    "evaluate_models",
-    "export_model",
-    "find_levels",
-    "ingest_logs",
-    "inspect_logs",
-    "list_adapters",
-    "load_changes",
-    "load_jobs",
-    "load_model",
-    "load_sequences",
-    "plan_order",
-    "read_safety_function",
-    "run_fleet",
-    "save_model",
-    "simulate_logs",
-    "trace_sample",
-    "train_model",
-    "train_seeds",
-    "what_if",
-    "write_replay",
-    "write_report",
-]
+"""Public names, by the module they live in. A name differs from every module's, which would shadow it once imported."""
+_HOMES = {name: f"cyclekit.{module}:{name}" for module, names in _NAMES.items() for name in names.split()}
+__all__ = sorted([*_HOMES, "__version__"])
 
 if not TYPE_CHECKING:  # the type checker reads the imports above, so that a slip in a name is found
 
@@ -176,4 +126,4 @@ if not TYPE_CHECKING:  # the type checker reads the imports above, so that a sli
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return __all__

@@ -106,6 +106,21 @@ STAMPS: Mapping[str, Column] = {
 }
 """Two stamps of one row, where a log has both: how the device's clock runs against its host's."""
 
+OF_LOGS: Mapping[str, Mapping[str, Column]] = {
+    "robot": ROBOT,
+    "people": PEOPLE,
+    "events": EVENTS,
+    "task_list": TASK_LIST,
+    "safety": SAFETY,
+    "skeletons": SKELETONS,
+    "stamps": STAMPS,
+}
+"""The tables that a log may give, by name."""
+MAIN = ("robot", "people", "events", "task_list", "safety")
+"""Tables one of which a log must hold; the first there is tells its rate."""
+UNRATED = ("events", "task_list")
+"""Tables whose rows come when something happens."""
+
 SAMPLES: Mapping[str, Column] = {
     "execution": Column(TEXT, "", "which execution of the process"),
     "t_s": Column(F64, "s", "time since the session began, robot clock"),

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cyclekit.api.arguments import checked
 from cyclekit.ingest.registry import adapters, left_out
 from cyclekit.text.results import Result
 
-if TYPE_CHECKING:
-    import polars as pl
-
 
 @dataclass(frozen=True, repr=False)
 class AdapterList(Result):
-    """The log formats that can be read.
+    """The log formats that can be read; as a frame one row per adapter.
 
     Attributes:
         adapters: Of each: name, package, version, and what it reads.
@@ -25,15 +22,8 @@ class AdapterList(Result):
     adapters: tuple[dict[str, str], ...]
     left_out: tuple[dict[str, Any], ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {"adapters": list(self.adapters), "left_out": list(self.left_out)}
-
-    def to_frame(self) -> pl.DataFrame:
-        """One row per adapter."""
-        import polars as pl
-
-        return pl.DataFrame(list(self.adapters))
+    def _frame_rows(self) -> tuple[dict[str, str], ...]:
+        return self.adapters
 
     def _said(self) -> list[str]:
         return [f"{len(self.adapters)} log formats", ", ".join(one["name"] for one in self.adapters)]

@@ -20,8 +20,13 @@ Progress = Callable[[float, str], None]
 """Told the fraction done, 0 to 1, and what is being done."""
 
 
-def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """Have the arguments of a function checked when it is called.
+def checked(function: Callable[P, R], home: str | None = None, name: str | None = None) -> Callable[P, R]:
+    """Return a function whose arguments are checked when it is called.
+
+    Args:
+        function: A function of this package, or of a room that has the public signature.
+        home: The module in which it is public, if that is not its own.
+        name: Its name there.
 
     Raises:
         WrongType: An argument is not of the annotated type.
@@ -32,10 +37,12 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         hints = get_type_hints(function)
-        for name, value in known.bind(*args, **kwargs).arguments.items():
-            _check(function.__name__, name, value, hints[name])
+        for each, value in known.bind(*args, **kwargs).arguments.items():
+            _check(call.__name__, each, value, hints[each])
         return function(*args, **kwargs)
 
+    call.__module__, call.__qualname__ = home or function.__module__, name or function.__qualname__
+    call.__name__ = name or function.__name__
     return call
 
 

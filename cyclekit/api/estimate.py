@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import Sequences, dataset_of, model_of, path_of, place_of, sequences_of
+from cyclekit.api.given import Sequences, model_of, path_of, place_of, sequences_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.estimate.answers import CycleEstimates, Refusal, refusing, together
@@ -73,7 +73,7 @@ def estimate_cycles(
     refused: list[Refusal] = []
     found = estimate(
         model_of(model),
-        dataset_of(dataset),
+        Dataset.of(dataset),
         wanted,
         estimator=estimator,
         quantiles=quantiles,

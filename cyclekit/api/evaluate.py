@@ -6,19 +6,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import dataset_of, trained_of
+from cyclekit.api.given import trained_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.learning.evaluation.drift import drift
 from cyclekit.learning.evaluation.evaluate import Evaluation, evaluate, evaluate_at
 from cyclekit.learning.networks.saved import TrainedModel, models_in
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.text.results import Result
-
-if TYPE_CHECKING:
-    import polars as pl
 
 
 @checked
@@ -45,15 +42,15 @@ def evaluate_model(
         DatasetError: No sample can be judged.
         ModelError: The model is of another cell, or its card does not say what was held out.
     """
-    opened, judged = trained_of(model), dataset_of(dataset)
-    changed = None if trained_on is None else drift(opened, dataset_of(trained_on), judged)
+    opened, judged = trained_of(model), Dataset.of(dataset)
+    changed = None if trained_on is None else drift(opened, Dataset.of(trained_on), judged)
     foreign = other_cell or trained_on is not None
     return replace(evaluate(opened, judged, boosting=boosting, other_cell=foreign, progress=progress), drift=changed)
 
 
 @dataclass(frozen=True, repr=False)
 class ModelComparison(Result, Mapping[str, Evaluation]):
-    """The evaluations of several models on one dataset, by the models' places.
+    """The evaluations of several models on one dataset, by the models' places; as a frame one row per model.
 
     Attributes:
         evaluations: One for each model.
@@ -81,17 +78,12 @@ class ModelComparison(Result, Mapping[str, Evaluation]):
             return next(iter(self.evaluations.values())).to_dict()
         return {"models": {Path(place).name: one.to_dict() for place, one in self.evaluations.items()}}
 
-    def to_frame(self) -> pl.DataFrame:
-        """One row per model: errors of the scaling over its samples."""
-        import polars as pl
-
-        return pl.DataFrame(
-            [
-                {"model": place, "network": one.network, "samples": one.metrics.rows}
-                | {"mse": one.metrics.mse_mean, "mean_absolute_error": one.metrics.mae}
-                for place, one in self.evaluations.items()
-            ]
-        )
+    def _frame_rows(self) -> list[dict[str, object]]:
+        return [
+            {"model": place, "network": one.network, "samples": one.metrics.rows}
+            | {"mse": one.metrics.mse_mean, "mean_absolute_error": one.metrics.mae}
+            for place, one in self.evaluations.items()
+        ]
 
     def _said(self) -> list[str]:
         return [f"{place}: {repr(one).partition(': ')[2]}" for place, one in self.evaluations.items()]

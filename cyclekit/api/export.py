@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cyclekit.api.arguments import Place, checked
 from cyclekit.api.given import place_of, trained_of
@@ -12,9 +12,6 @@ from cyclekit.dataset.guard import check_output
 from cyclekit.learning.networks.onnx_file import write_onnx
 from cyclekit.learning.networks.saved import TrainedModel
 from cyclekit.text.results import Result
-
-if TYPE_CHECKING:
-    import polars as pl
 
 
 @dataclass(frozen=True, repr=False)
@@ -32,12 +29,6 @@ class ExportedModel(Result):
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
         return {"onnx": str(self.path), "difference": self.difference}
-
-    def to_frame(self) -> pl.DataFrame:
-        """One row: the file, and how far its predictions are from ours."""
-        import polars as pl
-
-        return pl.DataFrame([self.to_dict()])
 
     def _said(self) -> list[str]:
         off = self.difference

@@ -17,11 +17,6 @@ Sequences = Place | TaskSequence | Sequence[TaskSequence]
 Changes = Place | Change | Sequence[Change]
 
 
-def dataset_of(given: Dataset | Place) -> Dataset:
-    """Return a dataset, opened."""
-    return given if isinstance(given, Dataset) else Dataset.open(given)
-
-
 def model_of(given: SafetyModel | Place) -> SafetyModel:
     """Return a safety function; a trained model where a place is given."""
     return load_model(given) if isinstance(given, str | Path) else given

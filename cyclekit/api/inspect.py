@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import path_of
@@ -12,19 +12,17 @@ from cyclekit.config import cell_to_toml
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import OutputError
 from cyclekit.ingest.discover import suggest_cell
-from cyclekit.inspect.describe import DatasetDescription, Description, describe
+from cyclekit.inspect.describe import describe
+from cyclekit.inspect.facts import DatasetDescription, Description
 from cyclekit.storage.atomic import write_text
 from cyclekit.storage.outputs import check_writable
 from cyclekit.storage.remote.folders import local
 from cyclekit.text.results import Result
 
-if TYPE_CHECKING:
-    import polars as pl
-
 
 @dataclass(frozen=True, repr=False)
 class CellDraft(Result):
-    """The cell file that fits some logs.
+    """The cell file that fits some logs; as a frame its lines, and which are guesses.
 
     Attributes:
         cell: Its text (TOML).
@@ -40,12 +38,8 @@ class CellDraft(Result):
         """Return plain JSON values."""
         return {"cell": self.cell, "unsure": self.unsure, **({"out": str(self.out)} if self.out else {})}
 
-    def to_frame(self) -> pl.DataFrame:
-        """One row per line of the file, and whether it is a guess."""
-        import polars as pl
-
-        lines = self.cell.splitlines()
-        return pl.DataFrame({"line": lines, "unsure": ["# ?" in line for line in lines]})
+    def _frame_rows(self) -> list[dict[str, object]]:
+        return [{"line": line, "unsure": "# ?" in line} for line in self.cell.splitlines()]
 
     def _said(self) -> list[str]:
         return [f"{len(self.cell.splitlines())} lines, {self.unsure} of them not sure"]

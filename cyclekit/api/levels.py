@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cyclekit.api.arguments import Place, checked
-from cyclekit.api.given import dataset_of, path_of, place_of
+from cyclekit.api.given import path_of, place_of
 from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
@@ -18,13 +18,10 @@ from cyclekit.scaling.levels.clusters import FINDERS
 from cyclekit.scaling.levels.staircase import PLATEAU
 from cyclekit.text.results import Result
 
-if TYPE_CHECKING:
-    import polars as pl
-
 
 @dataclass(frozen=True, repr=False)
 class ScalingLevels(Result):
-    """The levels of the speed scaling.
+    """The levels of the speed scaling; as a frame one row per level, ascending.
 
     Attributes:
         method: How they were found.
@@ -48,22 +45,12 @@ class ScalingLevels(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return {
-            "method": self.method,
-            "count": len(self.levels),
-            "levels": list(self.levels),
-            "means": list(self.means),
-            "share": list(self.share),
-            "noise": self.noise,
-            "is_staircase": self.is_staircase,
-            "picture": None if self.picture is None else str(self.picture),
-        }
+        document = {"method": self.method, "count": len(self.levels), **super().to_dict()}
+        return {name: value for name, value in document.items() if name != "warnings"}
 
-    def to_frame(self) -> pl.DataFrame:
-        """One row per level, ascending."""
-        import polars as pl
-
-        return pl.DataFrame({"level": self.levels, "mean": self.means or self.levels, "share": self.share})
+    def _frame_rows(self) -> list[dict[str, object]]:
+        every = zip(self.levels, self.means or self.levels, self.share, strict=True)
+        return [{"level": level, "mean": mean, "share": share} for level, mean, share in every]
 
     def _said(self) -> list[str]:
         return [f"{len(self.levels)} levels by {self.method}: {', '.join(f'{level:.4g}' for level in self.levels)}"]
@@ -87,7 +74,7 @@ def find_levels(dataset: Dataset | Place, *, method: str = "plateau", picture: P
         raise UnknownName("self-labelling", "method", method, (PLATEAU, *FINDERS))
     file = path_of(picture)
     check_output(file, "picture", [place_of(dataset)], option="--picture", endings=(".svg", ".png", ".pdf"))
-    opened = dataset_of(dataset)
+    opened = Dataset.of(dataset)
     opened.require_positions()
     frame = opened.samples(columns=["execution", "t_s", "scaling"])
     found = staircase_of(opened, frame, method)

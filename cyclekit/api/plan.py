@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import dataset_of, jobs_of, model_of, path_of, place_of
+from cyclekit.api.given import jobs_of, model_of, path_of, place_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.estimate.check import Check
@@ -48,7 +48,7 @@ def plan_order(
     check_output(file, "sequences", [place_of(model), place_of(jobs), place_of(dataset)], endings=(".toml",))
     wanted = jobs_of(jobs)
     asked = {"validate": validate, "other_cell": other_cell}
-    found = plan(model_of(model), dataset_of(dataset), wanted, seed=seed, check=check, progress=progress, **asked)
+    found = plan(model_of(model), Dataset.of(dataset), wanted, seed=seed, check=check, progress=progress, **asked)
     if file is not None:
         names = ", ".join(f'"{place}"' for place in found.places)
         write_text(file, f'# Written by cyclekit plan\n[[sequence]]\nname = "planned"\nplaces = [{names}]\n')

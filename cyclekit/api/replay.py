@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import dataset_of, place_of, trained_of
+from cyclekit.api.given import place_of, trained_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.learning.networks.saved import TrainedModel
@@ -44,7 +44,7 @@ def write_replay(
     """
     file = Path(out)
     check_output(file, "replay", [place_of(dataset), place_of(model)], endings=(".rrd",))
-    opened = dataset_of(dataset)
+    opened = Dataset.of(dataset)
     trained = None if model is None else trained_of(model)
     names = [execution] if isinstance(execution, str | int) else execution
     asked = list(map(str, names))

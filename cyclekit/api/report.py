@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.estimate import estimate_cycles
 from cyclekit.api.evaluate import evaluate_model
-from cyclekit.api.given import Sequences, dataset_of, jobs_of, place_of, sequences_of, trained_of
+from cyclekit.api.given import Sequences, jobs_of, place_of, sequences_of, trained_of
 from cyclekit.api.plan import plan_order
 from cyclekit.api.whatif import what_if as try_changes
 from cyclekit.config.sequences import TaskSequence
@@ -100,7 +100,7 @@ def write_report(
     folder = None if template is None else Path(template)
     Template(folder)
     tell = progress or (lambda _fraction, _text: None)
-    data = dataset_of(dataset)
+    data = Dataset.of(dataset)
     page: dict[str, Any] = {"estimates": estimates or (), "check": estimates.check if estimates else None}
     page["what_if"] = tried
     trained = None if model is None else trained_of(model)

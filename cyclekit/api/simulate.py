@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.dataset.guard import check_output
@@ -13,30 +13,19 @@ from cyclekit.errors import CyclekitError
 from cyclekit.extras import need
 from cyclekit.text.results import Result
 
-if TYPE_CHECKING:
-    import polars as pl
-
 
 @dataclass(frozen=True, repr=False)
 class SimulatedLogs(Result):
-    """Logs of a simulated cell; the truth lies in `logs`/truth."""
+    """Logs of a simulated cell, the truth in `logs`/truth; as a frame one row per file, its size in bytes."""
 
     logs: Path
     scene: str
     executions: int
     seed: int
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {**vars(self), "logs": str(self.logs)}
-
-    def to_frame(self) -> pl.DataFrame:
-        """One row per file of the logs: its name and its size in bytes."""
-        import polars as pl
-
+    def _frame_rows(self) -> list[dict[str, object]]:
         files = sorted(file for file in self.logs.rglob("*") if file.is_file())
-        rows = [{"file": file.relative_to(self.logs).as_posix(), "bytes": file.stat().st_size} for file in files]
-        return pl.DataFrame(rows)
+        return [{"file": file.relative_to(self.logs).as_posix(), "bytes": file.stat().st_size} for file in files]
 
     def _said(self) -> list[str]:
         return [f"{self.logs}: {self.executions} executions of {self.scene}, seed {self.seed}"]

@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import dataset_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.learning.networks.saved import TrainedModel, check_model_output, load_model
@@ -43,7 +42,7 @@ def train_model(
     """
     wanted = spec or ModelSpec.of()
     if out is None:
-        return train(dataset_of(dataset), wanted, progress=progress)
+        return train(Dataset.of(dataset), wanted, progress=progress)
     (model,) = _put([Training(_place(dataset), wanted, str(out))], engine, progress)
     return model
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import Changes, Sequences, changes_of, dataset_of, model_of, path_of, place_of, sequences_of
+from cyclekit.api.given import Changes, Sequences, changes_of, model_of, path_of, place_of, sequences_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.estimate.answers import Refusal, refusing, together
@@ -60,7 +60,7 @@ def what_if(
     refused: list[Refusal] = []
     found = compare(
         model_of(model),
-        dataset_of(dataset),
+        Dataset.of(dataset),
         wanted,
         changed,
         seed=seed,

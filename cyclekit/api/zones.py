@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cyclekit.api.arguments import Place, checked
-from cyclekit.api.given import dataset_of, path_of, place_of, trained_of
+from cyclekit.api.given import path_of, place_of, trained_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.learning.networks.saved import TrainedModel
@@ -36,7 +36,7 @@ def read_safety_function(
     """
     file = path_of(out)
     check_output(file, "picture", [place_of(model), place_of(dataset)], endings=(".svg",))
-    found = read_zones(trained_of(model), dataset_of(dataset), seed=seed, other_cell=other_cell)
+    found = read_zones(trained_of(model), Dataset.of(dataset), seed=seed, other_cell=other_cell)
     if file is not None:
         write_text(file, zones_svg(found))
     return found

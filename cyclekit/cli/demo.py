@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cyclekit.cli.estimate import doubted, starred
-from cyclekit.cli.options import Json, Quiet, vector
+from cyclekit.cli.options import Json, OperatorLog, OperatorXyz, OperatorYaw, Quiet, vector
 from cyclekit.cli.terminal import Terminal, bullet, duration, table, write_out
 from cyclekit.cli.train import summary
 from cyclekit.errors import command_line
@@ -47,13 +47,9 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for everything that the demo makes.")] = Path("out"),
     executions: Annotated[int, typer.Option(min=5, help="How many executions are simulated.")] = 40,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same logs.")] = 1,
-    operator_log: Annotated[
-        Path | None, typer.Option(help="Real tracker recording to use instead of the simulated operator.")
-    ] = None,
-    operator_xyz: Annotated[
-        str | None, typer.Option(help="Position of the recording's origin, base frame: x,y,z in m.")
-    ] = None,
-    operator_yaw: Annotated[float, typer.Option(help="Rotation of the recording about the vertical, degrees.")] = 0.0,
+    operator_log: OperatorLog = None,
+    operator_xyz: OperatorXyz = None,
+    operator_yaw: OperatorYaw = 0.0,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:

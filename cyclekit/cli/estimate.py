@@ -18,6 +18,8 @@ from cyclekit.cli.options import (
     OtherCell,
     Quiet,
     RayAddress,
+    SequenceFile,
+    Takt,
     engine_of,
     levels,
     seconds,
@@ -39,18 +41,13 @@ _SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 def estimate(
     model: ModelPlace,
-    sequences: Annotated[
-        Path, typer.Argument(help="Sequence file: names and ordered places or tasks.", metavar="SEQUENCES.toml")
-    ],
+    sequences: SequenceFile,
     dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the result here: JSON, or CSV for x.csv.")] = None,
     estimator: Annotated[
         str | None, typer.Option(help="rollout, average, history or nominal; by default what suits the model.")
     ] = None,
-    takt: Annotated[
-        str | None,
-        typer.Option(metavar="TIME", help="Takt time, such as 105s: show the share of cycles within it."),
-    ] = None,
+    takt: Takt = None,
     quantiles: Annotated[str, typer.Option(metavar="LEVELS", help="Quantiles of single cycles, percent.")] = "5,50,95",
     check: Checked = True,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling of operator tracks.")] = 0,
@@ -91,7 +88,7 @@ def estimate(
     if out is not None:
         terminal.remark(f"written: {out}")
     by_task = tasks_table(found[0]) if len(found) == 1 else ""
-    numbers = f"{estimates_table(found)}\n{CAPTION}\n{doubted(found)}".rstrip()
+    numbers = f"{estimates_table(found)}\n{bullet([CAPTION], mark='')}\n{doubted(found)}".rstrip()
     parts = [
         alarmed(found.alarms),
         numbers,

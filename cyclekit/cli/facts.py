@@ -15,7 +15,7 @@ from cyclekit.text.plain_text import one_line
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cyclekit.inspect.describe import (
+    from cyclekit.inspect.facts import (
         DatasetDescription,
         Description,
         Gap,
@@ -224,7 +224,7 @@ def _counted(clock: Mapping[str, Any]) -> str:
 
 
 def _operator(seen: Mapping[str, Mapping[str, int]]) -> str:
-    """Return in how many samples somebody was seen, and why nobody was in the others, over all recordings."""
+    """Return in how many samples an operator was seen, and why not in the others, over all recordings."""
     total = {name: sum(counts.get(name, 0) for counts in seen.values()) for name in GAP_REASONS}
     if not any(total.values()):
         return ""

@@ -44,7 +44,7 @@ def inspect(
         return
     from cyclekit.api.inspect import inspect_logs
     from cyclekit.cli.facts import page
-    from cyclekit.inspect.describe import DatasetDescription
+    from cyclekit.inspect.facts import DatasetDescription
 
     with terminal.progress("looking") as progress:
         found = inspect_logs(path, cell=cell, follow_links=follow_links, verify=verify, progress=progress)

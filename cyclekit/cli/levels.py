@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cyclekit.cli.options import DatasetPlace, Json, Quiet
-from cyclekit.cli.terminal import Terminal, percent, table
+from cyclekit.cli.terminal import Terminal, bullet, percent, table
 
 if TYPE_CHECKING:
     from cyclekit.api.levels import ScalingLevels
@@ -45,7 +45,6 @@ def _page(found: ScalingLevels) -> str:
         for level, mean, share in zip(found.levels, means, found.share, strict=True)
     ]
     moving = 1 - sum(found.share)
-    head = (
-        f"P = {len(found.levels)} levels by {found.method}; {percent(moving)} of the samples in transition or unknown"
-    )
+    transition = f"{percent(moving)} of the samples in transition or unknown"
+    head = bullet([f"P = {len(found.levels)} levels by {found.method}; {transition}"], mark="")
     return f"{head}\n\n{table(['level ', 'mean', 'of the time'], rows)}"

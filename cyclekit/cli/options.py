@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -25,6 +26,15 @@ ModelPlace = Annotated[str, typer.Argument(help="Model: a folder or its URL.", m
 LoggedPlace = Annotated[
     str, typer.Option("--dataset", help="Dataset that holds the robot's motions and the operator's tracks.")
 ]
+SequenceFile = Annotated[
+    Path, typer.Argument(help="Sequence file: names and ordered places or tasks.", metavar="SEQUENCES.toml")
+]
+Takt = Annotated[str | None, typer.Option(metavar="TIME", help="Takt time, such as 105s: compare the cycles with it.")]
+OperatorLog = Annotated[
+    Path | None, typer.Option(help="Real tracker recording to use instead of the simulated operator.")
+]
+OperatorXyz = Annotated[str | None, typer.Option(help="Position of the recording's origin, base frame: x,y,z in m.")]
+OperatorYaw = Annotated[float, typer.Option(help="Rotation of the recording about the vertical, degrees.")]
 EngineName = Annotated[Literal["local", "ray"], typer.Option(help="Where the jobs run (docs/fleet.md).")]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Jobs at the same time; default: 1, with Ray one per core.")]
 RayAddress = Annotated[

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from cyclekit.cli.options import Checked, DatasetPlace, Extrapolate, Json, OtherCell, Quiet, seconds
+from cyclekit.cli.options import Checked, DatasetPlace, Extrapolate, Json, OtherCell, Quiet, Takt, seconds
 from cyclekit.cli.terminal import Terminal, megabytes
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def report(
         str | None, typer.Option(help="Folder of the model; without it the page is about the logs.")
     ] = None,
     sequences: Annotated[Path | None, typer.Option(help="Sequence file whose estimates go into the page.")] = None,
-    takt: Annotated[str | None, typer.Option(help="Takt time to compare the cycles with, such as 105s.")] = None,
+    takt: Takt = None,
     what_if: Annotated[
         list[str] | None,
         typer.Option(

@@ -7,12 +7,11 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from cyclekit.cli.options import Json, Quiet, vector
+from cyclekit.cli.options import Json, OperatorLog, OperatorXyz, OperatorYaw, Quiet, vector
 from cyclekit.cli.terminal import Terminal
 from cyclekit.errors import command_line
 
 EXAMPLE = "cyclekit simulate box-picking --out logs --executions 20 --seed 1"
-_LOGS, _IMPERFECT, _SAFETY, _WALKER = "Logs", "Imperfections", "Safety system", "Operator"
 
 
 def simulate(
@@ -40,13 +39,9 @@ def simulate(
     ramps: Annotated[float | None, typer.Option(help="Fastest change of the scaling, 1/s.")] = None,
     latency: Annotated[float, typer.Option(help="Reaction time of the safety system, s.")] = 0.0,
     hysteresis: Annotated[float, typer.Option(help="Extra distance before the robot speeds up again, m.")] = 0.0,
-    operator_log: Annotated[
-        Path | None, typer.Option(help="Real tracker recording to use instead of the simulated operator.")
-    ] = None,
-    operator_xyz: Annotated[
-        str | None, typer.Option(help="Position of the recording's origin, base frame: x,y,z in m.")
-    ] = None,
-    operator_yaw: Annotated[float, typer.Option(help="Rotation of the recording about the vertical, degrees.")] = 0.0,
+    operator_log: OperatorLog = None,
+    operator_xyz: OperatorXyz = None,
+    operator_yaw: OperatorYaw = 0.0,
     encoder_noise: Annotated[
         float, typer.Option(help="Noise of the joint angles, standard deviation, rad; a real UR5 shows 2e-5.")
     ] = 0.0,

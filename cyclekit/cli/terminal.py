@@ -7,6 +7,7 @@ people, or as one JSON document for programs. What the numbers mean is the busin
 from __future__ import annotations
 
 import math
+import shutil
 import sys
 import threading
 import time
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
 PATIENCE_S = 2.0
 """Where there is no terminal to draw in, the first line of progress comes after this time, the next after twice it."""
+
+LEAST_TEXT = 12
+"""A column of texts narrower than this is hard to read."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +111,15 @@ def say_usage(error: typer.TyperException, *, as_json: bool) -> int:
     return 2
 
 
+def columns(most: int = 80) -> int:
+    """Return how many columns a page has: those of the terminal (or COLUMNS), at most `most`."""
+    return max(40, min(most, shutil.get_terminal_size((most, 24)).columns))
+
+
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "") -> str:
-    """Return a plain table of at most 80 columns; the first column is text, the others are right-aligned numbers.
+    """Return a plain table of at most 80 columns, fewer in a narrow terminal.
+
+    The first column is text, the others are right-aligned numbers.
 
     Args:
         header: One word per column; a column whose name ends in a blank is text and left-aligned.
@@ -121,16 +132,35 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = 
     from rich.table import Table
     from rich.text import Text
 
+    texts = [index == 0 or name.endswith(" ") for index, name in enumerate(header)]
+    longest = [max(len(one_line(text)) for text in column) for column in zip(header, *rows, strict=True)]
+    if sum(longest) + 2 * len(longest) > columns():
+        header = [name if left else name.replace(" ", "\n") for name, left in zip(header, texts, strict=True)]
+        cells = [[*name.split("\n"), *(row[at] for row in rows)] for at, name in enumerate(header) if not texts[at]]
+        room = columns() - sum(2 + max(map(len, column)) for column in cells)
+        if cells and 0 < room < LEAST_TEXT * sum(texts):
+            return _stacked(header, rows, texts, title)
     grid = Table(box=None, pad_edge=False, show_edge=False, padding=(0, 2, 0, 0))
     for index, name in enumerate(header):
-        left = index == 0 or name.endswith(" ")
+        left = texts[index]
         grid.add_column(name.strip(), justify="left" if left else "right", overflow="fold", no_wrap=not left)
     for row in rows:
         grid.add_row(*(Text(one_line(cell)) for cell in row))  # as text: rich would take `[a]` in a path for a style
     page = io.StringIO()
-    Console(file=page, width=80, markup=False, highlight=False, emoji=False, no_color=True).print(grid)
+    Console(file=page, width=columns(), markup=False, highlight=False, emoji=False, no_color=True).print(grid)
     body = "\n".join(line.rstrip() for line in page.getvalue().splitlines())
     return f"{title}\n{body}" if title else body
+
+
+def _stacked(header: Sequence[str], rows: Sequence[Sequence[str]], texts: Sequence[bool], title: str) -> str:
+    """Return a table whose texts stand in a line of their own above the numbers, for a narrow terminal."""
+    numbers = [["", *(cell for cell, left in zip(row, texts, strict=True) if not left)] for row in (header, *rows)]
+    lines = table(numbers[0], numbers[1:], title=title).splitlines()
+    head = len(lines) - len(rows)
+    for row, line in zip(rows, lines[head:], strict=True):
+        named = ", ".join(one_line(cell) for cell, left in zip(row, texts, strict=True) if left and cell)
+        lines += [bullet([named], mark=""), line]
+    return "\n".join(lines[:head] + lines[head + len(rows) :])
 
 
 class _Lines:
@@ -238,12 +268,12 @@ def percent(fraction: float | None) -> str:
 
 
 def bullet(texts: Sequence[str], *, mark: str = "- ", width: int = 80) -> str:
-    """Return texts as lines of at most `width` columns, each with its mark."""
+    """Return texts as lines of at most `width` columns, fewer in a narrow terminal, each with its mark."""
     import textwrap
 
     mark = one_line(mark)
-    blank = " " * len(mark)
-    return "\n".join(textwrap.fill(text, width, initial_indent=mark, subsequent_indent=blank) for text in texts)
+    lines = textwrap.TextWrapper(columns(width), initial_indent=mark, subsequent_indent=" " * len(mark))
+    return "\n".join(map(lines.fill, texts))
 
 
 def write_out(file: Path, content: str | Mapping[str, Any]) -> None:

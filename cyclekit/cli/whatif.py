@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cyclekit.cli.estimate import alarmed, doubted, not_answered, starred
-from cyclekit.cli.options import Checked, Extrapolate, Json, LoggedPlace, ModelPlace, OtherCell, Quiet
+from cyclekit.cli.options import Checked, Extrapolate, Json, LoggedPlace, ModelPlace, OtherCell, Quiet, SequenceFile
 from cyclekit.cli.terminal import Terminal, bullet, table
 
 if TYPE_CHECKING:
@@ -21,9 +21,7 @@ EXAMPLE = "cyclekit whatif model sequences.toml changes.toml --dataset dataset"
 
 def whatif(
     model: ModelPlace,
-    sequences: Annotated[
-        Path, typer.Argument(help="Sequence file: names and ordered places or tasks.", metavar="SEQUENCES.toml")
-    ],
+    sequences: SequenceFile,
     changes: Annotated[Path, typer.Argument(help="What is changed: [[change]] tables.", metavar="CHANGES.toml")],
     dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the result here, as JSON.")] = None,

@@ -44,10 +44,8 @@ def _rule(found: SafetyFunction) -> str:
         f"{level:.2f} ({percent(share)})" for level, share in zip(found.levels, found.shares, strict=True)
     )
     late = "unknown" if found.hysteresis_m is None else f"{found.hysteresis_m:.3f} m ({found.hysteresis_origin})"
-    return (
-        f"levels, share of the samples: {levels}\nthe speed depends on: {found.rule}\nhysteresis: {late}\n"
-        f"from {found.rows} samples of {found.executions} executions"
-    )
+    rule, rows = f"the speed depends on: {found.rule}", f"from {found.rows} samples of {found.executions} executions"
+    return bullet([f"levels, share of the samples: {levels}", rule, f"hysteresis: {late}", rows], mark="")
 
 
 def _thresholds(found: SafetyFunction) -> str:

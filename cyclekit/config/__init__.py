@@ -7,19 +7,13 @@ What the settings do is the business of the rooms that get them.
 
 from __future__ import annotations
 
-from cyclekit.config.cells import Cell, Executions, Frame, Furniture, NamedPlace, Robot, Source, Sync
-from cyclekit.config.read import load_cell
-from cyclekit.config.write import cell_to_toml
-
-__all__ = [
-    "Cell",
-    "Executions",
-    "Frame",
-    "Furniture",
-    "NamedPlace",
-    "Robot",
-    "Source",
-    "Sync",
-    "cell_to_toml",
-    "load_cell",
-]
+from cyclekit.config.cells import Cell as Cell
+from cyclekit.config.cells import Executions as Executions
+from cyclekit.config.cells import Frame as Frame
+from cyclekit.config.cells import Furniture as Furniture
+from cyclekit.config.cells import NamedPlace as NamedPlace
+from cyclekit.config.cells import Robot as Robot
+from cyclekit.config.cells import Source as Source
+from cyclekit.config.cells import Sync as Sync
+from cyclekit.config.read import load_cell as load_cell
+from cyclekit.config.write import cell_to_toml as cell_to_toml

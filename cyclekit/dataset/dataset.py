@@ -12,7 +12,6 @@ A dataset is put in place as a whole (`atomic`). What goes into the tables is de
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,20 +21,17 @@ import msgspec
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.config import Furniture
 from cyclekit.dataset import checksums
-from cyclekit.dataset.cards import BadCard, dataset_card, parse_json, read_content
 from cyclekit.dataset.files import DatasetFiles
-from cyclekit.dataset.footers import check_tables
+from cyclekit.dataset.opening import opened_card
 from cyclekit.errors import DatasetError, UnknownName, command_line
-from cyclekit.storage.atomic import recover
-from cyclekit.storage.mistaken import DATASET_CARD, toml_for, what_is
+from cyclekit.storage.mistaken import DATASET_CARD
 from cyclekit.storage.remote.folders import local
-from cyclekit.text.plain_text import all_in_one_line, needs_it
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
+    from cyclekit.config import Furniture
     from cyclekit.dataset.cards import DatasetCard, ExecutionCard, PlaceCard, RecordingCard
 
 CARD, TASKS, QUARANTINE = DATASET_CARD, "tasks.parquet", "quarantine.parquet"
@@ -91,27 +87,12 @@ class Dataset:
             StorageError: The URL cannot be read.
         """
         place, path = str(path), local(path)
-        try:
-            content = _card_of(path)
-            values = parse_json(content)
-            version = _version(values)
-            if version == schema.SCHEMA_VERSION:
-                text = content.decode(errors="replace")
-                if checksums.is_broken(text):
-                    raise checksums.unreadable(path / CARD, path, "damaged: it is not as it was written")
-                card = dataset_card(all_in_one_line(values) if needs_it(text) else values)
-                check_tables(path, card)
-                return cls(path, card, place)
-        except BadCard as error:
-            msg = f"{path / CARD}: not a dataset card ({error})"
-            again = command_line("ingest", "LOGS", "--out", "DATASET")
-            raise DatasetError(msg, cure=f"Ingest the logs again into a new folder: {again}") from error
-        except OSError as error:
-            msg = f"{path / CARD}: cannot be read ({error.strerror or error})"
-            raise DatasetError(msg, cure="Check the path and its permissions.") from error
-        theirs = f"dataset of schema version {version!s:.40}"
-        msg = f"{path}: {theirs}, this cyclekit reads version {schema.SCHEMA_VERSION}"
-        raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
+        return cls(path, opened_card(path), place)
+
+    @classmethod
+    def of(cls, given: Dataset | Path | str) -> Dataset:
+        """Return a dataset that is open already as it is; one given by its folder or URL is opened."""
+        return given if isinstance(given, Dataset) else cls.open(given)
 
     def only(self, executions: Sequence[str]) -> Dataset:
         """Return the dataset as if it held these executions alone: their samples, tasks and entries.
@@ -151,8 +132,7 @@ class Dataset:
     @property
     def furniture(self) -> dict[str, Furniture]:
         """What stands in the cell, by name, as the cell file says."""
-        told = self.card.settings.furniture
-        return {name: Furniture(one.xyz_m, one.size_m, one.yaw_deg) for name, one in told.items()}
+        return dict(self.card.settings.furniture)
 
     @property
     def levels(self) -> tuple[float, ...]:
@@ -371,43 +351,6 @@ class Dataset:
             cure = f"Give one of {shown}, or a number from 1 to {len(names)}." if names else "It has no execution."
             raise UnknownName(str(self.path), "execution", name, names, cure=cure)
         return by_name[name]
-
-
-def _no_dataset(path: Path) -> DatasetError:
-    """Return the error for a place that holds no dataset, with what it is instead."""
-    found = what_is(path)
-    if found == "nothing":
-        make = command_line("ingest", "LOGS", "--out", path)
-        return DatasetError(f"{path}: no such folder", cure=f"Check the path, or make a dataset: {make}")
-    seen = f"{path}: {found}, and a dataset was expected (a folder with {CARD})"
-    if found == "another folder":
-        ingest = command_line("ingest", path, "--out", "DATASET")
-        return DatasetError(seen, cure=f"If it holds logs, make a dataset of them: {ingest}")
-    if found == "a TOML file":
-        name, taken_by = toml_for(path)
-        return DatasetError(seen, cure=f"It looks like {name}: {taken_by}")
-    return DatasetError(seen, cure=f"Make one: {command_line('ingest', 'LOGS', '--out', 'DATASET')}")
-
-
-def _version(values: Mapping[str, object]) -> object:
-    if "schema_version" not in values:
-        raise BadCard("no schema_version")
-    return values["schema_version"]
-
-
-def _card_of(path: Path) -> bytes:
-    """Return the card of the dataset at `path`, as it lies there; looks again if it is just being replaced.
-
-    Raises:
-        DatasetError: There is none.
-        BadCard: It is too large for one.
-        OSError: It cannot be read.
-    """
-    for _ in range(3):
-        recover(path)
-        with suppress(FileNotFoundError, NotADirectoryError):
-            return read_content(path / CARD)
-    raise _no_dataset(path)
 
 
 def _place(name: str, card: PlaceCard) -> Place:

@@ -118,7 +118,7 @@ class DatasetFiles:
         return rows.select(wanted)
 
     def check_rows(self, name: str, most: int, what: str) -> None:
-        """Refuse a table that holds more rows than the card speaks of.
+        """Refuse a table that holds more rows than the card states.
 
         Raises:
             DatasetError: It does, or is no file.
@@ -143,7 +143,9 @@ class DatasetFiles:
             rows = int(pl.scan_parquet(list(files), glob=False).select(pl.len()).collect().item())
             needed = rows * len(wanted) * _VALUE_BYTES
             if sum(file.stat().st_size for file in files) > _SMALL_BYTES:
-                from cyclekit.storage.parquet import unpacked_bytes  # whoever reads a log needs no Arrow to begin
+                from cyclekit.storage.parquet_layout import (
+                    unpacked_bytes,  # whoever reads a log needs no Arrow to begin
+                )
 
                 needed = max(needed, sum(unpacked_bytes(file, wanted) for file in files))
         kept = rows if most is None else min(rows, most)
@@ -166,7 +168,7 @@ class DatasetFiles:
         near = pl.col("t_s").is_between(first_s, last_s)
         if self._size(name) < PARTLY_BYTES:
             return pl.scan_parquet(self.whole(name), glob=False).filter(near)
-        from cyclekit.storage.parquet import spans  # whoever reads a log needs no Arrow to begin
+        from cyclekit.storage.parquet_layout import spans  # whoever reads a log needs no Arrow to begin
 
         file, wanted = self._with_footer(name), None if columns is None else {"t_s", *columns}
         with reading(file, self._path):
@@ -182,7 +184,7 @@ class DatasetFiles:
         """
         if self._size(name) < SMALL_TABLE_BYTES:
             return self.whole(name)
-        from cyclekit.storage.parquet import spans
+        from cyclekit.storage.parquet_layout import spans
 
         file = self._with_footer(name)
         with reading(file, self._path):
@@ -212,7 +214,7 @@ class DatasetFiles:
             count: How many rows the card says that there are.
 
         Raises:
-            DatasetError: The file or the index is missing or damaged, or other rows are meant than the card speaks of.
+            DatasetError: The file or the index is missing or damaged, or the number of rows differs from the card.
         """
         if not self.has(INDEX) or not self.whole(INDEX) or (rows := shared_rows(self._path, recording, table)) is None:
             return None

@@ -24,7 +24,7 @@ _CURE = "Ingest the logs again."
 
 
 def check_tables(path: Path, card: DatasetCard) -> None:
-    """Refuse a dataset whose shared tables hold more rows than its card speaks of, or are no files.
+    """Refuse a dataset whose shared tables hold more rows than its card states, or are not files.
 
     Args:
         path: Folder of the dataset. What is missing in it, or is no table, is left to whoever reads it.
@@ -75,4 +75,4 @@ def check_rows(files: Sequence[Path], most: int, what: str) -> None:
         return
     if rows > most:
         where = files[0] if len(files) == 1 else files[0].parent
-        raise DatasetError(f"{where}: holds {rows:,} rows, and dataset.json speaks of {most:,} {what}", cure=_CURE)
+        raise DatasetError(f"{where}: holds {rows:,} rows, but dataset.json states {most:,} {what}", cure=_CURE)

@@ -9,20 +9,20 @@ from __future__ import annotations
 import codecs
 import gzip
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError
 from cyclekit.storage.inside import inside
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import RecordingCard
-    from cyclekit.dataset.dataset import Dataset
 
 AROUND_S = 0.2
 """Rows of people and events this near to a sample are shown."""
@@ -59,20 +59,15 @@ class Origin:
 
 @dataclass(frozen=True, repr=False)
 class Trace(Result):
-    """A sample and its origins."""
+    """A sample and its origins; as a frame one row per row of a log, seconds of the session."""
 
     execution: str
     sample: dict[str, Any]
     origins: tuple[Origin, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return asdict(self)
-
-    def to_frame(self) -> pl.DataFrame:
-        """One row per row of a log behind the sample; seconds of the session."""
+    def _frame_rows(self) -> list[dict[str, object]]:
         names = ("table", "recording", "file", "row_is", "source_row", "t_s", "text")
-        return pl.DataFrame([{name: getattr(each, name) for name in names} for each in self.origins])
+        return [{name: getattr(each, name) for name in names} for each in self.origins]
 
     def _said(self) -> list[str]:
         at_s = self.sample["t_s"]
@@ -82,19 +77,22 @@ class Trace(Result):
         ]
 
 
-def trace(dataset: Dataset, execution: str, at_s: float, *, logs: Path | str | None = None) -> Trace:
-    """Return the sample of an execution nearest to a time, and the rows of the logs behind it.
+def trace(
+    dataset: Dataset | str | Path, execution: str, at_s: float = 0.001, *, logs: str | Path | None = None
+) -> Trace:
+    """Say which lines of which logs the sample nearest to a time was made of.
 
     Args:
-        dataset: Where to look.
-        execution: Its name, or its number from 1.
-        at_s: Seconds since the execution began.
+        dataset: A dataset, its folder or its URL.
+        execution: Name of the execution, or its number from 1.
+        at_s: Time since the execution began, s.
         logs: Folder of the logs, or the log itself, to show the lines.
 
     Raises:
         UnknownName: There is no such execution.
         DatasetError: It has no samples, or `at_s` is after its end.
     """
+    dataset = Dataset.of(dataset)
     dataset.require_positions()
     name = dataset.find_execution(execution)
     entry = next(one for one in dataset.card.executions if one.execution == name)

@@ -11,8 +11,10 @@ How a dataset, a model or a report comes about is the business of the rooms belo
 
 from __future__ import annotations
 
-from cyclekit.fleet.read import Fleet, FleetCell, load_fleet
-from cyclekit.fleet.run import FleetRun, run_fleet
-from cyclekit.fleet.stages import STAGES, StageResult
-
-__all__ = ["STAGES", "Fleet", "FleetCell", "FleetRun", "StageResult", "load_fleet", "run_fleet"]
+from cyclekit.fleet.read import Fleet as Fleet
+from cyclekit.fleet.read import FleetCell as FleetCell
+from cyclekit.fleet.read import load_fleet as load_fleet
+from cyclekit.fleet.run import FleetRun as FleetRun
+from cyclekit.fleet.run import run_fleet as run_fleet
+from cyclekit.fleet.stages import STAGES as STAGES
+from cyclekit.fleet.stages import StageResult as StageResult

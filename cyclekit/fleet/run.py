@@ -24,8 +24,6 @@ from cyclekit.storage.remote.folders import join, write_text
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    import polars as pl
-
     from cyclekit.dataset.cards import CellLedger
     from cyclekit.fleet.read import Fleet, FleetCell
 
@@ -34,7 +32,7 @@ PAGE, SUMMARY = "index.html", "fleet.json"
 
 @dataclass(frozen=True, repr=False)
 class FleetRun(Result):
-    """What came of each stage of each cell.
+    """What came of each stage of each cell; as a frame one row per cell and stage.
 
     Attributes:
         fleet: Its name.
@@ -53,14 +51,10 @@ class FleetRun(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        rows = [dict(vars(row)) for row in self.rows]
-        return {"fleet": self.fleet, "failed": len(self.failed), "page": self.page, "rows": rows}
+        return {"fleet": self.fleet, "failed": len(self.failed), "page": self.page, "rows": self._frame_rows()}
 
-    def to_frame(self) -> pl.DataFrame:
-        """One row per cell and stage."""
-        import polars as pl
-
-        return pl.DataFrame([dict(vars(row)) for row in self.rows])
+    def _frame_rows(self) -> list[dict[str, object]]:
+        return [dict(vars(row)) for row in self.rows]
 
     def _said(self) -> list[str]:
         states = ("done", "unchanged", "skipped", "failed")

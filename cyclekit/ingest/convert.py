@@ -6,16 +6,18 @@ is in the log's own clock and frame, checked as every log is (`plausible`), and 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.dataset.guard import check_output
+from cyclekit.config import Cell, load_cell
+from cyclekit.dataset.guard import Kind, check_output
 from cyclekit.errors import ConfigError, LogError, UnknownName
 from cyclekit.ingest.discover import cell_for, find_all, options_of
 from cyclekit.ingest.read.tool_point import TCP, with_tool_point
@@ -26,24 +28,16 @@ from cyclekit.text.plain_text import FORMULA
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
     from cyclekit.adapter import ReadOptions, Recording
-    from cyclekit.config import Cell
     from cyclekit.ingest.discover import Log
 
     Vector = NDArray[np.float64]
 
-TABLES: Mapping[str, Mapping[str, schema.Column]] = {
-    "robot": schema.ROBOT,
-    "people": schema.PEOPLE,
-    "events": schema.EVENTS,
-    "task_list": schema.TASK_LIST,
-    "safety": schema.SAFETY,
-    "skeletons": schema.SKELETONS,
-}
+TABLES = {name: table for name, table in schema.OF_LOGS.items() if name != "stamps"}
 GAP_PERIODS, GAP_S = 5.0, 0.25
 """A silence longer than both is a gap: nothing is averaged across it."""
 
@@ -60,40 +54,31 @@ class Converted(Result):
     rows_set_aside: int
     warnings: tuple[str, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {**vars(self), "out": str(self.out), "warnings": list(self.warnings)}
-
-    def to_frame(self) -> pl.DataFrame:
-        """One row: what was written, and how many rows were set aside."""
-        return pl.DataFrame([{name: value for name, value in self.to_dict().items() if name != "warnings"}])
-
     def _said(self) -> list[str]:
         aside = f", {self.rows_set_aside} of {self.rows_read} set aside" if self.rows_set_aside else ""
         return [f"{self.out}: {self.rows} rows of {self.table}, read by {self.adapter}{aside}"]
 
 
 def convert(
-    log: Path | str,
-    out: Path | str,
+    log: str | Path,
+    out: str | Path,
     *,
     table: str | None = None,
     rate_hz: float | None = None,
     columns: Sequence[str] = (),
-    cell: Cell | None = None,
+    cell: Cell | str | Path | None = None,
     progress: Callable[[float, str], None] | None = None,
 ) -> Converted:
-    """Write one table of a log as Parquet or CSV.
+    """Write one table of a log as Parquet or CSV: SI units, the log's own clock and frame.
 
     Args:
-        log: File, or folder that is one log.
+        log: A file, or a folder that is one log.
         out: `.parquet` or `.csv`; replaced as a whole.
         table: robot, people, events, task_list, safety or skeletons; by default the first that the log has.
         rate_hz: Rows a second: numbers are averaged over the length of one, texts are those in force at its end.
             By default every row of the log.
         columns: Columns to write; by default all that hold anything, `t_s` always.
-        cell: What a cell file says about the log (a CSV to be mapped, the arm of a log of joint angles alone); by
-            default that of the cell file beside it.
+        cell: Cell file that says how the log is to be read; by default the one beside it.
         progress: Told the fraction done and what is being done.
 
     Raises:
@@ -103,12 +88,12 @@ def convert(
         CyclekitError: The output cannot be written.
     """
     log, out = Path(log), Path(out)
-    if out.suffix.lower() not in (".parquet", ".csv"):
-        raise ConfigError(f"{out}: its ending is neither .parquet nor .csv", cure="Give --out a name with one of them.")
-    check_output(out, "table-csv" if out.suffix == ".csv" else "table-parquet", [log])
+    kind: Kind = "table-csv" if out.suffix.lower() == ".csv" else "table-parquet"
+    check_output(out, kind, [log, None if isinstance(cell, Cell) else cell], endings=(".parquet", ".csv"))
     if table is not None and table not in TABLES:
         raise UnknownName("convert", "table", table, TABLES)
-    found, _ = find_all([log], cell or cell_for([log], None), follow_links=True)
+    settings = cell if isinstance(cell, Cell) else cell_for([log], None) if cell is None else load_cell(Path(cell))
+    found, _ = find_all([log], settings, follow_links=True)
     if len(found) != 1:
         raise LogError(log, f"holds {len(found)} logs", cure="Convert one at a time, or use `cyclekit ingest`.")
     computed = found[0].robot is not None and not {*TCP}.isdisjoint(columns)  # from columns that nobody asked for

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -22,7 +23,6 @@ from msgspec import structs
 from cyclekit import schema
 from cyclekit.config import Cell
 from cyclekit.dataset.cards import (
-    CellSettings,
     DatasetCard,
     DynamicsCard,
     PlaceCard,
@@ -56,12 +56,12 @@ from cyclekit.text.plain_json import finite
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping
 
     from cyclekit.dataset.cards import LogCard, Note, RecordingCard
     from cyclekit.dataset.dataset import Place
 
-    Progress = Callable[[float, str], None]
+Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, repr=False)
@@ -115,10 +115,10 @@ class IngestReport(Result):
 
 @one_thread()
 def ingest(
-    logs: Sequence[Path | str],
-    out: Path | str,
+    logs: str | Path | Sequence[str | Path],
+    out: str | Path,
     *,
-    cell: Path | Cell | None = None,
+    cell: Cell | str | Path | None = None,
     engine: Engine = LOCAL,
     rate_hz: float | None = None,
     pseudonymise: bool = False,
@@ -128,19 +128,18 @@ def ingest(
     follow_links: bool = False,
     progress: Progress | None = None,
 ) -> IngestReport:
-    """Read logs into the dataset `out`, replacing what was there.
+    """Read logs into the dataset `out`; what has not changed since the last time is not read again.
 
     Args:
-        logs: Files and folders, by path or URL, any mix.
+        logs: Files and folders, by path or URL, one or any mix.
         out: Folder of the dataset, or the URL where it is published when it is complete.
         cell: Cell file; by default `cell.toml` beside the logs, if there is one.
         engine: Where logs are read, and how many at the same time.
-        rate_hz: Rate of the samples, in place of the cell file's.
+        rate_hz: Rate of the samples; by default that of the cell file, or 10 Hz.
         pseudonymise: Keep neither the names that trackers give nor wall-clock time (docs/privacy.md).
         keep_skeletons: Keep every joint of every person, where a tracker has them; no estimate needs it.
         checksums: Keep the BLAKE3 of each log: what was read can then be told from what was not.
-        align_clocks: "coarse" = where nothing says how a log's clock relates to the robot's, align on the operator
-            being near while the robot slows. Hides the reaction delay, and says so (docs/clocks.md).
+        align_clocks: "coarse": last resort for unrelated clocks; hides the reaction time (docs/clocks.md).
         follow_links: Read what links in a folder of logs lead to outside of it; else they are among `not_read`.
         progress: Told the fraction done and what is being done.
 
@@ -151,10 +150,12 @@ def ingest(
         BusyPlace: Another process is writing the dataset.
         CyclekitError: The dataset cannot be written.
     """
-    check_output(out, "dataset", [*logs, cell if isinstance(cell, Path) else None])
-    roots = [mirrored(place) for place in logs]
+    places = [logs] if isinstance(logs, str | Path) else list(logs)
+    file = None if cell is None or isinstance(cell, Cell) else Path(cell)
+    check_output(out, "dataset", [*places, file])
+    roots = [mirrored(place) for place in places]
     _check_logs(roots)
-    settings = cell if isinstance(cell, Cell) else cell_for(roots, cell)
+    settings = cell if isinstance(cell, Cell) else cell_for(roots, file)
     if rate_hz is not None:
         settings = replace(settings, rate_hz=_rate(rate_hz))
     found, not_read = find_all(roots, settings, follow_links=follow_links)
@@ -340,7 +341,7 @@ def _card(cell: Cell, derived: Derived, not_read: list[tuple[str, str]], wanted:
         fingerprint=wanted.fingerprint,
         pseudonymised=wanted.how.pseudonymise,
         skeletons=wanted.how.skeletons,
-        settings=checked(json.loads(json.dumps(cell, default=vars)), CellSettings),
+        settings=checked(json.loads(json.dumps(cell, default=vars)), Cell),
         rate_hz=cell.rate_hz,
         recordings=tuple(derived.recordings),
         not_read=tuple(UnreadCard(path=path, reason=reason) for path, reason in not_read),

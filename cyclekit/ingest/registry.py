@@ -79,7 +79,7 @@ def _proven(part: object) -> Recording:
         msg = f"returned {type(part).__name__}, not a Recording"
         raise TypeError(msg)
     for name, frame in part.tables().items():
-        known, have = getattr(schema, name.upper()), getattr(frame, "columns", ())
+        known, have = schema.OF_LOGS[name], getattr(frame, "columns", ())
         if unknown := [column for column in have if column not in known and not schema.is_joint(column)]:
             msg = f"returned a table {name!r} with unknown columns {', '.join(unknown)}"
             raise ValueError(msg)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from cyclekit import schema
 from cyclekit.adapter import Recording
 from cyclekit.dataset.cards import plain, texts
 from cyclekit.dataset.dataset import CARD, Dataset
@@ -26,7 +27,6 @@ from cyclekit.inspect.facts import (
     LogFacts,
     LogsDescription,
     ModelDescription,
-    TableFacts,
 )
 from cyclekit.inspect.lists import SafetySurvey, task_list_facts
 from cyclekit.inspect.survey import TableSurvey
@@ -43,19 +43,6 @@ if TYPE_CHECKING:
 
     Progress = Callable[[float, str], None]
 
-__all__ = [
-    "DatasetDescription",
-    "Description",
-    "Gap",
-    "LogFacts",
-    "LogsDescription",
-    "ModelDescription",
-    "TableFacts",
-    "describe",
-]
-
-MAIN = ("robot", "people", "events", "task_list", "safety")
-UNRATED = ("events", "task_list")
 _OF_SAMPLES = ("scaling", "scaling_sd", "scaling_gap", "scaling_origin", "step", "robot_moving", "human_x_m")
 
 
@@ -117,7 +104,7 @@ def _describe_log(log: Log) -> LogFacts:
     for part in examined_parts(with_tool_point(read, log.robot)):
         last, rows_read = part, rows_read + part.rows_read
         for name, table in part.tables().items():
-            surveys.setdefault(name, TableSurvey(rated=name not in UNRATED)).add(table)
+            surveys.setdefault(name, TableSurvey(rated=name not in schema.UNRATED)).add(table)
         tasks += [] if part.task_list is None else [part.task_list]
         if part.safety is not None:
             safety.add(part.safety)
@@ -132,7 +119,7 @@ def _describe_log(log: Log) -> LogFacts:
         package=f"{entry.package} {entry.version}",
         clock=last.clock,
         rows_read=rows_read,
-        tables={name: surveys[name].facts() for name in MAIN if name in surveys},
+        tables={name: surveys[name].facts() for name in schema.MAIN if name in surveys},
         set_aside=dict(sorted(set_aside.items(), key=lambda item: (-item[1], item[0]))),
         levels=levels,
         level_share=share,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.text.results import Result
@@ -11,8 +10,6 @@ from cyclekit.text.results import Result
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
-
-    import polars as pl
 
     from cyclekit.dataset.cards import TrainingCard
 
@@ -163,7 +160,7 @@ class LogFacts:
 
 @dataclass(frozen=True, repr=False)
 class LogsDescription(Result):
-    """Logs, one or a folder of them.
+    """Logs, one or a folder of them; as a frame one row per log and table.
 
     Attributes:
         not_read: Path and reason of each file that is no usable log.
@@ -174,23 +171,15 @@ class LogsDescription(Result):
     not_read: tuple[tuple[Path, str], ...] = ()
     kind: str = "logs"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return _plain(asdict(self))
-
-    def to_frame(self) -> pl.DataFrame:
-        """One row per log and table."""
-        import polars as pl
-
+    def _frame_rows(self) -> list[dict[str, object]]:
         names = ("rows", "rate_hz", "duration_s")
-        rows = [
+        return [
             {"log": str(log.path), "adapter": log.adapter, "table": table}
             | {name: getattr(facts, name) for name in names}
             | {"gaps": len(facts.gaps)}
             for log in self.logs
             for table, facts in log.tables.items()
         ]
-        return pl.DataFrame(rows, infer_schema_length=None)
 
     def _said(self) -> list[str]:
         names = [f"{log.path.name}: {log.adapter}, {', '.join(log.tables)}" for log in self.logs]
@@ -199,7 +188,7 @@ class LogsDescription(Result):
 
 @dataclass(frozen=True, repr=False)
 class DatasetDescription(Result):
-    """A dataset.
+    """A dataset; as a frame one row per task found, mean seconds.
 
     Attributes:
         sources: Source files that went in; rows set aside from them, by reason.
@@ -255,14 +244,11 @@ class DatasetDescription(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        document = _plain(asdict(self))
+        document = super().to_dict()
         return document if self.verified is not None else {k: v for k, v in document.items() if k != "verified"}
 
-    def to_frame(self) -> pl.DataFrame:
-        """One row per task found, mean seconds."""
-        import polars as pl
-
-        return pl.DataFrame([dict(row) for row in self.tasks], infer_schema_length=None)
+    def _frame_rows(self) -> tuple[Mapping[str, Any], ...]:
+        return self.tasks
 
     def _said(self) -> list[str]:
         counts = f"{self.executions} executions, {self.samples} samples at {self.rate_hz:g} Hz"
@@ -291,14 +277,10 @@ class ModelDescription(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return _plain(vars(self) | {"card": self.card.to_dict()})
+        return super().to_dict() | {"card": self.card.to_dict()}
 
-    def to_frame(self) -> pl.DataFrame:
-        """One row: what the model is."""
-        import polars as pl
-
-        names = ("problem", "network", "horizon_s", "parameters")
-        return pl.DataFrame([{name: getattr(self, name) for name in names} | {"levels": list(self.levels)}])
+    def _frame_rows(self) -> list[dict[str, object]]:
+        return [{name: getattr(self, name) for name in ("problem", "network", "horizon_s", "parameters", "levels")}]
 
     def _said(self) -> list[str]:
         levels = ", ".join(f"{level:.2f}" for level in self.levels) or "none"
@@ -306,9 +288,3 @@ class ModelDescription(Result):
 
 
 Description = LogsDescription | DatasetDescription | ModelDescription
-
-
-def _plain(value: dict[str, Any]) -> dict[str, Any]:
-    """Return the value with paths as text, ready for JSON."""
-    plain: dict[str, Any] = json.loads(json.dumps(value, default=str))
-    return plain

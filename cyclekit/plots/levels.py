@@ -37,8 +37,7 @@ def draw_levels(path: Path, scaling: NDArray[np.float64], found: Staircase, *, r
     with canvas(path, 9.0, 3.4, columns=2) as (over_time, histogram):
         over_time.plot(at, values[part], color=colours.NOMINAL, linewidth=1.0)
         over_time.plot(at[moving], values[part][moving], ".", color=colours.SAFETY, markersize=3, label="in transition")
-        over_time.set_xlabel("time, s")
-        over_time.set_ylabel("speed scaling")
+        over_time.set(xlabel="time, s", ylabel="speed scaling")
         if moving.any():
             over_time.legend(loc="best", frameon=False)
         known = values[np.isfinite(values)]

@@ -47,15 +47,15 @@ def log_curves(sink: Sink, number: int | None = None) -> None:
     inferred = np.where(run.inferred, run.scaling, np.nan)
     predicted = "#e6a4ff" if number is None else hue
     series = [
-        ("plots/scaling/logged", "logged", hue, logged),
-        ("plots/scaling/inferred", "inferred", "#62c4b4" if number is None else hue, inferred),
-        ("plots/scaling/predicted", "predicted", predicted, run.predicted),
-        ("plots/distance", "robot to operator", PALE if number is None else hue, run.distance_m),
-        ("plots/speed", "tool speed", PALE if number is None else hue, run.speed_m_s),
+        ("plots/scaling/logged", "logged", hue, logged, 3.0),
+        ("plots/scaling/inferred", "inferred", "#62c4b4" if number is None else hue, inferred, 3.0),
+        ("plots/scaling/predicted", "predicted", predicted, run.predicted, 1.5),
+        ("plots/distance", "robot to operator", PALE if number is None else hue, run.distance_m, None),
+        ("plots/speed", "tool speed", PALE if number is None else hue, run.speed_m_s, None),
     ]
-    for path, label, colour, values in series:
+    for path, label, colour, values, steps in series:
         if values is not None:
-            _curve(sink, path, f"{who}{label}", colour, run.t_s, values, stepped="scaling" in path)
+            _curve(sink, path, f"{who}{label}", colour, run.t_s, values, steps=steps)
     _phase(sink, who, hue)
     _accounts(sink, who, hue, alone=number is None)
     _joints(sink)
@@ -73,19 +73,19 @@ def _curve(
     t_s: NDArray[np.float64],
     values: NDArray[np.float64],
     *,
-    stepped: bool = False,
+    steps: float | None = None,
 ) -> None:
-    """One curve; NaN breaks the line. Leading and trailing unknowns are left out, runs of them thinned to one."""
+    """One curve, with `steps` one of steps of that width; NaN breaks the line.
+
+    Leading and trailing unknowns are left out, runs of them thinned to one.
+    """
     known = np.isfinite(values)
     if not known.any():
         return
     keep = known | np.append(known[:-1], False) | np.append(False, known[:-1])
-    mode: Literal["StepAfter", "Linear"] = "StepAfter" if stepped else "Linear"
-    width = 1.5 if "predicted" in path else 3.0 if stepped else 2.0
-    look = rr.SeriesLines(
-        colors=[colours.to_rgb(colour)], widths=[width], names=[label], interpolation_mode=mode
-    )  # fmt: skip
-    sink.static(path, look)
+    mode: Literal["StepAfter", "Linear"] = "StepAfter" if steps else "Linear"
+    paint = [colours.to_rgb(colour)]
+    sink.static(path, rr.SeriesLines(colors=paint, widths=[steps or 2.0], names=[label], interpolation_mode=mode))
     sink.columns(path, t_s[keep], rr.Scalars.columns(scalars=values[keep]))
 
 
@@ -127,9 +127,11 @@ def _lanes(sink: Sink) -> None:
     speed = [None if np.isnan(value) else _percent(value) for value in run.scaling]
     shades = {_percent(value): colours.scaling_hex(round(float(value), 2)) for value in run.scaling if value == value}
     _lane(sink, "lanes/1_robot_speed", _with_gaps(run, speed), {**shades, GAP: "#3a4048"})
-    robot = [_doing(task, moving) for task, moving in zip(run.robot_task, run.moving, strict=True)]
-    robot_shades = {text: "#5b6673" if text.startswith("at ") else "#8f9cab" for text in set(robot) - {None} if text}
-    _lane(sink, "lanes/2_robot", robot, robot_shades)
+    doing = list(zip(run.robot_task, run.moving, strict=True))
+    robot = [_doing(task, moving) for task, moving in doing]
+    ways = zip(robot, doing, strict=True)
+    shades = {text: "#5b6673" if task and moving is False else "#8f9cab" for text, (task, moving) in ways if text}
+    _lane(sink, "lanes/2_robot", robot, shades)
     human = [None if task is None else spell(task) for task in run.human_task]
     if not any(human):
         human = ["seen" if seen else None for seen in np.isfinite(run.human_m[:, 0])]

@@ -1,4 +1,4 @@
-"""How the viewer opens: scene at the left, lanes and plots at the right, words below; nobody has to arrange views.
+"""The layout of the viewer: scene at the left, lanes and plots at the right, texts below.
 
 Several executions stand beside each other, each with its scene and its lanes, their curves on common axes. Only views
 that have something to show are there. What they show is the business of `scene` and `curves`.

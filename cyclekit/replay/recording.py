@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    import polars as pl
-
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.replay.execution import ReplayedExecution
     from cyclekit.replay.floor import PredictsNow
@@ -44,7 +42,7 @@ MOST = len(HUES)
 
 @dataclass(frozen=True, repr=False)
 class ReplayFacts(Result):
-    """What was written.
+    """What was written; as a frame one row per stretch where prediction and log differ most.
 
     Attributes:
         path: The file.
@@ -72,21 +70,11 @@ class ReplayFacts(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return {
-            "replay": str(self.path),
-            "execution": self.execution,
-            "executions": list(self.executions),
-            "duration_s": self.duration_s,
-            "bytes": self.bytes,
-            "notes": list(self.notes),
-            "misses": [dict(vars(miss)) for miss in self.misses],
-        }
+        every = {"replay": str(self.path), **super().to_dict()}
+        return {name: value for name, value in every.items() if name not in ("path", "rows", "gaps", "first")}
 
-    def to_frame(self) -> pl.DataFrame:
-        """One row per stretch where prediction and log differ most."""
-        import polars as pl
-
-        return pl.DataFrame([dict(vars(miss)) for miss in self.misses])
+    def _frame_rows(self) -> list[dict[str, object]]:
+        return [dict(vars(miss)) for miss in self.misses]
 
     def _said(self) -> list[str]:
         return [f"{self.path}: execution {', '.join(self.executions)}, {self.duration_s:.1f} s", *self.notes]

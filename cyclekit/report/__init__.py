@@ -9,9 +9,11 @@ imports jinja2.
 
 from __future__ import annotations
 
-from cyclekit.report.page import FORMATS, ReportFacts, compose_report
-from cyclekit.report.pdf import need_browser, write_pdf
-from cyclekit.report.template import Template
-from cyclekit.report.tried import Tried, load_tried
-
-__all__ = ["FORMATS", "ReportFacts", "Template", "Tried", "compose_report", "load_tried", "need_browser", "write_pdf"]
+from cyclekit.report.page import FORMATS as FORMATS
+from cyclekit.report.page import ReportFacts as ReportFacts
+from cyclekit.report.page import compose_report as compose_report
+from cyclekit.report.pdf import need_browser as need_browser
+from cyclekit.report.pdf import write_pdf as write_pdf
+from cyclekit.report.template import Template as Template
+from cyclekit.report.tried import Tried as Tried
+from cyclekit.report.tried import load_tried as load_tried

@@ -13,8 +13,8 @@ import numpy as np
 from cyclekit.estimate.result import MOST
 from cyclekit.estimate.same_work import by_work
 from cyclekit.report import verdict
+from cyclekit.report.figures import charts_of
 from cyclekit.report.numbers import UNKNOWN, decimals_for, fixed, given, percent, seconds, with_uncertainty
-from cyclekit.report.pictures import Picture
 from cyclekit.report.tables import ReportTable, spell
 
 if TYPE_CHECKING:
@@ -23,40 +23,21 @@ if TYPE_CHECKING:
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.same_work import Work
     from cyclekit.report.findings import Overview
+    from cyclekit.report.inputs import PageInputs
     from cyclekit.report.texts import ReportTexts
-    from cyclekit.report.verdict import TaktVerdict
 
 
-def section(
-    texts: ReportTexts,
-    ranked: Sequence[CycleEstimate],
-    seen: Overview,
-    *,
-    has_model: bool,
-    takt_s: float | None = None,
-    checked: bool = False,
-    found: TaktVerdict | None = None,
-) -> dict[str, Any]:
-    """Return what the template needs for section 1.
-
-    Args:
-        texts: The words.
-        ranked: Estimates, those of the same work together, the fastest first.
-        seen: What the logs hold.
-        has_model: True where a model is given.
-        takt_s: The takt time.
-        checked: Whether logged executions were rolled out.
-        found: The verdict; None without a takt, an order search or changes.
-    """
-    missing = [] if has_model else [texts("answer.no_model")]
+def section(page: PageInputs) -> dict[str, Any]:
+    """Return what the template needs for section 1."""
+    texts, ranked, takt_s, found, best = page.texts, page.ranked, page.takt_s, page.verdict, page.best
+    missing = [] if page.model is not None else [texts("answer.no_model")]
     said = {"headline": verdict.in_words(texts, found), "lead": [verdict.basis(texts, found)]} if found else {}
-    if not ranked:
+    if best is None:
         missing.insert(0, texts("answer.no_estimates"))
-        logged = _logged(texts, seen, takt_s, missing)
+        logged = {**_logged(texts, page.seen, takt_s, missing), "charts": charts_of("answer", page)}
         if said.get("headline"):
             logged |= {"headline": said["headline"], "sentences": [*said["lead"], *logged["sentences"]]}
         return {**logged, "missing": missing}
-    best = found.best if found and found.best else ranked[0]
     mean, interval = with_uncertainty(best.expected_s, best.expected_low_s, best.expected_high_s)
     sentences = [*(said["lead"] if said else []), " ".join(_best(texts, best, mean, interval))]
     works = by_work(ranked)
@@ -73,10 +54,9 @@ def section(
     return {
         "headline": said["headline"] if said else texts("answer.best", name=best.name, mean=mean),
         "sentences": sentences + missing,
-        "picture": _picture(texts, ranked, best, mean, takt_s),
-        "caption": _caption(texts, works),
+        "charts": charts_of("answer", page),
         "table": _table(texts, works, takt_s),
-        "interval_note": texts("answer.interval_checked" if checked else "answer.interval_tracks"),
+        "interval_note": texts("answer.interval_checked" if page.check is not None else "answer.interval_tracks"),
         "warnings": [
             texts("answer.warning", name=each.name, text=warning) for each in ranked for warning in each.warnings
         ],
@@ -114,7 +94,7 @@ def _best(texts: ReportTexts, best: CycleEstimate, mean: str, interval: str) -> 
 
 def _logged(texts: ReportTexts, seen: Overview, takt_s: float | None, missing: Sequence[str]) -> dict[str, Any]:
     """The answer without estimates: the executions as they were."""
-    found: dict[str, Any] = {"sentences": list(missing), "picture": None, "caption": "", "table": None, "warnings": []}
+    found: dict[str, Any] = {"sentences": list(missing), "table": None, "warnings": []}
     durations = seen.duration_s
     if not len(durations):
         return {**found, "headline": texts("answer.no_executions")}
@@ -131,23 +111,6 @@ def _logged(texts: ReportTexts, seen: Overview, takt_s: float | None, missing: S
         facts.append(texts("answer.logged_takt", share=share, takt=given(takt_s)))
     found["sentences"] = ([" ".join(facts)] if facts else []) + list(missing)
     return {**found, "headline": texts(key, mean=seconds(mean))}
-
-
-def _picture(
-    texts: ReportTexts, ranked: Sequence[CycleEstimate], best: CycleEstimate, mean: str, takt_s: float | None
-) -> object:
-    from cyclekit.report import charts
-
-    labels = {
-        "seconds": texts("answer.axis"),
-        "mean": texts("answer.mean"),
-        "cycles": texts.section("answer")["quantiles"],
-        "without": texts("answer.without"),
-        "tip": texts.section("answer")["tip"],
-        "takt": texts("answer.takt_key", takt="" if takt_s is None else given(takt_s)),
-    }
-    alt = texts("answer.picture", count=len(ranked), name=best.name, mean=mean)
-    return Picture("cycle", alt, lambda width_in: charts.cycle_times(width_in, ranked, labels, takt_s))
 
 
 def _table(texts: ReportTexts, works: Mapping[Work, Sequence[CycleEstimate]], takt_s: float | None) -> ReportTable:

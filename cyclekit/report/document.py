@@ -5,10 +5,11 @@ The same findings as on the page, unrounded in JSON and CSV, so that others can 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.estimate.same_work import work_of
+from cyclekit.report.figures import Chart
 from cyclekit.report.findings import losses, safety_function, task_shares
 from cyclekit.report.provenance import provenance
 from cyclekit.report.tables import ReportTable
@@ -18,76 +19,46 @@ from cyclekit.text.plain_text import csv_text, markdown
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    import polars as pl
-
-    from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.check import Check
-    from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.report.inputs import PageInputs
     from cyclekit.report.texts import ReportTexts
     from cyclekit.report.tried import Tried
-    from cyclekit.report.trust import Judged
-    from cyclekit.report.verdict import TaktVerdict
 
 PARTS = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 MARK = "<!-- written by cyclekit -->"
 """Marks a file that a later report may replace."""
-ORDER = ("answer", "where", "why", "helps", "trust")
 
 
-@dataclass(frozen=True)
-class ReportInputs:
-    """Inputs of the page besides the logs."""
-
-    ranked: Sequence[CycleEstimate]
-    what_if: Sequence[Tried]
-    planned: OrderPlan | None
-    evaluation: Judged | None
-    check: Check | None
-    verdict: TaktVerdict | None
-
-
-def as_json(
-    cell: str,
-    made: str,
-    given: ReportInputs,
-    dataset: Dataset,
-    samples: pl.DataFrame,
-    sections: Mapping[str, Any],
-) -> str:
+def as_json(cell: str, made: str, page: PageInputs, sections: Mapping[str, Any]) -> str:
     """Return the whole report as one JSON document; unknown values are null."""
-    found = safety_function(samples, dataset.levels, None)
+    found, headline = safety_function(page.samples, page.dataset.levels, None), sections["answer"]["headline"]
     document = {
         "cell": cell,
         "made": made,
-        "answer": sections["answer"]["headline"],
-        "verdict": None if given.verdict is None else given.verdict.to_dict(sections["answer"]["headline"]),
-        "sequences": [each.to_dict() for each in given.ranked],
-        "logged_tasks": [asdict(share) | {"total_s": share.total_s} for share in task_shares(dataset.tasks())],
+        "answer": headline,
+        "verdict": None if page.verdict is None else page.verdict.to_dict(headline),
+        "sequences": [each.to_dict() for each in page.ranked],
+        "logged_tasks": [asdict(share) | {"total_s": share.total_s} for share in task_shares(page.tasks)],
         "levels": [asdict(band) for band in found.bands] if found else [],
         "distance_explains": found.explained if found else None,
-        "losses": [asdict(loss) for loss in losses(samples, dataset.executions.height)],
-        "what_if": [asdict(change) for change in given.what_if],
-        "plan": None if given.planned is None else given.planned.to_dict(),
-        "evaluation": None if given.evaluation is None else given.evaluation.to_dict(),
-        "check": None if given.check is None else given.check.to_dict(),
-        "provenance": asdict(provenance(dataset, {})),
-        "sentences": {key: list(sections[key].get("sentences", ())) for key in ORDER},
+        "losses": [asdict(loss) for loss in losses(page.samples, page.seen.executions)],
+        "what_if": [asdict(change) for change in page.what_if],
+        "plan": None if page.planned is None else page.planned.to_dict(),
+        "evaluation": None if page.evaluation is None else page.judged,
+        "check": None if page.check is None else page.check.to_dict(),
+        "provenance": asdict(provenance(page.dataset, {})),
+        "sentences": {key: list(section.get("sentences", ())) for key, section in sections.items()},
     }
     return json_text(document) + "\n"
 
 
-def as_csv(
-    ranked: Sequence[CycleEstimate],
-    tasks: pl.DataFrame,
-    what_if: Sequence[Tried] = (),
-    planned: OrderPlan | None = None,
-) -> str:
+def as_csv(page: PageInputs) -> str:
     """Return one row per sequence (order 0, with its work) and per task of it; without any, one per logged task.
 
     Then one row per change tried, with its name in `change`, and one row per visit of the order found, with `change` =
     `order`.
     """
+    ranked, planned = page.ranked, page.planned
     saves = ["saves_s", "saves_low_s", "saves_high_s"]
     heads = ["sequence", "order", "task", "expected_s", "low_s", "high_s", *PARTS, "seen", "change", *saves, "work"]
     rows: list[Sequence[object]] = [heads]
@@ -99,10 +70,10 @@ def as_csv(
             parts = [getattr(task, part) for part in PARTS]
             rows.append([each.name, order, task.task, task.expected_s, "", "", *parts, "", *[""] * 5])
     if not ranked:
-        for share in task_shares(tasks):
+        for share in task_shares(page.tasks):
             parts = [share.nominal_s, share.safety_s, share.dwell_s, share.wait_s]
             rows.append(["", "", share.name, share.total_s, "", "", *parts, share.seen, *[""] * 5])
-    rows.extend(_tried_rows(ranked, what_if))
+    rows.extend(_tried_rows(ranked, page.what_if))
     if planned is not None:
         work = str(work_of(planned.places))
         rows.append(["", 0, "", planned.expected_s, *[""] * 7, "order", *planned.saves_s, work])
@@ -121,8 +92,7 @@ def _tried_rows(ranked: Sequence[CycleEstimate], what_if: Sequence[Tried]) -> It
 def as_markdown(texts: ReportTexts, cell: str, made: str, sections: Mapping[str, Any]) -> str:
     """Return headings, sentences and tables as Markdown; without pictures."""
     lines = [f"# {markdown(texts('page.title', cell=cell))}", "", made, ""]
-    for number, key in enumerate(ORDER, start=1):
-        section = sections[key]
+    for number, (key, section) in enumerate(sections.items(), start=1):
         lines += [f"## {number} {texts(f'{key}.title')}", ""]
         if section.get("headline"):
             lines += [f"**{markdown(section['headline'])}**", ""]
@@ -141,6 +111,8 @@ def _tables(value: object) -> Iterator[ReportTable]:
     """Every table of a section, in its order."""
     if isinstance(value, ReportTable):
         yield value
+    elif isinstance(value, Chart):
+        yield from _tables([value.numbers, value.table])
     elif isinstance(value, dict):
         for entry in value.values():
             yield from _tables(entry)

@@ -53,6 +53,14 @@ class Predicts(Protocol):
         ...
 
 
+class Judged(Protocol):
+    """The part of an evaluation that the report uses: its numbers as JSON values."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """`mse` (rows of name, mse, note), `accuracy`, `confusion` (logged x predicted), `levels`; all optional."""
+        ...
+
+
 @dataclass(frozen=True)
 class Share:
     """Mean seconds of one task, split, and how often it was seen (0 for an estimate)."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.estimate.same_work import by_work
+from cyclekit.report.figures import charts_of
 from cyclekit.report.findings import losses
 from cyclekit.report.numbers import count, decimals_for, fixed, percent, seconds, with_uncertainty
 from cyclekit.report.tables import ReportTable, spell
@@ -20,22 +21,17 @@ if TYPE_CHECKING:
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.findings import Overview
+    from cyclekit.report.inputs import PageInputs
     from cyclekit.report.texts import ReportTexts
     from cyclekit.report.tried import Tried
 
 
-def section(
-    texts: ReportTexts,
-    ranked: Sequence[CycleEstimate],
-    samples: pl.DataFrame,
-    seen: Overview,
-    tried: Sequence[Tried],
-    planned: OrderPlan | None = None,
-) -> dict[str, Any]:
-    """Return what the template needs for section 4; `ranked` has the fastest sequence first."""
+def section(page: PageInputs) -> dict[str, Any]:
+    """Return what the template needs for section 4."""
+    texts, ranked, tried, planned = page.texts, page.ranked, page.what_if, page.planned
     before = {each.name: each for each in ranked}
     said = (
-        _bound(texts, ranked, seen),
+        _bound(texts, ranked, page.seen),
         _best(texts, tried, ranked, before),
         _plan_saves(texts, planned),
         *(_order(texts, alike) for alike in by_work(ranked).values()),
@@ -45,8 +41,8 @@ def section(
         sentences.append(texts("helps.not_asked"))
     if planned is None:
         sentences.append(texts("helps.not_planned"))
-    made = (_what_if(texts, tried, before), _plan(texts, planned), _moments(texts, samples, seen))
-    return {"sentences": sentences, "tables": [table for table in made if table], "missing": []}
+    made = (_what_if(texts, tried, before), _plan(texts, planned), _moments(texts, page.samples, page.seen))
+    return {"sentences": sentences, "charts": charts_of("helps", page), "tables": [table for table in made if table]}
 
 
 def _bound(texts: ReportTexts, ranked: Sequence[CycleEstimate], seen: Overview) -> str:

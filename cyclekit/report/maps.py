@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from cyclekit.report.findings import LoggedResponse
     from cyclekit.report.floor import FloorPlan
     from cyclekit.report.judged import PredictionBins
+    from cyclekit.report.texts import ReportTexts
 
 _FAINTEST = 0.02
 """Squares with less than this part of the largest value are left out."""
@@ -64,14 +65,18 @@ def staircase(width_in: float, found: LoggedResponse, levels: Sequence[float], l
             linestyle=dashes,
             zorder=3,
         )
-    axes.set_ylim(-0.06, 1.06)
-    axes.set_xlim(left=max(0.0, float(found.bin_m.min()) - 0.2), right=float(found.bin_m.max()) + 0.1)
+    axes.set(ylim=(-0.06, 1.06), xlim=(max(0.0, float(found.bin_m.min()) - 0.2), float(found.bin_m.max()) + 0.1))
+    axes.set(xlabel=labels["distance"], ylabel=labels["speed"])
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.set_yticks(sorted({0.0, 1.0, *levels}) if len(levels) <= 6 else [0, 0.25, 0.5, 0.75, 1])
-    axes.set_xlabel(labels["distance"])
-    axes.set_ylabel(labels["speed"])
     axes.legend(loc="lower right", handlelength=2.4)
     return figure
+
+
+def floor_labels(texts: ReportTexts) -> dict[str, str]:
+    """Return the words of a floor plan."""
+    words = texts.section("why")
+    return {key: words[key] for key in ("base", "x", "y", "tip_seen", "tip_lost", "tip_zone")}
 
 
 def lost_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Figure:
@@ -122,13 +127,10 @@ def heatmap(width_in: float, counts: NDArray[np.float64], names: Sequence[str], 
             if part >= 0.0005:
                 ink = "white" if part > 0.45 else INK
                 axes.text(predicted, logged, f"{100 * part:.1f}", ha="center", va="center", color=ink, fontsize=8.5)
-    axes.set_xlim(-0.5, len(names) - 0.5)
-    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set(xlim=(-0.5, len(names) - 0.5), ylim=(len(names) - 0.5, -0.5), aspect="equal")
     axes.set_xticks(range(len(names)), names)
     axes.set_yticks(range(len(names)), names)
-    axes.set_xlabel(labels["predicted"])
-    axes.set_ylabel(labels["logged"])
-    axes.set_aspect("equal")
+    axes.set(xlabel=labels["predicted"], ylabel=labels["logged"])
     axes.tick_params(length=0)
     return figure
 
@@ -145,13 +147,10 @@ def calibration(width_in: float, found: PredictionBins, labels: Mapping[str, str
         (dot,) = axes.plot([predicted], [logged], "o", color=colours.PREDICTED, markersize=size, alpha=0.85, zorder=2)
         values = {"predicted": f"{100 * predicted:.0f}", "logged": f"{100 * logged:.1f}", "count": f"{count:.0f}"}
         tip(figure, dot, labels["tip"].format(**values))
-    axes.set_xlim(-0.04, 1.04)
-    axes.set_ylim(-0.04, 1.04)
+    axes.set(xlim=(-0.04, 1.04), ylim=(-0.04, 1.04), aspect="equal")
+    axes.set(xlabel=labels["predicted"], ylabel=labels["logged"])
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.set_aspect("equal")
-    axes.set_xlabel(labels["predicted"])
-    axes.set_ylabel(labels["logged"])
     axes.grid(visible=True)
     axes.set_axisbelow(True)
     return figure
@@ -200,8 +199,7 @@ def _furniture(axes: Axes, plan: FloorPlan, labels: Mapping[str, str]) -> None:
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.08)
     axes.autoscale_view()
-    axes.set_xlabel(labels["x"])
-    axes.set_ylabel(labels["y"])
+    axes.set(xlabel=labels["x"], ylabel=labels["y"])
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     axes.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
     if labels.get("speed"):
@@ -230,9 +228,7 @@ def _scale_bar(axes: Axes, label: str) -> None:
     for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         colour = colours.scaling_hex((low + high) / 2)
         inset.add_artist(Rectangle((low, 0), high - low + 0.004, 1, color=colour, linewidth=0))
-    inset.set_xlim(0, 1)
-    inset.set_ylim(0, 1)
-    inset.set_yticks([])
+    inset.set(xlim=(0, 1), ylim=(0, 1), yticks=[])
     inset.set_xticks([0, 0.5, 1], ["0", "50", "100 %"])
     inset.tick_params(length=2, labelsize=8, top=True, labeltop=True, bottom=False, labelbottom=False)
     for spine in inset.spines.values():

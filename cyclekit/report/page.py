@@ -1,12 +1,13 @@
 """Build the page: numbers become sentences, tables and pictures; the template arranges them.
 
 The sections are: the answer, where the time goes, why, what would help, and how reliable the numbers are. Each section
-is built by its own module; the words are in `texts.toml`.
+is built by its own module, each figure by its own in `figures`; the words are in `texts.toml`.
 """
 
 from __future__ import annotations
 
 import datetime as dt
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version as installed
 from typing import TYPE_CHECKING, Any
@@ -14,28 +15,32 @@ from typing import TYPE_CHECKING, Any
 from cyclekit.estimate.same_work import by_work
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.report import answer, helps, trust, where, why
-from cyclekit.report.document import MARK, ReportInputs, as_csv, as_json, as_markdown
-from cyclekit.report.findings import overview
+from cyclekit.report.document import MARK, as_csv, as_json, as_markdown
+from cyclekit.report.inputs import PageInputs
 from cyclekit.report.template import Template
-from cyclekit.report.verdict import verdict
 from cyclekit.storage.atomic import write_text
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
-
-    import polars as pl
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan import OrderPlan
     from cyclekit.estimate.result import CycleEstimate
-    from cyclekit.report.findings import Predicts
+    from cyclekit.report.findings import Judged, Predicts
     from cyclekit.report.tried import Tried
-    from cyclekit.report.trust import Judged
 
 FORMATS = ("html", "json", "csv", "md")
+SECTIONS: dict[str, Callable[[PageInputs], dict[str, Any]]] = {
+    "answer": answer.section,
+    "where": where.section,
+    "why": why.section,
+    "helps": helps.section,
+    "trust": trust.section,
+}
+"""What makes each section, in the order of the page."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,12 +69,6 @@ class ReportFacts(Result):
         """Return plain JSON values."""
         document = {"report": str(self.path), "answer": self.headline, "sequences": self.sequences, "bytes": self.bytes}
         return {**document, "missing": list(self.missing), **({"pdf": str(self.pdf)} if self.pdf else {})}
-
-    def to_frame(self) -> pl.DataFrame:
-        """One row: what was written, and how large it is."""
-        import polars as pl
-
-        return pl.DataFrame([{name: value for name, value in self.to_dict().items() if name != "missing"}])
 
     def _said(self) -> list[str]:
         return [f"{self.headline}", f"{self.path}", *(f"missing: {text}" for text in self.missing)]
@@ -118,39 +117,22 @@ def compose_report(
     dataset.require_positions()
     look = Template(template)
     say(0.02, "reading the dataset")
-    samples, tasks = dataset.samples(), dataset.tasks()
-    seen = overview(dataset, samples, tasks)
     quickest = sorted(estimates, key=lambda each: each.expected_s)
     ranked = [each for work in by_work(quickest).values() for each in work]
-    name = cell_name or dataset.card.name or dataset.path.name
+    name, texts = cell_name or dataset.card.name or dataset.path.name, look.texts
+    page = PageInputs(texts, dataset, model, ranked, what_if, planned, evaluation, check, takt_s)
     if kind == "csv":
-        write_text(out, as_csv(ranked, tasks, what_if, planned))
+        write_text(out, as_csv(page))
         return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing), len(ranked))
-    texts = look.texts
     sections: dict[str, Any] = {}
-    judged = verdict(dataset, ranked, what_if, planned, takt_s)
-    about: dict[str, Any] = {
-        "has_model": model is not None,
-        "takt_s": takt_s,
-        "checked": check is not None,
-        "found": judged,
-    }
-    steps: list[tuple[str, Callable[[], dict[str, Any]]]] = [
-        ("answer", lambda: answer.section(texts, ranked, seen, **about)),
-        ("where", lambda: where.section(texts, ranked, tasks)),
-        ("why", lambda: why.section(texts, dataset, samples, model, seen)),
-        ("helps", lambda: helps.section(texts, ranked, samples, seen, what_if, planned)),
-        ("trust", lambda: trust.section(texts, dataset, samples, model, evaluation, seen, ranked, check)),
-    ]
-    for number, (key, make) in enumerate(steps):
-        say(0.1 + 0.17 * number, f"section {number + 1} of {len(steps)}: {texts(f'{key}.title').lower()}")
-        sections[key] = make()
+    for number, (key, section) in enumerate(SECTIONS.items()):
+        say(0.1 + 0.17 * number, f"section {number + 1} of {len(SECTIONS)}: {texts(f'{key}.title').lower()}")
+        sections[key] = section(page)
     sections["trust"]["sentences"] = [*sections["trust"]["sentences"], *missing]
     say(0.95, "writing the page")
-    made = texts("page.made", date=_today(), version=installed("cyclekit"), executions=seen.executions)
+    made = texts("page.made", date=_today(), version=installed("cyclekit"), executions=page.seen.executions)
     if kind == "json":
-        found = ReportInputs(ranked, what_if, planned, evaluation, check, judged)
-        content = as_json(name, made, found, dataset, samples, sections)
+        content = as_json(name, made, page, sections)
     elif kind == "md":
         content = as_markdown(texts, name, made, sections)
     else:

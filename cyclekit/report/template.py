@@ -18,6 +18,7 @@ from jinja2.sandbox import SandboxedEnvironment
 from markupsafe import Markup
 
 from cyclekit.errors import CyclekitError
+from cyclekit.report import figures
 from cyclekit.report.texts import load_texts
 from cyclekit.storage.inside import inside, unfit
 from cyclekit.text.plain_text import visible
@@ -110,7 +111,8 @@ class Template:
 
     def _texts(self) -> ReportTexts:
         try:
-            return load_texts().with_changes(tomllib.loads(self._extra("texts.toml")))
+            words = {each.name: each.words for each in figures.FIGURES if each.words}
+            return load_texts().with_words(words).with_changes(tomllib.loads(self._extra("texts.toml")))
         except (tomllib.TOMLDecodeError, ValueError) as error:
             msg = f"{self.folder}: texts.toml cannot be used ({error})"
             raise CyclekitError(

@@ -59,6 +59,10 @@ class ReportTexts:
                 sections[section][name] = str(text)
         return ReportTexts(sections, language)
 
+    def with_words(self, words: Mapping[str, Mapping[str, str]]) -> ReportTexts:
+        """Return the texts with further sections, by name."""
+        return ReportTexts({**self.sections, **{name: dict(texts) for name, texts in words.items()}}, self.language)
+
     def section(self, name: str) -> dict[str, str]:
         """Return all texts of one section, not filled in."""
         return self.sections[name]

@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import msgspec
 
 from cyclekit.errors import CyclekitError
 
@@ -48,16 +49,25 @@ class Tried:
     operator: tuple[str, ...] | None = None
 
     @staticmethod
-    def of(found: WhatIf) -> Tried:
+    def of(found: WhatIf | _Answer) -> Tried:
         """Return a result of `whatif` as a row of the page."""
-        return _answer(found.to_dict())
+        after, support = found.after, found.after.support
+        known = support is not None and not math.isnan(support)  # a safety function that is given holds everywhere
+        return Tried(
+            found.change,
+            *_times(after),
+            saves_s=found.saves_s,
+            support=support if known else None,
+            limits=tuple(text for text in after.warnings if text != found.safety),
+            places=after.places,
+            operator=after.operator,
+        )
 
     def saves(self, before: Mapping[str, CycleEstimate]) -> tuple[float, float | None, float | None] | None:
         """Return the saving in seconds and its interval.
 
         Without `saves_s`: against the unchanged estimate of the sequence of that name, without interval; None if there
-            is
-        none, or if it visits other places.
+        is none, or if it visits other places.
         """
         if self.saves_s is not None:
             return self.saves_s
@@ -72,28 +82,37 @@ class Tried:
         return saves is not None and (saves[0] if saves[1] is None else saves[1]) > 0
 
 
-def _answer(entry: Mapping[str, Any]) -> Tried:
-    after, saves, support = entry["after"], entry["saves_s"], entry["after"]["support"]
-    unknown = support is None or math.isnan(support)  # a safety function that is given holds everywhere
-    return Tried(
-        str(entry["change"]),
-        *_interval(after),
-        saves_s=(float(saves[0]), float(saves[1]), float(saves[2])),
-        support=None if unknown else float(support),
-        limits=tuple(str(text) for text in after["warnings"] if text != entry["safety"]),
-        **_what(after),
-    )
+class _Estimate(msgspec.Struct):
+    """A sequence in a file of `whatif` or `estimate`."""
+
+    name: str
+    expected_s: float
+    expected_low_s: float
+    expected_high_s: float
+    support: float | None = None
+    warnings: tuple[str, ...] = ()
+    places: tuple[str, ...] = ()
+    operator: tuple[str, ...] | None = None
 
 
-def _interval(estimate: Mapping[str, Any]) -> tuple[str, float, float, float]:
-    low, high = float(estimate["expected_low_s"]), float(estimate["expected_high_s"])
-    return str(estimate["name"]), float(estimate["expected_s"]), low, high
+class _Answer(msgspec.Struct):
+    """An answer in a file of `whatif`."""
+
+    change: str
+    after: _Estimate
+    saves_s: tuple[float, float, float]
+    safety: str
 
 
-def _what(estimate: Mapping[str, Any]) -> dict[str, Any]:
-    """Places and operator tasks of the sequence."""
-    operator = estimate.get("operator")
-    return {"places": tuple(estimate.get("places", ())), "operator": None if operator is None else tuple(operator)}
+class _Document(msgspec.Struct):
+    """A file of `whatif`, which has answers, or of `estimate`, which has sequences."""
+
+    answers: tuple[_Answer, ...] | None = None
+    sequences: tuple[_Estimate, ...] | None = None
+
+
+def _times(of: CycleEstimate | _Estimate) -> tuple[str, float, float, float]:
+    return of.name, of.expected_s, of.expected_low_s, of.expected_high_s
 
 
 def load_tried(file: Path, label: str | None = None) -> list[Tried]:
@@ -110,20 +129,14 @@ def load_tried(file: Path, label: str | None = None) -> list[Tried]:
         "Give the file of `cyclekit whatif … --out FILE.json`, or LABEL=FILE.json with the file of `cyclekit estimate`."
     )
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-        return _tried(document, label)
+        document = msgspec.json.decode(file.read_bytes(), type=_Document)
     except OSError as error:
-        msg = f"{file}: cannot be read ({error.strerror})"
-        raise CyclekitError(msg, cure=cure) from error
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-        msg = f"{file}: no output of whatif or estimate ({type(error).__name__}: {error})"
-        raise CyclekitError(msg, cure=cure) from error
-
-
-def _tried(document: Mapping[str, Any], label: str | None) -> list[Tried]:
-    if "answers" in document:
-        return [_answer(entry) for entry in document["answers"]]
-    if label is None:
-        msg = "an estimate needs the name of its change"
-        raise ValueError(msg)
-    return [Tried(label, *_interval(entry), **_what(entry)) for entry in document["sequences"]]
+        raise CyclekitError(f"{file}: cannot be read ({error.strerror})", cure=cure) from error
+    except (ValueError, RecursionError) as error:
+        raise CyclekitError(f"{file}: not an output of whatif or estimate ({error})", cure=cure) from error
+    if document.answers is not None:
+        return [Tried.of(each) for each in document.answers]
+    if document.sequences is None or label is None:
+        why = "no answers and no sequences" if label else "an estimate needs the name of its change"
+        raise CyclekitError(f"{file}: not an output of whatif ({why})", cure=cure)
+    return [Tried(label, *_times(each), places=each.places, operator=each.operator) for each in document.sequences]

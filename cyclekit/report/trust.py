@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from cyclekit.dataset.cards import plain
 from cyclekit.report import rests
-from cyclekit.report.judged import calibration
+from cyclekit.report.figures import charts_of
 from cyclekit.report.numbers import count, fixed, percent, significant
-from cyclekit.report.pictures import Picture
 from cyclekit.report.provenance import provenance
 from cyclekit.report.rests import signed
 from cyclekit.report.tables import ReportTable
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     import polars as pl
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
-    from cyclekit.estimate.result import CycleEstimate
     from cyclekit.report.findings import Overview, Predicts
+    from cyclekit.report.inputs import PageInputs
     from cyclekit.report.provenance import Provenance
     from cyclekit.report.texts import ReportTexts
 
@@ -35,39 +32,23 @@ MODEL, CONSTANT, STAIRCASE = "model", "constant mean", "distance staircase"
 _GAPS = {"absent": "gap_absent", "occluded": "gap_occluded", "outside": "gap_outside"}
 
 
-class Judged(Protocol):
-    """The part of an evaluation that the report uses: its numbers as JSON values."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """`mse` (rows of name, mse, note), `accuracy`, `confusion` (logged x predicted), `levels`; all optional."""
-        ...
-
-
-def section(
-    texts: ReportTexts,
-    dataset: Dataset,
-    samples: pl.DataFrame,
-    model: Predicts | None,
-    evaluation: Judged | None,
-    seen: Overview,
-    ranked: Sequence[CycleEstimate] = (),
-    check: Check | None = None,
-) -> dict[str, Any]:
-    """Return what the template needs for section 5; `check` is how the rollout did on what was logged."""
+def section(page: PageInputs) -> dict[str, Any]:
+    """Return what the template needs for section 5."""
+    texts, dataset, model, check = page.texts, page.dataset, page.model, page.check
     versions = {texts("trust.made_dataset"): f"cyclekit {dataset.card.cyclekit_version}"}
     versions[texts("trust.layout")] = str(dataset.card.schema_version)
     if model is not None:
         versions[texts("trust.made_model")] = f"cyclekit {model.card.cyclekit or 'unknown'}"
     origin = provenance(dataset, versions)
-    judged = evaluation.to_dict() if evaluation is not None else {}
-    unmeasured = bool(ranked) and (check is None or check.coverage is None)
-    said = [*_network_and_baselines(texts, judged, check), *([texts("trust.no_coverage")] if unmeasured else [])]
+    unmeasured = bool(page.ranked) and (check is None or check.coverage is None)
+    said = [*_network_and_baselines(texts, page.judged, check), *([texts("trust.no_coverage")] if unmeasured else [])]
+    tables = [*rests.tables(texts, page.ranked, check), *_unseen(texts, page.samples), *_data_tables(texts, origin)]
     return {
-        "facts": _facts(texts, dataset, seen, origin),
-        "model": _model(texts, model, judged),
-        "pictures": [*_confusion(texts, judged), *_calibration(texts, samples, judged, model)],
+        "facts": _facts(texts, dataset, page.seen, origin),
+        "model": _model(texts, model, page.judged),
+        "charts": charts_of("trust", page),
         "sentences": said,
-        "tables": [*rests.tables(texts, ranked, check), *_unseen(texts, samples), *_data_tables(texts, origin)],
+        "tables": tables,
         "missing": [],
     }
 
@@ -159,55 +140,6 @@ def _metric(key: str, value: float) -> str:
 
 def _superscript(number: int) -> str:
     return str(number).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-
-
-def _confusion(texts: ReportTexts, judged: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The heatmap of logged against predicted level, with its table."""
-    from cyclekit.report import maps
-
-    matrix: Sequence[Sequence[float]] = judged.get("confusion") or ()
-    levels = [entry["level"] if isinstance(entry, dict) else entry for entry in judged.get("levels") or ()]
-    if not matrix or len(matrix) != len(levels):
-        return []
-    names = [percent(float(level)) for level in levels]
-    counts = np.asarray(matrix, dtype=np.float64)
-    rows = []
-    for name, line in zip(names, counts.tolist(), strict=True):
-        total = sum(line)
-        rows.append([name, *(fixed(100 * value / total, 1) if total else "–" for value in line)])
-    caption = texts("trust.confusion")
-    name = texts("trust.confusion_title")
-    table = ReportTable(name, [texts("trust.truth"), *names], rows, frozenset(range(len(names) + 1)), silent=True)
-    labels = {"logged": texts("trust.truth"), "predicted": texts("trust.predicted")}
-    labels["tip"] = texts.section("trust")["tip_confusion"]
-    right = percent(float(counts.trace() / counts.sum())) if counts.sum() else percent(None)
-    alt = texts("trust.confusion_picture", right=right)
-    drawn = Picture("heatmap", alt, lambda width_in: maps.heatmap(width_in, counts, names, labels))
-    return [{"title": name, "picture": drawn, "caption": caption, "table": table}]
-
-
-def _calibration(
-    texts: ReportTexts, samples: pl.DataFrame, judged: Mapping[str, Any], model: Predicts | None
-) -> list[dict[str, Any]]:
-    """Predicted against logged means, on the executions that the model was evaluated on."""
-    from cyclekit.report import maps
-
-    found = calibration(samples, judged.get("executions") or (), model)
-    if found is None:
-        return []
-    labels = {"logged": texts("trust.mean_logged"), "predicted": texts("trust.mean_predicted")}
-    labels["tip"] = texts.section("trust")["tip_calibration"]
-    caption = texts("trust.calibration")
-    heads = [texts("trust.mean_predicted"), texts("trust.mean_logged"), texts("why.count")]
-    rows = [
-        [percent(predicted), percent(logged), count(int(number))]
-        for predicted, logged, number in zip(found.predicted, found.logged, found.count, strict=True)
-    ]
-    name = texts("trust.calibration_title")
-    table = ReportTable(name, heads, rows, frozenset({0, 1, 2}), silent=True)
-    alt = texts("trust.calibration_picture", worst=percent(found.worst))
-    drawn = Picture("calibration", alt, lambda width_in: maps.calibration(width_in, found, labels))
-    return [{"title": name, "picture": drawn, "caption": caption, "table": table}]
 
 
 def _unseen(texts: ReportTexts, samples: pl.DataFrame) -> list[ReportTable]:

@@ -1,9 +1,8 @@
-"""Results put in place as a whole: the old one or the new one, never half, one writer at a time.
+"""Files and folders replaced as a whole: a reader finds the old one or the new one. One writer at a time.
 
-A file or folder is built under a name of its own beside its place, brought to the disk, and renamed. What a killed
-process left beside the place is swept by the next one that writes there. The lock is the operating system's: it ends
-with the process that holds it, however that dies, so a lock left behind never blocks. What is written is the business
-of the rooms that write.
+A file or folder is built under a temporary name beside its place, flushed to the disk, and renamed. The next writer
+removes what a killed process left there. The lock is the operating system's: it ends with the process that holds it,
+so a lock file left behind never blocks.
 """
 
 from __future__ import annotations
@@ -59,10 +58,10 @@ def write_text(file: Path, text: str) -> None:
 
 @contextmanager
 def replaced(file: Path) -> Iterator[Path]:
-    """Give the name of a file to write; on success it takes the place of `file`, on failure nothing changes.
+    """Yield the temporary name of a file to write; on success it replaces `file`, on failure nothing changes.
 
-    A link stays a link: the file that it leads to is replaced. What is there and is no regular file, such as a device
-    or a pipe, is written into when all is complete.
+    A link stays a link: the file that it points to is replaced. A device or a pipe is written into when the content
+    is complete.
 
     Raises:
         BusyPlace: Another process has been writing there for several seconds.
@@ -88,7 +87,7 @@ def replaced(file: Path) -> Iterator[Path]:
 
 @contextmanager
 def _poured(place: Path) -> Iterator[Path]:
-    """Give the name of a file whose content goes into a device or a pipe."""
+    """Yield the temporary name of a file whose content is then written to a device or a pipe."""
     if place.is_dir():
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(place))
     with tempfile.TemporaryDirectory(prefix="cyclekit-", ignore_cleanup_errors=True) as folder:
@@ -100,7 +99,7 @@ def _poured(place: Path) -> Iterator[Path]:
 
 @contextmanager
 def staged(path: Path) -> Iterator[Path]:
-    """Give a fresh folder to build in; on success it takes the place of `path`, on failure nothing changes.
+    """Yield an empty folder to build in; on success it replaces `path`, on failure nothing changes.
 
     Raises:
         BusyPlace: Another process is writing there.
@@ -116,7 +115,7 @@ def staged(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def built(path: Path) -> Iterator[Path]:
-    """Do as `staged`, for one who holds the lock of `path` and has settled it.
+    """Do as `staged`; the caller holds the lock of `path` and has called `settle`.
 
     The swap is two renames. A process killed between them leaves the new folder complete under its staging name, and
     `recover` finishes the work at the next opening.
@@ -143,7 +142,7 @@ def built(path: Path) -> Iterator[Path]:
 def recover(path: Path) -> None:
     """Finish the swap of a process killed between its two renames.
 
-    For readers: it acts only where nothing is at `path`, so that it cannot get into the way of a running writer.
+    For readers: it acts only if nothing is at `path`, so it cannot disturb a running writer.
     """
     with suppress(OSError):
         path = resolved(path)
@@ -155,7 +154,7 @@ def recover(path: Path) -> None:
 
 
 def settle(path: Path) -> None:
-    """Finish or undo whatever killed processes left beside `path`; for one who holds its lock."""
+    """Finish or undo what killed processes left beside `path`; the caller holds its lock."""
     path = resolved(path)
     recover(path)
     for folder in _leftovers(path, "new"):
@@ -174,7 +173,7 @@ def unsettled(path: Path) -> bool:
 
 @contextmanager
 def locked(path: Path, *, wait_s: float = 0.2) -> Iterator[None]:
-    """Be the only one who writes at `path`, across processes; where a file system knows no locks, go on without.
+    """Be the only writer at `path`, across processes; without a lock on file systems that have none.
 
     Raises:
         BusyPlace: Another process is writing there, and still is after `wait_s`.
@@ -201,7 +200,7 @@ def locked(path: Path, *, wait_s: float = 0.2) -> Iterator[None]:
 
 
 def _sign(descriptor: int) -> None:
-    """Say in the lock file who holds it, behind the first byte, which on Windows is locked and nobody else can read."""
+    """Write the process number into the lock file, after the first byte: Windows locks that one against reading."""
     with suppress(OSError):  # a full disk: who we are stays unsaid
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f" {os.getpid()}\n".encode())
@@ -226,7 +225,7 @@ def _told(path: Path) -> Iterator[None]:
 
 
 def beside(path: Path, kind: str) -> Path:
-    """Return the hidden name beside `path` that something of ours has there, however long the name of `path` is."""
+    """Return the hidden name of a kind of file of ours beside `path`; a long name is shortened."""
     return path.with_name(f".{shortened(path.name)}.{kind}")
 
 
@@ -257,7 +256,7 @@ def _to_disk(file: Path) -> None:
 
 
 def _all_to_disk(folder: Path) -> None:
-    """See every file of a folder on the disk; thousands of them at once, where the system can."""
+    """Flush every file of a folder to the disk; many files by one call of the system."""
     files = [file for file in folder.rglob("*") if file.is_file()]
     if len(files) > _MANY and hasattr(os, "sync"):
         os.sync()

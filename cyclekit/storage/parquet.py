@@ -1,8 +1,7 @@
 """Parquet tables larger than memory: written piece by piece, read by ranges of rows.
 
-Same rows in the same pieces, same bytes. Row groups are large enough for a scan to be fast and small enough for a few
-of them to be nothing; numbers are split by bytes before they are compressed, which makes measured values a fifth
-smaller. What the tables mean is the business of `schema`.
+Same rows in the same pieces, same bytes. Row groups are large enough for a fast scan and small enough that a few of
+them need little memory. Numbers are split by bytes before they are compressed: measured values become a fifth smaller.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from cyclekit.storage.files import regular
 from cyclekit.storage.parquet_layout import layout_of
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
     from types import TracebackType
     from typing import IO, Self
@@ -78,11 +77,11 @@ class TableWriter:
             self._put(GROUP_ROWS)
 
     def held(self) -> pl.DataFrame | None:
-        """Return all rows if nothing of them is on the disk yet, else None. Who takes them leaves the table alone."""
+        """Return all rows if none is on the disk yet, else None; the table must not be used afterwards."""
         return None if self._file is not None or not self._pieces else pl.concat(self._pieces)
 
     def close(self) -> None:
-        """Write what is left; `atomic.built` sees to it that it is on the disk before it is in place."""
+        """Write the remaining rows; `atomic.built` flushes the file to the disk."""
         try:
             if self._waiting or self.rows == 0:
                 self._put(self._waiting)
@@ -97,7 +96,7 @@ class TableWriter:
             raise
 
     def abandon(self) -> None:
-        """Give up: the file holds half a table, and the caller removes it."""
+        """Stop: the file holds a part of the table, and the caller removes it."""
         with suppress(Exception):
             self._behind.end()
         if self._parquet is not None:
@@ -300,10 +299,7 @@ _decoded = _Decoded()
 
 @contextmanager
 def keeping(most_bytes: int) -> Iterator[None]:
-    """Keep so much of what is decoded, for one who reads the same rows again and again; afterwards what is usual.
-
-    If it is more than that, nothing stays.
-    """
+    """Keep up to `most_bytes` of decoded columns inside the block, for repeated reads of the same rows."""
     _decoded.most_bytes = most_bytes
     try:
         yield
@@ -314,56 +310,13 @@ def keeping(most_bytes: int) -> Iterator[None]:
 
 
 def forget() -> None:
-    """Give back the memory of what was read last: for one who has other use for it now."""
+    """Free the memory of the columns that were decoded last."""
     _decoded.clear()
     pa.default_memory_pool().release_unused()  # else Arrow keeps it for the next table
 
 
 def _floats(values: pl.Series) -> NDArray[np.float64]:
     return (values if values.dtype == pl.Float64 else values.cast(pl.Float64)).to_numpy()
-
-
-def spans(
-    file: Path,
-    columns: Container[str] | None = None,
-    *,
-    column: str | None = None,
-    least: float = -np.inf,
-    most: float = np.inf,
-) -> list[tuple[int, int]]:
-    """Return the bytes, from and to before, in which columns lie, in the row groups that may hold some values.
-
-    Where the file does not say what a row group holds, it may.
-
-    Args:
-        file: The Parquet file.
-        columns: Which; None = all.
-        column: The column of the values; None = all row groups.
-        least: The smallest of the values.
-        most: The largest.
-    """
-    with pq.ParquetFile(file) as parquet:
-        about, place = parquet.metadata, -1 if column is None else parquet.schema_arrow.get_field_index(column)
-    found = []
-    for number in range(about.num_row_groups):
-        group = about.row_group(number)
-        known = group.column(place).statistics if place >= 0 else None
-        if known is None or not known.has_min_max or (known.min <= most and known.max >= least):
-            parts = (group.column(index) for index in range(group.num_columns))
-            for part in parts:
-                if columns is None or part.path_in_schema in columns:
-                    begin = part.dictionary_page_offset or part.data_page_offset
-                    found.append((begin, begin + part.total_compressed_size))
-    return found
-
-
-def unpacked_bytes(file: Path, columns: Container[str]) -> int:
-    """Return how many bytes some columns of a Parquet table have when they are unpacked, not yet decoded."""
-    with pq.ParquetFile(file) as parquet:
-        about = parquet.metadata
-    groups = (about.row_group(number) for number in range(about.num_row_groups))
-    parts = (group.column(index) for group in groups for index in range(group.num_columns))
-    return sum(part.total_uncompressed_size for part in parts if part.path_in_schema in columns)
 
 
 def parts_of(file: Path) -> Iterator[pl.DataFrame]:

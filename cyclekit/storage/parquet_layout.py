@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from math import inf
+from typing import TYPE_CHECKING, NamedTuple
 
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
+
+if TYPE_CHECKING:
+    from collections.abc import Container
+    from pathlib import Path
 
 SMALL_BYTES, SMALL_VALUES = 1 << 19, 1 << 20
 """Of a small table: a minute of robot rows has some 400,000 and 150,000. A file of few bytes may hold many values."""
@@ -56,3 +61,46 @@ def _unknown(about: pq.FileMetaData, column: int) -> int:
         said = about.row_group(group).column(column).statistics
         total += said.null_count if said is not None and said.has_null_count else about.row_group(group).num_rows
     return total
+
+
+def spans(
+    file: Path,
+    columns: Container[str] | None = None,
+    *,
+    column: str | None = None,
+    least: float = -inf,
+    most: float = inf,
+) -> list[tuple[int, int]]:
+    """Return the bytes, from and to before, in which columns lie, in the row groups that may hold some values.
+
+    Where the file does not say what a row group holds, it may.
+
+    Args:
+        file: The Parquet file.
+        columns: Which; None = all.
+        column: The column of the values; None = all row groups.
+        least: The smallest of the values.
+        most: The largest.
+    """
+    with pq.ParquetFile(file) as parquet:
+        about, place = parquet.metadata, -1 if column is None else parquet.schema_arrow.get_field_index(column)
+    found = []
+    for number in range(about.num_row_groups):
+        group = about.row_group(number)
+        known = group.column(place).statistics if place >= 0 else None
+        if known is None or not known.has_min_max or (known.min <= most and known.max >= least):
+            parts = (group.column(index) for index in range(group.num_columns))
+            for part in parts:
+                if columns is None or part.path_in_schema in columns:
+                    begin = part.dictionary_page_offset or part.data_page_offset
+                    found.append((begin, begin + part.total_compressed_size))
+    return found
+
+
+def unpacked_bytes(file: Path, columns: Container[str]) -> int:
+    """Return how many bytes some columns of a Parquet table have when they are unpacked, not yet decoded."""
+    with pq.ParquetFile(file) as parquet:
+        about = parquet.metadata
+    groups = (about.row_group(number) for number in range(about.num_row_groups))
+    parts = (group.column(index) for group in groups for index in range(group.num_columns))
+    return sum(part.total_uncompressed_size for part in parts if part.path_in_schema in columns)

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import PurePath
 
 from cyclekit.text.plain_text import CONTROL
 
@@ -20,6 +23,19 @@ def json_text(document: object, *, ascii_only: bool = False) -> str:
     """
     text = json.dumps(finite(document), indent=2, ensure_ascii=ascii_only, allow_nan=False, default=str)
     return CONTROL.sub(lambda found: f"\\u{ord(found[0]):04x}", text)  # only texts hold any: a terminal may show this
+
+
+def plain_values(value: object) -> object:
+    """Return a value as JSON has it: texts for paths and keys, lists for tuples, objects for dataclasses."""
+    if isinstance(value, PurePath):
+        return str(value)
+    if is_dataclass(value):
+        return {each.name: plain_values(getattr(value, each.name)) for each in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain_values(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_values(entry) for entry in value]
+    return value
 
 
 def finite(value: object) -> object:

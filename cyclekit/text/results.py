@@ -1,18 +1,19 @@
 """What results of the library have in common: a short repr, a table in a notebook, a polars frame, values for JSON.
 
-A result is a frozen dataclass. Its class says what it is in a line or a few (`_said`) and as a frame (`to_frame`); the
-command line's `--json` prints `to_dict`.
+A result is a frozen dataclass. Its class says what it is in a line or a few (`_said`), and what the rows of its frame
+are where that is not one row of its single values (`_frame_rows`); the command line's `--json` prints `to_dict`.
 """
 
 from __future__ import annotations
 
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+from cyclekit.text.plain_json import plain_values
 from cyclekit.text.plain_text import one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     import polars as pl
 
@@ -25,11 +26,17 @@ class Result:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON values, as `--json` prints it."""
-        raise NotImplementedError
+        return cast("dict[str, Any]", plain_values(self))
 
     def to_frame(self) -> pl.DataFrame:
         """Return the result as a table, units in the names of its columns."""
-        raise NotImplementedError
+        import polars as pl
+
+        return pl.DataFrame(self._frame_rows(), infer_schema_length=None)
+
+    def _frame_rows(self) -> Sequence[Mapping[str, object]]:
+        """Return the rows of the frame by the names of its columns."""
+        return [{name: value for name, value in self.to_dict().items() if not isinstance(value, list | dict)}]
 
     def _said(self) -> Sequence[str]:
         """Return the result in a line or a few."""

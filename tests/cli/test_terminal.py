@@ -20,7 +20,8 @@ from cyclekit.cli import terminal
 from cyclekit.cli.facts import page
 from cyclekit.cli.options import seconds, vector
 from cyclekit.cli.terminal import Terminal, bullet, duration, percent, table, write_json, write_out
-from cyclekit.inspect.describe import DatasetDescription, describe
+from cyclekit.inspect.describe import describe
+from cyclekit.inspect.facts import DatasetDescription
 
 
 def test_a_path_in_brackets_stays_in_the_table() -> None:
@@ -154,3 +155,16 @@ def test_an_inspected_dataset_keeps_to_80_columns_however_many_reasons_it_has(tm
     shown = page(dataclasses.replace(found, path=Path("dataset"), scaling_gaps=reasons))
     assert all(str(count) in shown for count in reasons.values())
     assert max(map(len, shown.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("width", [60, 80])
+def test_a_table_fits_the_terminal_and_breaks_no_word_of_a_name(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    heads = ["change ", "sequence ", "before, s", "after, s", "mean (95%)", "saves, s"]
+    row = ["conveyor back", "right table first", "102.7*", "102.2*", "99.1-105.7", "10.4 (10.2 to 10.7)"]
+    lines = table(heads, [row, row]).splitlines()
+    assert max(map(len, lines)) <= width
+    words = {word.strip(",") for line in lines for word in line.split()}
+    assert {"conveyor", "right", "table", "first", "102.7*", "99.1-105.7", "10.7)"} <= words
+    if width == 60:
+        assert lines.count("conveyor back, right table first") == 2

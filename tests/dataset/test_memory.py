@@ -100,7 +100,7 @@ def test_a_recording_with_more_rows_than_the_card_says_is_refused(tmp_path: Path
     rows = pl.read_parquet(file)
     pl.concat([rows, rows]).write_parquet(file)
     with pytest.raises(
-        DatasetError, match=rf"holds {2 * rows.height:,} rows, and dataset\.json speaks of {rows.height:,}"
+        DatasetError, match=rf"holds {2 * rows.height:,} rows, but dataset\.json states {rows.height:,}"
     ):
         read(dataset, record)
 

@@ -124,7 +124,7 @@ def test_what_cannot_be_followed_is_refused_and_the_old_file_stays(tmp_path: Pat
         convert(log, out, table="robots")
     with pytest.raises(ConfigError, match="rate"):
         convert(log, out, rate_hz=-1.0)
-    with pytest.raises(ConfigError, match="neither"):
+    with pytest.raises(ConfigError, match="not known"):
         convert(log, tmp_path / "out.xlsx")
     assert out.read_bytes() == before
     assert sorted(file.name for file in tmp_path.iterdir()) == ["out.parquet", "run.csv"]

@@ -12,9 +12,8 @@ from fabricated import PLACES, THRESHOLDS_M, fabricate_dataset
 from msgspec import structs
 from rerun.chunk import RrdReader
 
+from cyclekit.config import Cell, Furniture
 from cyclekit.config.arms import ARMS, joint_points, recognise_arm
-from cyclekit.dataset.cards import CellSettings
-from cyclekit.dataset.cards.settings import FurnitureSettings
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import CyclekitError, UnknownName
 from cyclekit.replay import viewer, write_replay
@@ -338,8 +337,8 @@ def test_places_are_where_the_cell_has_them(dataset, tmp_path):
 
 
 def test_tables_stand_where_the_cell_file_says(dataset, tmp_path):
-    bench = FurnitureSettings(xyz_m=(0.5, 1.0, -0.1), size_m=(0.9, 0.4, 0.6), yaw_deg=30.0)
-    card = structs.replace(dataset.card, settings=CellSettings(furniture={"bench": bench}))
+    bench = Furniture(xyz_m=(0.5, 1.0, -0.1), size_m=(0.9, 0.4, 0.6), yaw_deg=30.0)
+    card = structs.replace(dataset.card, settings=Cell(furniture={"bench": bench}))
     facts = write_replay(Dataset(dataset.path, card), "1", tmp_path / "x.rrd")
     (drawn,) = [c for c in RrdReader(facts.path).stream() if str(c.entity_path) == "/scene/furniture"]
     box = {name.removeprefix("Boxes3D:"): value[0] for name, value in drawn.to_record_batch().to_pydict().items()}

@@ -10,8 +10,7 @@ from fabricated import LEVELS, THRESHOLDS_M
 from msgspec import structs
 from report_pages import DistanceModel
 
-from cyclekit.dataset.cards import CellSettings
-from cyclekit.dataset.cards.settings import FurnitureSettings
+from cyclekit.config import Cell, Furniture
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.report import findings
 from cyclekit.report.floor import floor_plan
@@ -85,8 +84,8 @@ def test_a_calibrated_model_lies_on_the_line_and_a_biased_one_does_not(dataset):
 
 
 def test_tables_of_the_cell_file_stand_on_both_plans(dataset):
-    bench = FurnitureSettings(xyz_m=(0.5, 1.0, -0.1), size_m=(0.9, 0.4, 0.6), yaw_deg=90.0)
-    settings = CellSettings(furniture={"bench": bench})
+    bench = Furniture(xyz_m=(0.5, 1.0, -0.1), size_m=(0.9, 0.4, 0.6), yaw_deg=90.0)
+    settings = Cell(furniture={"bench": bench})
     furnished = Dataset(dataset.path, structs.replace(dataset.card, settings=settings))
     plan = floor_plan(furnished, dataset.samples(), DistanceModel())
     for draw in (lost_map, zone_map):

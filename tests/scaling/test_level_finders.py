@@ -18,7 +18,8 @@ from sklearn.metrics import silhouette_score
 
 from benchmarks.rival_levels import register
 from cyclekit.cli import run
-from cyclekit.dataset.cards import CellSettings, texts
+from cyclekit.config import Cell
+from cyclekit.dataset.cards import texts
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.errors import ConfigError, UnknownName
@@ -216,7 +217,7 @@ def test_executions_and_gaps_divide_the_samples_of_a_dataset(cell):
 
 
 def test_levels_fixed_in_the_cell_file_are_used(cell, tmp_path):
-    card = structs.replace(cell.card, settings=CellSettings(levels=(0.0, 0.25, 0.5, 0.75, 0.9, 1.0)))
+    card = structs.replace(cell.card, settings=Cell(levels=(0.0, 0.25, 0.5, 0.75, 0.9, 1.0)))
     fixed = Dataset(cell.path, card)
     assert staircase_of(fixed, cell.samples()).levels.tolist() == [0.0, 0.25, 0.5, 0.75, 0.9, 1.0]
     assert staircase_of(cell, cell.samples()).levels.tolist() == list(LEVELS)

@@ -6,85 +6,44 @@ checks it here before any of it is used. Keys that are not known are passed over
 What the values are used for is the business of the rooms above; this one knows none of them.
 """
 
-from cyclekit.dataset.cards.dataset import (
-    DatasetCard,
-    DynamicsCard,
-    ExecutionCard,
-    FileCard,
-    PlaceCard,
-    RowCounts,
-    UnreadCard,
-    dataset_card,
-)
-from cyclekit.dataset.cards.fleet import CellLedger, FiguresCard, StageCard
-from cyclekit.dataset.cards.model import (
-    CellCard,
-    EpochCard,
-    LevelShare,
-    MetricsCard,
-    ModelCard,
-    RowsCard,
-    SpecCard,
-    SplitCard,
-    StandardisationCard,
-    TrainingCard,
-    model_card,
-)
-from cyclekit.dataset.cards.notes import READ, TEXT, Note, note, texts
-from cyclekit.dataset.cards.read import BadCard, checked, parse_json, plain, read_content, read_json
-from cyclekit.dataset.cards.recording import (
-    ClockCard,
-    ClockMethod,
-    FrameCard,
-    LogCard,
-    OperatorCard,
-    RecordingCard,
-    SetAside,
-    SourceFile,
-)
-from cyclekit.dataset.cards.settings import CellSettings
-
-__all__ = [
-    "READ",
-    "TEXT",
-    "BadCard",
-    "CellCard",
-    "CellLedger",
-    "CellSettings",
-    "ClockCard",
-    "ClockMethod",
-    "DatasetCard",
-    "DynamicsCard",
-    "EpochCard",
-    "ExecutionCard",
-    "FiguresCard",
-    "FileCard",
-    "FrameCard",
-    "LevelShare",
-    "LogCard",
-    "MetricsCard",
-    "ModelCard",
-    "Note",
-    "OperatorCard",
-    "PlaceCard",
-    "RecordingCard",
-    "RowCounts",
-    "RowsCard",
-    "SetAside",
-    "SourceFile",
-    "SpecCard",
-    "SplitCard",
-    "StageCard",
-    "StandardisationCard",
-    "TrainingCard",
-    "UnreadCard",
-    "checked",
-    "dataset_card",
-    "model_card",
-    "note",
-    "parse_json",
-    "plain",
-    "read_content",
-    "read_json",
-    "texts",
-]
+from cyclekit.dataset.cards.dataset import DatasetCard as DatasetCard
+from cyclekit.dataset.cards.dataset import DynamicsCard as DynamicsCard
+from cyclekit.dataset.cards.dataset import ExecutionCard as ExecutionCard
+from cyclekit.dataset.cards.dataset import FileCard as FileCard
+from cyclekit.dataset.cards.dataset import PlaceCard as PlaceCard
+from cyclekit.dataset.cards.dataset import RowCounts as RowCounts
+from cyclekit.dataset.cards.dataset import UnreadCard as UnreadCard
+from cyclekit.dataset.cards.dataset import dataset_card as dataset_card
+from cyclekit.dataset.cards.fleet import CellLedger as CellLedger
+from cyclekit.dataset.cards.fleet import FiguresCard as FiguresCard
+from cyclekit.dataset.cards.fleet import StageCard as StageCard
+from cyclekit.dataset.cards.model import CellCard as CellCard
+from cyclekit.dataset.cards.model import EpochCard as EpochCard
+from cyclekit.dataset.cards.model import LevelShare as LevelShare
+from cyclekit.dataset.cards.model import MetricsCard as MetricsCard
+from cyclekit.dataset.cards.model import ModelCard as ModelCard
+from cyclekit.dataset.cards.model import RowsCard as RowsCard
+from cyclekit.dataset.cards.model import SpecCard as SpecCard
+from cyclekit.dataset.cards.model import SplitCard as SplitCard
+from cyclekit.dataset.cards.model import StandardisationCard as StandardisationCard
+from cyclekit.dataset.cards.model import TrainingCard as TrainingCard
+from cyclekit.dataset.cards.model import model_card as model_card
+from cyclekit.dataset.cards.notes import READ as READ
+from cyclekit.dataset.cards.notes import TEXT as TEXT
+from cyclekit.dataset.cards.notes import Note as Note
+from cyclekit.dataset.cards.notes import note as note
+from cyclekit.dataset.cards.notes import texts as texts
+from cyclekit.dataset.cards.read import BadCard as BadCard
+from cyclekit.dataset.cards.read import checked as checked
+from cyclekit.dataset.cards.read import parse_json as parse_json
+from cyclekit.dataset.cards.read import plain as plain
+from cyclekit.dataset.cards.read import read_content as read_content
+from cyclekit.dataset.cards.read import read_json as read_json
+from cyclekit.dataset.cards.recording import ClockCard as ClockCard
+from cyclekit.dataset.cards.recording import ClockMethod as ClockMethod
+from cyclekit.dataset.cards.recording import FrameCard as FrameCard
+from cyclekit.dataset.cards.recording import LogCard as LogCard
+from cyclekit.dataset.cards.recording import OperatorCard as OperatorCard
+from cyclekit.dataset.cards.recording import RecordingCard as RecordingCard
+from cyclekit.dataset.cards.recording import SetAside as SetAside
+from cyclekit.dataset.cards.recording import SourceFile as SourceFile

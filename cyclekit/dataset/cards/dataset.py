@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from cyclekit.config.cells import Cell
 from cyclekit.dataset.cards.notes import Note, from_sentences
 from cyclekit.dataset.cards.quantities import (
     Card,
@@ -21,7 +22,6 @@ from cyclekit.dataset.cards.quantities import (
 )
 from cyclekit.dataset.cards.read import checked
 from cyclekit.dataset.cards.recording import RecordingCard
-from cyclekit.dataset.cards.settings import CellSettings
 
 
 class ExecutionCard(Card, frozen=True, kw_only=True):
@@ -33,7 +33,7 @@ class ExecutionCard(Card, frozen=True, kw_only=True):
         part: The file of its samples, without the ending; None = it has the name of the session.
         start_s, end_s: Session time.
         complete: The log shows all of it.
-        reference: Recorded with nobody in the cell, as the cell file says.
+        reference: Recorded without an operator, as the cell file says.
         places: Where the robot stopped, in order.
         logged_as: Its name in a task list; None where there is none.
     """
@@ -149,7 +149,7 @@ class DatasetCard(Card, frozen=True, kw_only=True):
     fingerprint: str = ""
     pseudonymised: bool = False
     skeletons: bool = False
-    settings: CellSettings = CellSettings()
+    settings: Cell = Cell()
     rate_hz: Hertz = 10.0
     recordings: tuple[RecordingCard, ...]
     not_read: tuple[UnreadCard, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import is_dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -14,7 +15,7 @@ from cyclekit.text.expected import in_words
 if TYPE_CHECKING:
     from pathlib import Path
 
-AnyCard = TypeVar("AnyCard", bound=Card)
+Typed = TypeVar("Typed")
 
 MAX_BYTES = 256 << 20
 """No card is larger: that of ten thousand recordings has some 20 MB."""
@@ -65,8 +66,8 @@ def parse_json(content: bytes) -> dict[str, Any]:
     return found
 
 
-def checked(values: dict[str, Any], kind: type[AnyCard]) -> AnyCard:
-    """Return JSON values as a card.
+def checked(values: dict[str, Any], kind: type[Typed]) -> Typed:
+    """Return JSON values as a card, or as what is part of one.
 
     Raises:
         BadCard: A value is missing or not of its kind; the message says which, and what was expected.
@@ -103,6 +104,8 @@ def _defaults(kind: type[Card]) -> tuple[object, ...]:
 def _value(value: Any) -> Any:  # noqa: ANN401 - any value of a card
     if isinstance(value, Card):
         return plain(value)
+    if is_dataclass(value):
+        return {name: _value(one) for name, one in vars(value).items() if one is not None}
     if isinstance(value, dict):
         return {key: _value(one) for key, one in value.items()}
     if isinstance(value, tuple | list):

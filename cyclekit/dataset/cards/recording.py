@@ -116,10 +116,10 @@ class OperatorCard(Card, frozen=True, kw_only=True):
     """How well a log sees the operator: samples by what was seen.
 
     Attributes:
-        not_believed: Positions of the log that were dropped because nobody moves so fast.
+        not_believed: Positions that were dropped as implausible: faster than a person moves.
         seen: Samples at which somebody was seen.
         occluded: ... hidden for longer than is bridged.
-        absent: ... nobody was there.
+        absent: ... no operator was there.
         outside: ... the log was not running.
         warnings: What a person must know before trusting it.
     """

@@ -37,19 +37,6 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards.recording import Table
     from cyclekit.ingest.read.log_checksums import Digests
 
-TABLES = {
-    "robot": schema.ROBOT,
-    "people": schema.PEOPLE,
-    "events": schema.EVENTS,
-    "task_list": schema.TASK_LIST,
-    "safety": schema.SAFETY,
-    "skeletons": schema.SKELETONS,
-    "stamps": schema.STAMPS,
-}
-MAIN = ("robot", "people", "events", "task_list", "safety")
-"""Tables one of which a log must hold; the first there is tells its rate."""
-UNRATED = ("events", "task_list")
-"""Tables whose rows come when something happens."""
 _PLACES = ("tcp_x_m", "x_m")
 _ENDS = ("t_s", "end_s")
 QUARANTINE = "quarantine"
@@ -172,11 +159,11 @@ class _Table:
     """A table in the making, and what is known of its times."""
 
     def __init__(self, folder: Path, name: str, first: pl.DataFrame) -> None:
-        self._columns = TABLES[name]
+        self._columns = schema.OF_LOGS[name]
         joints = sorted(filter(schema.is_joint, first.columns), key=schema.joint_order) if name == "robot" else []
         self.writer = TableWriter(folder / f"{name}.parquet", self._columns, more=joints)
         self.first_s, self.last_s = float("inf"), -float("inf")
-        self.rates = None if name in UNRATED else Rates()
+        self.rates = None if name in schema.UNRATED else Rates()
         self.placed = False
 
     def write(self, frame: pl.DataFrame) -> None:
@@ -194,11 +181,11 @@ class _Table:
 
 
 def _check(log: Log, written: dict[str, _Table]) -> None:
-    if not written.keys() & set(MAIN):
+    if not written.keys() & set(schema.MAIN):
         raise LogError(
             log.path, "holds neither robot, people, events, tasks nor an override", cure="Check what was recorded."
         )
-    if not any(written[name].writer.rows for name in MAIN if name in written):
+    if not any(written[name].writer.rows for name in schema.MAIN if name in written):
         raise LogError(log.path, "holds a header and no data", cure="Record again, or remove the file.")
 
 
@@ -216,7 +203,7 @@ def _card(
     rows_read: int,
     set_aside: dict[str, int],
 ) -> LogCard:
-    main = next(written[name] for name in MAIN if name in written and written[name].writer.rows)
+    main = next(written[name] for name in schema.MAIN if name in written and written[name].writer.rows)
     duration_s = main.last_s - main.first_s
     rate = main.rates.found() if main.rates is not None else None
     tables = cast("dict[Table, _Table]", written)  # as `schema` names them

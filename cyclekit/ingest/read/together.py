@@ -15,7 +15,6 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.dataset.shared_index import FOLDER, INDEX, RECORDING, Index, SharedRows, shared_rows
 from cyclekit.dataset.shared_tables import shared_frame
-from cyclekit.ingest.read.read_log import TABLES
 from cyclekit.storage.parquet import TableWriter
 
 if TYPE_CHECKING:
@@ -101,6 +100,6 @@ def tables_shared(entry: LogCard, dataset: Path) -> Tables:
 
 
 def _write(file: Path, name: str, frame: pl.DataFrame, before: Mapping[str, Column] | None = None) -> None:
-    columns = {**(before or {}), **TABLES[name]}
+    columns = {**(before or {}), **schema.OF_LOGS[name]}
     with TableWriter(file, columns, more=[joint for joint in frame.columns if joint not in columns]) as table:
         table.write(frame)

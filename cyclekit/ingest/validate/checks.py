@@ -37,13 +37,20 @@ LATEST_S = 1e11
 class Checks:
     """What all tables have in common: rows set aside, numbers that are none, time."""
 
-    whose = "the log"
-
-    def __init__(self) -> None:
+    def __init__(self, whose: str) -> None:
+        self.whose = whose
         self._aside: list[pl.DataFrame] = []
         self._not_finite: dict[str, int] = {}
         self._ahead, self._furthest_s = 0, 0.0
         self._period_s: float | None = None
+
+    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return the window without implausible rows."""
+        return self.timed(self.finite(frame))
+
+    def warnings(self) -> list[str]:
+        """Report what was found, after the last window."""
+        return [*self._said_of_numbers(), *self._said_of_time()]
 
     def beside(self, frame: pl.DataFrame) -> int:
         """Return how many rows before and behind a row are its neighbours: itself two, some of which may go."""
@@ -118,41 +125,11 @@ NO_TCP = (
 """Warning for a robot log with joint angles only."""
 
 
-class EventChecks(Checks):
-    """Events: only their time can be implausible."""
-
-    whose = "an event"
-
-    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window without implausible rows."""
-        return self.timed(frame)
-
-    def warnings(self) -> list[str]:
-        """Report what was found, after the last window."""
-        return self._said_of_time()
-
-
-class SafetyChecks(Checks):
-    """Override and distance of a safety system."""
-
-    whose = "the safety system"
-
-    def look(self, frame: pl.DataFrame) -> pl.DataFrame:
-        """Return the window without implausible rows."""
-        return self.timed(self.finite(frame))
-
-    def warnings(self) -> list[str]:
-        """Report what was found, after the last window."""
-        return [*self._said_of_numbers(), *self._said_of_time()]
-
-
 class RobotChecks(Checks):
     """A robot's rows."""
 
-    whose = "the robot"
-
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__("the robot")
         self._places = Places(TCP)
         self._fractions = {"scaling": _Beyond(), "slider": _Beyond()}
         self._speed = _Beyond()
@@ -181,7 +158,7 @@ class RobotChecks(Checks):
 
     def warnings(self) -> list[str]:
         """Report what was found, after the last window."""
-        said = [*self._said_of_numbers(), *self._said_of_time(), *self._said_of_periods()]
+        said = [*super().warnings(), *self._said_of_periods()]
         still, others = self._places.warnings()
         said += others
         for name, seen in self._fractions.items():
@@ -203,10 +180,8 @@ class RobotChecks(Checks):
 class PeopleChecks(Checks):
     """The people of a tracker; neighbours are rows of one person."""
 
-    whose = "a person"
-
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__("a person")
         self._places = Places(PERSON)
         self._nobody = Nobody()
 
@@ -237,7 +212,7 @@ class PeopleChecks(Checks):
     def warnings(self) -> list[str]:
         """Report what was found, after the last window."""
         still, others = self._places.warnings()
-        return [*self._said_of_numbers(), *self._said_of_time(), *self._nobody.warnings(), *others, *still]
+        return [*super().warnings(), *self._nobody.warnings(), *others, *still]
 
 
 class _Beyond:

@@ -28,12 +28,12 @@ class TaskChecks(Checks):
     """A task list: days may lie between its tasks."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__("a task")
         self._rows: list[pl.DataFrame] = []
 
     def look(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the window without implausible rows."""
-        frame = self.timed(self.finite(frame))
+        frame = super().look(frame)
         here = frame.filter(pl.col(PLACE) == HERE)
         self._rows.append(here.select(name for name in _READ if name in here.columns))
         return frame

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit.adapter import whole
-from cyclekit.ingest.validate.checks import EventChecks, PeopleChecks, RobotChecks, SafetyChecks
+from cyclekit.ingest.validate.checks import Checks, PeopleChecks, RobotChecks
 from cyclekit.ingest.validate.task_lists import TaskChecks
 from cyclekit.ingest.validate.window import Sliding, let_through
 from cyclekit.text.columns import in_one_line
@@ -50,14 +50,9 @@ def examined_parts(parts: Iterable[Recording]) -> Iterator[Recording]:
 
     A row stands in the part in which it could be judged, which may be the one after that in which it came.
     """
-    checks: dict[str, RobotChecks | PeopleChecks | EventChecks | TaskChecks | SafetyChecks]
-    checks = {
-        "robot": RobotChecks(),
-        "people": PeopleChecks(),
-        "events": EventChecks(),
-        "task_list": TaskChecks(),
-        "safety": SafetyChecks(),
-    }
+    checks: dict[str, Checks]
+    checks = {"robot": RobotChecks(), "people": PeopleChecks(), "events": Checks("an event"), "task_list": TaskChecks()}
+    checks["safety"] = Checks("the safety system")
     sliding = {name: Sliding(check.beside) for name, check in checks.items()}
     parts = iter(parts)
     part = next(parts, None)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pyarrow.fs import FileSystem
 
 _GRACE = dt.timedelta(days=1)
-"""A part that no manifest speaks of any more is kept for so long: somebody may be reading by an older manifest."""
+"""A part that no manifest names any more is kept this long: a reader may still use an older manifest."""
 
 
 def _manifest(system: FileSystem, base: str, url: str) -> Manifest | None:
@@ -121,7 +121,7 @@ def _files(folder: Path) -> dict[str, Path]:
 
 
 def _check(entries: Files, folder: Path) -> None:
-    """Refuse to publish what nobody could fetch."""
+    """Refuse to publish a file that could not be fetched."""
     try:
         check(entries)
     except ValueError as error:
@@ -135,7 +135,7 @@ def _entry(name: str, file: Path) -> ManifestEntry:
 
 
 def _sweep(system: FileSystem, base: str, used: set[str]) -> None:
-    """Remove parts that nobody can be reading any more."""
+    """Remove parts that no reader uses any more."""
     before = dt.datetime.now(tz=dt.UTC) - _GRACE
     for info in files_below(system, f"{base}/parts"):
         old = info.mtime is not None and info.mtime.astimezone(dt.UTC) < before

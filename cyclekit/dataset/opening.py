@@ -1,0 +1,87 @@
+"""The card of a dataset, opened: found, of this version, as it was written, and its tables no larger than it says."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+from cyclekit import schema
+from cyclekit.dataset import checksums
+from cyclekit.dataset.cards import BadCard, dataset_card, parse_json, read_content
+from cyclekit.dataset.footers import check_tables
+from cyclekit.errors import DatasetError, command_line
+from cyclekit.storage.atomic import recover
+from cyclekit.storage.mistaken import DATASET_CARD, toml_for, what_is
+from cyclekit.text.plain_text import all_in_one_line, needs_it
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from cyclekit.dataset.cards import DatasetCard
+
+
+def opened_card(path: Path) -> DatasetCard:
+    """Return the card of the dataset in a folder, checked.
+
+    Raises:
+        DatasetError: There is no dataset, it is damaged, or it is of another schema version.
+    """
+    try:
+        content = _card_of(path)
+        values = parse_json(content)
+        version = _version(values)
+        if version == schema.SCHEMA_VERSION:
+            text = content.decode(errors="replace")
+            if checksums.is_broken(text):
+                raise checksums.unreadable(path / DATASET_CARD, path, "damaged: it is not as it was written")
+            card = dataset_card(all_in_one_line(values) if needs_it(text) else values)
+            check_tables(path, card)
+            return card
+    except BadCard as error:
+        msg = f"{path / DATASET_CARD}: not a dataset card ({error})"
+        again = command_line("ingest", "LOGS", "--out", "DATASET")
+        raise DatasetError(msg, cure=f"Ingest the logs again into a new folder: {again}") from error
+    except OSError as error:
+        msg = f"{path / DATASET_CARD}: cannot be read ({error.strerror or error})"
+        raise DatasetError(msg, cure="Check the path and its permissions.") from error
+    theirs = f"dataset of schema version {version!s:.40}"
+    msg = f"{path}: {theirs}, this cyclekit reads version {schema.SCHEMA_VERSION}"
+    raise DatasetError(msg, cure="Ingest the logs again with this version, or use the version that made it.")
+
+
+def _no_dataset(path: Path) -> DatasetError:
+    """Return the error for a place that holds no dataset, with what it is instead."""
+    found = what_is(path)
+    if found == "nothing":
+        make = command_line("ingest", "LOGS", "--out", path)
+        return DatasetError(f"{path}: no such folder", cure=f"Check the path, or make a dataset: {make}")
+    seen = f"{path}: {found}, and a dataset was expected (a folder with {DATASET_CARD})"
+    if found == "another folder":
+        ingest = command_line("ingest", path, "--out", "DATASET")
+        return DatasetError(seen, cure=f"If it holds logs, make a dataset of them: {ingest}")
+    if found == "a TOML file":
+        name, taken_by = toml_for(path)
+        return DatasetError(seen, cure=f"It looks like {name}: {taken_by}")
+    return DatasetError(seen, cure=f"Make one: {command_line('ingest', 'LOGS', '--out', 'DATASET')}")
+
+
+def _version(values: Mapping[str, object]) -> object:
+    if "schema_version" not in values:
+        raise BadCard("no schema_version")
+    return values["schema_version"]
+
+
+def _card_of(path: Path) -> bytes:
+    """Return the card of the dataset at `path`, as it lies there; looks again if it is just being replaced.
+
+    Raises:
+        DatasetError: There is none.
+        BadCard: It is too large for one.
+        OSError: It cannot be read.
+    """
+    for _ in range(3):
+        recover(path)
+        with suppress(FileNotFoundError, NotADirectoryError):
+            return read_content(path / DATASET_CARD)
+    raise _no_dataset(path)

@@ -1,0 +1,49 @@
+"""Floor plans: the robot's speed by operator position, and where the operator was and time was lost."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cyclekit.report.figures.figure import Chart, Figure
+from cyclekit.report.numbers import fixed, speed
+from cyclekit.report.pictures import Picture
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from cyclekit.report.inputs import PageInputs
+
+
+def _zones(page: PageInputs) -> Iterator[Chart]:
+    texts, plan = page.texts, page.plan
+    if plan is None or not len(plan.zones):
+        return
+    from cyclekit.report import maps
+
+    labels = maps.floor_labels(texts) | {"speed": texts("why.zone_speed")}
+    x, y, slowest = plan.zones[int(plan.zones[:, 2].argmin())].tolist()
+    alt = texts("why.zone_picture", x=fixed(x, 1), y=fixed(y, 1), speed=speed(slowest))
+    picture = Picture("zones", alt, lambda width_in: maps.zone_map(width_in, plan, labels))
+    caption = texts("why.zone_model" if plan.zones_of_model else "why.zone_log")
+    yield Chart(picture, caption, title=texts("why.zone_title"))
+
+
+ZONES = Figure("zones", "why", _zones)
+
+
+def _lost_time(page: PageInputs) -> Iterator[Chart]:
+    texts, plan = page.texts, page.plan
+    if plan is None:
+        return
+    from cyclekit.report import maps
+
+    labels, alt, kind = maps.floor_labels(texts), texts("why.map_picture_none"), "_seen"
+    if len(plan.lost):
+        labels, kind = labels | {"speed": texts("why.map_speed")}, ""
+        x, y = plan.lost[int(plan.lost[:, 2].argmax()), :2].tolist()
+        alt = texts("why.map_picture", x=fixed(x, 1), y=fixed(y, 1))
+    picture = Picture("floor", alt, lambda width_in: maps.lost_map(width_in, plan, labels))
+    yield Chart(picture, texts(f"why.map_caption{kind}"), title=texts(f"why.map_title{kind}"))
+
+
+LOST_TIME = Figure("lost_time", "why", _lost_time)

@@ -1,0 +1,93 @@
+"""What the page is made of: given once, found out of the logs when a section or a figure first asks for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from cyclekit.report import findings
+from cyclekit.report.floor import floor_plan
+from cyclekit.report.verdict import verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import polars as pl
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.check import Check
+    from cyclekit.estimate.plan import OrderPlan
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.report.findings import Judged, LoggedResponse, Overview, Predicts
+    from cyclekit.report.floor import FloorPlan
+    from cyclekit.report.texts import ReportTexts
+    from cyclekit.report.tried import Tried
+    from cyclekit.report.verdict import TaktVerdict
+
+
+@dataclass(frozen=True)
+class PageInputs:
+    """What the page is made of.
+
+    Attributes:
+        texts: The words.
+        dataset: The logs.
+        model: The trained model; None for logs alone.
+        ranked: Estimates, those of the same work together, the fastest first.
+        what_if: Changes that were tried.
+        planned: The order found.
+        evaluation: Of the model.
+        check: The backtest on logged executions.
+        takt_s: The takt time, s.
+    """
+
+    texts: ReportTexts
+    dataset: Dataset
+    model: Predicts | None = None
+    ranked: Sequence[CycleEstimate] = ()
+    what_if: Sequence[Tried] = ()
+    planned: OrderPlan | None = None
+    evaluation: Judged | None = None
+    check: Check | None = None
+    takt_s: float | None = None
+
+    @cached_property
+    def samples(self) -> pl.DataFrame:
+        """Table SAMPLES of all executions."""
+        return self.dataset.samples()
+
+    @cached_property
+    def tasks(self) -> pl.DataFrame:
+        """Table TASKS of the robot."""
+        return self.dataset.tasks()
+
+    @cached_property
+    def seen(self) -> Overview:
+        """What the logs hold."""
+        return findings.overview(self.dataset, self.samples, self.tasks)
+
+    @cached_property
+    def response(self) -> LoggedResponse | None:
+        """Scaling against distance; None where scaling or positions are unknown."""
+        return findings.safety_function(self.samples, self.dataset.levels, self.model)
+
+    @cached_property
+    def plan(self) -> FloorPlan | None:
+        """The floor plan; None where no operator position is known."""
+        return floor_plan(self.dataset, self.samples, self.model)
+
+    @cached_property
+    def verdict(self) -> TaktVerdict | None:
+        """The verdict; None without a takt, an order search or changes."""
+        return verdict(self.dataset, self.ranked, self.what_if, self.planned, self.takt_s)
+
+    @cached_property
+    def best(self) -> CycleEstimate | None:
+        """The sequence that the answer names; None without estimates."""
+        return self.verdict.best if self.verdict and self.verdict.best else next(iter(self.ranked), None)
+
+    @cached_property
+    def judged(self) -> dict[str, Any]:
+        """The evaluation of the model as JSON values; empty without one."""
+        return {} if self.evaluation is None else self.evaluation.to_dict()

@@ -1,0 +1,65 @@
+"""A figure is a module and a line of the registry; nothing else of the report knows it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from matplotlib.figure import Figure as Drawing
+
+from cyclekit.report import compose_report, figures
+from cyclekit.report.figures import Chart, Figure
+from cyclekit.report.inputs import PageInputs
+from cyclekit.report.pictures import Picture
+from cyclekit.report.tables import ReportTable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from cyclekit.dataset.dataset import Dataset
+
+WORDS = {"title": "Tasks per execution", "caption": "{tasks} logged tasks", "alt": "A bar"}
+
+
+def draw(width_in: float) -> Drawing:
+    drawing = Drawing(figsize=(width_in, 1.0))
+    drawing.add_subplot().bar([0], [1])
+    return drawing
+
+
+def charts(page: PageInputs) -> Iterator[Chart]:
+    caption = page.texts("pace.caption", tasks=page.tasks.height)
+    numbers = ReportTable("pace", ["what", "count"], [["logged tasks", str(page.tasks.height)]])
+    yield Chart(Picture("pace", page.texts("pace.alt"), draw), caption, page.texts("pace.title"), numbers)
+
+
+@pytest.fixture(params=["answer", "where", "why", "helps", "trust"])
+def section(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A section that has one figure more, with words of its own."""
+    more = Figure("pace", request.param, charts, WORDS)
+    monkeypatch.setattr(figures, "FIGURES", (*figures.FIGURES, more))
+    return request.param
+
+
+def test_a_figure_of_the_registry_is_on_the_page_in_its_section(section: str, dataset: Dataset, tmp_path: Path) -> None:
+    compose_report(dataset, None, tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    part = page.partition(f'<section id="{section}">')[2].partition("</section>")[0]
+    title = f"<h3>{WORDS['title']}</h3>"
+    assert page.count(title) == part.count(title) == 1
+    assert f"<figcaption>{dataset.tasks().height} logged tasks</figcaption>" in part
+    assert part.count('id="pace-w-') > 0
+    assert part.count("<td>" + str(dataset.tasks().height)) == 1
+
+
+def test_its_table_is_in_the_words_and_its_words_can_be_replaced(
+    section: str, dataset: Dataset, tmp_path: Path
+) -> None:
+    (tmp_path / "texts.toml").write_text('[pace]\ncaption = "{tasks} Aufgaben"\n', encoding="utf-8")
+    compose_report(dataset, None, tmp_path / "words.md", kind="md")
+    assert f"| logged tasks | {dataset.tasks().height} |" in (tmp_path / "words.md").read_text(encoding="utf-8")
+    compose_report(dataset, None, tmp_path / "page.html", template=tmp_path)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert f"{dataset.tasks().height} Aufgaben" in page
+    assert section in page

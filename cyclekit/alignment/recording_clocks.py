@@ -37,16 +37,13 @@ from cyclekit.errors import ConfigError, UnknownName
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from numpy.typing import NDArray
-
     from cyclekit.config import Source, Sync
     from cyclekit.dataset.cards import Note
     from cyclekit.dataset.sessions import LogGroup
     from cyclekit.dataset.signals import Read, Stored
+    from cyclekit.schema import Points, Vector
     from cyclekit.storage.parquet import StoredTable
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 FINE_S = 0.01
 """Clocks are told from robot rows this far apart: twice as dense as the grid that speeds are compared on."""

@@ -27,9 +27,8 @@ if TYPE_CHECKING:
     from cyclekit.people.activity import Stays
     from cyclekit.people.silence import Absence
     from cyclekit.scaling.response import LevelChange
+    from cyclekit.schema import Vector
     from cyclekit.segmentation.motion import Run
-
-    Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,10 @@ from cyclekit.segmentation.standstills import find_stops
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from cyclekit.config import Cell, Source
     from cyclekit.dataset.sessions import LogGroup
     from cyclekit.dataset.signals import Read, Stored
+    from cyclekit.schema import Ints
     from cyclekit.segmentation.standstills import Stop
     from cyclekit.segmentation.stored_run import StoredRun
 
@@ -39,7 +37,7 @@ class Look:
 
     session: Session
     runs: list[StoredRun]
-    marks: list[NDArray[np.int64]]
+    marks: list[Ints]
     stops: list[Stop]
 
 

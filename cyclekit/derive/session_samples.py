@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from cyclekit.config import Cell, Source
     from cyclekit.dataset.cards import RecordingCard
     from cyclekit.dataset.dataset import Place
@@ -37,14 +35,13 @@ if TYPE_CHECKING:
     from cyclekit.dataset.signals import Read
     from cyclekit.people.activity import Seen, Stays
     from cyclekit.people.silence import Silence
+    from cyclekit.schema import Points, Vector
     from cyclekit.segmentation.arrivals import Stands
     from cyclekit.segmentation.dwell import Dwell
     from cyclekit.segmentation.executions import Execution
     from cyclekit.segmentation.motion import Run, Sampled
     from cyclekit.segmentation.time_account import Leg
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 _MOST_SAMPLES = 10_000_000
 """Of one execution: eleven days at 10 Hz. A time that cannot be would ask for more memory than there is."""

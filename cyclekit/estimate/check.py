@@ -32,13 +32,11 @@ from cyclekit.parallel.one_thread import one_thread
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.schema import Bools, Floats, Vector
 
-    Vector = NDArray[np.float64]
 
 MOST = 200
 """Logged executions that are rolled out at most, evenly chosen: whoever asks, a number is corrected by the same ones.
@@ -259,13 +257,7 @@ def _enough(dataset: Dataset, count: int) -> None:
         raise EstimateError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
 
 
-def compare(
-    logged_s: Vector,
-    own_s: Vector,
-    crossed_s: NDArray[np.float64],
-    held_out: NDArray[np.bool_],
-    levels: Sequence[float],
-) -> Check:
+def compare(logged_s: Vector, own_s: Vector, crossed_s: Floats, held_out: Bools, levels: Sequence[float]) -> Check:
     """Compare rolled with logged durations.
 
     Args:

@@ -17,15 +17,13 @@ from cyclekit.estimate.safety import BLOCK
 from cyclekit.estimate.walk import Rolled
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.program import Program
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.learning.networks.saved import TrainedModel
+    from cyclekit.schema import Floats, Ints, Vector
 
-    Vector = NDArray[np.float64]
 
 HISTORY_DRAWS = 1000
 LEAST_PROGRESS = 0.02
@@ -79,12 +77,7 @@ def _move(model: TrainedModel, task: NominalTask, tracks: OperatorTracks, start_
 
 
 def _mean_scaling(
-    model: TrainedModel,
-    robot_m: NDArray[np.float64],
-    goal_m: NDArray[np.float64],
-    tracks: OperatorTracks,
-    rows: NDArray[np.int64],
-    time_s: Vector,
+    model: TrainedModel, robot_m: Floats, goal_m: Floats, tracks: OperatorTracks, rows: Ints, time_s: Vector
 ) -> Vector:
     """Return the mean scaling over the horizon (N,); where the operator or his goal is unknown, what the logs show."""
     at = _sample(tracks, time_s)
@@ -100,7 +93,7 @@ def _mean_scaling(
     return np.asarray(np.clip(mean, LEAST_PROGRESS, 1.0))
 
 
-def _sample(tracks: OperatorTracks, time_s: Vector) -> NDArray[np.int64]:
+def _sample(tracks: OperatorTracks, time_s: Vector) -> Ints:
     return np.asarray(np.minimum((time_s / tracks.step_s).astype(np.int64), tracks.activity.shape[1] - 1))
 
 

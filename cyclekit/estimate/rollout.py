@@ -36,8 +36,6 @@ from cyclekit.parallel.one_thread import one_thread
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
@@ -45,8 +43,8 @@ if TYPE_CHECKING:
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.schema import Floats, Vector
 
-    Vector = NDArray[np.float64]
     _Refuse = Callable[[TaskSequence, EstimateError], None]
 
 __all__ = ["ESTIMATORS", "estimate", "lay_out", "roll_out"]
@@ -216,7 +214,7 @@ def _problem(ask: Question, sequence: TaskSequence, cycles: Rolled, until_s: flo
     return None
 
 
-def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> NDArray[np.float64]:
+def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> Floats:
     """Weights of the cycles in each resample of the logs, shape (resamples, K)."""
     if tracks is None:  # cycles put together of tasks: each draw is one
         return resampled([str(k) for k in range(len(cycles.duration_s))], ask.seed)

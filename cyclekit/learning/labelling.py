@@ -15,13 +15,12 @@ from cyclekit.dataset.time_grid import stretches
 from cyclekit.scaling.levels import Staircase, find_staircase
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.cards import Note
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Floats, Ints
 
 
-def scaling_in_time(frame: pl.DataFrame, rate_hz: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def scaling_in_time(frame: pl.DataFrame, rate_hz: float) -> tuple[Floats, Ints]:
     """Return the scaling of every row of SAMPLES (NaN = unknown) and its stretch, shape (N,) each."""
     return frame["scaling"].fill_null(np.nan).to_numpy(), stretches(frame, rate_hz)
 

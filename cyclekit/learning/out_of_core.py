@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Singles
 
 _IN_MEMORY_ROWS = 10_000_000
 PART_ROWS = 250_000
@@ -132,9 +133,7 @@ def in_files(parts: Iterable[Samples], folder: Path) -> Samples:
     )  # fmt: skip
 
 
-def filled(
-    file: Path, shape: tuple[int, int], block: Callable[[slice], NDArray[np.float32]], rows: int = PART_ROWS
-) -> NDArray[np.float32]:
+def filled(file: Path, shape: tuple[int, int], block: Callable[[slice], Singles], rows: int = PART_ROWS) -> Singles:
     """Return a new array that lives in a file, made block by block of rows."""
     made = np.memmap(file, np.float32, "w+", shape=shape)
     for first in range(0, shape[0], rows):

@@ -40,9 +40,8 @@ if TYPE_CHECKING:
     from cyclekit.config import Cell, Source
     from cyclekit.dataset.cards import Note
     from cyclekit.dataset.sessions import Session
+    from cyclekit.schema import Ints, Points, Vector
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
     Read = Callable[[str, str], pl.DataFrame | None]
 
 GOAL_SIGNAL = "goal"
@@ -159,9 +158,7 @@ class Watch:
         """Return by recording how many samples saw the operator, and why the others did not."""
         return {
             log.recording.id: OperatorCard(
-                not_believed=log.not_believed,
-                warnings=log.warnings,
-                **dict(zip(REASONS, counts.tolist(), strict=True)),
+                not_believed=log.not_believed, warnings=log.warnings, **dict(zip(REASONS, counts.tolist(), strict=True))
             )
             for log, counts in zip(self._logs, self._counts, strict=True)
         }
@@ -256,9 +253,7 @@ def _height_range(tracks: Sequence[PersonTrack]) -> float:
     return max(ranges, default=0.0)
 
 
-def _positions(
-    entry: RecordingCard, read: Read, source: Source | None
-) -> tuple[Vector, Points, NDArray[np.int64], list[str]]:
+def _positions(entry: RecordingCard, read: Read, source: Source | None) -> tuple[Vector, Points, Ints, list[str]]:
     """Return what a recording saw, in the order of time: times (N,), positions (N, 3), whose (N,), and the names."""
     people = read(entry.id, "people")
     people = schema.empty(schema.PEOPLE) if people is None else people
@@ -278,7 +273,7 @@ def _positions(
     return t_s * entry.clock.rate + entry.clock.offset_s, xyz, numbers, names
 
 
-def _rows_of_each(numbers: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+def _rows_of_each(numbers: Ints) -> list[Ints]:
     """Return the rows of each number (N,) that is not negative, those of the first to come first."""
     order = np.argsort(numbers, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1) if len(order) else []

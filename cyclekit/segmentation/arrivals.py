@@ -18,14 +18,11 @@ from cyclekit.segmentation.motion import RobotRun, lengths
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.dataset import Place
+    from cyclekit.schema import Bools, Ints, Points, Vector
     from cyclekit.segmentation.executions import Execution, Visit
     from cyclekit.segmentation.motion import Run
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 BEYOND_S = 1.0
 """Motion before and after a standstill that is looked at, s."""
@@ -162,7 +159,7 @@ def _left(part: RobotRun, at: int, place_m: Vector, vague_s: float) -> tuple[flo
     )
 
 
-def _seen(off: Vector, s: Vector, midway: NDArray[np.bool_], reach: float, rest: int, half: int) -> NDArray[np.int64]:
+def _seen(off: Vector, s: Vector, midway: Bools, reach: float, rest: int, half: int) -> Ints:
     """Return the rows that tell how the motion began; if they are enough, those before it was halted `midway`.
 
     How a scaling that was not logged fell to a halt and rose again is not known, so it is not looked across one.
@@ -175,7 +172,7 @@ def _seen(off: Vector, s: Vector, midway: NDArray[np.bool_], reach: float, rest:
     return before if len(before) >= 3 else seen
 
 
-def _instant(t_s: Vector, nominal: Vector, halted: NDArray[np.bool_], began: float) -> tuple[float, float]:
+def _instant(t_s: Vector, nominal: Vector, halted: Bools, began: float) -> tuple[float, float]:
     """Return when nominal time was `began`: an instant, or the halt in which it was, the rows `halted`."""
     halt = np.flatnonzero(halted)
     if len(halt):
@@ -230,7 +227,7 @@ def _known(scaling: Vector, off: Vector, reach: float, half: int) -> Vector:
     return np.where(np.isnan(scaling) & (off > reach) & (moved < reach), 0.0, s)
 
 
-def fill_nearest(s: Vector, known: NDArray[np.int64]) -> Vector:
+def fill_nearest(s: Vector, known: Ints) -> Vector:
     """Return `s` (T,) with every unknown entry replaced by the nearest of the `known` ones (indices, ascending)."""
     row = np.arange(len(s))
     right = np.minimum(np.searchsorted(known, row), len(known) - 1)

@@ -18,14 +18,11 @@ from cyclekit.segmentation.places import MERGE_M
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.config import Executions
     from cyclekit.dataset.dataset import Place
+    from cyclekit.schema import Ints
     from cyclekit.segmentation.motion import Run
     from cyclekit.segmentation.standstills import Stop
-
-    Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -74,7 +71,7 @@ def _stayed(run: Run, a: int, b: int) -> bool:
 
 
 def find_executions(
-    visits: Sequence[Sequence[Visit]], places: Mapping[str, Place], how: Executions, marks: Sequence[Rows]
+    visits: Sequence[Sequence[Visit]], places: Mapping[str, Place], how: Executions, marks: Sequence[Ints]
 ) -> list[Execution]:
     """Cut the visits of each run into executions, as the cell file says they begin.
 
@@ -104,7 +101,7 @@ def find_executions(
     return found
 
 
-def _begins(seen: Sequence[Visit], how: Executions, home: str, marked: Rows) -> list[int]:
+def _begins(seen: Sequence[Visit], how: Executions, home: str, marked: Ints) -> list[int]:
     """Indices of the visits at which an execution begins, with the last visit as the end; ascending."""
     if len(seen) < 2:
         return []

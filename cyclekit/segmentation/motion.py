@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
-    Rows = NDArray[np.int64]
+    from cyclekit.schema import Ints, Points, Vector
+
 
 SPEED_WINDOW_S = 0.024
 """Speed is the slope of the position over three controller cycles at 125 Hz: at 500 Hz the position's resolution would
@@ -87,7 +86,7 @@ class Run(Protocol):
         """Return the session time of a row, seconds."""
         ...
 
-    def row_at(self, t_s: Vector) -> Rows:
+    def row_at(self, t_s: Vector) -> Ints:
         """Return the last row at or before each time, shape (N,); 0 where there is none."""
         ...
 
@@ -185,7 +184,7 @@ class RobotRun:
         """Return the session time of a row, seconds."""
         return float(self.t_s[row])
 
-    def row_at(self, t_s: Vector) -> Rows:
+    def row_at(self, t_s: Vector) -> Ints:
         """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
         return np.clip(np.searchsorted(self.t_s, t_s + 1e-9, side="right") - 1, 0, None)
 
@@ -230,7 +229,7 @@ def pieces(run: Run, first: int = 0, last: int | None = None, *, overlap: int = 
         run: The run.
         first: First row.
         last: Last row, inclusive; None = that of the run.
-        overlap: Rows that a block has in common with the one before it.
+        overlap: Ints that a block has in common with the one before it.
     """
     last = run.rows - 1 if last is None else last
     blocks = _pieces(run, first, last, overlap)
@@ -292,7 +291,7 @@ class Sampled:
     deviation: Vector
     gap: NDArray[np.int8]
     slider: Vector
-    row: Rows
+    row: Ints
 
 
 def sampled(run: Run, t_s: Vector) -> Sampled:

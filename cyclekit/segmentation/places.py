@@ -18,15 +18,11 @@ from cyclekit.segmentation.motion import pieces
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.config import NamedPlace
+    from cyclekit.schema import Ints, Points, Vector
     from cyclekit.segmentation.motion import Run
     from cyclekit.segmentation.standstills import Stop
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
-    Rows = NDArray[np.int64]
 
 MERGE_M = 0.01
 """Stops nearer than this to each other are one place (robots repeat to 0.1 mm; two fixtures are never this near)."""
@@ -51,7 +47,7 @@ def find_places(
     able = np.array([stop.free is not False and not stop.edge for stop in stops], bool)
     able[common] = True
     left = able.copy()
-    members: list[Rows] = []
+    members: list[Ints] = []
     for name, place in named.items():
         near = np.linalg.norm(xyz - np.asarray(place.xyz_m), axis=1) <= place.radius_m
         near &= able
@@ -73,7 +69,7 @@ def find_places(
     return places
 
 
-def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: Sequence[Rows]) -> list[Rows]:
+def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: Sequence[Ints]) -> list[Ints]:
     """Return groups of standstills that are places because a signal that marks work at `known` places changes there."""
     telling = _of_work(runs, stops, known)
     if not telling:
@@ -88,7 +84,7 @@ def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: 
     return [group for group, here in zip(groups, near, strict=True) if 2 * len(group) >= np.count_nonzero(here)]
 
 
-def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Rows]) -> set[str]:
+def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Ints]) -> set[str]:
     """Return the signals that mark work: see WORKS."""
     total, inside = Counter[str](), Counter[str]()
     for run in runs:
@@ -102,7 +98,7 @@ def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Rows]) 
     return {name for name in steady if inside[name] >= WORKS * total[name]}
 
 
-def _common_edge(stops: Sequence[Stop], xyz: Points) -> NDArray[np.int64]:
+def _common_edge(stops: Sequence[Stop], xyz: Points) -> Ints:
     """Return the edges of recordings that lie at one spot, if at least two and most of all edges do; else none."""
     edges = np.flatnonzero(np.array([stop.edge for stop in stops], bool))
     largest = max(cluster(xyz, edges, MERGE_M), key=len, default=edges)
@@ -120,7 +116,7 @@ def _radius(members: Points, centre: Vector) -> float:
     return round(min(max(6.0 * spread, 5e-4), MERGE_M), 6)
 
 
-def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArray[np.int64]]:
+def cluster(xyz: Points, rows: Ints, radius_m: float) -> list[Ints]:
     """Group positions that lie within `radius_m` of the densest spots, densest first; an unknown one is in no group.
 
     Nothing depends on where the axes lie: a spot is the median of all that is within half the radius of the position
@@ -133,7 +129,7 @@ def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArr
     """
     from scipy.spatial import cKDTree  # slow to import, and only needed to look for places
 
-    groups: list[NDArray[np.int64]] = []
+    groups: list[Ints] = []
     rows = rows[np.isfinite(xyz[rows]).all(axis=1)]
     if not len(rows):
         return groups
@@ -153,7 +149,7 @@ def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArr
     return groups
 
 
-def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups: Sequence[Rows]) -> list[bool]:
+def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups: Sequence[Ints]) -> list[bool]:
     """Tell which groups of stops are places."""
     centres = [np.median(xyz[group], axis=0) for group in groups]
     free = [any(stops[i].free for i in group.tolist()) for group in groups]
@@ -169,7 +165,7 @@ def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups:
     return answers
 
 
-def count_passes(runs: Sequence[Run], centres: Points) -> Rows:
+def count_passes(runs: Sequence[Run], centres: Points) -> Ints:
     """Count how often the robot comes within MERGE_M of each spot, standing or not; centres (C, 3), counts (C,)."""
     counts = np.zeros(len(centres), np.int64)
     around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -187,7 +183,7 @@ def count_passes(runs: Sequence[Run], centres: Points) -> Rows:
     return counts
 
 
-def _near(xyz_m: Points, centres: Points, cells: Rows, owners: Rows) -> tuple[Rows, Rows]:
+def _near(xyz_m: Points, centres: Points, cells: Ints, owners: Ints) -> tuple[Ints, Ints]:
     """Return which rows are within MERGE_M of which spots, by spot and row.
 
     Args:
@@ -208,7 +204,7 @@ def _near(xyz_m: Points, centres: Points, cells: Rows, owners: Rows) -> tuple[Ro
     return spot[near][order], row[near][order]
 
 
-def _cell(xyz_m: Points) -> Rows:
+def _cell(xyz_m: Points) -> Ints:
     """Return in which cube of MERGE_M each position (..., 3) lies, shape (..., 3).
 
     Neighbours are told by these numbers and not by positions: 0.61 / 0.01 and 0.60 / 0.01 are rounded apart or not.
@@ -216,7 +212,7 @@ def _cell(xyz_m: Points) -> Rows:
     return np.asarray(np.floor(xyz_m / MERGE_M).astype(np.int64))
 
 
-def _packed(index: Rows) -> Rows:
+def _packed(index: Ints) -> Ints:
     """Return one number for each cube (..., 3), shape (...)."""
     index = index + (1 << 20)
     return np.asarray((index[..., 0] << 42) + (index[..., 1] << 21) + index[..., 2])

@@ -17,12 +17,9 @@ from cyclekit.segmentation.motion import lengths, pieces
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
+    from cyclekit.schema import Points, Vector
     from cyclekit.segmentation.motion import Run
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 MIN_STOP_S = 0.15
 """A shorter standstill is not counted: the reversal of a path takes one or two controller cycles."""

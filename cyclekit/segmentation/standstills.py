@@ -19,11 +19,9 @@ from cyclekit.segmentation.slow_motion import AXES, MIN_STOP_S, Stillness, quant
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
+    from cyclekit.schema import Floats, Vector
     from cyclekit.segmentation.motion import Run
 
-    Vector = NDArray[np.float64]
 
 TWITCH_S, TWITCH_M = 0.1, 2e-4
 """A motion that is over within this time (or TWITCH_ROWS) and leads no farther than this is noise of the position."""
@@ -94,7 +92,7 @@ def find_stops(run: Run, number: int) -> list[Stop]:
     return _with_changes(run, stops, np.array(times).reshape(-1, 2))
 
 
-def _with_changes(run: Run, stops: list[Stop], times_s: NDArray[np.float64]) -> list[Stop]:
+def _with_changes(run: Run, stops: list[Stop], times_s: Floats) -> list[Stop]:
     """Return the stops with how often each signal changed from the first to the last time (N, 2) of each."""
     found: list[dict[str, int]] = [{} for _ in stops]
     for name, when in run.changes.items():

@@ -24,13 +24,8 @@ from cyclekit.segmentation.motion import (
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from cyclekit.schema import Ints, Points, Vector
     from cyclekit.storage.parquet import StoredTable
-
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
-    Rows = NDArray[np.int64]
 
 
 SHORT_ROWS = 1 << 14
@@ -48,7 +43,7 @@ class StoredRun:
         period_s: Usual time between rows.
         has_speed: The TCP speed is logged in every row of the table.
         knows_scaling: Whether the scaling of any row is known.
-        steps: Rows of the run, every BLOCK_ROWS-th, and the times there: where to look for a time.
+        steps: Ints of the run, every BLOCK_ROWS-th, and the times there: where to look for a time.
         more: Joint angles and slider of the same rows, as far as they are known; None = neither is.
         halts: When the program was paused or stopped.
         inferred: Scaling in place of the logged one; None = as logged.
@@ -62,7 +57,7 @@ class StoredRun:
     period_s: float
     has_speed: bool
     knows_scaling: bool
-    steps: tuple[Rows, Vector]
+    steps: tuple[Ints, Vector]
     more: StoredTable | None = None
     halts: tuple[Halt, ...] = ()
     inferred: Overlay | None = None
@@ -118,7 +113,7 @@ class StoredRun:
         """Return the session time of a row, seconds."""
         return float(self.table.column("t_s", self.first + row, self.first + row + 1)[0]) + self.offset_s
 
-    def row_at(self, t_s: Vector) -> Rows:
+    def row_at(self, t_s: Vector) -> Ints:
         """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
         rows, times = self.steps
         if len(rows) == 1:
@@ -131,7 +126,7 @@ class StoredRun:
             found[here] = self._last_before(t_s[here], int(rows[number]), last)
         return found
 
-    def _last_before(self, t_s: Vector, first: int, end: int) -> Rows:
+    def _last_before(self, t_s: Vector, first: int, end: int) -> Ints:
         """Do as `row_at` among rows `first` to before `end`."""
         times_there = self.table.column("t_s", self.first + first, self.first + end)
         before = times_there.searchsorted(t_s - self.offset_s + 1e-9, side="right") - 1

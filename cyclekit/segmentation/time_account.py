@@ -22,13 +22,9 @@ from cyclekit.segmentation.motion import moving_slider
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from cyclekit.segmentation.arrivals import Stands
     from cyclekit.segmentation.executions import Execution
     from cyclekit.segmentation.motion import Run
-
-    Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

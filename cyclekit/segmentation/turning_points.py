@@ -18,11 +18,8 @@ from cyclekit.segmentation.standstills import Stop
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.segmentation.motion import RobotRun, Run
 
-    Rows = NDArray[np.int64]
 
 SLOW = 0.1
 """At a turn the robot is slower than this fraction of its usual speed."""

@@ -18,10 +18,8 @@ from cyclekit.dataset.unknown_height import in_plane
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from cyclekit.schema import Points, Vector
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 FAR_M = 4.0
 """Beyond this a person is far, no matter how far."""

@@ -17,9 +17,7 @@ from cyclekit.dataset.cards import note
 from cyclekit.errors import ShapeError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Vector = NDArray[np.float64]
+    from cyclekit.schema import Ints, Vector
 
 
 MAX_DRIFT = 5e-3
@@ -89,7 +87,7 @@ def follow(device_s: Vector, host_s: Vector) -> ClockFit | None:
     return replace(fit, warnings=(note("clock-of-host-differs", rate=1.0 / fit.rate),))
 
 
-def _lowest(delay: Vector) -> NDArray[np.int64]:
+def _lowest(delay: Vector) -> Ints:
     """Return the row of the least delay in each of the consecutive parts."""
     size = -(-len(delay) // _PARTS)
     return np.array([a + int(delay[a : a + size].argmin()) for a in range(0, len(delay), size)], np.int64)

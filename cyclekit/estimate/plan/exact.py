@@ -14,14 +14,13 @@ from cyclekit.estimate.rollout import estimate
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan.jobs import Jobs
     from cyclekit.estimate.plan.search import Scorer
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.schema import Floats
 
     Order = tuple[str, ...]
 
@@ -55,7 +54,7 @@ class Walker:
         by_name = {each.name: each for each in found}
         return [by_name[each.name] for each in wanted]
 
-    def mean_of(self, orders: Sequence[Order], table: Scorer, check: Check | None) -> NDArray[np.float64]:
+    def mean_of(self, orders: Sequence[Order], table: Scorer, check: Check | None) -> Floats:
         """Return the mean duration of orders, each as often as it occurs, on each track, shape (K,), s."""
         times = Counter(orders)
         some = [list(times)[i] for i in np.linspace(0, len(times) - 1, min(len(times), WALKED)).astype(int)]

@@ -19,10 +19,9 @@ from cyclekit.estimate.plan.jobs import tasks_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.estimate.plan.jobs import Jobs
     from cyclekit.estimate.transit import TransitTable
+    from cyclekit.schema import Floats, Ints
 
     Order = tuple[str, ...]
 
@@ -44,7 +43,7 @@ class Scorer:
         table: TransitTable,
         jobs: Jobs,
         *,
-        which: NDArray[np.int64] | None = None,
+        which: Ints | None = None,
         seed: int = 0,
         executions: int | None = None,
     ) -> None:
@@ -62,16 +61,16 @@ class Scorer:
         """Duration of each task without an operator, s."""
         return {task.task: task.nominal_s + task.dwell_s + task.wait_s for task in self._table.tasks}
 
-    def durations(self, orders: Sequence[Order]) -> NDArray[np.float64]:
+    def durations(self, orders: Sequence[Order]) -> Floats:
         """Return the duration of each order on each track, shape (orders, k), s."""
         found = self._table.durations([tasks_of(self.jobs.places(order)) for order in orders], seed=self._seed)
         return found if self._rows is None else np.asarray(found[:, self._rows])
 
-    def means(self, orders: Sequence[Order]) -> NDArray[np.float64]:
+    def means(self, orders: Sequence[Order]) -> Floats:
         """Return the mean duration of each order, shape (orders,), s."""
         return np.asarray(self.durations(orders).mean(axis=1))
 
-    def scores(self, orders: Sequence[Order]) -> NDArray[np.float64]:
+    def scores(self, orders: Sequence[Order]) -> Floats:
         """Return what orders are ranked by, shape (orders,), s: the mean and its standard error on top.
 
         The least of many means is mostly one that few operators happened to suit. Of two orders with like means the

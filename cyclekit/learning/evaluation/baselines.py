@@ -19,9 +19,8 @@ from cyclekit.learning.networks.beaten import STAIRCASE, distance_of, fit_thresh
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.learning.windows import Samples
+    from cyclekit.schema import Floats
 
 _BOOSTED_ROWS = 100_000
 
@@ -31,7 +30,7 @@ class Rival:
     """What was done instead of a network, and its squared errors, shape (N,), at the rows that all are judged by."""
 
     name: str
-    squared: NDArray[np.float64]
+    squared: Floats
     note: str
 
 

@@ -14,6 +14,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from cyclekit.schema import Singles
+
 BINS = 15
 
 
@@ -55,7 +57,7 @@ def reliability(probabilities: NDArray[np.floating], step: NDArray[np.integer]) 
     return Reliability(tuple(confidence.tolist()), tuple(accuracy.tolist()), tuple(rows[used].tolist()))
 
 
-def best_temperature(logits: NDArray[np.float32], step: NDArray[np.integer]) -> float:
+def best_temperature(logits: Singles, step: NDArray[np.integer]) -> float:
     """Return the temperature under which the true steps are likeliest, between 0.2 and 5.
 
     Args:
@@ -73,7 +75,7 @@ def best_temperature(logits: NDArray[np.float32], step: NDArray[np.integer]) -> 
     return float(np.exp((low + high) / 2))
 
 
-def _loss(logits: NDArray[np.float32], step: NDArray[np.integer], temperature: float) -> float:
+def _loss(logits: Singles, step: NDArray[np.integer], temperature: float) -> float:
     scaled = logits / temperature
     scaled = scaled - scaled.max(axis=1, keepdims=True)
     return float(np.mean(np.log(np.exp(scaled).sum(axis=1)) - scaled[np.arange(len(step)), step]))

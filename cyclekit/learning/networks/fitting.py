@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from torch import nn
 
@@ -27,11 +26,10 @@ from cyclekit.learning.networks.rows import DISTANCE_1_M, DISTANCE_M, TrainingRo
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.learning.networks.spec import ModelSpec
     from cyclekit.learning.networks.weights import Weights
     from cyclekit.learning.windows import Samples
+    from cyclekit.schema import Floats
 
     Progress = Callable[[float, str], None]
 
@@ -73,8 +71,8 @@ class Fitted:
     spec: ModelSpec
     weights: Weights
     history: tuple[Epoch, ...]
-    mean: NDArray[np.float64]
-    scale: NDArray[np.float64]
+    mean: Floats
+    scale: Floats
     temperature: float = 1.0
 
 
@@ -132,9 +130,7 @@ def fit(
     return Fitted(spec, folded, history, *standard, temperature)
 
 
-def _fresh(
-    spec: ModelSpec, rows: Samples, levels: Sequence[float], known: Sequence[str], scale: NDArray[np.float64]
-) -> nn.Module:
+def _fresh(spec: ModelSpec, rows: Samples, levels: Sequence[float], known: Sequence[str], scale: Floats) -> nn.Module:
     torch.manual_seed(spec.seed)
     return build(spec, rows.X.shape[1], levels, known, scale)
 

@@ -27,22 +27,16 @@ from cyclekit.learning.windows import GROUPS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from cyclekit.learning.networks.kinds.kind import Widths
     from cyclekit.learning.networks.spec import ModelSpec
+    from cyclekit.schema import Floats
 
 _HUMAN = GROUPS["human"]
 _LEAK = 0.01
 
 
 def build(
-    spec: ModelSpec,
-    inputs: int,
-    levels: Sequence[float],
-    known: Sequence[str] = (),
-    scale: NDArray[np.float64] | None = None,
+    spec: ModelSpec, inputs: int, levels: Sequence[float], known: Sequence[str] = (), scale: Floats | None = None
 ) -> nn.Module:
     """Return the untrained network of `spec`; its first weights come from torch's random state.
 

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.learning.networks.weights import Weights
+    from cyclekit.schema import Floats, Ints, Singles
 
 FORMAT, MODEL_VERSION = "cyclekit-model", 3
 CARD, WEIGHTS = MODEL_CARD, "weights.safetensors"
@@ -74,7 +75,7 @@ class TrainedModel(Result):
         return INPUTS[self.problem]
 
     @one_thread()
-    def predict(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def predict(self, X: NDArray[np.floating[Any]]) -> Floats:
         """Return the scaling with the least expected squared error.
 
         For a classifier that is the mean of the levels under its probabilities, not the level of the most likely step.
@@ -96,7 +97,7 @@ class TrainedModel(Result):
         values = np.matmul(out, np.array(self.levels)) if names_levels(self.network) else out[:, 0]
         return np.asarray(np.clip(values, 0.0, 1.0), np.float64)
 
-    def probabilities(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def probabilities(self, X: NDArray[np.floating[Any]]) -> Floats:
         """Return the probability of every step, shape (N, P); rows sum to 1.
 
         Raises:
@@ -108,7 +109,7 @@ class TrainedModel(Result):
             raise ModelError(msg, cure="Train a classifier: cyclekit train DATASET --network classifier --out MODEL")
         return self._run(X).astype(np.float64)
 
-    def steps(self, X: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
+    def steps(self, X: NDArray[np.floating[Any]]) -> Ints:
         """Return the index of the likeliest step (of a regressor: of the level nearest to its value), shape (N,).
 
         Raises:
@@ -123,7 +124,7 @@ class TrainedModel(Result):
         levels = np.array(self.levels)
         return np.searchsorted((levels[1:] + levels[:-1]) / 2, self.predict(X)).astype(np.int64)
 
-    def _run(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+    def _run(self, X: NDArray[np.floating[Any]]) -> Singles:
         """Return the last layer's output: (N, P) probabilities of a classifier, (N, 1) otherwise."""
         wanted = ("N", len(self.inputs)) if self.history[0] == 1 else ("N", self.history[0], len(self.inputs))
         if X.ndim != len(wanted) or X.shape[1:] != wanted[1:]:
@@ -144,7 +145,7 @@ class TrainedModel(Result):
             )
         return self._finite(X)
 
-    def _finite(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+    def _finite(self, X: NDArray[np.floating[Any]]) -> Singles:
         """Run the network; weights may be finite and still so large that no number comes out.
 
         Raises:

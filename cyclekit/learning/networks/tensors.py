@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from cyclekit.schema import Singles
 
 _MAX_HEADER_BYTES = 64 * 2**10
 
@@ -60,7 +60,7 @@ def parse_weights(file: Path, layout: NetworkLayout, sha256: str) -> Weights:
 
 def to_safetensors(weights: Weights) -> bytes:
     """Return the weights as the content of a safetensors file."""
-    arrays: dict[str, NDArray[np.float32]] = {}
+    arrays: dict[str, Singles] = {}
     for i, (weight, bias) in enumerate(weights.layers):
         arrays |= {f"layer{i}.weight": weight, f"layer{i}.bias": bias}
     for i, (weight, state, bias) in enumerate(weights.recurrent):
@@ -97,7 +97,7 @@ def _shapes(layout: NetworkLayout) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
-def _weights(layout: NetworkLayout, found: Mapping[str, NDArray[np.float32]]) -> Weights:
+def _weights(layout: NetworkLayout, found: Mapping[str, Singles]) -> Weights:
     return Weights(
         tuple((found[f"layer{i}.weight"], found[f"layer{i}.bias"]) for i in range(len(layout.layers))),
         layout.softmax_after,

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from cyclekit.schema import Bools, Floats, Vector
 
-    Vector = NDArray[np.float64]
 
 DOUBLINGS = 7
 """A stretch has up to 2**7 rows to either side."""
@@ -35,7 +34,7 @@ class _Fit:
             products about the means (tt, ty, yy), and how many rows count.
     """
 
-    sums: NDArray[np.float64]
+    sums: Floats
 
     def shifted(self, rows: int) -> _Fit:
         """Return, row by row, the stretch that begins so many rows later (earlier where negative); outside, none."""
@@ -58,7 +57,7 @@ class _Fit:
         both[5] += across[1] * d[1]
         return _Fit(both)
 
-    def chosen(self, other: _Fit, which: NDArray[np.bool_]) -> _Fit:
+    def chosen(self, other: _Fit, which: Bools) -> _Fit:
         """Return `other` where `which` says so, else this."""
         return _Fit(np.where(which, other.sums, self.sums))
 
@@ -75,7 +74,7 @@ class _Fit:
         return np.asarray(np.divide(1.0, tt, out=np.full_like(tt, np.inf), where=tt > _LEAST))
 
     @property
-    def agrees(self) -> NDArray[np.bool_]:
+    def agrees(self) -> Bools:
         """Whether the misfit is what noise gives: chi-squared with rows - 2 degrees of freedom."""
         _, _, _, _, ty, yy, rows = self.sums
         misfit = yy - ty * self.slope

@@ -20,10 +20,8 @@ from cyclekit.scaling.infer.path import SMOOTH_S, Path, along, path_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from cyclekit.schema import Bools, Ints, Points, Vector
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 AMONG = 60
 """The envelope is taken over this many repetitions, the fastest ones."""
@@ -85,7 +83,7 @@ class Reference:
     """
 
     path: Path
-    confirmed: NDArray[np.bool_]
+    confirmed: Bools
     stops: Vector
     repetitions: int
     alone: bool
@@ -144,7 +142,7 @@ def is_elsewhere(path: Path, off: Vector) -> bool:
     return bool(np.quantile(off, 0.95) > max(OFF * path.length, 20.0))
 
 
-def _top(rates: Points, deviations: Points, top: float) -> tuple[Vector, NDArray[np.int64]]:
+def _top(rates: Points, deviations: Points, top: float) -> tuple[Vector, Ints]:
     """Return the pace reached at each row of the path and how many repetitions agree, from (N, M) rates."""
     count, rows = rates.shape
     known = np.isfinite(rates) & (deviations < VAGUE_SD * np.maximum(rates, 0.1))
@@ -180,7 +178,7 @@ def _common(stops: Sequence[Vector]) -> Vector:
     return np.array(kept)
 
 
-def is_common_stop(reference: Reference, t_s: Vector, rate: Vector, own_s: Vector) -> NDArray[np.bool_]:
+def is_common_stop(reference: Reference, t_s: Vector, rate: Vector, own_s: Vector) -> Bools:
     """Tell which rows, shape (T,), belong to a stop that every repetition has."""
     near = (np.abs(own_s[:, None] - reference.stops[None]) < STOP_S).any(axis=1)
     return np.asarray(near & (rate < STILL) & (t_s > t_s[0]))

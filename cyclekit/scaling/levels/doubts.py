@@ -7,12 +7,9 @@ from typing import TYPE_CHECKING
 from cyclekit.dataset.cards import note
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.cards import Note
+    from cyclekit.schema import Vector
 
-    Vector = NDArray[np.float64]
 
 _MANY_LEVELS = 12
 """More levels than any safety configuration offers: then the values are not a staircase."""

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from cyclekit.dataset.cards import Note
+    from cyclekit.schema import Floats, Ints
 
 LEAST_HELD_S = 1.0
 """Minimum time for which a level is held, all plateaus together; short, so that a rare level survives."""
@@ -61,12 +62,12 @@ class Staircase:
         is_staircase: False where the values are not held on a few levels: then learn them by regression.
     """
 
-    levels: NDArray[np.float64]
+    levels: Floats
     label: NDArray[np.int32]
-    share: NDArray[np.float64]
+    share: Floats
     warnings: tuple[Note, ...] = ()
-    means: NDArray[np.float64] | None = None
-    slider: NDArray[np.float64] | None = None
+    means: Floats | None = None
+    slider: Floats | None = None
     noise: float = 0.0
     is_staircase: bool = True
 
@@ -151,13 +152,7 @@ def second_opinion(scaling: ArrayLike, staircase: Staircase) -> Note | None:
     return note("levels-disputed", levels=int(staircase.levels.size), other=other)
 
 
-def _finish(
-    values: NDArray[np.float64],
-    stretch: NDArray[np.int64],
-    plateaus: Plateaus,
-    found: Cluster,
-    slider: NDArray[np.float64] | None,
-) -> Staircase:
+def _finish(values: Floats, stretch: Ints, plateaus: Plateaus, found: Cluster, slider: Floats | None) -> Staircase:
     """Round the levels where that is sure, label every sample, and say what is doubtful."""
     levels = found.value if found.deviation is None else rounded(found.value, found.deviation)
     seen = values if slider is None else values / slider

@@ -30,7 +30,7 @@ from cyclekit.alignment.clocks import (
     follow,
 )
 from cyclekit.alignment.frames import to_base
-from cyclekit.dataset.cards import LogCard, RecordingCard, note
+from cyclekit.dataset.cards import LogCard, Note, RecordingCard, note
 from cyclekit.dataset.signals import event_times
 from cyclekit.errors import ConfigError, UnknownName
 
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
     from cyclekit.config import Source, Sync
-    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.sessions import LogGroup
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.schema import Points, Vector

@@ -19,8 +19,8 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.session_end import Left, finish
-from cyclekit.derive.session_look import look_at
-from cyclekit.derive.session_samples import SessionToSample, samples_of
+from cyclekit.derive.session_look import Look, look_at
+from cyclekit.derive.session_samples import Made, SessionToSample, samples_of
 from cyclekit.derive.sharing import in_order, shared_files
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
@@ -28,8 +28,8 @@ from cyclekit.people.silence import absences
 from cyclekit.scaling.levels import Staircase, find_staircase
 from cyclekit.scaling.of_runs import with_scaling
 from cyclekit.scaling.response import MOST, SafetyResponse, read_dynamics
-from cyclekit.segmentation.arrivals import stands_of
-from cyclekit.segmentation.dwell import usual_dwells
+from cyclekit.segmentation.arrivals import Stands, stands_of
+from cyclekit.segmentation.dwell import Dwell, usual_dwells
 from cyclekit.segmentation.executions import Execution, find_executions, find_visits
 from cyclekit.segmentation.places import find_places
 from cyclekit.segmentation.turning_points import with_turns
@@ -44,10 +44,6 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import LogGroup, Session
     from cyclekit.dataset.signals import Read, Stored
-    from cyclekit.derive.session_look import Look
-    from cyclekit.derive.session_samples import Made
-    from cyclekit.segmentation.arrivals import Stands
-    from cyclekit.segmentation.dwell import Dwell
     from cyclekit.segmentation.motion import Run
     from cyclekit.segmentation.standstills import Stop
 

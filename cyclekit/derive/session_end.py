@@ -11,9 +11,9 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.derive.sample_file import AT_ONCE, write_samples
-from cyclekit.people.activity import with_goals
+from cyclekit.people.activity import Stays, with_goals
 from cyclekit.people.tracks import goals_from_stays
-from cyclekit.scaling.response import Changes, changes_of
+from cyclekit.scaling.response import Changes, LevelChange, changes_of
 from cyclekit.segmentation.motion import pieces
 from cyclekit.storage.parquet import parts_of
 
@@ -24,9 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Place
-    from cyclekit.people.activity import Stays
     from cyclekit.people.silence import Absence
-    from cyclekit.scaling.response import LevelChange
     from cyclekit.schema import Vector
     from cyclekit.segmentation.motion import Run
 

@@ -23,18 +23,17 @@ from cyclekit.estimate.history import TaskTimes, order_error
 from cyclekit.estimate.judges import judge, within
 from cyclekit.estimate.logged import beside_own, logged_durations, logged_sequences, only_tracks
 from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.safety import Dynamics, SafetyModel
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.parallel.one_thread import one_thread
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.safety import SafetyModel
     from cyclekit.schema import Bools, Floats, Vector
 
 
@@ -172,11 +171,8 @@ class Check:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the check as plain JSON values."""
-        out = dict(vars(self))
-        out["residuals"] = list(self.residuals)
-        out["levels"] = list(self.levels)
-        out["doubts"] = list(self.doubts)
-        return out
+        out = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
+        return out | {"doubts": list(self.doubts)}
 
 
 @one_thread()
@@ -187,7 +183,6 @@ def check_rollout(
     levels: Sequence[float] = (0.05, 0.5, 0.95),
     most: int | None = MOST,
     seed: int = 0,
-    progress: Callable[[float, str], None] | None = None,
 ) -> Check:
     """Roll out the logged executions and compare.
 
@@ -215,7 +210,7 @@ def check_rollout(
         tracks = only_tracks(tracks, {sequence.name for sequence in sequences})
         own = beside_own(model, dataset, sequences, nominal, tracks)
         asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
-        table = transit_table(model, asked, tracks, progress=progress)
+        table = transit_table(model, asked, tracks)
         crossed = table.durations([sequence.tasks for sequence in sequences], seed=seed)
         if np.isfinite(own).all() and np.isfinite(crossed).all():
             break

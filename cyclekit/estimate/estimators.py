@@ -38,22 +38,10 @@ class Estimator:
     goals: bool = False
 
 
-def _average(model: Any, program: Program, tracks: OperatorTracks, seed: int) -> Rolled:  # noqa: ANN401
-    return by_average(model, program, tracks, seed=seed)
-
-
-def _history(dataset: Dataset, program: Program, seed: int) -> Rolled:
-    return by_history(dataset, program, seed=seed)
-
-
-def _nominal(_dataset: Dataset, program: Program, _seed: int) -> Rolled:
-    return by_nominal(program)
-
-
 ESTIMATORS: dict[str, Estimator] = {
     "rollout": Estimator("simulation of the learned safety function with every logged operator track", "now"),
-    "average": Estimator("task durations from predicted mean scalings", "average", beside=_average, goals=True),
-    "history": Estimator("logged durations of the same tasks", alone=_history),
-    "nominal": Estimator("time without an operator", alone=_nominal),
+    "average": Estimator("task durations from predicted mean scalings", "average", beside=by_average, goals=True),
+    "history": Estimator("logged durations of the same tasks", alone=by_history),
+    "nominal": Estimator("time without an operator", alone=by_nominal),
 }
 """Estimators by name."""

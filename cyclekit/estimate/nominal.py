@@ -34,8 +34,7 @@ class NominalTask:
         xyz_m: TCP along the motion at every STEP_S of nominal time, shape (K, 3), base frame.
         nominal_s: Duration of the motion at scaling 1: the median of its repetitions.
         dwell_s, wait_s: Mean process time and mean waiting at the goal.
-        stands_s: Every logged stand at the goal (dwell + wait), ascending, shape (repetitions,).
-        repetitions: How often the task was logged.
+        stands_s: Every logged stand at the goal (dwell + wait), ascending, shape (N,) of N repetitions.
     """
 
     task: str
@@ -44,7 +43,6 @@ class NominalTask:
     dwell_s: float
     wait_s: float
     stands_s: Vector
-    repetitions: int
 
 
 def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> dict[str, NominalTask]:
@@ -62,7 +60,6 @@ def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> di
         dwell_s=pl.col("dwell_s").mean(),
         wait_s=pl.col("wait_s").mean(),
         stands_s=(pl.col("dwell_s") + pl.col("wait_s")).sort(),
-        repetitions=pl.len(),
     )
     slowed = pl.col("safety_loss_s") + _slider_loss(tasks)
     best = tasks.sort(slowed, "execution", "index").group_by("task", maintain_order=True).first()
@@ -79,7 +76,6 @@ def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> di
                 dwell_s=row["dwell_s_all"],
                 wait_s=row["wait_s_all"],
                 stands_s=np.array(row["stands_s"]),
-                repetitions=row["repetitions"],
             )
     return found
 

@@ -13,14 +13,13 @@ from zlib import crc32
 import numpy as np
 
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.nominal import STEP_S
+from cyclekit.estimate.nominal import STEP_S, NominalTask
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.schema import Floats
 
 

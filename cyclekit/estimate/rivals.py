@@ -12,14 +12,13 @@ import polars as pl
 
 from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.program import draw_stands
+from cyclekit.estimate.program import Program, draw_stands
 from cyclekit.estimate.safety import BLOCK
 from cyclekit.estimate.walk import Rolled
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.nominal import NominalTask
-    from cyclekit.estimate.program import Program
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.schema import Floats, Ints, Vector
@@ -30,7 +29,7 @@ LEAST_PROGRESS = 0.02
 """A predicted mean scaling below this is taken for it: a network seldom says exactly zero, and then would never end."""
 
 
-def by_average(model: TrainedModel, program: Program, tracks: OperatorTracks, *, seed: int = 0) -> Rolled:
+def by_average(model: TrainedModel, program: Program, tracks: OperatorTracks, seed: int = 0) -> Rolled:
     """Solve T * mean s(T) = nominal time, task by task, with the operator's state carried forward.
 
     The network gives the mean scaling over its horizon from robot and operator and where both are bound for (Faroni et
@@ -97,7 +96,7 @@ def _sample(tracks: OperatorTracks, time_s: Vector) -> Ints:
     return np.asarray(np.minimum((time_s / tracks.step_s).astype(np.int64), tracks.activity.shape[1] - 1))
 
 
-def by_history(dataset: Dataset, program: Program, *, seed: int = 0) -> Rolled:
+def by_history(dataset: Dataset, program: Program, seed: int = 0) -> Rolled:
     """Put cycles together of logged repetitions of each task, drawn at random; their mean is the sum of plain means.
 
     That the order of tasks changes what each takes is not in it, nor that slow tasks come together.
@@ -117,7 +116,7 @@ def by_history(dataset: Dataset, program: Program, *, seed: int = 0) -> Rolled:
     return Rolled(duration, stands, safety, np.zeros(0), 1.0, 0.0)
 
 
-def by_nominal(program: Program) -> Rolled:
+def by_nominal(_dataset: Dataset, program: Program, _seed: int = 0) -> Rolled:
     """One cycle without an operator: every motion at full speed, every stand of its mean length."""
     stands = np.array([[task.dwell_s + task.wait_s for task in program.tasks]])
     duration = np.array([program_motion(program) + float(stands.sum())])

@@ -8,7 +8,7 @@ nominal   nobody in the cell (`rivals`)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ from cyclekit.estimate.entry import LEAST_SUPPORT, entry_of
 from cyclekit.estimate.estimators import ESTIMATORS
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs
 from cyclekit.estimate.means import history_of, means_of
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.question import Altered, Question
 from cyclekit.estimate.resample import TOGETHER, means_below, resampled
@@ -34,15 +34,11 @@ from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.parallel.one_thread import one_thread
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
-    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
-    from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.schema import Floats, Vector
 
     _Refuse = Callable[[TaskSequence, EstimateError], None]

@@ -15,7 +15,7 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.alignment.frames import to_base
-from cyclekit.dataset.cards import OperatorCard, RecordingCard, note
+from cyclekit.dataset.cards import Note, OperatorCard, RecordingCard, note
 from cyclekit.dataset.dataset import Place
 from cyclekit.people.silence import Silence
 from cyclekit.people.tracks import (
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Cell, Source
-    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.sessions import Session
     from cyclekit.schema import Ints, Points, Vector
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.dataset.cards import note
-from cyclekit.scaling.infer.override import infer_overrides
+from cyclekit.dataset.cards import Note, note
+from cyclekit.scaling.infer.override import Reference, infer_overrides
 from cyclekit.scaling.levels import find_staircase
-from cyclekit.segmentation.arrivals import stands_of
+from cyclekit.segmentation.arrivals import Stands, stands_of
 from cyclekit.segmentation.dwell import usual_dwells
 from cyclekit.segmentation.motion import InferredScaling
 
@@ -18,12 +18,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import Session
     from cyclekit.parallel.engine import Engine
-    from cyclekit.scaling.infer.override import Reference
-    from cyclekit.segmentation.arrivals import Stands
     from cyclekit.segmentation.executions import Execution
     from cyclekit.segmentation.motion import Run
 

@@ -11,7 +11,7 @@ from cyclekit import schema
 from cyclekit.dataset.signals import OUTPUT, REGISTER, event_times, every_change
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.segmentation.motion import COLUMNS
-from cyclekit.segmentation.stored_run import runs_of
+from cyclekit.segmentation.stored_run import StoredRun, runs_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from cyclekit.dataset.sessions import Session
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.schema import Ints, Vector
-    from cyclekit.segmentation.stored_run import StoredRun
     from cyclekit.storage.parquet import StoredTable
 
 

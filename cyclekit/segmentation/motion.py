@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.schema import Ints, Points, Vector
+    from cyclekit.segmentation.stored_run import StoredRun
+
+    Run: TypeAlias = "RobotRun | StoredRun"
+    """One continuous stretch of a robot log, in memory or in a file."""
 
 
 SPEED_WINDOW_S = 0.024
@@ -58,64 +62,6 @@ class Halt:
     first: int
     last: int
     gap: int
-
-
-class Run(Protocol):
-    """One continuous stretch of a robot log."""
-
-    @property
-    def rows(self) -> int:
-        """How many rows it has."""
-        ...
-
-    @property
-    def period_s(self) -> float:
-        """Usual time between rows."""
-        ...
-
-    @property
-    def knows_scaling(self) -> bool:
-        """Whether the scaling of any row is known."""
-        ...
-
-    def window(self, first: int, last: int) -> RobotRun:
-        """Return rows `first` to `last`, inclusive."""
-        ...
-
-    def time_at(self, row: int) -> float:
-        """Return the session time of a row, seconds."""
-        ...
-
-    def row_at(self, t_s: Vector) -> Ints:
-        """Return the last row at or before each time, shape (N,); 0 where there is none."""
-        ...
-
-    @property
-    def halts(self) -> Sequence[Halt]:
-        """When its program was paused or stopped, in order."""
-        ...
-
-    @property
-    def is_inferred(self) -> bool:
-        """Whether its scaling was inferred and not logged."""
-        ...
-
-    @property
-    def changes(self) -> Mapping[str, Vector]:
-        """When each logged signal (an output, the register, an event) changed, session seconds, ascending."""
-        ...
-
-    def posture(self, first: int, last: int) -> tuple[Points, Vector]:
-        """Return joint angles (else TCP) of rows `first` to `last`, (T, D), and the slider, (T,), 1 if not logged."""
-        ...
-
-    def slider_at(self, first: int, last: int) -> Vector | None:
-        """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None where it was not logged."""
-        ...
-
-    def with_scaling(self, parts: Sequence[InferredScaling]) -> Run:
-        """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.segmentation.motion import pieces
+from cyclekit.segmentation.motion import RobotRun, pieces
 from cyclekit.segmentation.places import MERGE_M, cluster
 from cyclekit.segmentation.standstills import Stop
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.segmentation.motion import RobotRun, Run
+    from cyclekit.segmentation.motion import Run
 
 
 SLOW = 0.1

@@ -63,8 +63,8 @@ def test_a_network_of_one_line_is_trained_saved_read_and_judged(
     assert "toy" in capsys.readouterr().out
 
 
-def _twice(_dataset: Dataset, program: Program, _seed: int) -> Rolled:
-    return by_nominal(program)
+def _twice(dataset: Dataset, program: Program, _seed: int) -> Rolled:
+    return by_nominal(dataset, program)
 
 
 def test_an_estimator_of_one_line_answers(

@@ -9,12 +9,12 @@ import numpy as np
 
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.plan.exact import Walker
 from cyclekit.estimate.plan.search import Scorer, best_order, first_order, random_order
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.tracks import operator_tracks
-from cyclekit.estimate.transit import transit_table
+from cyclekit.estimate.transit import TransitTable, transit_table
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.results import Result
@@ -26,11 +26,9 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
-    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.plan.jobs import Jobs
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
-    from cyclekit.estimate.transit import TransitTable
 
     Order = tuple[str, ...]
 

@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.plan.jobs import tasks_of
+from cyclekit.estimate.plan.jobs import Jobs, tasks_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from cyclekit.estimate.plan.jobs import Jobs
     from cyclekit.estimate.transit import TransitTable
     from cyclekit.schema import Floats, Ints
 
@@ -115,9 +114,7 @@ def every_order(jobs: Jobs) -> Iterator[Order]:
         if not left:
             yield done
         for name in jobs.next_of(left, done[-1] if done else None):
-            rest = list(left)
-            rest.remove(name)
-            yield from following((*done, name), tuple(rest))
+            yield from following((*done, name), tuple(without(left, name)))
 
     yield from following((), jobs.visit)
 
@@ -170,7 +167,7 @@ def first_order(jobs: Jobs, ranked: Callable[[Order, list[str]], Iterable[str]])
             return None
         options = jobs.next_of(left, last)
         for name in ranked(done, options) if options else ():
-            if (found := completed((*done, name), _without(left, name))) is not None:
+            if (found := completed((*done, name), without(left, name))) is not None:
                 return found
         dead.add(state)
         return None
@@ -214,7 +211,8 @@ def _neighbours(order: Order) -> Iterator[Order]:
             yield tuple(swapped)
 
 
-def _without(names: Sequence[str], name: str) -> list[str]:
+def without(names: Sequence[str], name: str) -> list[str]:
+    """Return the names with one `name` fewer."""
     rest = list(names)
     rest.remove(name)
     return rest

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cyclekit.dataset.cards import MetricsCard, plain
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import DatasetError, ModelError, command_line
@@ -20,8 +21,8 @@ from cyclekit.learning.evaluation.drift import Drift, drift
 from cyclekit.learning.labelling import without_slider
 from cyclekit.learning.networks.beaten import Better, better_rival
 from cyclekit.learning.networks.cell import fingerprint, refuse_other_cell
-from cyclekit.learning.networks.metrics import Metrics, measure
-from cyclekit.learning.networks.saved import load_model
+from cyclekit.learning.networks.metrics import measure
+from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.out_of_core import memory_rows, some_executions
 from cyclekit.learning.windows import Samples, build_samples
 from cyclekit.parallel.one_thread import one_thread
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from cyclekit.learning.networks.saved import TrainedModel
 
 __all__ = ["ErrorRow", "Evaluation", "LevelRow", "evaluate", "evaluate_at"]
 
@@ -88,7 +88,7 @@ class Evaluation(Result):
     network: str
     held_out: bool
     executions: tuple[str, ...]
-    metrics: Metrics
+    metrics: MetricsCard
     mse: tuple[ErrorRow, ...]
     confusion: tuple[tuple[int, ...], ...] | None
     levels: tuple[LevelRow, ...]
@@ -109,7 +109,7 @@ class Evaluation(Result):
             "network": self.network,
             "held_out": self.held_out,
             "executions": list(self.executions),
-            **self.metrics.to_dict(),
+            **plain(self.metrics, nulls=True),
             "mse": [vars(row) for row in self.mse],
             "confusion": None if self.confusion is None else [list(row) for row in self.confusion],
             "levels": [vars(row) for row in self.levels],
@@ -252,7 +252,7 @@ def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) ->
     )
 
 
-def _read_outs(metrics: Metrics) -> list[ErrorRow]:
+def _read_outs(metrics: MetricsCard) -> list[ErrorRow]:
     rows = [
         ErrorRow(
             "model", metrics.mse_mean, "best estimate: mean of the levels weighted by their probabilities, or the value"

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import nn
 
+from cyclekit.dataset.cards import EpochCard
 from cyclekit.errors import ConfigError
 from cyclekit.learning.networks.calibration import best_temperature
 from cyclekit.learning.networks.folding import fold
@@ -46,15 +47,6 @@ class CutOff(ConfigError):
 
 
 @dataclass(frozen=True)
-class Epoch:
-    """One pass over the training rows: mean loss, and weighted MSE of the best estimate on the validation part."""
-
-    epoch: int
-    loss: float
-    validation_mse: float
-
-
-@dataclass(frozen=True)
 class Fitted:
     """What fitting gives.
 
@@ -70,7 +62,7 @@ class Fitted:
 
     spec: ModelSpec
     weights: Weights
-    history: tuple[Epoch, ...]
+    history: tuple[EpochCard, ...]
     mean: Floats
     scale: Floats
     temperature: float = 1.0
@@ -160,14 +152,14 @@ def _run(
     check: TrainingRows,
     levels: torch.Tensor,
     progress: Progress | None,
-) -> tuple[Epoch, ...]:
+) -> tuple[EpochCard, ...]:
     """Train in place and leave the weights of the best epoch in `network`."""
     batches = max(len(learn) // spec.batch, 1)
     epochs = spec.epochs or min(max(round(_STEPS / batches), _EPOCHS[0]), _EPOCHS[1])
     decay = min(_DECAY_ROWS / len(learn), _MOST_DECAY) if spec.weight_decay is None else spec.weight_decay
     steps = Steps(network, spec, decay, max(batches * epochs, 20))  # fewer cannot rise and fall
     balance = _balance(learn, len(levels)) if spec.balance == "classes" and spec.kind.names_levels else None
-    history: list[Epoch] = []
+    history: list[EpochCard] = []
     spread = _spread(check)
     best, best_state, since = float("inf"), copy.deepcopy(network.state_dict()), 0
     for number in range(1, epochs + 1):
@@ -180,7 +172,7 @@ def _run(
             steps.take(loss)
             total += loss.detach()
         mse = _validation_mse(network, check, levels if spec.kind.names_levels else None)
-        history.append(Epoch(number, float(total) / batches, mse))
+        history.append(EpochCard(epoch=number, loss=float(total) / batches, validation_mse=mse))
         since += 1
         if mse < best:
             best, best_state, since = mse, copy.deepcopy(network.state_dict()), 0

@@ -6,7 +6,6 @@ against each other, here; the weights file is then held against them (`tensors`)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -23,52 +22,33 @@ class NotAModel(Exception):
     """Why a file is not part of a model; `load_model` tells it as a ModelError, with the file and the cure."""
 
 
-@dataclass(frozen=True)
-class NetworkLayout:
-    """What `model.json` says about the network, checked."""
+def softmax_after(about: ModelCard) -> int | None:
+    """Return the index of the layer that the softmax follows; None without one."""
+    kind = NETWORKS[about.network]
+    return len(about.layers) - len(kind.outputs(len(about.levels))) if kind.needs_levels else None
 
-    problem: str
-    network: str
-    horizon_s: float
-    levels: tuple[float, ...]
-    layers: tuple[tuple[int, int], ...]
-    recurrent: tuple[tuple[int, int], ...] = ()
-    forecast: tuple[int, int] | None = None
-    known: tuple[str, ...] = ()
-    history: tuple[int, int] = (1, 1)
-    distance: float | None = None
 
-    @property
-    def softmax_after(self) -> int | None:
-        """Index of the layer behind which the softmax stands."""
-        kind = NETWORKS[self.network]
-        return len(self.layers) - len(kind.outputs(len(self.levels))) if kind.needs_levels else None
+def check_layout(about: ModelCard) -> None:
+    """Check that the parts of the stated network fit each other.
 
-    @classmethod
-    def of(cls, about: ModelCard) -> NetworkLayout:
-        """Check that the parts of the stated network fit each other.
-
-        Raises:
-            NotAModel: They do not.
-        """
-        problem, network = about.problem, about.network
-        if network not in networks_for(problem):
-            raise NotAModel(f"no known network: problem {problem!r}, network {network!r}")
-        if (about.horizon_s == 0) != (problem == "now"):
-            raise NotAModel(f"horizon_s is {about.horizon_s!r} for problem {problem!r}")
-        if NETWORKS[network].needs_levels and len(about.levels) < 2:
-            raise NotAModel(f"a {network} needs two levels or more, and has {len(about.levels)}")
-        _check_recurrent(about)
-        _check_known(about)
-        _check_chain(about.layers)
-        if not _fits(about):
-            named = f"layers {about.layers} do not fit a {network}"
-            raise NotAModel(f"{named} of {len(about.levels)} levels for problem {problem!r}")
-        if (about.history[0] > 1) != bool(about.recurrent):
-            raise NotAModel(f"history is {about.history} for a {network}")
-        sizes = (about.layers, about.recurrent, about.forecast)
-        made = (problem, network, about.horizon_s, about.levels)
-        return cls(*made, *sizes, about.known, about.history, about.distance)
+    Raises:
+        NotAModel: They do not.
+    """
+    problem, network = about.problem, about.network
+    if network not in networks_for(problem):
+        raise NotAModel(f"no known network: problem {problem!r}, network {network!r}")
+    if (about.horizon_s == 0) != (problem == "now"):
+        raise NotAModel(f"horizon_s is {about.horizon_s!r} for problem {problem!r}")
+    if NETWORKS[network].needs_levels and len(about.levels) < 2:
+        raise NotAModel(f"a {network} needs two levels or more, and has {len(about.levels)}")
+    _check_recurrent(about)
+    _check_known(about)
+    _check_chain(about.layers)
+    if not _fits(about):
+        named = f"layers {about.layers} do not fit a {network}"
+        raise NotAModel(f"{named} of {len(about.levels)} levels for problem {problem!r}")
+    if (about.history[0] > 1) != bool(about.recurrent):
+        raise NotAModel(f"history is {about.history} for a {network}")
 
 
 def _fits(about: ModelCard) -> bool:

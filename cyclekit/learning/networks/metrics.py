@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.dataset.cards import MetricsCard
 from cyclekit.learning.networks.calibration import reliability
 from cyclekit.learning.networks.kinds import names_levels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.dataset.cards import MetricsCard
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.learning.windows import Samples
 
@@ -21,36 +20,7 @@ MUCH_UNEXPLAINED = 0.25
 """A model that leaves more than this part of the variance of the scaling unexplained has a large error."""
 
 
-@dataclass(frozen=True)
-class Metrics:
-    """Errors against the logged scaling over N rows; scaling is a fraction, so all are fractions.
-
-    Attributes:
-        rows: N.
-        mse_mean: Mean squared error of the best estimate (`predict`).
-        mse_argmax: The same of the level of the most likely step; None where there are no levels to name.
-        mae: Mean absolute error of the best estimate.
-        bias: Mean of predicted - true.
-        accuracy: Part of the rows on a level whose step is named rightly; None where there is none.
-        calibration_error: Expected calibration error of a classifier's probabilities; None for the others.
-        mse_constant: Mean squared error of always predicting the mean of these rows; None where it was not measured.
-    """
-
-    rows: int
-    mse_mean: float
-    mse_argmax: float | None
-    mae: float
-    bias: float
-    accuracy: float | None
-    calibration_error: float | None = None
-    mse_constant: float | None = None
-
-    def to_dict(self) -> dict[str, float | int | None]:
-        """Return the numbers as JSON values."""
-        return asdict(self)
-
-
-def measure(model: TrainedModel, samples: Samples) -> Metrics:
+def measure(model: TrainedModel, samples: Samples) -> MetricsCard:
     """Judge `model` by rows that it has not seen; `samples` must be of its problem and not empty."""
     X, on_level = samples.model_inputs, samples.step >= 0
     error = model.predict(X) - samples.scaling
@@ -62,7 +32,7 @@ def measure(model: TrainedModel, samples: Samples) -> Metrics:
             accuracy = float(np.mean(step[on_level] == samples.step[on_level]))
             if names_levels(model.network):
                 calibration = reliability(model.probabilities(X)[on_level], samples.step[on_level]).error
-    return Metrics(
+    return MetricsCard(
         rows=len(samples),
         mse_mean=float(np.mean(error**2)),
         mse_argmax=mse_argmax,
@@ -74,7 +44,7 @@ def measure(model: TrainedModel, samples: Samples) -> Metrics:
     )
 
 
-def large_error(metrics: Metrics | MetricsCard, levels: Sequence[float]) -> str:
+def large_error(metrics: MetricsCard, levels: Sequence[float]) -> str:
     """Say why the error of a model is large, in a sentence; empty where it is not.
 
     Args:

@@ -11,13 +11,12 @@ import numpy as np
 import torch
 
 from cyclekit.learning.out_of_core import filled
-from cyclekit.learning.windows import GROUPS
+from cyclekit.learning.windows import GROUPS, Samples
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from cyclekit.learning.networks.spec import ModelSpec
-    from cyclekit.learning.windows import Samples
     from cyclekit.schema import Bools, Floats, Singles
 
     Standard = tuple[Floats, Floats]

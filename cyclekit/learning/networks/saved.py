@@ -23,7 +23,7 @@ from cyclekit.dataset.cards import BadCard, TrainingCard, model_card, plain, rea
 from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.learning.networks.kinds import names_levels
-from cyclekit.learning.networks.layout import NetworkLayout, NotAModel
+from cyclekit.learning.networks.layout import NotAModel, check_layout
 from cyclekit.learning.networks.tensors import parse_weights, sizes_of, to_safetensors
 from cyclekit.learning.windows import GROUPS, INPUTS
 from cyclekit.parallel.one_thread import one_thread
@@ -245,9 +245,9 @@ def load_model(place: Path | str) -> TrainedModel:
         about = read_json(file, most_bytes=_MAX_CARD_BYTES)
         _check_versions(about)
         card = model_card(all_in_one_line(about))
-        layout = NetworkLayout.of(card)
+        check_layout(card)
         file = path / WEIGHTS
-        weights = parse_weights(file, layout, card.weights_sha256)
+        weights = parse_weights(file, card)
     except (BadCard, NotAModel) as cause:
         msg = f"{file}: {cause}"
         again = command_line("train", "DATASET", "--out", place)
@@ -257,8 +257,8 @@ def load_model(place: Path | str) -> TrainedModel:
     except OSError as cause:
         msg = f"{file}: cannot be read ({cause.strerror or cause})"
         raise ModelError(msg, cure="Check the path and its permissions.") from cause
-    made = (layout.problem, layout.network, layout.horizon_s, layout.levels)
-    return TrainedModel(*made, weights, card.card, layout.history)
+    made = (card.problem, card.network, card.horizon_s, card.levels)
+    return TrainedModel(*made, weights, card.card, card.history)
 
 
 def _no_model(path: Path) -> ModelError:

@@ -1,4 +1,4 @@
-"""The weights of a model as a safetensors file, and back: byte for byte what the layout calls for, or refused.
+"""The weights of a model as a safetensors file, and back: byte for byte what `model.json` describes, or refused.
 
 No other loader is ever tried, and no number is read before sizes, names, shapes and checksum agree.
 """
@@ -13,7 +13,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from cyclekit.learning.networks.layout import NetworkLayout, NotAModel
+from cyclekit.learning.networks.layout import NotAModel, softmax_after
 from cyclekit.learning.networks.weights import Weights
 from cyclekit.learning.windows import INPUTS
 from cyclekit.storage.files import regular
@@ -22,19 +22,20 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from cyclekit.dataset.cards import ModelCard
     from cyclekit.schema import Singles
 
 _MAX_HEADER_BYTES = 64 * 2**10
 
 
-def parse_weights(file: Path, layout: NetworkLayout, sha256: str) -> Weights:
-    """Return the weights of `layout`.
+def parse_weights(file: Path, about: ModelCard) -> Weights:
+    """Return the weights of the network that `about`, checked, describes.
 
     Raises:
-        NotAModel: The file is not exactly the safetensors file that the layout calls for.
+        NotAModel: The file is not exactly the safetensors file that `about` describes.
         OSError: It cannot be read.
     """
-    shapes = _shapes(layout)
+    shapes = _shapes(about)
     numbers = 4 * sum(math.prod(shape) for shape in shapes.values())
     if not file.exists():
         raise NotAModel("no such file")
@@ -43,7 +44,7 @@ def parse_weights(file: Path, layout: NetworkLayout, sha256: str) -> Weights:
     header = int.from_bytes(content[:8], "little")
     if len(content) < 8 or header > _MAX_HEADER_BYTES or len(content) != 8 + header + numbers:
         raise NotAModel(f"not a safetensors file of {numbers} bytes of weights, as {file.parent.name} calls for")
-    if hashlib.sha256(content).hexdigest() != sha256:
+    if hashlib.sha256(content).hexdigest() != about.weights_sha256:
         raise NotAModel("changed since the model was saved: its checksum is not the one in model.json")
     try:
         found = load(content)
@@ -55,7 +56,7 @@ def parse_weights(file: Path, layout: NetworkLayout, sha256: str) -> Weights:
         raise NotAModel("holds other arrays than the layers in model.json")
     if not all(np.isfinite(array).all() for array in found.values()):
         raise NotAModel("holds weights that are not finite")
-    return _weights(layout, found)
+    return _weights(about, found)
 
 
 def to_safetensors(weights: Weights) -> bytes:
@@ -83,30 +84,30 @@ def sizes_of(weights: Weights) -> dict[str, Any]:
     }
 
 
-def _shapes(layout: NetworkLayout) -> dict[str, tuple[int, ...]]:
+def _shapes(about: ModelCard) -> dict[str, tuple[int, ...]]:
     shapes: dict[str, tuple[int, ...]] = {}
-    for i, (inputs, outputs) in enumerate(layout.layers):
+    for i, (inputs, outputs) in enumerate(about.layers):
         shapes |= {f"layer{i}.weight": (inputs, outputs), f"layer{i}.bias": (outputs,)}
-    for i, (inputs, width) in enumerate(layout.recurrent):
+    for i, (inputs, width) in enumerate(about.recurrent):
         shapes[f"lstm{i}.weight"], shapes[f"lstm{i}.state"] = (inputs, 4 * width), (width, 4 * width)
         shapes[f"lstm{i}.bias"] = (4 * width,)
-    if layout.forecast is not None:
-        shapes |= {"forecast.weight": layout.forecast, "forecast.bias": (layout.forecast[1],)}
-    if layout.known:
-        shapes["middle"] = (len(INPUTS[layout.problem]),)
+    if about.forecast is not None:
+        shapes |= {"forecast.weight": about.forecast, "forecast.bias": (about.forecast[1],)}
+    if about.known:
+        shapes["middle"] = (len(INPUTS[about.problem]),)
     return shapes
 
 
-def _weights(layout: NetworkLayout, found: Mapping[str, Singles]) -> Weights:
+def _weights(about: ModelCard, found: Mapping[str, Singles]) -> Weights:
     return Weights(
-        tuple((found[f"layer{i}.weight"], found[f"layer{i}.bias"]) for i in range(len(layout.layers))),
-        layout.softmax_after,
+        tuple((found[f"layer{i}.weight"], found[f"layer{i}.bias"]) for i in range(len(about.layers))),
+        softmax_after(about),
         tuple(
             (found[f"lstm{i}.weight"], found[f"lstm{i}.state"], found[f"lstm{i}.bias"])
-            for i in range(len(layout.recurrent))
+            for i in range(len(about.recurrent))
         ),
-        (found["forecast.weight"], found["forecast.bias"]) if layout.forecast is not None else None,
-        layout.known,
-        layout.distance,
-        found["middle"] if layout.known else np.empty(0, np.float32),
+        (found["forecast.weight"], found["forecast.bias"]) if about.forecast is not None else None,
+        about.known,
+        about.distance,
+        found["middle"] if about.known else np.empty(0, np.float32),
     )

@@ -73,7 +73,6 @@ class Reference:
         path: Places and nominal times.
         confirmed: Per row of the path, whether WITNESSES repetitions reached the pace, or it is that of an empty cell.
         stops: Where every repetition stands for a while, `own_s` of the path: the program may want it so.
-        repetitions: How many repetitions it was taken from.
         alone: It was recorded with nobody in the cell.
         peak: Greatest speed and acceleration at nominal pace, (2, D + 1): of each joint (or axis), in units of its
             noise, and of the TCP along its path, m/s and m/s² (NaN: the TCP is not known).
@@ -85,7 +84,6 @@ class Reference:
     path: Path
     confirmed: Bools
     stops: Vector
-    repetitions: int
     alone: bool
     peak: Points
     noise: Points
@@ -123,7 +121,6 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
         path.retimed(_integral(1.0 / pace, path.own_s)),
         np.full(len(pace), True) if alone else agreeing >= WITNESSES,
         _common(stops) if not alone else np.empty(0),
-        len(rates),
         alone,
         np.column_stack([_peak(path, pace), _tcp_peak(path, pace, ways[0])]),
         np.column_stack([np.tile(_peak_noise(path), (path.points.shape[1], 1)).T, np.zeros(2)]),

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from cyclekit.dataset.cards import note
+from cyclekit.dataset.cards import Note, note
 
 if TYPE_CHECKING:
-    from cyclekit.dataset.cards import Note
     from cyclekit.schema import Vector
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.dataset.cards import note
+from cyclekit.dataset.cards import Note, note
 from cyclekit.dataset.time_grid import USUAL_HZ, samples_in
 from cyclekit.errors import ShapeError, UnknownName
 from cyclekit.parallel.one_thread import one_thread
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from cyclekit.dataset.cards import Note
     from cyclekit.schema import Floats, Ints
 
 LEAST_HELD_S = 1.0

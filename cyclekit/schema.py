@@ -16,7 +16,7 @@ import polars as pl
 from cyclekit.errors import ShapeError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     import numpy as np
     from numpy.typing import NDArray
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     Singles = NDArray[np.float32]
     Ints = NDArray[np.int64]
     Bools = NDArray[np.bool_]
+    Progress = Callable[[float, str], None]
+    """Told how far a computation is, 0 to 1, and what it does."""
 
 _AS_IT_IS = pl.QueryOptFlags.none()
 SCHEMA_VERSION = 4

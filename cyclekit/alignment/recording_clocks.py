@@ -37,7 +37,7 @@ from cyclekit.errors import ConfigError, UnknownName
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from cyclekit.config import Source, Sync
+    from cyclekit.config import Source
     from cyclekit.dataset.sessions import LogGroup
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.schema import Points, Vector
@@ -123,7 +123,8 @@ def _fit(
     if source is not None and source.sync_events:
         found = fit_pairs(*np.array(source.sync_events).T)
     elif source is not None and source.sync is not None:
-        found = _by_events(entry, master, source.sync, tables)
+        sync = source.sync
+        found = fit_events(event_times(entry, sync.other, *tables), event_times(master, sync.robot, *tables))
     elif source is not None and source.sees is not None:
         found = _by_motion(entry, master, source, tables)
     if found is not None:
@@ -171,10 +172,6 @@ def _lender(
 
 def _means(path: str, log: LogCard, source: Source | None) -> bool:
     return log.shown == path or fnmatchcase(log.shown, path) or (source is not None and source.path == path)
-
-
-def _by_events(log: LogCard, robot: LogCard, sync: Sync, tables: _Tables) -> ClockFit:
-    return fit_events(event_times(log, sync.other, *tables), event_times(robot, sync.robot, *tables))
 
 
 def _by_motion(log: LogCard, robot: LogCard, source: Source, tables: _Tables) -> ClockFit:

@@ -18,10 +18,10 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.dataset.time_grid import stretches
+from cyclekit.derive.sample_file import in_order, shared_files
 from cyclekit.derive.session_end import Left, finish
 from cyclekit.derive.session_look import Look, look_at
 from cyclekit.derive.session_samples import Made, SessionToSample, samples_of
-from cyclekit.derive.sharing import in_order, shared_files
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
 from cyclekit.people.silence import absences
@@ -31,8 +31,7 @@ from cyclekit.scaling.response import MOST, SafetyResponse, read_dynamics
 from cyclekit.segmentation.arrivals import Stands, stands_of
 from cyclekit.segmentation.dwell import Dwell, usual_dwells
 from cyclekit.segmentation.executions import Execution, find_executions, find_visits
-from cyclekit.segmentation.places import find_places
-from cyclekit.segmentation.turning_points import with_turns
+from cyclekit.segmentation.places import find_places, with_turns
 from cyclekit.storage.parquet import forget, keeping
 
 if TYPE_CHECKING:
@@ -44,10 +43,10 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import LogGroup, Session
     from cyclekit.dataset.signals import Read, Stored
+    from cyclekit.schema import Progress
     from cyclekit.segmentation.motion import Run
     from cyclekit.segmentation.standstills import Stop
 
-    Progress = Callable[[float, str], None]
 
 __all__ = ["Derived", "derive"]
 

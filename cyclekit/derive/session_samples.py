@@ -16,8 +16,7 @@ from msgspec.structs import replace
 from cyclekit import schema
 from cyclekit.dataset.cards import ExecutionCard, RecordingCard
 from cyclekit.dataset.sessions import WITHOUT_PLACES, Session
-from cyclekit.derive.sample_file import AT_ONCE, write_samples
-from cyclekit.derive.sample_rows import Coded, SampleRows, in_frames
+from cyclekit.derive.sample_file import AT_ONCE, Coded, SampleRows, in_frames, write_samples
 from cyclekit.derive.task_lists import listed_in, operator_rows
 from cyclekit.errors import EstimateError
 from cyclekit.people.activity import Seen, Stays, Watch

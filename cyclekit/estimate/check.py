@@ -117,10 +117,6 @@ class Check:
         return max(0.0, 1.0 - self.own_error**2 / max(self.own_bias**2, 1e-12))
 
     @property
-    def _own_doubted(self) -> bool:
-        return self.biased(OWN_BIAS)
-
-    @property
     def _reacts(self) -> bool:
         return abs(self.reacts_z) > REACTS_Z
 
@@ -149,7 +145,7 @@ class Check:
         found = []
         if self.executions < FEW_EXECUTIONS:
             found.append(f"{self.executions} logged executions are too few for reliable quantiles")
-        if self._own_doubted:
+        if self.biased(OWN_BIAS):
             found.append(f"backtest with their own operator tracks: bias {self.own_bias:+.1%}")
         if self._reacts:
             found.append(

@@ -18,15 +18,14 @@ from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate.cycles import MANY, cycles_of
 from cyclekit.estimate.entry import LEAST_SUPPORT, entry_of
 from cyclekit.estimate.estimators import ESTIMATORS
-from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs
-from cyclekit.estimate.means import history_of, means_of
+from cyclekit.estimate.history import history_of, means_of
+from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs, refuse_biased, validated
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.question import Altered, Question
 from cyclekit.estimate.resample import TOGETHER, means_below, resampled
 from cyclekit.estimate.same_work import by_work
 from cyclekit.estimate.tracks import OperatorTracks
-from cyclekit.estimate.validate import refuse_biased, validated
 from cyclekit.estimate.walk import Rolled, roll_out
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.learning.out_of_core import in_memory
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
-    from cyclekit.schema import Floats, Vector
+    from cyclekit.schema import Floats, Progress, Vector
 
     _Refuse = Callable[[TaskSequence, EstimateError], None]
 
@@ -63,7 +62,7 @@ def estimate(
     altered: Altered | None = None,
     engine: Engine = LOCAL,
     refused: Callable[[TaskSequence, EstimateError], None] | None = None,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[CycleEstimate]:
     """Return the expected cycle time of each sequence: those of the same work together, shortest first.
 
@@ -171,7 +170,7 @@ def _laid_out(
 
 
 def _answered(
-    ask: Question, programs: Mapping[TaskSequence, Program], tell: Callable[[float, str], None], refuse: _Refuse
+    ask: Question, programs: Mapping[TaskSequence, Program], tell: Progress, refuse: _Refuse
 ) -> tuple[list[TaskSequence], list[Rolled], OperatorTracks | None]:
     """Return the sequences that can be answered, the cycles of each, and the tracks they rest on (None: on none).
 

@@ -20,11 +20,11 @@ from cyclekit.estimate.safety import SafetyModel, scaling_of
 from cyclekit.estimate.walk import Rolled
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.tracks import OperatorTracks
-    from cyclekit.schema import Floats, Ints, Singles
+    from cyclekit.schema import Floats, Ints, Progress, Singles
 
 PATH_S = 0.1
 """Nominal time between the points of a motion at which s is looked up."""
@@ -120,11 +120,7 @@ class TransitTable:
 
 
 def transit_table(
-    model: SafetyModel,
-    tasks: Mapping[str, NominalTask],
-    tracks: OperatorTracks,
-    *,
-    progress: Callable[[float, str], None] | None = None,
+    model: SafetyModel, tasks: Mapping[str, NominalTask], tracks: OperatorTracks, *, progress: Progress | None = None
 ) -> TransitTable:
     """Walk every task of `tasks` from every start of every track.
 

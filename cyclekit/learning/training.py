@@ -59,8 +59,8 @@ if TYPE_CHECKING:
 
     from cyclekit.learning.networks.fitting import Fitted
     from cyclekit.learning.networks.spec import ModelSpec
+    from cyclekit.schema import Progress
 
-    Progress = Callable[[float, str], None]
 
 LEAST_S = 10.0
 """Less log than this teaches nothing."""

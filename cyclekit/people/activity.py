@@ -135,10 +135,10 @@ class Watch:
             t_s: Times of its samples, shape (T,).
             tcp_m: The TCP there, shape (T, 3), NaN = unknown.
         """
-        found = [_seen_by(log, t_s, self._cell) for log in self._logs]
+        bridge_s, width_s = self._cell.bridge_s, 1.0 / self._cell.rate_hz
+        found = [gap_reasons(log.tracks, t_s, log.recording.span_s, bridge_s=bridge_s) for log in self._logs]
         for counts, reasons in zip(self._counts, found, strict=True):
             counts += np.bincount(reasons, minlength=len(REASONS))
-        bridge_s, width_s = self._cell.bridge_s, 1.0 / self._cell.rate_hz
         human_m = nearest_person(self._tracks, t_s, tcp_m, bridge_s=bridge_s, width_s=width_s)
         goals = goals_from_events(*self._events, t_s) if len(self._events[0]) else []
         spans = find_stays(t_s, human_m)
@@ -277,11 +277,6 @@ def _rows_of_each(numbers: Ints) -> list[Ints]:
     order = np.argsort(numbers, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1) if len(order) else []
     return sorted((rows for rows in parts if numbers[rows[0]] >= 0), key=lambda rows: int(rows[0]))
-
-
-def _seen_by(log: _Log, times: Vector, cell: Cell) -> NDArray[np.int8]:
-    """Return whether the recording saw somebody at each sample, and why not."""
-    return gap_reasons(log.tracks, times, log.recording.span_s, bridge_s=cell.bridge_s)
 
 
 def _why_unseen(human_m: Points, reasons: NDArray[np.int8]) -> list[str | None]:

@@ -197,13 +197,6 @@ def half_window(period_s: float) -> int:
     return max(1, round(SPEED_WINDOW_S / 2 / period_s))
 
 
-def tcp_speed(t_s: Vector, xyz_m: Points) -> Vector:
-    """Return the TCP speed, m/s, shape (T,), as the slope of the position over SPEED_WINDOW_S around each row."""
-    if len(t_s) < 3:
-        return np.zeros(len(t_s))
-    return slope(t_s, xyz_m, half_window(float(np.median(np.diff(t_s)))))
-
-
 def lengths(ways_m: Points) -> Vector:
     """Return the lengths of vectors, shape (N, D); as numpy's norm, without its overhead."""
     return np.asarray(np.sqrt(np.add.reduce(ways_m * ways_m, axis=1)))

@@ -3,6 +3,9 @@
 A place is a spot where the robot stands although it was allowed to move; where the scaling is not logged, a spot that
 the robot never passes without standing. Motion is asked first; signals (an output, a register, an event) that change
 while the robot stands at places found so, and hardly ever else, tell of places that motion does not show.
+
+A robot that moves on without a dwell stops at each position for a row or two of its log at most. Where it rests at one
+place at most, these turning points divide its motion (`with_turns`).
 """
 
 from __future__ import annotations
@@ -13,7 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.dataset import Place
-from cyclekit.segmentation.motion import pieces
+from cyclekit.segmentation.motion import RobotRun, pieces
+from cyclekit.segmentation.standstills import Stop
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,7 +25,6 @@ if TYPE_CHECKING:
     from cyclekit.config import NamedPlace
     from cyclekit.schema import Ints, Points, Vector
     from cyclekit.segmentation.motion import Run
-    from cyclekit.segmentation.standstills import Stop
 
 
 MERGE_M = 0.01
@@ -216,3 +219,45 @@ def _packed(index: Ints) -> Ints:
     """Return one number for each cube (..., 3), shape (...)."""
     index = index + (1 << 20)
     return np.asarray((index[..., 0] << 42) + (index[..., 1] << 21) + index[..., 2])
+
+
+SLOW = 0.1
+"""At a turn the robot is slower than this fraction of its usual speed."""
+APART_S = 0.5
+"""Of slow rows nearer than this to each other the slowest is the turn."""
+
+
+def with_turns(runs: Sequence[Run], stops: Sequence[Stop]) -> list[Stop]:
+    """Return the stops, and the turns of runs that turn or stand at a spot more than once, in order.
+
+    Args:
+        runs: All runs.
+        stops: Their standstills.
+    """
+    turns = [
+        Stop(number, row, row, xyz, free=True)
+        for number, run in enumerate(runs)
+        for begin, part in pieces(run)
+        for row, xyz in _turns(begin, part)
+    ]
+    both = [*stops, *turns]
+    xyz = np.array([stop.xyz_m for stop in both]).reshape(-1, 3)
+    again = {i for group in cluster(xyz, np.arange(len(both)), MERGE_M) if len(group) > 1 for i in group.tolist()}
+    kept = [stop for i, stop in enumerate(both) if i < len(stops) or i in again]
+    return sorted(kept, key=lambda stop: (stop.run, stop.first))
+
+
+def _turns(begin: int, part: RobotRun) -> list[tuple[int, tuple[float, float, float]]]:
+    """Return the rows at which speed falls nearly to zero and rises again at once, and where."""
+    speed = part.speed_m_s
+    usual = float(np.nanquantile(speed, 0.9)) if np.isfinite(speed).any() else 0.0
+    slow = np.flatnonzero(speed < SLOW * usual)
+    groups = np.split(slow, np.flatnonzero(np.diff(part.t_s[slow]) > APART_S) + 1) if len(slow) else []
+    found = []
+    for rows in groups:
+        if rows[0] == 0 or rows[-1] == part.rows - 1 or part.t_s[rows[-1]] - part.t_s[rows[0]] > APART_S:
+            continue  # it stood: that is no turn
+        row = int(rows[int(speed[rows].argmin())])
+        x, y, z = (float(value) for value in part.xyz_m[row])
+        found.append((begin + row, (x, y, z)))
+    return found

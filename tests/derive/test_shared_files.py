@@ -15,7 +15,7 @@ from polars.testing import assert_frame_equal
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.dataset.sessions import Session
 from cyclekit.derive import sharing
-from cyclekit.derive.sharing import MOST_SESSIONS, SHORT, shared_files
+from cyclekit.derive.sample_file import MOST_SESSIONS, SHORT, shared_files
 from cyclekit.ingest.ingest import ingest
 from cyclekit.parallel.engine import Engine
 

@@ -47,4 +47,4 @@ def test_a_card_without_the_error_of_the_mean_is_judged_by_its_levels_alone():
 def test_what_every_execution_served_for_is_told():
     split = SplitCard(train=("e",) * 29, validation=("e",) * 3, test=("e",) * 8)
     told = summary(TrainingCard(network="classifier", problem="now", levels=(), split=split, metrics=errors(0.1, 8e-4)))
-    assert "40 executions: 29 to learn from, 3 to choose the epoch by, 8 held out" in told
+    assert "40 executions: 29 for training, 3 for validation, 8 held out" in told

@@ -10,8 +10,7 @@ from fabricated import fabricate_dataset
 
 from cyclekit.cli import run
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.estimators import ESTIMATORS, Estimator
-from cyclekit.estimate.rivals import by_nominal
+from cyclekit.estimate.estimators import ESTIMATORS, Estimator, by_nominal
 from cyclekit.learning.labelling import staircase_of
 from cyclekit.learning.networks.kinds import NETWORKS, Inputs, Network
 from cyclekit.learning.networks.saved import load_model, save_model

@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tcp_speed import tcp_speed
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
@@ -23,7 +24,6 @@ from cyclekit.segmentation.motion import (
     RobotRun,
     pieces,
     sampled,
-    tcp_speed,
 )
 from cyclekit.segmentation.stored_run import runs_of
 from cyclekit.storage import parquet as tables

@@ -9,10 +9,11 @@ import polars as pl
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from tcp_speed import tcp_speed
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
-from cyclekit.segmentation.motion import RobotRun, tcp_speed
+from cyclekit.segmentation.motion import RobotRun
 from cyclekit.segmentation.standstills import find_stops
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from cyclekit.estimate.transit import TransitTable
-    from cyclekit.schema import Floats, Ints
+    from cyclekit.schema import Floats, Ints, Progress
 
     Order = tuple[str, ...]
 
@@ -83,9 +83,7 @@ class Scorer:
             return np.asarray(means + np.nan_to_num(found.std(axis=1)) / self._executions**0.5)
 
 
-def best_order(
-    scorer: Scorer, *, seed: int = 0, progress: Callable[[float, str], None] | None = None
-) -> tuple[Order, str, int]:
+def best_order(scorer: Scorer, *, seed: int = 0, progress: Progress | None = None) -> tuple[Order, str, int]:
     """Return the best order found, how it was searched for (`all orders` or `search`), and how many were scored."""
     tell = progress or (lambda fraction, text: None)
     jobs = scorer.jobs

@@ -29,9 +29,11 @@ from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     import polars as pl
+
+    from cyclekit.schema import Progress
 
 
 __all__ = ["ErrorRow", "Evaluation", "LevelRow", "evaluate", "evaluate_at"]
@@ -138,7 +140,7 @@ def evaluate(
     *,
     boosting: bool = True,
     other_cell: bool = False,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Evaluation:
     """Judge `model` on the executions of `dataset` that it never saw.
 
@@ -212,7 +214,7 @@ def evaluate_at(
     trained_on: str | None = None,
     other_cell: bool = False,
     boosting: bool = True,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Evaluation:
     """Judge the model of one place, as a task of an engine; where `trained_on` is given, also what has changed since.
 

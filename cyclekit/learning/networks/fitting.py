@@ -18,21 +18,20 @@ from torch import nn
 
 from cyclekit.dataset.cards import EpochCard
 from cyclekit.errors import ConfigError
-from cyclekit.learning.networks.calibration import best_temperature
 from cyclekit.learning.networks.folding import fold
+from cyclekit.learning.networks.metrics import best_temperature
 from cyclekit.learning.networks.network import Forecasting, build
 from cyclekit.learning.networks.optimiser import Steps
 from cyclekit.learning.networks.rows import DISTANCE_1_M, DISTANCE_M, TrainingRows, rows_on, standardisation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from cyclekit.learning.networks.spec import ModelSpec
     from cyclekit.learning.networks.weights import Weights
     from cyclekit.learning.windows import Samples
-    from cyclekit.schema import Floats
+    from cyclekit.schema import Floats, Progress
 
-    Progress = Callable[[float, str], None]
 
 _BLOCK = 16_384
 _STEPS, _EPOCHS = 12_000, (8, 100)

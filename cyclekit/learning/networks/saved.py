@@ -23,8 +23,7 @@ from cyclekit.dataset.cards import BadCard, TrainingCard, model_card, plain, rea
 from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.learning.networks.kinds import names_levels
-from cyclekit.learning.networks.layout import NotAModel, check_layout
-from cyclekit.learning.networks.tensors import parse_weights, sizes_of, to_safetensors
+from cyclekit.learning.networks.tensors import NotAModel, check_layout, parse_weights, sizes_of, to_safetensors
 from cyclekit.learning.windows import GROUPS, INPUTS
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.storage.atomic import recover, staged

@@ -27,7 +27,6 @@ from cyclekit.scaling.levels.clusters import (
     rounded,
     usual_eps,
 )
-from cyclekit.scaling.levels.doubts import doubts
 from cyclekit.scaling.levels.kmeans import by_silhouette, condense
 from cyclekit.scaling.levels.labels import label_in_time, unbroken
 from cyclekit.scaling.levels.plateaus import Plateaus, find_plateaus
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from cyclekit.schema import Floats, Ints
+    from cyclekit.schema import Floats, Ints, Vector
 
 LEAST_HELD_S = 1.0
 """Minimum time for which a level is held, all plateaus together; short, so that a rare level survives."""
@@ -164,3 +163,50 @@ def _finish(values: Floats, stretch: Ints, plateaus: Plateaus, found: Cluster, s
         each = ", ".join(f"{value:.2f}" for value in np.unique(np.round(slider[np.isfinite(slider)], 2))[:8])
         said.append(note("levels-with-slider", sliders=each))
     return Staircase(levels, labels, share, tuple(said), found.value, slider, plateaus.noise, stairs)
+
+
+_MANY_LEVELS = 12
+"""More levels than any safety configuration offers: then the values are not a staircase."""
+_WIDE = 6.0
+"""A cluster whose middle 90 % spread over more than this many eps is not a single level."""
+_MUCH_UNKNOWN = 0.2
+_LITTLE_HELD = 0.5
+_MUCH_NOISE = 0.15
+
+
+def doubts(
+    levels: Vector, share: Vector, spread: Vector, *, known: int, held: float, noise: float
+) -> tuple[list[Note], bool]:
+    """Say what speaks against a staircase.
+
+    Args:
+        levels: Shape (P,), ascending.
+        share: Part of the known samples on each, shape (P,).
+        spread: Width of each cluster in eps, shape (P,).
+        known: Samples whose scaling is known.
+        held: Part of them that lies on plateaus.
+        noise: Standard deviation of one sample.
+
+    Returns:
+        The reasons, and whether it is a staircase nevertheless.
+    """
+    if known == 0:
+        return [note("scaling-nowhere")], False
+    if levels.size == 0 or noise > _MUCH_NOISE:
+        return [note("levels-none")], False
+    said, stairs = [], True
+    if levels.size == 1:
+        said.append(note("levels-one", level=float(levels[0])))
+    if levels.size > _MANY_LEVELS:
+        said.append(note("levels-many", levels=int(levels.size)))
+        stairs = False
+    wide = [f"{value:.2f}" for value, width in zip(levels, spread, strict=True) if width > _WIDE]
+    if wide:
+        said.append(note("levels-wide", values=", ".join(wide)))
+        stairs = False
+    if (unknown := 1 - float(share.sum())) > _MUCH_UNKNOWN:
+        said.append(note("levels-left", unknown=unknown))
+    if held < _LITTLE_HELD and stairs:
+        said.append(note("levels-not-held", held=held))
+        stairs = False
+    return said, stairs

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 FINE_S = 0.01
-"""Clocks are told from robot rows this far apart: twice as dense as the grid that speeds are compared on."""
+"""Clocks are aligned by robot rows this far apart: twice as dense as the grid that speeds are compared on."""
 _TCP = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
 START_GOOD_TO_S = 1.0
 LATE_S = 0.1

@@ -1,10 +1,9 @@
 """From recordings to samples and tasks: one clock, one base frame, executions, goals, scaling.
 
-Everything here can be computed again from the recordings, without the vendor files. Reading those is the business of
-`ingest`, finding places and executions that of `places` and `segment`. What concerns one session is done session by
-session, on as many cores as the engine has (`look`, `sample`, `finish`), and what is large stays in files; between
-these passes what only all sessions tell is found here: places, executions, references of the speed, usual dwells,
-levels.
+Everything here can be computed again from the recordings, without the vendor files. Reading those is done in
+`ingest`, finding places and executions in `segmentation`. What concerns one session is done session by session, on as
+many cores as the engine has (`session_look`, `session_samples`, `session_end`), and large tables stay in files. Between
+these passes is found what takes all sessions: places, executions, references of the speed, usual dwells, levels.
 """
 
 from __future__ import annotations
@@ -44,8 +43,8 @@ if TYPE_CHECKING:
     from cyclekit.dataset.sessions import LogGroup, Session
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.schema import Progress
-    from cyclekit.segmentation.motion import Run
     from cyclekit.segmentation.standstills import Stop
+    from cyclekit.segmentation.stored_run import Run
 
 
 __all__ = ["Derived", "derive"]
@@ -273,7 +272,7 @@ def _is_much(groups: Sequence[LogGroup]) -> bool:
 
 
 class _Passes:
-    """Functions over all sessions: shared out by the engine, results in order, the fraction done told."""
+    """Runs functions over all sessions on the engine: results in order, progress reported."""
 
     def __init__(self, engine: Engine, progress: Progress) -> None:
         self.engine, self.progress = engine, progress

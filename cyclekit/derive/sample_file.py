@@ -28,9 +28,9 @@ Item = TypeVar("Item")
 AT_ONCE = 1 << 14
 """Samples that become a table at once; a sample has four times the bytes there that its numbers have."""
 FEW_SESSIONS = 50
-"""In datasets of up to so many, each session has a file of its own."""
+"""Up to this many sessions, each has a file of its own."""
 MOST_SESSIONS = 200
-"""Of one file: so many are made at once by a worker, and made again where one is lost."""
+"""Maximum of one file: a worker makes them together, and again after a crash."""
 SHORT = AT_ONCE // 8
 """A session of more samples has a file of its own."""
 
@@ -115,7 +115,7 @@ class SampleRows:
 
 
 def in_frames(rows: Iterator[SampleRows], most: int) -> Iterator[pl.DataFrame]:
-    """Yield frames with exactly the columns of table SAMPLES, of at most so many rows if no rows come as more."""
+    """Yield frames with the columns of table SAMPLES, of at most `most` rows (more only where one part has more)."""
     waiting, count = list[SampleRows](), 0
     for some in rows:
         if waiting and count + some.count > most:

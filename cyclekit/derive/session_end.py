@@ -14,7 +14,7 @@ from cyclekit.derive.sample_file import AT_ONCE, write_samples
 from cyclekit.people.activity import Stays, with_goals
 from cyclekit.people.tracks import goals_from_stays
 from cyclekit.scaling.response import Changes, LevelChange, changes_of
-from cyclekit.segmentation.motion import pieces
+from cyclekit.segmentation.stored_run import Run, pieces
 from cyclekit.storage.parquet import parts_of
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Place
     from cyclekit.people.silence import Absence
     from cyclekit.schema import Vector
-    from cyclekit.segmentation.motion import Run
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,7 @@ def _goals(left: Left, spots: Mapping[str, Place]) -> list[str | None]:
 
 
 def _with_absence(samples: pl.DataFrame, until_s: Vector, from_s: Vector) -> pl.DataFrame:
-    """Return samples in which nobody is there where a tracker's silence says so; it was taken not to be running.
+    """Return samples with the operator marked absent where a tracker's silence proves it; before, it counted as off.
 
     Args:
         samples: N of them.

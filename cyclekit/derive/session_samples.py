@@ -20,7 +20,7 @@ from cyclekit.derive.sample_file import AT_ONCE, Coded, SampleRows, in_frames, w
 from cyclekit.derive.task_lists import listed_in, operator_rows
 from cyclekit.errors import EstimateError
 from cyclekit.people.activity import Seen, Stays, Watch
-from cyclekit.segmentation.motion import Sampled, sampled
+from cyclekit.segmentation.stored_run import Run, Sampled, sampled
 from cyclekit.segmentation.time_account import Leg, account
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from cyclekit.segmentation.arrivals import Stands
     from cyclekit.segmentation.dwell import Dwell
     from cyclekit.segmentation.executions import Execution
-    from cyclekit.segmentation.motion import Run
 
 
 _MOST_SAMPLES = 10_000_000

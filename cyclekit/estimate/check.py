@@ -41,7 +41,7 @@ MOST = 200
 """Logged executions that are rolled out at most, evenly chosen: whoever asks, a number is corrected by the same ones.
 How many of them lie in their intervals is then known to two percent points."""
 ENOUGH = 1.25
-"""Tracks are so many times as long as the longest logged execution, and longer only where a cycle does not end."""
+"""Tracks are this many times as long as the longest logged execution; longer only where a cycle does not end."""
 LEAST = 3
 """From fewer executions no standard error of the bias can be told, so nothing is corrected."""
 FEW_EXECUTIONS = 10
@@ -236,7 +236,7 @@ def _late(own_s: Vector, at_once_s: Vector) -> float:
 
 
 def _some(sequences: list[TaskSequence], most: int | None) -> list[TaskSequence]:
-    """Return at most so many of them, evenly chosen."""
+    """Return at most `most` of them, evenly chosen."""
     if most is None or len(sequences) <= most:
         return sequences
     return [sequences[i] for i in np.linspace(0, len(sequences) - 1, most).astype(int)]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cyclekit.schema import Progress
 
 MANY = 50
-"""More sequences than this are looked up in the table of arrivals; so many of the best are walked."""
+"""More sequences than this are looked up in the table of arrivals; above this, only the best MANY are simulated."""
 
 
 def cycles_of(

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from cyclekit.config.sequences import TaskSequence
-    from cyclekit.estimate.history import Combined, Means
+    from cyclekit.estimate.history import Combined
+    from cyclekit.estimate.means import Means
     from cyclekit.estimate.program import Program
     from cyclekit.estimate.question import Question
     from cyclekit.estimate.tracks import OperatorTracks

@@ -104,7 +104,7 @@ def _move(model: TrainedModel, task: NominalTask, tracks: OperatorTracks, start_
 def _mean_scaling(
     model: TrainedModel, robot_m: Floats, goal_m: Floats, tracks: OperatorTracks, rows: Ints, time_s: Vector
 ) -> Vector:
-    """Return the mean scaling over the horizon (N,); where the operator or his goal is unknown, what the logs show."""
+    """Return the mean scaling over the horizon (N,); for an unknown operator or goal, the logged one."""
     at = _sample(tracks, time_s)
     human = in_plane(robot_m, tracks.xyz_m[rows, at])
     bound_for = np.full_like(human, np.nan) if tracks.goal_m is None else tracks.goal_m[rows, at]

@@ -1,6 +1,6 @@
 """The program of a sequence: its motions and stands laid out along nominal time.
 
-How fast that time advances with an operator in the cell is the business of `rollout`.
+`rollout` computes how fast that time advances with an operator in the cell.
 """
 
 from __future__ import annotations

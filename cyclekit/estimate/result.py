@@ -1,6 +1,6 @@
 """What an estimate says: cycle time per sequence with its distribution and its split.
 
-Only data and its JSON form; how the numbers come about is the business of `rollout`.
+Only data and its JSON form; `rollout` computes the numbers.
 """
 
 from __future__ import annotations

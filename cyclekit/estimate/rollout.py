@@ -18,8 +18,8 @@ from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate.cycles import MANY, cycles_of
 from cyclekit.estimate.entry import LEAST_SUPPORT, entry_of
 from cyclekit.estimate.estimators import ESTIMATORS
-from cyclekit.estimate.history import history_of, means_of
 from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs, refuse_biased, validated
+from cyclekit.estimate.means import history_of, means_of
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.question import Altered, Question

@@ -109,7 +109,7 @@ class Dynamics:
 
 
 def scaling_of(model: SafetyModel, robot_m: Floats, human_m: Floats) -> Vector:
-    """Return s of each pair of positions, shape (N, 3) both; where nobody is seen, what the logs showed then.
+    """Return s of each pair of positions, shape (N, 3) both; without an operator, what the logs showed then.
 
     Of somebody whose height is unknown (NaN) it is that of the distance in the plane.
     """
@@ -143,7 +143,7 @@ def around(robot_m: Floats, human_m: Floats, by_m: float) -> list[Floats]:
 
 
 def _asked(model: SafetyModel, robot_m: Floats, human_m: Floats) -> tuple[Vector, Singles, Ints | slice]:
-    """Return s where nobody is seen (N,), the inputs of the other pairs (M, 6), and which those are."""
+    """Return s without an operator (N,), the inputs of the pairs with one (M, 6), and their rows."""
     without = model.card.scaling_without_operator
     scaling = np.full(len(robot_m), 1.0 if without is None else without)
     inputs = np.empty((len(robot_m), 6), dtype=np.float32)

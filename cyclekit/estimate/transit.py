@@ -143,7 +143,7 @@ def _every(step_s: float) -> int:
 
 
 def _human_cells(tracks: OperatorTracks) -> tuple[Ints, Floats]:
-    """Return the cell of every sample (K, T) and the mean position in each cell (C, 3); one of NaN is for nobody.
+    """Return the cell of every sample (K, T) and the mean position in each cell (C, 3); the last is NaN: no operator.
 
     Where heights are unknown the cells are those of the floor, and theirs is unknown too.
     """

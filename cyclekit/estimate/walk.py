@@ -296,7 +296,7 @@ class _People:
         self._step_s = tracks.step_s
 
     def at(self, t_s: float) -> tuple[Floats, Ints, int]:
-        """Return where each operator is (K, 3), what he does (K,), and the sample before."""
+        """Return the position of each operator (K, 3), the activity (K,), and the sample before."""
         sample = int(t_s / self._step_s + 1e-9)
         weight = t_s / self._step_s - sample
         here, after = self._xyz_m[sample], self._xyz_m[sample + 1]

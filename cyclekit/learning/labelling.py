@@ -1,7 +1,7 @@
 """Self-labelling of a dataset: its speed scaling in unbroken stretches of time, and the staircase in it.
 
-How levels are found in a series of values is the business of `steps`; here it is decided which values belong together
-in time (one execution, no gap) and whether the cell file has fixed the levels.
+`scaling.levels` finds levels in a series of values; here it is decided which values belong together in time (one
+execution, no gap) and whether the cell file has fixed the levels.
 """
 
 from __future__ import annotations

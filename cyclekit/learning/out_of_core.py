@@ -52,7 +52,7 @@ def rows_of(dataset: Dataset) -> int:
 
 
 def some_executions(dataset: Dataset, names: Sequence[str], rows: int, *, seed: int = 0) -> tuple[str, ...]:
-    """Return executions drawn at random until they have about so many samples, in the given order.
+    """Return executions drawn at random until they have about `rows` samples, in the given order.
 
     Args:
         dataset: Whose executions.

@@ -44,7 +44,7 @@ INPUTS: Mapping[str, tuple[str, ...]] = {
 }
 """Input columns of every problem, in the order of the columns of X."""
 GROUPS: Mapping[str, slice] = {"human": slice(3, 6), "robot_goal": slice(6, 9), "human_goal": slice(9, 12)}
-"""Columns of X that may be unknown together: an operator who is not there, a goal that nobody has said."""
+"""Columns of X that may be unknown together: an absent operator, a goal that was not logged."""
 _MODEL_ERROR = 0.05
 """Error of a prediction against which the uncertainty of an inferred scaling is weighed."""
 
@@ -253,7 +253,7 @@ def nobody_there() -> pl.Expr:
 
 
 def scaling_without_operator(frame: pl.DataFrame) -> float | None:
-    """Return the scaling that holds while nobody is there (median), None where the logs never show it.
+    """Return the median scaling without an operator; None where the logs never show it.
 
     The networks need a position of the operator; this is what holds when there is none.
     """

@@ -49,7 +49,7 @@ class Done(Generic[Item, Result]):
 def in_chunks(count: int, workers: int) -> list[list[int]]:
     """Return the numbers 0 ... count - 1 in the parts that are handed to a worker at once.
 
-    One by one, unless there are so many that handing out would cost more than it shares evenly.
+    One at a time, unless there are so many that the messages would cost more than an even load saves.
     """
     size = max(1, min(_MOST_AT_ONCE, count // (8 * workers)))
     return [list(range(first, min(first + size, count))) for first in range(0, count, size)]

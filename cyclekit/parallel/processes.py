@@ -82,7 +82,7 @@ class _Worker:
             return None
 
     def end(self) -> list[int]:
-        """End the process, whatever it does; return the items that it leaves."""
+        """Terminate the process; return the items that it had not done."""
         self.process.terminate()
         self.process.join()
         self.pipe.close()
@@ -96,7 +96,7 @@ def _with_news(workers: Sequence[_Worker]) -> list[_Worker]:
 
 
 def _serve(pipe: Connection, function: bytes) -> None:
-    """Answer item by item what comes through the pipe, until nobody is at its other end."""
+    """Work on the items that come through the pipe, one by one, until its other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interruption is the parent's to handle, who ends its workers
     _end_with_parent()
     with suppress(EOFError, OSError):
@@ -106,7 +106,7 @@ def _serve(pipe: Connection, function: bytes) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent was killed; else it would write where nobody asked any more."""
+    """End this worker when its parent was killed; else it would go on writing files."""
     parent = parent_process()
 
     def watch() -> None:

@@ -282,5 +282,5 @@ def _rows_of_each(numbers: Ints) -> list[Ints]:
 def _why_unseen(human_m: Points, reasons: NDArray[np.int8]) -> list[str | None]:
     """Return why x_h is unknown at each sample; None where it is known."""
     unseen = np.isnan(human_m[:, 0])
-    least = np.maximum(reasons, REASONS.index("occluded"))  # a position that is not believed was hidden
+    least = np.maximum(reasons, REASONS.index("occluded"))  # an implausible position counts as occluded
     return [REASONS[reason] if hidden else None for reason, hidden in zip(least, unseen, strict=True)]

@@ -70,7 +70,7 @@ class Absence:
 
 
 def absences(sessions: Sequence[Sequence[Silence]]) -> list[Absence]:
-    """Return for each session when it is known, by its logs' silence, that nobody was there.
+    """Return for each session when its logs' silence proves that no operator was present.
 
     Args:
         sessions: Of each session its logs of people.
@@ -95,7 +95,7 @@ def _of_session(logs: Sequence[Silence], beside_m: Points, *, writes_nothing: bo
 
 
 def _end(log: Silence, t_s: float, at_m: Vector, beside_m: Points, *, believed: bool) -> float | None:
-    """Return the time beyond which this log's silence says that nobody is there; None where it says nothing."""
+    """Return the time beyond which this log's silence means that no operator is present; None if it means nothing."""
     if log.told is not None:
         return t_s if log.told == "absent" else None
     if not believed:

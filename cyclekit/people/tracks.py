@@ -88,7 +88,7 @@ def at_times(track: PersonTrack, t_s: Vector, *, bridge_s: float, width_s: float
         return np.where(t_s[:, None] == t, xyz, np.nan) if len(t) else np.full((len(t_s), 3), np.nan)
     right = np.clip(np.searchsorted(t, t_s), 1, len(t) - 1)
     inside = (t_s >= t[0]) & (t_s <= t[-1]) & (t[right] - t[right - 1] <= limit)
-    inside |= (t[right] == t_s) | (t[right - 1] == t_s)  # just then it was seen, whatever was before
+    inside |= (t[right] == t_s) | (t[right - 1] == t_s)  # seen at exactly this time
     breaks = np.flatnonzero(np.diff(t) > limit)
     begins, ends = t[np.concatenate([[0], breaks + 1])], t[np.concatenate([breaks, [len(t) - 1]])]
     stretch = np.clip(np.searchsorted(begins, t_s, side="right") - 1, 0, None)
@@ -212,7 +212,7 @@ def _jumps(track: PersonTrack, rows: Ints) -> Ints:
 def gap_reasons(
     tracks: Sequence[PersonTrack], t_s: Vector, span_s: tuple[float, float], *, bridge_s: float
 ) -> NDArray[np.int8]:
-    """Tell of each time whether somebody is seen, and why nobody is; shape (N,), indices into REASONS.
+    """Return for each time whether an operator is seen, or why not; shape (N,), indices into REASONS.
 
     Args:
         tracks: All that one log saw.
@@ -270,7 +270,7 @@ def find_stays(t_s: Vector, human_m: Points) -> list[tuple[int, int]]:
     if len(t_s) < 3:
         return []
     speed = np.linalg.norm(np.gradient(human_m[:, :2], t_s, axis=0), axis=1)
-    still = speed < STAY_M_S  # NaN compares false: nobody seen is no stay
+    still = speed < STAY_M_S  # NaN compares false: an unseen operator does not stay
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     spans = [(a, b - 1) for a, b in edges.reshape(-1, 2).tolist()]
     return [(a, b) for a, b in spans if t_s[b] - t_s[a] >= STAY_S]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cyclekit.parallel.engine import Engine
     from cyclekit.schema import Progress
     from cyclekit.segmentation.executions import Execution
-    from cyclekit.segmentation.motion import Run
+    from cyclekit.segmentation.stored_run import Run
 
 LEAVING_S = 2.0
 """How soon after a departure the scaling must be known to say whether the robot left slowed."""
@@ -39,7 +39,7 @@ def with_scaling(
     progress: Progress,
     engine: Engine,
 ) -> tuple[list[Run], list[Note]]:
-    """Return the runs, with the scaling inferred where none was logged, and what is to be said about that.
+    """Return the runs, with the scaling inferred where none was logged, and the notes on that.
 
     Args:
         runs: All runs.

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Place
     from cyclekit.schema import Bools, Ints, Points, Vector
     from cyclekit.segmentation.executions import Execution, Visit
-    from cyclekit.segmentation.motion import Run
+    from cyclekit.segmentation.stored_run import Run
 
 
 BEYOND_S = 1.0
@@ -35,7 +35,7 @@ STILL_S = 0.1
 REST_S = 0.2
 """A robot that is at a place for this time rests there, even if it stands longer elsewhere."""
 SEEN = 64.0
-"""The beginning of a motion is followed from the shortest way that is seen to so many times that."""
+"""The beginning of a motion is fitted from the shortest visible distance up to this many times that."""
 SLOW = 0.05
 """At a lower scaling the distance does not show how a motion began."""
 BLOCKED = 1e-6
@@ -206,7 +206,7 @@ def _averaged(xyz_m: Points, rows: int) -> Points:
 def _rest(xyz_m: Points, scaling: Vector, place_m: Vector, reach: float, enough: int) -> Vector:
     """Return where a robot rests that may have been halted on its way there, or when it had just left.
 
-    That is at the place, if so many rows as are `enough` are there; else where it is most of the time.
+    That is at the place, if at least `enough` rows are there; else where it is most of the time.
     """
     free = ~(scaling <= BLOCKED)  # unknown counts as free
     among = xyz_m[free] if free.any() else xyz_m

@@ -1,6 +1,6 @@
 """What the robot was doing: visits to places and executions, out of its standstills.
 
-What the slow-down costs is computed in `account`; the operator is the business of `people`.
+What the slow-down costs is computed in `account`; the operator is handled in `people`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import UnknownName
-from cyclekit.segmentation.motion import pieces
 from cyclekit.segmentation.places import MERGE_M
+from cyclekit.segmentation.stored_run import Run, pieces
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from cyclekit.config import Executions
     from cyclekit.dataset.dataset import Place
     from cyclekit.schema import Ints
-    from cyclekit.segmentation.motion import Run
     from cyclekit.segmentation.standstills import Stop
 
 

@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.dataset import Place
-from cyclekit.segmentation.motion import RobotRun, pieces
+from cyclekit.segmentation.motion import RobotRun
 from cyclekit.segmentation.standstills import Stop
+from cyclekit.segmentation.stored_run import Run, pieces
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.config import NamedPlace
     from cyclekit.schema import Ints, Points, Vector
-    from cyclekit.segmentation.motion import Run
 
 
 MERGE_M = 0.01

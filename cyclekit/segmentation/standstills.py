@@ -1,4 +1,4 @@
-"""Where and when a robot stands: its standstills, told from the noise of its own position.
+"""Standstills: where and when a robot stands, by the noise of its own position.
 
 A slow robot is looked at twice: speed says where it may stand, and how far it gets says whether it does.
 A robot program moves from place to place and stands there while the gripper works. A safety halt stands too, but
@@ -13,21 +13,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.segmentation.motion import half_window, lengths, pieces
+from cyclekit.segmentation.motion import half_window, lengths
 from cyclekit.segmentation.slow_motion import AXES, MIN_STOP_S, Stillness, quantum_of, stillness_of
+from cyclekit.segmentation.stored_run import Run, pieces
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from cyclekit.schema import Floats, Vector
-    from cyclekit.segmentation.motion import Run
 
 
 TWITCH_S, TWITCH_M = 0.1, 2e-4
 """A motion that is over within this time (or TWITCH_ROWS) and leads no farther than this is noise of the position."""
 TWITCH_ROWS = 4
 CRAWL_M_S = 3e-3
-"""A robot slower than this may stand: whether it does is told from how far it gets (see `stillness`)."""
+"""A robot slower than this may stand; how far it gets decides (see `Stillness`)."""
 APART_S = 0.5
 """Slow stretches at one spot with less between them are looked at as one: noise divides them."""
 _CRAWLS = 2_000_000  # speeds from which its noise is found

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from cyclekit.segmentation.executions import Execution
-    from cyclekit.segmentation.motion import Run
+    from cyclekit.segmentation.stored_run import Run
 
 
 @dataclass(frozen=True)

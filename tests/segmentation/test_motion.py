@@ -16,16 +16,8 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.schema import ROBOT, conform
 from cyclekit.segmentation import motion, stored_run
-from cyclekit.segmentation.motion import (
-    COLUMNS,
-    NEVER_FULL,
-    STANDING,
-    InferredScaling,
-    RobotRun,
-    pieces,
-    sampled,
-)
-from cyclekit.segmentation.stored_run import runs_of
+from cyclekit.segmentation.motion import COLUMNS, NEVER_FULL, STANDING, InferredScaling, RobotRun
+from cyclekit.segmentation.stored_run import pieces, runs_of, sampled
 from cyclekit.storage import parquet as tables
 from cyclekit.storage import parquet_layout as table_layout
 from cyclekit.storage.parquet import StoredTable, TableWriter

@@ -2,7 +2,7 @@
 
 Session time is the robot log's time, counted from its first row: t_session = rate * t_log + offset. What the logs or
 the cell file say decides; where nothing does, the recordings are taken to start together, and that is said aloud.
-Here are the mappings alone, on arrays; which one a log gets is the business of `align`.
+Here are the mappings alone, on arrays; `recording_clocks` chooses which one a log gets.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The alignment that is only ever made when asked for: operator near against robot slows.
+"""The coarse alignment, made on request only: operator near against robot slow.
 
 It looks for the lag at which the robot is slow while somebody is near, and so takes the reaction delay for part of the
 clocks' offset: what is left of the delay afterwards is noise. It is good for finding a lost offset of seconds, never

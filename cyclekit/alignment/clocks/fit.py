@@ -94,11 +94,11 @@ def fit_clock(log: ClockStart, master: ClockStart, source: Source | None, *, sam
 
 
 SHORT_S = 20.0
-"""From less no rate is told."""
+"""Minimum span of a log, s, for a rate to be fitted."""
 _SAME_S = 1e-9
-"""No clock tells stamps apart that are nearer to each other; between those there is no slope."""
+"""Stamps closer than this count as one: no clock resolves them."""
 _EXACT, _PARTS = 50_000, 4096
-"""Beyond so many stamps the hull is taken over the least delay of each of so many consecutive parts."""
+"""Above the first number of stamps, the hull is that of the least delays in the second number of parts."""
 
 
 def lower_envelope(device_s: Vector, host_s: Vector, *, max_drift: float = 1e-3) -> ClockFit:
@@ -132,7 +132,7 @@ def lower_envelope(device_s: Vector, host_s: Vector, *, max_drift: float = 1e-3)
 def follow(device_s: Vector, host_s: Vector) -> ClockFit | None:
     """Return host time as a line of device time at whatever rate the device runs; None where no line fits.
 
-    A rate at MAX_DRIFT is none: it is looked for up to MAX_RATE, and said.
+    A rate at MAX_DRIFT is no drift: then rates up to MAX_RATE are tried, and a note says so.
 
     Args:
         device_s: Stamps of the device, shape (N,), N >= 2, seconds.

@@ -2,7 +2,7 @@
 
 With two events a line is exact but unchecked, so three or more, spread over the run, are asked for. Events that only
 one log saw, or that are somewhere else in the two, are left out; a fit says how many. Which rows of a log are events is
-the business of `align`.
+a matter for `recording_clocks`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SURE_S = 0.02
 WINDOW_S = 0.5
 """Events whose distances agree this well are taken for the same ones at first sight: 50 ppm over an hour is 0.18 s."""
 MOST = 2000
-"""Of longer lists of events the first so many are used."""
+"""Maximum number of events used of each log, the first ones."""
 AMBIGUOUS = 0.9
 """A second way to match that has at least this share of the best one's support is warned of."""
 

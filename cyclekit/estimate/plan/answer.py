@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 WALKED = 10
 """Of more different orders to compare with, this many are simulated, and all are looked up in the table of arrivals."""
 RANDOM_BASIS = 200
-"""Where none of the logged orders does the same work, so many random ones stand for them."""
+"""Number of random orders to compare with, where no logged order does the same work."""
 
 
 @dataclass(frozen=True, repr=False)

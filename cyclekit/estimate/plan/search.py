@@ -28,7 +28,7 @@ FEW_ORDERS = 6000
 """Up to this many orders all are tried (7! = 5040)."""
 RANDOM_ORDERS = 400
 STARTS = 4
-"""Local searches begin at the greedy order and at so many of the best random ones."""
+"""Local searches begin at the greedy order and at this many of the best random ones."""
 
 
 class Scorer:

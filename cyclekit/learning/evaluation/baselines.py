@@ -4,7 +4,7 @@
     distance staircase   the best thresholds on ||x_r - x_h||; right where the safety function is one of the distance
     gradient boosting    scikit-learn's, on the same inputs; no geometry assumed
 
-The noise floor of the true staircase is not among them: in a real log nobody knows it.
+The noise floor of the true staircase is not among them: it is unknown for a real log.
 """
 
 from __future__ import annotations

@@ -155,6 +155,6 @@ def staircase_at(thresholds: Floats, levels: Sequence[float], rows: Samples) -> 
 
 
 def distance_of(rows: Samples) -> Floats:
-    """Return ||x_r - x_h|| of every row, shape (N,), m; infinite where nobody is there."""
+    """Return ||x_r - x_h|| of every row, shape (N,), m; infinite without an operator."""
     apart = np.linalg.norm((rows.X[:, 0:3] - rows.X[:, 3:6]).astype(np.float64), axis=1)
     return np.asarray(np.where(np.isnan(apart), np.inf, apart))

@@ -74,7 +74,7 @@ class Recurrent(nn.Module):
 
 
 class Forecasting(nn.Module):
-    """LSTM-2: where the operator will be, from where he has been; then the regression network.
+    """LSTM-2: forecast of the operator's position from the past ones; then the regression network.
 
     `forecast` of the last call, shape (B, 3), standardised, is kept for the loss. A coordinate that never varies is
     forecast as what it always is: left free, it would be no position but one more channel between the two networks.

@@ -145,7 +145,7 @@ class TrainedModel(Result):
         return self._finite(X)
 
     def _finite(self, X: NDArray[np.floating[Any]]) -> Singles:
-        """Run the network; weights may be finite and still so large that no number comes out.
+        """Run the network; finite weights may still be so large that the output is not a number.
 
         Raises:
             ModelError: That is so.

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 DOUBLINGS = 7
 """A stretch has up to 2**7 rows to either side."""
 MISFIT = 3.0
-"""A stretch agrees with one scaling while its misfit is within so many standard deviations of what noise gives."""
+"""A stretch agrees with one scaling while its misfit is within this many standard deviations of that of noise."""
 _LEAST = 1e-18  # of information: the window says nothing
 
 
@@ -37,7 +37,7 @@ class _Fit:
     sums: Floats
 
     def shifted(self, rows: int) -> _Fit:
-        """Return, row by row, the stretch that begins so many rows later (earlier where negative); outside, none."""
+        """Return, row by row, the stretch that begins `rows` rows later (negative: earlier); empty outside."""
         moved = np.zeros_like(self.sums)
         count = self.sums.shape[1]
         if abs(rows) < count:

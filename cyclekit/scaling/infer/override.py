@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from cyclekit.schema import Bools, Points, Vector
     from cyclekit.segmentation.executions import Execution
-    from cyclekit.segmentation.motion import Run
+    from cyclekit.segmentation.stored_run import Run
 
 
 __all__ = ["Reference", "infer_overrides"]
@@ -52,7 +52,7 @@ SLOW = 0.2
 PATHS = 4
 """Maximum number of different paths between two places."""
 LEAST_NOISE = 1e-6
-"""Noise of a coordinate (rad or m) that shows none: logs are written with so many digits."""
+"""Noise of a coordinate (rad or m) that shows none: the resolution of written logs."""
 HALTED, CRAWL_M_S = 0.02, 6e-3
 """Scaling below this is a halt, and a robot that is halted does not go faster than so, or than twice that share of its
 usual speed."""

@@ -40,7 +40,7 @@ alike."""
 STOP_S, STILL = 0.2, 0.02
 """A repetition stands where it advances slower than STILL for longer than STOP_S; stops so near in it are one."""
 CLEAR = 10.0
-"""A limit of speed or acceleration that is not so many times its noise is none: that joint hardly moves."""
+"""A limit of speed or acceleration that is less than this many times its noise does not count."""
 STRAIGHT = 0.01
 """A TCP that never leaves the straight line to its goal by more than this fraction of its length goes straight."""
 LOOKED_AT = 60

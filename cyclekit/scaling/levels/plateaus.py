@@ -136,7 +136,7 @@ def _cores(steady: Bools, run: Ints) -> tuple[Ints, Ints]:
 def _by_samples(
     values: Vector, first: Ints, end: Ints, begin: Ints, stop: Ints, window: int, noise: float
 ) -> tuple[Ints, Ints]:
-    """Let every core reach over the samples beside it that have its value; where two meet, the earlier one stops."""
+    """Extend every core over the neighbouring samples of its value; where two meet, the earlier one ends."""
     near = max(3.0 * noise, 0.2 * _LEAST_STEP)
     mean = _means(values, first, end)
     first, end = first.copy(), end.copy()

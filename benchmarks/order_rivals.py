@@ -16,10 +16,10 @@ import numpy as np
 import polars as pl
 
 from cyclekit.config.sequences import TaskSequence
+from cyclekit.estimate.estimators import by_average
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.plan.search import tasks_of
 from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.rivals import by_average
 from cyclekit.estimate.tracks import operator_tracks
 
 if TYPE_CHECKING:

@@ -16,7 +16,22 @@ import polars as pl
 from cyclekit.errors import ShapeError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+    """One number per row, shape (N,)."""
+    Points = NDArray[np.float64]
+    """Numbers per row, shape (N, 3) unless said otherwise."""
+    Floats = NDArray[np.float64]
+    """Numbers of any shape; `Singles`, `Ints` and `Bools` are the same of other types."""
+    Singles = NDArray[np.float32]
+    Ints = NDArray[np.int64]
+    Bools = NDArray[np.bool_]
+    Progress = Callable[[float, str], None]
+    """Told how far a computation is, 0 to 1, and what it does."""
 
 _AS_IT_IS = pl.QueryOptFlags.none()
 SCHEMA_VERSION = 4

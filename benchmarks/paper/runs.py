@@ -16,7 +16,7 @@ from benchmarks.paper.plan import FLOORS, SCENES, Entry, entries
 from benchmarks.paper.rivals import predict_by
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, DatasetError, ShapeError
-from cyclekit.learning.networks.calibration import reliability
+from cyclekit.learning.networks.metrics import reliability
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.training import train
 from cyclekit.learning.windows import Samples, build_samples

@@ -20,9 +20,8 @@ from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from cyclekit.config import Frame
+    from cyclekit.schema import Floats
 
 SIDES = ("log", "base")
 UNITS = {"m": 1.0, "mm": 0.001}
@@ -124,7 +123,7 @@ def _read(path: Path) -> pl.DataFrame:
     return pl.DataFrame(cells[1:], schema=dict.fromkeys(cells[0], pl.String()), orient="row")
 
 
-def _points(path: Path, table: pl.DataFrame, side: str) -> NDArray[np.float64]:
+def _points(path: Path, table: pl.DataFrame, side: str) -> Floats:
     unit = "mm" if f"{side}_x_mm" in table.columns else "m"
     wanted = [f"{side}_{axis}_{unit}" for axis in "xyz"]
     if missing := [name for name in wanted if name not in table.columns]:

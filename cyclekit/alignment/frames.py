@@ -15,7 +15,7 @@ from cyclekit.config import Frame
 from cyclekit.errors import ConfigError, ShapeError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from cyclekit.schema import Floats
 
 LEAST_SPREAD_M = 0.05
 """Points that lie nearer to one line than this do not tell how the frame is turned about it."""
@@ -36,20 +36,20 @@ class FrameFit:
     """
 
     frame: Frame
-    residual_m: NDArray[np.float64]
+    residual_m: Floats
     rms_m: float
     scale: float
     warnings: tuple[str, ...]
 
 
-def stood_up(points_m: NDArray[np.float64], up: Literal["y", "z"]) -> NDArray[np.float64]:
+def stood_up(points_m: Floats, up: Literal["y", "z"]) -> Floats:
     """Return points (N, 3) of a log whose `up` points upwards with z up: y up is turned by +90 deg about x."""
     if up == "z":
         return points_m
     return np.column_stack([points_m[:, 0], -points_m[:, 2], points_m[:, 1]])
 
 
-def to_base(points_m: NDArray[np.float64], frame: Frame | None, *, up: Literal["y", "z"] = "z") -> NDArray[np.float64]:
+def to_base(points_m: Floats, frame: Frame | None, *, up: Literal["y", "z"] = "z") -> Floats:
     """Return positions in the robot base frame.
 
     Args:
@@ -71,14 +71,14 @@ def to_base(points_m: NDArray[np.float64], frame: Frame | None, *, up: Literal["
     if frame is None:
         return turned.copy()
     rotation = np.asarray(frame.rotation)
-    placed: NDArray[np.float64] = turned @ rotation.T + np.asarray(frame.xyz_m)
+    placed: Floats = turned @ rotation.T + np.asarray(frame.xyz_m)
     flat = np.isnan(turned[:, 2]) & np.isfinite(turned[:, :2]).all(axis=1)
     if flat.any() and np.abs(rotation[:2, 2]).max() < 1e-6:  # a planar tracker's height is unknown, its floor is not
         placed[flat, :2] = turned[flat, :2] @ rotation[:2, :2].T + np.asarray(frame.xyz_m)[:2]
     return placed
 
 
-def fit_frame(log_m: NDArray[np.float64], base_m: NDArray[np.float64], *, up: Literal["y", "z"] = "z") -> FrameFit:
+def fit_frame(log_m: Floats, base_m: Floats, *, up: Literal["y", "z"] = "z") -> FrameFit:
     """Return where a log's frame stands, from points known in both, by least squares (Kabsch; Umeyama without scale).
 
     Args:
@@ -114,7 +114,7 @@ def fit_frame(log_m: NDArray[np.float64], base_m: NDArray[np.float64], *, up: Li
     return FrameFit(frame, residual, rms, scale, tuple(_doubts(a, b, rms, scale)))
 
 
-def _turn(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
+def _turn(a: Floats, b: Floats) -> tuple[Floats, bool]:
     """Return the rotation that turns centred points `a` best onto `b`, and whether a mirror would do better."""
     u, weight, vt = np.linalg.svd(a.T @ b)
     mirrored = bool(np.linalg.det(vt.T @ u.T) < 0)
@@ -122,7 +122,7 @@ def _turn(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.fl
     return turn, mirrored and bool(weight[2] > 0.01 * weight[0])  # points in one plane look alike in a mirror
 
 
-def _scale(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def _scale(a: Floats, b: Floats) -> float:
     size = np.sqrt(np.sum(a * a)), np.sqrt(np.sum(b * b))
     if min(size) < 1e-9:
         raise ConfigError("all points are one point", cure="Touch four or more, well apart.")
@@ -141,7 +141,7 @@ def _scale(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return scale
 
 
-def _refuse_line(a: NDArray[np.float64], b: NDArray[np.float64]) -> None:
+def _refuse_line(a: Floats, b: Floats) -> None:
     for points, whose in ((a, "tracker"), (b, "robot")):
         across = np.linalg.svd(points, compute_uv=False)[1] / np.sqrt(len(points))
         if across < LEAST_SPREAD_M:
@@ -152,7 +152,7 @@ def _refuse_line(a: NDArray[np.float64], b: NDArray[np.float64]) -> None:
             )
 
 
-def _doubts(a: NDArray[np.float64], b: NDArray[np.float64], rms: float, scale: float) -> list[str]:
+def _doubts(a: Floats, b: Floats, rms: float, scale: float) -> list[str]:
     found = []
     if len(a) == 3:
         found.append("three points fit nearly always: touch a fourth to check them")
@@ -171,7 +171,7 @@ def _doubts(a: NDArray[np.float64], b: NDArray[np.float64], rms: float, scale: f
     return found
 
 
-def _without_worst(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, int]:
+def _without_worst(a: Floats, b: Floats) -> tuple[float, int]:
     """Return the least rms that leaving out one point gives, and which one that is; four must be left."""
     best, worst = np.inf, 0
     for row in range(len(a) if 5 <= len(a) <= 100 else 0):

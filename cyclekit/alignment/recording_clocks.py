@@ -30,26 +30,22 @@ from cyclekit.alignment.clocks import (
     follow,
 )
 from cyclekit.alignment.frames import to_base
-from cyclekit.dataset.cards import LogCard, RecordingCard, note
+from cyclekit.dataset.cards import LogCard, Note, RecordingCard, note
 from cyclekit.dataset.signals import event_times
 from cyclekit.errors import ConfigError, UnknownName
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from numpy.typing import NDArray
-
-    from cyclekit.config import Source, Sync
-    from cyclekit.dataset.cards import Note
+    from cyclekit.config import Source
     from cyclekit.dataset.sessions import LogGroup
     from cyclekit.dataset.signals import Read, Stored
+    from cyclekit.schema import Points, Vector
     from cyclekit.storage.parquet import StoredTable
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 FINE_S = 0.01
-"""Clocks are told from robot rows this far apart: twice as dense as the grid that speeds are compared on."""
+"""Clocks are aligned by robot rows this far apart: twice as dense as the grid that speeds are compared on."""
 _TCP = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
 START_GOOD_TO_S = 1.0
 LATE_S = 0.1
@@ -127,7 +123,8 @@ def _fit(
     if source is not None and source.sync_events:
         found = fit_pairs(*np.array(source.sync_events).T)
     elif source is not None and source.sync is not None:
-        found = _by_events(entry, master, source.sync, tables)
+        sync = source.sync
+        found = fit_events(event_times(entry, sync.other, *tables), event_times(master, sync.robot, *tables))
     elif source is not None and source.sees is not None:
         found = _by_motion(entry, master, source, tables)
     if found is not None:
@@ -175,10 +172,6 @@ def _lender(
 
 def _means(path: str, log: LogCard, source: Source | None) -> bool:
     return log.shown == path or fnmatchcase(log.shown, path) or (source is not None and source.path == path)
-
-
-def _by_events(log: LogCard, robot: LogCard, sync: Sync, tables: _Tables) -> ClockFit:
-    return fit_events(event_times(log, sync.other, *tables), event_times(robot, sync.robot, *tables))
 
 
 def _by_motion(log: LogCard, robot: LogCard, source: Source, tables: _Tables) -> ClockFit:

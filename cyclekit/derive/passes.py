@@ -1,10 +1,9 @@
 """From recordings to samples and tasks: one clock, one base frame, executions, goals, scaling.
 
-Everything here can be computed again from the recordings, without the vendor files. Reading those is the business of
-`ingest`, finding places and executions that of `places` and `segment`. What concerns one session is done session by
-session, on as many cores as the engine has (`look`, `sample`, `finish`), and what is large stays in files; between
-these passes what only all sessions tell is found here: places, executions, references of the speed, usual dwells,
-levels.
+Everything here can be computed again from the recordings, without the vendor files. Reading those is done in
+`ingest`, finding places and executions in `segmentation`. What concerns one session is done session by session, on as
+many cores as the engine has (`session_look`, `session_samples`, `session_end`), and large tables stay in files. Between
+these passes is found what takes all sessions: places, executions, references of the speed, usual dwells, levels.
 """
 
 from __future__ import annotations
@@ -18,21 +17,20 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.dataset.time_grid import stretches
+from cyclekit.derive.sample_file import in_order, shared_files
 from cyclekit.derive.session_end import Left, finish
-from cyclekit.derive.session_look import look_at
-from cyclekit.derive.session_samples import SessionToSample, samples_of
-from cyclekit.derive.sharing import in_order, shared_files
+from cyclekit.derive.session_look import Look, look_at
+from cyclekit.derive.session_samples import Made, SessionToSample, samples_of
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
 from cyclekit.people.silence import absences
 from cyclekit.scaling.levels import Staircase, find_staircase
 from cyclekit.scaling.of_runs import with_scaling
 from cyclekit.scaling.response import MOST, SafetyResponse, read_dynamics
-from cyclekit.segmentation.arrivals import stands_of
-from cyclekit.segmentation.dwell import usual_dwells
+from cyclekit.segmentation.arrivals import Stands, stands_of
+from cyclekit.segmentation.dwell import Dwell, usual_dwells
 from cyclekit.segmentation.executions import Execution, find_executions, find_visits
-from cyclekit.segmentation.places import find_places
-from cyclekit.segmentation.turning_points import with_turns
+from cyclekit.segmentation.places import find_places, with_turns
 from cyclekit.storage.parquet import forget, keeping
 
 if TYPE_CHECKING:
@@ -44,14 +42,10 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import LogGroup, Session
     from cyclekit.dataset.signals import Read, Stored
-    from cyclekit.derive.session_look import Look
-    from cyclekit.derive.session_samples import Made
-    from cyclekit.segmentation.arrivals import Stands
-    from cyclekit.segmentation.dwell import Dwell
-    from cyclekit.segmentation.motion import Run
+    from cyclekit.schema import Progress
     from cyclekit.segmentation.standstills import Stop
+    from cyclekit.segmentation.stored_run import Run
 
-    Progress = Callable[[float, str], None]
 
 __all__ = ["Derived", "derive"]
 
@@ -278,7 +272,7 @@ def _is_much(groups: Sequence[LogGroup]) -> bool:
 
 
 class _Passes:
-    """Functions over all sessions: shared out by the engine, results in order, the fraction done told."""
+    """Runs functions over all sessions on the engine: results in order, progress reported."""
 
     def __init__(self, engine: Engine, progress: Progress) -> None:
         self.engine, self.progress = engine, progress

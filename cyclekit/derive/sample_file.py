@@ -1,9 +1,14 @@
-"""The samples of one session as a file, which may be larger than memory takes."""
+"""Files of samples: which sessions share one, and how it is written; it may be larger than memory.
+
+A file costs as much time as many samples, and there may be thousands of sessions.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
 import polars as pl
 
 from cyclekit import schema
@@ -11,11 +16,54 @@ from cyclekit.storage.atomic import write_parquet
 from cyclekit.storage.parquet import GROUP_ROWS, TableWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.sessions import Session
+
+Item = TypeVar("Item")
 
 AT_ONCE = 1 << 14
 """Samples that become a table at once; a sample has four times the bytes there that its numbers have."""
+FEW_SESSIONS = 50
+"""Up to this many sessions, each has a file of its own."""
+MOST_SESSIONS = 200
+"""Maximum of one file: a worker makes them together, and again after a crash."""
+SHORT = AT_ONCE // 8
+"""A session of more samples has a file of its own."""
+
+
+def shared_files(sessions: Sequence[Session], rate_hz: float) -> list[list[int]]:
+    """Return the numbers of the sessions of each file of samples, which has the name of its first session.
+
+    Files in order of name hold the sessions in order of name.
+
+    Args:
+        sessions: All, with their spans.
+        rate_hz: Rate of the samples.
+    """
+    numbers = sorted(range(len(sessions)), key=lambda number: f"{sessions[number].name}.parquet")
+    if len(sessions) <= FEW_SESSIONS:
+        return [[number] for number in numbers]
+    files: list[list[int]] = []
+    free = 0.0
+    for number in numbers:
+        first_s, last_s = sessions[number].span_s
+        count = (last_s - first_s) * rate_hz + 1
+        if not files or count > min(free, SHORT) or len(files[-1]) >= MOST_SESSIONS:
+            files.append([])
+            free = float(AT_ONCE) if count <= SHORT else 0.0
+        files[-1].append(number)
+        free -= count
+    return files
+
+
+def in_order(found: Iterable[tuple[Sequence[int], Sequence[Item]]]) -> list[Item]:
+    """Return what was found of the sessions of each file in the order of the sessions."""
+    by_number = {number: one for numbers, mine in found for number, one in zip(numbers, mine, strict=True)}
+    return [by_number[number] for number in range(len(by_number))]
 
 
 def write_samples(frames: Iterator[pl.DataFrame], file: Path) -> int:
@@ -43,3 +91,62 @@ def write_samples(frames: Iterator[pl.DataFrame], file: Path) -> int:
         for frame in frames:
             writer.write(frame)
     return writer.rows
+
+
+@dataclass(frozen=True)
+class Coded:
+    """Texts of N rows: `codes`, shape (N,), index into `texts`; -1 = null."""
+
+    codes: NDArray[np.integer[Any]]
+    texts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SampleRows:
+    """Consecutive samples.
+
+    Attributes:
+        count: How many.
+        columns: Columns of table SAMPLES: arrays of numbers (NaN = null), lists, or `Coded`; absent ones are null.
+    """
+
+    count: int
+    columns: dict[str, Any]
+
+
+def in_frames(rows: Iterator[SampleRows], most: int) -> Iterator[pl.DataFrame]:
+    """Yield frames with the columns of table SAMPLES, of at most `most` rows (more only where one part has more)."""
+    waiting, count = list[SampleRows](), 0
+    for some in rows:
+        if waiting and count + some.count > most:
+            yield _frame(waiting)
+            waiting, count = [], 0
+        waiting.append(some)
+        count += some.count
+    if waiting:
+        yield _frame(waiting)
+
+
+def _frame(rows: Sequence[SampleRows]) -> pl.DataFrame:
+    return pl.DataFrame([_series(name, column.dtype, rows) for name, column in schema.SAMPLES.items()])
+
+
+def _series(name: str, dtype: pl.DataType, rows: Sequence[SampleRows]) -> pl.Series:
+    parts = [some.columns.get(name) for some in rows]
+    if all(part is None for part in parts):
+        return pl.Series(name, [None], dtype=dtype).new_from_index(0, sum(some.count for some in rows))
+    if dtype.is_float():
+        nothing = (np.full(some.count, np.nan) for some in rows)
+        values = [empty if part is None else part for part, empty in zip(parts, nothing, strict=True)]
+        return pl.Series(name, np.concatenate(values), dtype=dtype, nan_to_null=True)
+    texts = [value for part, some in zip(parts, rows, strict=True) for value in _values(part, some.count)]
+    return pl.Series(name, texts, dtype=dtype)
+
+
+def _values(part: Any, count: int) -> Sequence[Any]:  # noqa: ANN401 - of any column
+    if part is None:
+        return [None] * count
+    if isinstance(part, Coded):
+        texts = (*part.texts, None)
+        return [texts[code] for code in part.codes.tolist()]
+    return list(part)

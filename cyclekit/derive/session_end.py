@@ -11,10 +11,10 @@ import polars as pl
 from cyclekit import schema
 from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.derive.sample_file import AT_ONCE, write_samples
-from cyclekit.people.activity import with_goals
+from cyclekit.people.activity import Stays, with_goals
 from cyclekit.people.tracks import goals_from_stays
-from cyclekit.scaling.response import Changes, changes_of
-from cyclekit.segmentation.motion import pieces
+from cyclekit.scaling.response import Changes, LevelChange, changes_of
+from cyclekit.segmentation.stored_run import Run, pieces
 from cyclekit.storage.parquet import parts_of
 
 if TYPE_CHECKING:
@@ -24,12 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Place
-    from cyclekit.people.activity import Stays
     from cyclekit.people.silence import Absence
-    from cyclekit.scaling.response import LevelChange
-    from cyclekit.segmentation.motion import Run
-
-    Vector = NDArray[np.float64]
+    from cyclekit.schema import Vector
 
 
 @dataclass(frozen=True)
@@ -122,7 +118,7 @@ def _goals(left: Left, spots: Mapping[str, Place]) -> list[str | None]:
 
 
 def _with_absence(samples: pl.DataFrame, until_s: Vector, from_s: Vector) -> pl.DataFrame:
-    """Return samples in which nobody is there where a tracker's silence says so; it was taken not to be running.
+    """Return samples with the operator marked absent where a tracker's silence proves it; before, it counted as off.
 
     Args:
         samples: N of them.

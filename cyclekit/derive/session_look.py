@@ -9,20 +9,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from cyclekit.alignment.recording_clocks import place_in_time
-from cyclekit.dataset.sessions import Session
+from cyclekit.dataset.sessions import LogGroup, Session
 from cyclekit.segmentation.load_runs import load_runs
-from cyclekit.segmentation.standstills import find_stops
+from cyclekit.segmentation.standstills import Stop, find_stops
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from cyclekit.config import Cell, Source
-    from cyclekit.dataset.sessions import LogGroup
     from cyclekit.dataset.signals import Read, Stored
-    from cyclekit.segmentation.standstills import Stop
+    from cyclekit.schema import Ints
     from cyclekit.segmentation.stored_run import StoredRun
 
 
@@ -39,7 +35,7 @@ class Look:
 
     session: Session
     runs: list[StoredRun]
-    marks: list[NDArray[np.int64]]
+    marks: list[Ints]
     stops: list[Stop]
 
 

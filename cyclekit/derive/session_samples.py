@@ -14,37 +14,28 @@ import numpy as np
 from msgspec.structs import replace
 
 from cyclekit import schema
-from cyclekit.dataset.cards import ExecutionCard
-from cyclekit.dataset.sessions import WITHOUT_PLACES
-from cyclekit.derive.sample_file import AT_ONCE, write_samples
-from cyclekit.derive.sample_rows import Coded, SampleRows, in_frames
+from cyclekit.dataset.cards import ExecutionCard, RecordingCard
+from cyclekit.dataset.sessions import WITHOUT_PLACES, Session
+from cyclekit.derive.sample_file import AT_ONCE, Coded, SampleRows, in_frames, write_samples
 from cyclekit.derive.task_lists import listed_in, operator_rows
 from cyclekit.errors import EstimateError
-from cyclekit.people.activity import Watch
-from cyclekit.segmentation.motion import sampled
-from cyclekit.segmentation.time_account import account
+from cyclekit.people.activity import Seen, Stays, Watch
+from cyclekit.segmentation.stored_run import Run, Sampled, sampled
+from cyclekit.segmentation.time_account import Leg, account
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from cyclekit.config import Cell, Source
-    from cyclekit.dataset.cards import RecordingCard
     from cyclekit.dataset.dataset import Place
-    from cyclekit.dataset.sessions import Session
     from cyclekit.dataset.signals import Read
-    from cyclekit.people.activity import Seen, Stays
     from cyclekit.people.silence import Silence
+    from cyclekit.schema import Points, Vector
     from cyclekit.segmentation.arrivals import Stands
     from cyclekit.segmentation.dwell import Dwell
     from cyclekit.segmentation.executions import Execution
-    from cyclekit.segmentation.motion import Run, Sampled
-    from cyclekit.segmentation.time_account import Leg
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 _MOST_SAMPLES = 10_000_000
 """Of one execution: eleven days at 10 Hz. A time that cannot be would ask for more memory than there is."""

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.dataset.cards import ExecutionCard, note
+from cyclekit.dataset.cards import ExecutionCard, Note, note
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.config import Cell
-    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.sessions import Session
     from cyclekit.dataset.signals import Read
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.result import CycleEstimate
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     import polars as pl
 
     from cyclekit.estimate.check import Check
+
+Answer = TypeVar("Answer")
 
 _MEAN = ("name", "expected_s", "expected_low_s", "expected_high_s")
 _SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
@@ -29,50 +31,55 @@ class Refusal:
 
 
 @dataclass(frozen=True, repr=False)
-class CycleEstimates(Result, Sequence[CycleEstimate]):
-    """The estimates of several sequences: those of the same work together, shortest first.
+class Answers(Result, Sequence[Answer]):
+    """The answers to several questions, in order, and the questions that cannot be answered.
 
     Attributes:
-        estimates: One for each sequence that can be answered.
-        refused: The others.
+        answers: What was answered.
+        refused: What was not, and why.
     """
 
-    estimates: tuple[CycleEstimate, ...]
+    answers: tuple[Answer, ...]
     refused: tuple[Refusal, ...] = ()
 
     @overload
-    def __getitem__(self, index: int) -> CycleEstimate: ...
+    def __getitem__(self, index: int) -> Answer: ...
 
     @overload
-    def __getitem__(self, index: slice) -> tuple[CycleEstimate, ...]: ...
+    def __getitem__(self, index: slice) -> tuple[Answer, ...]: ...
 
-    def __getitem__(self, index: int | slice) -> CycleEstimate | tuple[CycleEstimate, ...]:
-        """Return one estimate, or some."""
-        return self.estimates[index]
+    def __getitem__(self, index: int | slice) -> Answer | tuple[Answer, ...]:
+        """Return one of the answers, or several."""
+        return self.answers[index]
 
     def __len__(self) -> int:
-        """Return how many sequences were answered."""
-        return len(self.estimates)
+        """Return how many answers there are."""
+        return len(self.answers)
+
+    def require_all(self) -> Self:
+        """Return this, if every question is answered.
+
+        Raises:
+            EstimateError: One is not; the first of them.
+        """
+        for refusal in self.refused:
+            raise refusal.error
+        return self
+
+
+@dataclass(frozen=True, repr=False)
+class CycleEstimates(Answers[CycleEstimate]):
+    """The estimates of several sequences: those of the same work together, shortest first."""
 
     @property
     def check(self) -> Check | None:
         """The validation on logged executions that corrected them; None where there was none."""
-        return self.estimates[0].check if self.estimates else None
+        return self[0].check if self.answers else None
 
     @property
     def alarms(self) -> tuple[str, ...]:
         """What belongs above the numbers, one sentence each."""
         return tuple(dict.fromkeys(one.check.alarm for one in self if one.check and one.check.alarm))
-
-    def require_all(self) -> CycleEstimates:
-        """Return these, if every sequence was answered.
-
-        Raises:
-            EstimateError: Of the first that was not.
-        """
-        for refusal in self.refused:
-            raise refusal.error
-        return self
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON values."""
@@ -96,7 +103,7 @@ class CycleEstimates(Result, Sequence[CycleEstimate]):
         return csv_text([heads, *rows])
 
     def _rows(self) -> tuple[list[str], list[list[Any]]]:
-        levels = sorted(self[0].quantiles_s) if self.estimates else []
+        levels = sorted(self[0].quantiles_s) if self.answers else []
         heads = [*_MEAN, *(f"q{level:g}_s" for level in levels), *_SPLIT, "support", "tracks", "warnings"]
         rows = [
             [

@@ -23,28 +23,25 @@ from cyclekit.estimate.history import TaskTimes, order_error
 from cyclekit.estimate.judges import judge, within
 from cyclekit.estimate.logged import beside_own, logged_durations, logged_sequences, only_tracks
 from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.safety import Dynamics, SafetyModel
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.parallel.one_thread import one_thread
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Sequence
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.safety import SafetyModel
+    from cyclekit.schema import Bools, Floats, Vector
 
-    Vector = NDArray[np.float64]
 
 MOST = 200
 """Logged executions that are rolled out at most, evenly chosen: whoever asks, a number is corrected by the same ones.
 How many of them lie in their intervals is then known to two percent points."""
 ENOUGH = 1.25
-"""Tracks are so many times as long as the longest logged execution, and longer only where a cycle does not end."""
+"""Tracks are this many times as long as the longest logged execution; longer only where a cycle does not end."""
 LEAST = 3
 """From fewer executions no standard error of the bias can be told, so nothing is corrected."""
 FEW_EXECUTIONS = 10
@@ -120,10 +117,6 @@ class Check:
         return max(0.0, 1.0 - self.own_error**2 / max(self.own_bias**2, 1e-12))
 
     @property
-    def _own_doubted(self) -> bool:
-        return self.biased(OWN_BIAS)
-
-    @property
     def _reacts(self) -> bool:
         return abs(self.reacts_z) > REACTS_Z
 
@@ -152,7 +145,7 @@ class Check:
         found = []
         if self.executions < FEW_EXECUTIONS:
             found.append(f"{self.executions} logged executions are too few for reliable quantiles")
-        if self._own_doubted:
+        if self.biased(OWN_BIAS):
             found.append(f"backtest with their own operator tracks: bias {self.own_bias:+.1%}")
         if self._reacts:
             found.append(
@@ -174,11 +167,8 @@ class Check:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the check as plain JSON values."""
-        out = dict(vars(self))
-        out["residuals"] = list(self.residuals)
-        out["levels"] = list(self.levels)
-        out["doubts"] = list(self.doubts)
-        return out
+        out = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
+        return out | {"doubts": list(self.doubts)}
 
 
 @one_thread()
@@ -189,7 +179,6 @@ def check_rollout(
     levels: Sequence[float] = (0.05, 0.5, 0.95),
     most: int | None = MOST,
     seed: int = 0,
-    progress: Callable[[float, str], None] | None = None,
 ) -> Check:
     """Roll out the logged executions and compare.
 
@@ -217,7 +206,7 @@ def check_rollout(
         tracks = only_tracks(tracks, {sequence.name for sequence in sequences})
         own = beside_own(model, dataset, sequences, nominal, tracks)
         asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
-        table = transit_table(model, asked, tracks, progress=progress)
+        table = transit_table(model, asked, tracks)
         crossed = table.durations([sequence.tasks for sequence in sequences], seed=seed)
         if np.isfinite(own).all() and np.isfinite(crossed).all():
             break
@@ -247,7 +236,7 @@ def _late(own_s: Vector, at_once_s: Vector) -> float:
 
 
 def _some(sequences: list[TaskSequence], most: int | None) -> list[TaskSequence]:
-    """Return at most so many of them, evenly chosen."""
+    """Return at most `most` of them, evenly chosen."""
     if most is None or len(sequences) <= most:
         return sequences
     return [sequences[i] for i in np.linspace(0, len(sequences) - 1, most).astype(int)]
@@ -259,13 +248,7 @@ def _enough(dataset: Dataset, count: int) -> None:
         raise EstimateError(msg, cure="See what the logs lack: cyclekit inspect DATASET")
 
 
-def compare(
-    logged_s: Vector,
-    own_s: Vector,
-    crossed_s: NDArray[np.float64],
-    held_out: NDArray[np.bool_],
-    levels: Sequence[float],
-) -> Check:
+def compare(logged_s: Vector, own_s: Vector, crossed_s: Floats, held_out: Bools, levels: Sequence[float]) -> Check:
     """Compare rolled with logged durations.
 
     Args:

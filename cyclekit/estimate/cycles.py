@@ -15,18 +15,19 @@ from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import Rolled, roll_all
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.estimate.program import Program
     from cyclekit.estimate.question import Question
+    from cyclekit.schema import Progress
 
 MANY = 50
-"""More sequences than this are looked up in the table of arrivals; so many of the best are walked."""
+"""More sequences than this are looked up in the table of arrivals; above this, only the best MANY are simulated."""
 
 
 def cycles_of(
-    ask: Question, sequences: Sequence[TaskSequence], programs: Sequence[Program], tell: Callable[[float, str], None]
+    ask: Question, sequences: Sequence[TaskSequence], programs: Sequence[Program], tell: Progress
 ) -> tuple[list[Rolled], OperatorTracks | None, float]:
     """Return the cycles of every sequence, the tracks they rest on (None: on none), and how long these are at most, s.
 

@@ -14,8 +14,6 @@ from cyclekit.estimate.result import CycleEstimate, TaskShare
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.estimate.history import Combined
     from cyclekit.estimate.means import Means
@@ -23,6 +21,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.question import Question
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled
+    from cyclekit.schema import Floats
 
 LEAST_SUPPORT = 0.5
 """Below this part of the cycle in logged cells the question is refused."""
@@ -36,7 +35,7 @@ def entry_of(
     program: Program,
     cycles: Rolled,
     tracks: OperatorTracks | None,
-    weights: NDArray[np.float64],
+    weights: Floats,
     means: Means,
 ) -> CycleEstimate:
     """Return what the cycles of one sequence say.

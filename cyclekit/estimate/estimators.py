@@ -1,4 +1,8 @@
-"""The estimators by name: a line here makes one known to `estimate` and to what it says of its numbers."""
+"""The estimators by name: a line in ESTIMATORS makes one known to `estimate` and to what it says of its numbers.
+
+`rollout` walks all programs together (`walk`). The others are here: `average` as the paper has it, `history` and
+`nominal` as plants have them. Each gives cycles in the form that a walk gives them.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +10,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from cyclekit.estimate.rivals import by_average, by_history, by_nominal
+import numpy as np
+import polars as pl
+
+from cyclekit.dataset.unknown_height import in_plane
+from cyclekit.errors import EstimateError
+from cyclekit.estimate.program import Program, draw_stands
+from cyclekit.estimate.safety import BLOCK
+from cyclekit.estimate.walk import Rolled
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.program import Program
+    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.tracks import OperatorTracks
-    from cyclekit.estimate.walk import Rolled
+    from cyclekit.learning.networks.saved import TrainedModel
+    from cyclekit.schema import Floats, Ints, Vector
 
     Alone = Callable[[Dataset, Program, int], Rolled]
     Beside = Callable[[Any, Program, OperatorTracks, int], Rolled]
@@ -38,22 +50,114 @@ class Estimator:
     goals: bool = False
 
 
-def _average(model: Any, program: Program, tracks: OperatorTracks, seed: int) -> Rolled:  # noqa: ANN401
-    return by_average(model, program, tracks, seed=seed)
+HISTORY_DRAWS = 1000
+LEAST_PROGRESS = 0.02
+"""A predicted mean scaling below this is taken for it: a network seldom says exactly zero, and then would never end."""
 
 
-def _history(dataset: Dataset, program: Program, seed: int) -> Rolled:
-    return by_history(dataset, program, seed=seed)
+def by_average(model: TrainedModel, program: Program, tracks: OperatorTracks, seed: int = 0) -> Rolled:
+    """Solve T * mean s(T) = nominal time, task by task, with the operator's state carried forward.
+
+    The network gives the mean scaling over its horizon from robot and operator and where both are bound for (Faroni et
+    al. 2512.17579, the average problem). A motion shorter than that takes nominal / mean; a longer one uses up a
+    horizon, and what is left of it is asked about anew from where both are then.
+
+    Raises:
+        EstimateError: The logs hold no goals of the operator, which the network needs.
+    """
+    if tracks.goal_m is None or not np.isfinite(tracks.goal_m).any():
+        msg = "the operator's goals are unknown, and the average-scaling network needs them"
+        raise EstimateError(msg, cure="Log button presses or name [human_places.*] in cell.toml, or use rollout.")
+    count = len(tracks.executions)
+    stands = draw_stands(program, count, seed)
+    safety = np.zeros(stands.shape)
+    activity_s = np.zeros((count, len(tracks.activities) + 1))
+    time = np.zeros(count)
+    for leg, task in enumerate(program.tasks):
+        begin = time.copy()
+        activity = tracks.activity[np.arange(count), _sample(tracks, time)]
+        time = _move(model, task, tracks, time)
+        safety[:, leg] = time - begin - task.nominal_s
+        activity_s[np.arange(count), activity] += safety[:, leg]
+        time = time + stands[:, leg]
+    end = tracks.activity.shape[1] * tracks.step_s
+    duration = np.where(time < end, time, np.inf)
+    spliced = np.maximum(time - tracks.logged * tracks.step_s, 0.0).sum() / time.sum()
+    return Rolled(duration, stands, safety, activity_s.mean(axis=0), float("nan"), float(spliced))
 
 
-def _nominal(_dataset: Dataset, program: Program, _seed: int) -> Rolled:
-    return by_nominal(program)
+def _move(model: TrainedModel, task: NominalTask, tracks: OperatorTracks, start_s: Vector) -> Vector:
+    """Return when the motion of `task` ends on each track (K,), s."""
+    time, done = start_s.copy(), np.zeros(len(start_s))
+    last = len(task.xyz_m) - 1
+    end_s = (tracks.activity.shape[1] - 1) * tracks.step_s
+    while len(going := np.flatnonzero((done < task.nominal_s - 1e-9) & (time < end_s))):
+        place = np.rint(done[going] / task.nominal_s * last).astype(np.int64)
+        mean = _mean_scaling(model, task.xyz_m[place], task.xyz_m[-1], tracks, going, time[going])
+        left = task.nominal_s - done[going]
+        spent = np.minimum(left / mean, model.horizon_s)
+        done[going] = np.where(left <= mean * model.horizon_s, task.nominal_s, done[going] + mean * spent)
+        time[going] += spent
+    return time
+
+
+def _mean_scaling(
+    model: TrainedModel, robot_m: Floats, goal_m: Floats, tracks: OperatorTracks, rows: Ints, time_s: Vector
+) -> Vector:
+    """Return the mean scaling over the horizon (N,); for an unknown operator or goal, the logged one."""
+    at = _sample(tracks, time_s)
+    human = in_plane(robot_m, tracks.xyz_m[rows, at])
+    bound_for = np.full_like(human, np.nan) if tracks.goal_m is None else tracks.goal_m[rows, at]
+    inputs = np.concatenate([robot_m, human, np.broadcast_to(goal_m, robot_m.shape), bound_for], axis=1)
+    without = model.card.scaling_without_operator
+    mean = np.full(len(rows), 1.0 if without is None else without)
+    known = np.flatnonzero(np.isfinite(inputs).all(axis=1))
+    for start in range(0, len(known), BLOCK):
+        some = known[start : start + BLOCK]
+        mean[some] = model.predict(inputs[some].astype(np.float32))
+    return np.asarray(np.clip(mean, LEAST_PROGRESS, 1.0))
+
+
+def _sample(tracks: OperatorTracks, time_s: Vector) -> Ints:
+    return np.asarray(np.minimum((time_s / tracks.step_s).astype(np.int64), tracks.activity.shape[1] - 1))
+
+
+def by_history(dataset: Dataset, program: Program, seed: int = 0) -> Rolled:
+    """Put cycles together of logged repetitions of each task, drawn at random; their mean is the sum of plain means.
+
+    That the order of tasks changes what each takes is not in it, nor that slow tasks come together.
+    """
+    rng = np.random.default_rng(seed)
+    tasks = dataset.tasks().filter(pl.col("safety_loss_s").is_not_null())
+    logged = {str(name): rows for (name,), rows in tasks.group_by(["task"], maintain_order=True)}
+    count = HISTORY_DRAWS
+    safety, stands = np.empty((count, len(program.tasks))), np.empty((count, len(program.tasks)))
+    for leg, task in enumerate(program.tasks):
+        rows = logged[task.task]
+        drawn = rng.permutation(np.arange(count) % rows.height)
+        moved = (rows["arrival_s"] - rows["start_s"]).to_numpy()
+        safety[:, leg] = moved[drawn] - task.nominal_s
+        stands[:, leg] = (rows["end_s"] - rows["arrival_s"]).to_numpy()[drawn]
+    duration = program_motion(program) + safety.sum(axis=1) + stands.sum(axis=1)
+    return Rolled(duration, stands, safety, np.zeros(0), 1.0, 0.0)
+
+
+def by_nominal(_dataset: Dataset, program: Program, _seed: int = 0) -> Rolled:
+    """One cycle without an operator: every motion at full speed, every stand of its mean length."""
+    stands = np.array([[task.dwell_s + task.wait_s for task in program.tasks]])
+    duration = np.array([program_motion(program) + float(stands.sum())])
+    return Rolled(duration, stands, np.zeros(stands.shape), np.zeros(0), 1.0, 0.0)
+
+
+def program_motion(program: Program) -> float:
+    """Duration of all motions of a program at scaling 1, s."""
+    return sum(task.nominal_s for task in program.tasks)
 
 
 ESTIMATORS: dict[str, Estimator] = {
     "rollout": Estimator("simulation of the learned safety function with every logged operator track", "now"),
-    "average": Estimator("task durations from predicted mean scalings", "average", beside=_average, goals=True),
-    "history": Estimator("logged durations of the same tasks", alone=_history),
-    "nominal": Estimator("time without an operator", alone=_nominal),
+    "average": Estimator("task durations from predicted mean scalings", "average", beside=by_average, goals=True),
+    "history": Estimator("logged durations of the same tasks", alone=by_history),
+    "nominal": Estimator("time without an operator", alone=by_nominal),
 }
 """Estimators by name."""

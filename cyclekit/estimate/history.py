@@ -21,12 +21,10 @@ from cyclekit.estimate.nominal import slider_losses
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Floats, Vector
 
-    Vector = NDArray[np.float64]
 
 LEAST_ORDERS = 10
 """From fewer logged orders it is not known how far history is off by the order, and the rollout stands alone."""
@@ -80,7 +78,7 @@ class TaskTimes:
         columns = self._columns(tasks)
         return float((self._total_s[:, columns].sum(axis=0) / self._count[:, columns].sum(axis=0)).sum())
 
-    def resampled_s(self, tasks: Sequence[str], weights: NDArray[np.float64]) -> Vector:
+    def resampled_s(self, tasks: Sequence[str], weights: Floats) -> Vector:
         """Return that sum in each resample, s; a task that no drawn execution holds counts with its mean.
 
         Args:

@@ -1,4 +1,7 @@
-"""What limits an estimate, in words: few operators, positions never logged, clocks and scaling only inferred."""
+"""What limits an estimate: few operators, positions never logged, inferred clocks and scaling; a model with a bias.
+
+A model with a large bias on the logs themselves predicts no other sequence: usually it is of another cell.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,19 @@ import polars as pl
 
 from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.dataset.unknown_height import said_of_height
+from cyclekit.errors import EstimateError, ModelError
+from cyclekit.estimate.check import Check, check_rollout
 from cyclekit.estimate.nominal import slider_losses
 from cyclekit.learning.windows import nobody_there
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.check import Check
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.estimate.walk import Rolled
+
 
 CONTINUED = 0.5
 """Above this part of the time on continued tracks it is said."""
@@ -85,3 +92,32 @@ def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     if any(record.clock.method in ("coarse", "start-text") for record in dataset.recordings):
         found.append("the clocks of robot and tracker are aligned roughly: the reaction delay is hidden or unknown")
     return found
+
+
+REFUSED_BIAS = 0.1
+"""A model with a larger bias on the logged executions is refused."""
+
+
+def validated(
+    model: SafetyModel, dataset: Dataset, *, levels: Sequence[float], seed: int
+) -> tuple[Check | None, tuple[str, ...]]:
+    """Return how the rollout does on logged executions; None and why in a sentence where they are too few for that."""
+    try:
+        return check_rollout(model, dataset, levels=levels, seed=seed), ()
+    except EstimateError as error:
+        return None, (f"not validated on logged executions, so no bias is known or corrected: {error.seen}",)
+
+
+def refuse_biased(check: Check | None) -> None:
+    """Refuse a model with a large bias on the logged executions.
+
+    Raises:
+        ModelError: Its bias is beyond REFUSED_BIAS, and no chance.
+    """
+    if check is not None and check.biased(REFUSED_BIAS):
+        seen = f"{check.own_bias:+.1%} (+-{check.own_within:.1%}) on {check.executions} logged executions"
+        raise ModelError(
+            f"the model does not fit these logs: backtested with their own operator tracks, its bias is {seen}",
+            cure="Train it on them: cyclekit train DATASET --out MODEL; or add --other-cell to estimate anyway "
+            "(from Python other_cell=True).",
+        )

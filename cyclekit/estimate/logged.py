@@ -8,22 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.config.sequences import TaskSequence
-from cyclekit.estimate.nominal import slider_losses
+from cyclekit.estimate.nominal import NominalTask, slider_losses
 from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.safety import Dynamics, SafetyModel
 from cyclekit.estimate.walk import walk
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.nominal import NominalTask
-    from cyclekit.estimate.safety import SafetyModel
     from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.schema import Vector
 
-    Vector = NDArray[np.float64]
 
 SLIDER_LOSS = 0.002
 """An execution that lost more than this part of its time to the speed slider judges no rollout at full speed."""

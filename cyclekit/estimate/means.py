@@ -11,15 +11,12 @@ from cyclekit.estimate.history import Combined, TaskTimes, history_share
 from cyclekit.estimate.resample import TOGETHER, interval_of_mean, resampled_alike
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.question import Question
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.walk import Rolled
-
-    Vector = NDArray[np.float64]
+    from cyclekit.schema import Floats, Vector
 
 
 @dataclass(frozen=True)
@@ -27,7 +24,7 @@ class History:
     """What tasks took in the logs, and how often each execution is drawn: weights, shape (resamples, executions)."""
 
     times: TaskTimes
-    weights: NDArray[np.float64]
+    weights: Floats
 
 
 @dataclass(frozen=True)
@@ -64,9 +61,7 @@ def history_of(ask: Question, tracks: OperatorTracks | None) -> History | None:
     return History(times, resampled_alike(tracks.executions, times.executions, ask.seed, together=together))
 
 
-def means_of(
-    ask: Question, sequence: TaskSequence, cycles: Rolled, weights: NDArray[np.float64], history: History | None
-) -> Means:
+def means_of(ask: Question, sequence: TaskSequence, cycles: Rolled, weights: Floats, history: History | None) -> Means:
     """Return the mean of the cycles of one sequence.
 
     Args:

@@ -18,11 +18,9 @@ from cyclekit.segmentation.arrivals import fill_nearest
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Floats, Vector
 
-    Vector = NDArray[np.float64]
 
 STEP_S = 0.01
 """Grid of the nominal time; a TCP at 1 m/s moves 1 cm in it."""
@@ -36,17 +34,15 @@ class NominalTask:
         xyz_m: TCP along the motion at every STEP_S of nominal time, shape (K, 3), base frame.
         nominal_s: Duration of the motion at scaling 1: the median of its repetitions.
         dwell_s, wait_s: Mean process time and mean waiting at the goal.
-        stands_s: Every logged stand at the goal (dwell + wait), ascending, shape (repetitions,).
-        repetitions: How often the task was logged.
+        stands_s: Every logged stand at the goal (dwell + wait), ascending, shape (N,) of N repetitions.
     """
 
     task: str
-    xyz_m: NDArray[np.float64]
+    xyz_m: Floats
     nominal_s: float
     dwell_s: float
     wait_s: float
     stands_s: Vector
-    repetitions: int
 
 
 def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> dict[str, NominalTask]:
@@ -64,7 +60,6 @@ def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> di
         dwell_s=pl.col("dwell_s").mean(),
         wait_s=pl.col("wait_s").mean(),
         stands_s=(pl.col("dwell_s") + pl.col("wait_s")).sort(),
-        repetitions=pl.len(),
     )
     slowed = pl.col("safety_loss_s") + _slider_loss(tasks)
     best = tasks.sort(slowed, "execution", "index").group_by("task", maintain_order=True).first()
@@ -81,12 +76,11 @@ def nominal_tasks(dataset: Dataset, wanted: Collection[str] | None = None) -> di
                 dwell_s=row["dwell_s_all"],
                 wait_s=row["wait_s_all"],
                 stands_s=np.array(row["stands_s"]),
-                repetitions=row["repetitions"],
             )
     return found
 
 
-def _execution_track(dataset: Dataset, execution: str) -> tuple[Vector, NDArray[np.float64], Vector]:
+def _execution_track(dataset: Dataset, execution: str) -> tuple[Vector, Floats, Vector]:
     """Times, TCP and rate of the program of one execution: native where the scaling was logged, else the samples."""
     tcp = ("tcp_x_m", "tcp_y_m", "tcp_z_m")
     native = dataset.native_robot(execution, ("t_s", *tcp, "scaling"))
@@ -112,9 +106,7 @@ def slider_losses(dataset: Dataset) -> dict[str, float]:
     return {name: seconds / max(durations[name], 1e-9) for name, seconds in lost.iter_rows() if name in durations}
 
 
-def _undo_scaling(
-    track: tuple[Vector, NDArray[np.float64], Vector], start_s: float, arrival_s: float, nominal_s: float
-) -> NDArray[np.float64]:
+def _undo_scaling(track: tuple[Vector, Floats, Vector], start_s: float, arrival_s: float, nominal_s: float) -> Floats:
     """Return the TCP over nominal time, shape (K, 3), stretched to the usual nominal duration."""
     t, xyz, scaling = track
     inside = (t >= start_s - 1e-9) & (t <= arrival_s + 1e-9)

@@ -1,6 +1,6 @@
 """The program of a sequence: its motions and stands laid out along nominal time.
 
-How fast that time advances with an operator in the cell is the business of `rollout`.
+`rollout` computes how fast that time advances with an operator in the cell.
 """
 
 from __future__ import annotations
@@ -13,16 +13,14 @@ from zlib import crc32
 import numpy as np
 
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.nominal import STEP_S
+from cyclekit.estimate.nominal import STEP_S, NominalTask
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.nominal import NominalTask
+    from cyclekit.schema import Floats
 
 
 @dataclass(frozen=True)
@@ -35,14 +33,14 @@ class Program:
     """
 
     tasks: tuple[NominalTask, ...]
-    edges_s: NDArray[np.float64]
+    edges_s: Floats
 
     @property
     def length_s(self) -> float:
         """Duration at scaling 1, stands included: the sum over the tasks, exactly."""
         return float(self.edges_s[-1])
 
-    def xyz_m(self) -> NDArray[np.float64]:
+    def xyz_m(self) -> Floats:
         """Return the TCP in the middle of K cells of about STEP_S, shape (K, 3); thousands of programs keep none."""
         cells = max(1, round(self.length_s / STEP_S))
         middle = (np.arange(cells) + 0.5) * (self.length_s / cells)
@@ -84,7 +82,7 @@ def _tasks_from(task: str, nominal: Mapping[str, NominalTask]) -> str:
     return ", ".join(known[:8]) + (" …" if len(known) > 8 else "")
 
 
-def draw_stands(program: Program, count: int, seed: int) -> NDArray[np.float64]:
+def draw_stands(program: Program, count: int, seed: int) -> Floats:
     """Return a stand per cycle and task, shape (count, tasks), seconds: the logged stands, spread evenly and shuffled.
 
     A robot that is starved of parts now and then has cycles that differ by that alone; mean stands would hide it. A
@@ -98,9 +96,9 @@ def draw_stands(program: Program, count: int, seed: int) -> NDArray[np.float64]:
     return np.column_stack(drawn)
 
 
-def stands_of(task: NominalTask, count: int, seed: int, occurrence: int) -> NDArray[np.float64]:
+def stands_of(task: NominalTask, count: int, seed: int, occurrence: int) -> Floats:
     """Return the stands of one task at its n-th occurrence in a program, shape (count,), s; see `draw_stands`."""
     rng = np.random.default_rng([seed, crc32(task.task.encode()), occurrence])
     level = (np.arange(count) + 0.5) / count
-    stands: NDArray[np.float64] = np.maximum(rng.permutation(np.quantile(task.stands_s, level)), 1e-3)
+    stands: Floats = np.maximum(rng.permutation(np.quantile(task.stands_s, level)), 1e-3)
     return stands

@@ -13,16 +13,15 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from cyclekit.schema import Floats, Ints, Vector
 
-    Vector = NDArray[np.float64]
 
 RESAMPLES = 1000
 TOGETHER = 3
 """Neighbouring executions drawn together where the log runs on."""
 
 
-def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> NDArray[np.float64]:
+def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> Floats:
     """Return the weight of each track in each resample, shape (RESAMPLES, K); each row sums to 1.
 
     Args:
@@ -35,9 +34,7 @@ def resampled(executions: Sequence[str], seed: int, *, together: int = 1) -> NDA
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
-def resampled_alike(
-    executions: Sequence[str], others: Sequence[str], seed: int, *, together: int = 1
-) -> NDArray[np.float64]:
+def resampled_alike(executions: Sequence[str], others: Sequence[str], seed: int, *, together: int = 1) -> Floats:
     """Return how often each of `others` is drawn in the resamples of `resampled`, shape (RESAMPLES, others).
 
     An execution that is none of `executions` is in each resample once.
@@ -48,7 +45,7 @@ def resampled_alike(
     return np.asarray(times[:, [number.get(name, len(names)) for name in others]], dtype=np.float64)
 
 
-def _drawn(count: int, seed: int, together: int) -> NDArray[np.int64]:
+def _drawn(count: int, seed: int, together: int) -> Ints:
     """Return how often each of `count` executions is drawn in each resample, shape (RESAMPLES, count)."""
     rng = np.random.default_rng(seed)
     starts = rng.integers(0, count, (RESAMPLES, -(-count // together)))
@@ -74,7 +71,7 @@ def interval_of_mean(
 
 
 def share_within(
-    durations_s: Vector, takt_s: float, weights: NDArray[np.float64], *, bias: float = 0.0
+    durations_s: Vector, takt_s: float, weights: Floats, *, bias: float = 0.0
 ) -> tuple[float, float, float]:
     """Return the part of K cycles that take at most `takt_s`, and its 95 % interval over the resamples.
 

@@ -1,6 +1,6 @@
 """What an estimate says: cycle time per sequence with its distribution and its split.
 
-Only data and its JSON form; how the numbers come about is the business of `rollout`.
+Only data and its JSON form; `rollout` computes the numbers.
 """
 
 from __future__ import annotations
@@ -128,20 +128,15 @@ class CycleEstimate(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the estimate as plain JSON values, without `check`; quantile levels become keys such as "0.05"."""
-        out = {name: value for name, value in vars(self).items() if name != "check"}
-        out["places"] = list(self.places)
-        out["warnings"], out["doubts"] = list(self.warnings), list(self.doubts)
+        out = {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in vars(self).items()
+            if name != "check"
+        }
         out["tasks"] = [dict(vars(task)) for task in self.tasks]
         out["quantiles_s"] = {f"{level:g}": value for level, value in self.quantiles_s.items()}
-        out["safety_by_activity_s"] = dict(self.safety_by_activity_s)
-        out["durations_s"] = list(self.durations_s)
-        out["median_s"] = self.median_s
-        out["per_visit_s"] = self.per_visit_s
-        out["takt_probability"] = None if self.takt_probability is None else list(self.takt_probability)
-        out["beats"] = dict(self.beats)
         out["combined"] = None if self.combined is None else dict(vars(self.combined))
-        out["operator"] = None if self.operator is None else list(self.operator)
-        return out
+        return out | {"median_s": self.median_s, "per_visit_s": self.per_visit_s}
 
     def to_frame(self) -> pl.DataFrame:
         """One row per task, mean seconds."""

@@ -8,7 +8,7 @@ nominal   nobody in the cell (`rivals`)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -18,15 +18,14 @@ from cyclekit.errors import EstimateError, ModelError, UnknownName
 from cyclekit.estimate.cycles import MANY, cycles_of
 from cyclekit.estimate.entry import LEAST_SUPPORT, entry_of
 from cyclekit.estimate.estimators import ESTIMATORS
-from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs
+from cyclekit.estimate.limits import doubts_of, limits_of_cycles, limits_of_logs, refuse_biased, validated
 from cyclekit.estimate.means import history_of, means_of
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import Program, lay_out
 from cyclekit.estimate.question import Altered, Question
 from cyclekit.estimate.resample import TOGETHER, means_below, resampled
 from cyclekit.estimate.same_work import by_work
 from cyclekit.estimate.tracks import OperatorTracks
-from cyclekit.estimate.validate import refuse_biased, validated
 from cyclekit.estimate.walk import Rolled, roll_out
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.learning.out_of_core import in_memory
@@ -34,19 +33,13 @@ from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.parallel.one_thread import one_thread
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from cyclekit.config.sequences import TaskSequence
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
-    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
-    from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.schema import Floats, Progress, Vector
 
-    Vector = NDArray[np.float64]
     _Refuse = Callable[[TaskSequence, EstimateError], None]
 
 __all__ = ["ESTIMATORS", "estimate", "lay_out", "roll_out"]
@@ -69,7 +62,7 @@ def estimate(
     altered: Altered | None = None,
     engine: Engine = LOCAL,
     refused: Callable[[TaskSequence, EstimateError], None] | None = None,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[CycleEstimate]:
     """Return the expected cycle time of each sequence: those of the same work together, shortest first.
 
@@ -177,7 +170,7 @@ def _laid_out(
 
 
 def _answered(
-    ask: Question, programs: Mapping[TaskSequence, Program], tell: Callable[[float, str], None], refuse: _Refuse
+    ask: Question, programs: Mapping[TaskSequence, Program], tell: Progress, refuse: _Refuse
 ) -> tuple[list[TaskSequence], list[Rolled], OperatorTracks | None]:
     """Return the sequences that can be answered, the cycles of each, and the tracks they rest on (None: on none).
 
@@ -216,7 +209,7 @@ def _problem(ask: Question, sequence: TaskSequence, cycles: Rolled, until_s: flo
     return None
 
 
-def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> NDArray[np.float64]:
+def _weights(ask: Question, cycles: Rolled, tracks: OperatorTracks | None) -> Floats:
     """Weights of the cycles in each resample of the logs, shape (resamples, K)."""
     if tracks is None:  # cycles put together of tasks: each draw is one
         return resampled([str(k) for k in range(len(cycles.duration_s))], ask.seed)

@@ -16,11 +16,9 @@ from cyclekit.dataset.unknown_height import in_plane, inputs_in_plane
 from cyclekit.learning.networks.kinds import names_levels
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.cards import DynamicsCard, TrainingCard
+    from cyclekit.schema import Bools, Floats, Ints, Singles, Vector
 
-    Vector = NDArray[np.float64]
 
 BLOCK = 2048
 """Rows predicted at once: a block and its layers stay in the fast cache."""
@@ -42,7 +40,7 @@ class SafetyModel(Protocol):
     def card(self) -> TrainingCard:
         """How it came about."""
 
-    def predict(self, X: NDArray[np.float32], /) -> Vector:
+    def predict(self, X: Singles, /) -> Vector:
         """Return the scaling (N,) for rows x_r, x_h (N, 6), m."""
 
 
@@ -80,7 +78,7 @@ class Classifier(SafetyModel, Protocol):
     def levels(self) -> tuple[float, ...]:
         """Its levels, ascending."""
 
-    def probabilities(self, X: NDArray[np.float32], /) -> Vector:
+    def probabilities(self, X: Singles, /) -> Vector:
         """Return the probability of every level (N, P) for rows x_r, x_h (N, 6), m."""
 
 
@@ -110,8 +108,8 @@ class Dynamics:
         return not any(vars(self).values())
 
 
-def scaling_of(model: SafetyModel, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
-    """Return s of each pair of positions, shape (N, 3) both; where nobody is seen, what the logs showed then.
+def scaling_of(model: SafetyModel, robot_m: Floats, human_m: Floats) -> Vector:
+    """Return s of each pair of positions, shape (N, 3) both; without an operator, what the logs showed then.
 
     Of somebody whose height is unknown (NaN) it is that of the distance in the plane.
     """
@@ -123,9 +121,7 @@ def scaling_of(model: SafetyModel, robot_m: NDArray[np.float64], human_m: NDArra
     return scaling
 
 
-def likeliest_of(
-    model: Classifier, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]
-) -> tuple[Vector, NDArray[np.bool_]]:
+def likeliest_of(model: Classifier, robot_m: Floats, human_m: Floats) -> tuple[Vector, Bools]:
     """Return the likeliest level of each pair of positions, as `scaling_of`, and whether it is SURE; (N,) each."""
     scaling, inputs, present = _asked(model, robot_m, human_m)
     sure = np.ones(len(scaling), dtype=np.bool_)
@@ -137,7 +133,7 @@ def likeliest_of(
     return scaling, sure
 
 
-def around(robot_m: NDArray[np.float64], human_m: NDArray[np.float64], by_m: float) -> list[NDArray[np.float64]]:
+def around(robot_m: Floats, human_m: Floats, by_m: float) -> list[Floats]:
     """Return the operators (N, 3) moved by `by_m` towards the robot, away from it, and to both sides on the floor."""
     way = human_m - robot_m
     way *= by_m / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
@@ -146,10 +142,8 @@ def around(robot_m: NDArray[np.float64], human_m: NDArray[np.float64], by_m: flo
     return [human_m - way, human_m + way, human_m - side, human_m + side]
 
 
-def _asked(
-    model: SafetyModel, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]
-) -> tuple[Vector, NDArray[np.float32], NDArray[np.int64] | slice]:
-    """Return s where nobody is seen (N,), the inputs of the other pairs (M, 6), and which those are."""
+def _asked(model: SafetyModel, robot_m: Floats, human_m: Floats) -> tuple[Vector, Singles, Ints | slice]:
+    """Return s without an operator (N,), the inputs of the pairs with one (M, 6), and their rows."""
     without = model.card.scaling_without_operator
     scaling = np.full(len(robot_m), 1.0 if without is None else without)
     inputs = np.empty((len(robot_m), 6), dtype=np.float32)
@@ -173,7 +167,7 @@ class Follower:
         self._held: Vector | None = None
         self._s: Vector | None = None
 
-    def advance(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
+    def advance(self, robot_m: Floats, human_m: Floats) -> Vector:
         """Return s (N,) of this step for positions (N, 3) at its middle."""
         self._asked = self._wanted(robot_m, human_m)
         return self.go_on()
@@ -190,12 +184,12 @@ class Follower:
         self._s = wanted
         return wanted
 
-    def keep(self, going: NDArray[np.bool_]) -> None:
+    def keep(self, going: Bools) -> None:
         """Leave the other rows out from now on."""
         self._seen, self._asked = deque(wanted[going] for wanted in self._seen), self._asked[going]
         self._s, self._held = (None if part is None else part[going] for part in (self._s, self._held))
 
-    def _wanted(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
+    def _wanted(self, robot_m: Floats, human_m: Floats) -> Vector:
         """Return what the safety function with its hysteresis asks for."""
         margin_m = self._dynamics.hysteresis_m or 0.0
         if margin_m == 0.0:
@@ -205,9 +199,7 @@ class Follower:
         self._held = falling if self._held is None else np.clip(self._held, rising, falling)
         return self._held
 
-    def _within(
-        self, margin_m: float, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]
-    ) -> tuple[Vector, Vector]:
+    def _within(self, margin_m: float, robot_m: Floats, human_m: Floats) -> tuple[Vector, Vector]:
         """Return up to which s may rise and down to which it must fall; what was learned lies half way between.
 
         A classifier hesitates within the hysteresis, where s was now one level, now the other. Its likeliest level

@@ -11,7 +11,7 @@ from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.safety import Dynamics, SafetyModel, holds_everywhere
 from cyclekit.estimate.support import Support
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from cyclekit.config.sequences import TaskSequence
-    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.parallel.engine import Engine
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from cyclekit.dataset.unknown_height import is_flat
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from cyclekit.schema import Bools, Floats, Ints
 
 ROBOT_M = 0.15
 """Edge of a cell of robot positions."""
@@ -24,14 +24,14 @@ HUMAN_M = 0.3
 class Support:
     """Cells of (x_r, x_h) that logged samples fall into."""
 
-    def __init__(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> None:
+    def __init__(self, robot_m: Floats, human_m: Floats) -> None:
         """Remember the cells of logged positions, shapes (N, 3) and (N, 3), metres; rows with NaN are left out."""
         human_m = _on_one_level(human_m)
         known = np.isfinite(robot_m.sum(axis=1) + human_m.sum(axis=1))
         cells = _cells(robot_m, human_m) if known.all() else _cells(robot_m[known], human_m[known])
         self._filled = np.unique(cells[np.diff(cells, prepend=-1) != 0])  # most samples lie where the last one did
 
-    def near_logged(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def near_logged(self, robot_m: Floats, human_m: Floats) -> Bools:
         """Tell which pairs of positions, shapes (N, 3) and (N, 3), lie in cells that were logged, shape (N,).
 
         A pair without an operator (NaN) counts as known: there the robot runs free.
@@ -45,7 +45,7 @@ class Support:
         return np.asarray(absent | (self._filled[at] == asked))
 
 
-def _on_one_level(human_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _on_one_level(human_m: Floats) -> Floats:
     """Return positions with one and the same height wherever it is unknown: there the cells are those of the floor."""
     flat = is_flat(human_m)
     if not flat.any():
@@ -55,7 +55,7 @@ def _on_one_level(human_m: NDArray[np.float64]) -> NDArray[np.float64]:
     return human_m
 
 
-def _cells(robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> NDArray[np.int64]:
+def _cells(robot_m: Floats, human_m: Floats) -> Ints:
     """Pack six cell indices of 10 bits each: a cell is unique within +-77 m (robot) and +-153 m (operator)."""
     packed = np.zeros(len(robot_m), dtype=np.int64)
     for positions, edge_m in ((robot_m, ROBOT_M), (human_m, HUMAN_M)):

@@ -20,12 +20,11 @@ from cyclekit.estimate.safety import SafetyModel, scaling_of
 from cyclekit.estimate.walk import Rolled
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Mapping, Sequence
 
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.schema import Floats, Ints, Progress, Singles
 
 PATH_S = 0.1
 """Nominal time between the points of a motion at which s is looked up."""
@@ -51,12 +50,12 @@ class TransitTable:
     """
 
     names: tuple[str, ...]
-    arrival_s: NDArray[np.float32]
+    arrival_s: Singles
     start_s: float
     tasks: tuple[NominalTask, ...]
-    _drawn: dict[tuple[int, int, int], NDArray[np.float64]] = field(default_factory=dict, repr=False)
+    _drawn: dict[tuple[int, int, int], Floats] = field(default_factory=dict, repr=False)
 
-    def durations(self, sequences: Sequence[Sequence[str]], *, seed: int = 0) -> NDArray[np.float64]:
+    def durations(self, sequences: Sequence[Sequence[str]], *, seed: int = 0) -> Floats:
         """Return how long each sequence of tasks takes on each track, shape (sequences, K), s.
 
         A cycle that does not end within its track has inf.
@@ -84,7 +83,7 @@ class TransitTable:
         unknown = float("nan")
         return Rolled(time, stands, safety, np.zeros(0), unknown, unknown, looked_closely=False)
 
-    def _some(self, sequences: Sequence[Sequence[str]], seed: int) -> NDArray[np.float64]:
+    def _some(self, sequences: Sequence[Sequence[str]], seed: int) -> Floats:
         code = {name: index for index, name in enumerate(self.names)}
         count = self.arrival_s.shape[1]
         time = np.zeros((len(sequences), count))
@@ -100,13 +99,13 @@ class TransitTable:
             time[rows] = self.arrive(np.array([code[name] for name in tasks]), time[rows]) + stands
         return time
 
-    def _stands(self, task: int, occurrence: int, seed: int) -> NDArray[np.float64]:
+    def _stands(self, task: int, occurrence: int, seed: int) -> Floats:
         key = task, occurrence, seed
         if key not in self._drawn:
             self._drawn[key] = stands_of(self.tasks[task], self.arrival_s.shape[1], seed, occurrence)
         return self._drawn[key]
 
-    def arrive(self, task: NDArray[np.int64], start_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def arrive(self, task: Ints, start_s: Floats) -> Floats:
         """Return when tasks (N,) arrive that start at `start_s` (N, K), s; shape (N, K)."""
         starts = self.arrival_s.shape[2]
         place = np.minimum(start_s / self.start_s, starts - 1.001)
@@ -121,11 +120,7 @@ class TransitTable:
 
 
 def transit_table(
-    model: SafetyModel,
-    tasks: Mapping[str, NominalTask],
-    tracks: OperatorTracks,
-    *,
-    progress: Callable[[float, str], None] | None = None,
+    model: SafetyModel, tasks: Mapping[str, NominalTask], tracks: OperatorTracks, *, progress: Progress | None = None
 ) -> TransitTable:
     """Walk every task of `tasks` from every start of every track.
 
@@ -147,8 +142,8 @@ def _every(step_s: float) -> int:
     return samples_in(START_S, 1 / step_s)
 
 
-def _human_cells(tracks: OperatorTracks) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the cell of every sample (K, T) and the mean position in each cell (C, 3); one of NaN is for nobody.
+def _human_cells(tracks: OperatorTracks) -> tuple[Ints, Floats]:
+    """Return the cell of every sample (K, T) and the mean position in each cell (C, 3); the last is NaN: no operator.
 
     Where heights are unknown the cells are those of the floor, and theirs is unknown too.
     """
@@ -170,13 +165,7 @@ def _human_cells(tracks: OperatorTracks) -> tuple[NDArray[np.int64], NDArray[np.
     return cell_of.reshape(tracks.xyz_m.shape[:2]), np.concatenate([means, np.full((1, 3), np.nan)])
 
 
-def _arrivals(
-    model: SafetyModel,
-    task: NominalTask,
-    cell_of: NDArray[np.int64],
-    cells: NDArray[np.float64],
-    step_s: float,
-) -> NDArray[np.float32]:
+def _arrivals(model: SafetyModel, task: NominalTask, cell_of: Ints, cells: Floats, step_s: float) -> Singles:
     """Return when the motion ends that begins at each start, shape (K, starts), s; inf: not within the track."""
     points = max(1, round(task.nominal_s / PATH_S))
     middle = (np.arange(points) + 0.5) / points * (len(task.xyz_m) - 1)

@@ -17,13 +17,10 @@ from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, scaling_of
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.estimate.support import Support
     from cyclekit.estimate.tracks import OperatorTracks
+    from cyclekit.schema import Bools, Floats, Ints, Vector
 
-    Vector = NDArray[np.float64]
-    Whole = NDArray[np.int64]
 
 TIME_STEP_S, FINE_STEP_S = 0.2, 0.1
 """Step of the walk, and of one in which s follows the safety function late, in ramps or with hysteresis, or in which
@@ -53,15 +50,15 @@ class Rolled:
     """
 
     duration_s: Vector
-    stands_s: NDArray[np.float64]
-    safety_s: NDArray[np.float64]
+    stands_s: Floats
+    safety_s: Floats
     by_activity_s: Vector
     support: float
     spliced: float
     looked_closely: bool = True
-    own_s: NDArray[np.float64] | None = None
+    own_s: Floats | None = None
 
-    def resampled_means(self, weights: NDArray[np.float64]) -> Vector:
+    def resampled_means(self, weights: Floats) -> Vector:
         """Return the mean duration in each resample of the logs, shape (resamples,), s.
 
         Where a track goes on with stretches of other executions these are no new evidence: the spread is that of the
@@ -124,8 +121,8 @@ class Walked:
     """
 
     duration_s: Vector
-    safety_s: NDArray[np.float64]
-    activity_s: NDArray[np.float64]
+    safety_s: Floats
+    activity_s: Floats
     known: Vector
     looked: Vector
     spliced: Vector
@@ -135,9 +132,9 @@ class Walked:
 def walk(
     model: SafetyModel,
     programs: Sequence[Program],
-    which: Whole,
-    track: Whole,
-    stands_s: Sequence[NDArray[np.float64]],
+    which: Ints,
+    track: Ints,
+    stands_s: Sequence[Floats],
     tracks: OperatorTracks,
     support: Support | None = None,
     dynamics: Dynamics = AT_ONCE,
@@ -193,13 +190,7 @@ def walk(
     return Walked(duration, lines.losses(), activity_s.reshape(count, kinds), known, looked, spliced, own_loss)
 
 
-def _follow(
-    model: SafetyModel,
-    follower: Follower | None,
-    lines: _Lines,
-    robot_m: NDArray[np.float64],
-    human_m: NDArray[np.float64],
-) -> Vector:
+def _follow(model: SafetyModel, follower: Follower | None, lines: _Lines, robot_m: Floats, human_m: Floats) -> Vector:
     if follower is not None:
         return follower.advance(robot_m, human_m)
     scaling = np.ones(len(robot_m))
@@ -214,9 +205,7 @@ class _Lines:
     What is kept of the losses has a row per cycle; everything else has one per cycle that is not at its end.
     """
 
-    def __init__(
-        self, programs: Sequence[Program], which: Whole, stands_s: Sequence[NDArray[np.float64]], step_s: float
-    ) -> None:
+    def __init__(self, programs: Sequence[Program], which: Ints, stands_s: Sequence[Floats], step_s: float) -> None:
         self._step_s = step_s
         legs = max(len(program.tasks) for program in programs)
         ends, rates = np.full((len(programs), 2 * legs + 1), np.inf), np.ones((len(which), legs + 1))
@@ -238,22 +227,22 @@ class _Lines:
         self._end, self._moving, self._rate = ends[which, 0], np.ones(len(which), dtype=np.bool_), rates[:, 0]
 
     @property
-    def arrived(self) -> NDArray[np.bool_]:
+    def arrived(self) -> Bools:
         """Which rows are at their end."""
         return np.asarray(self._part == self._last)
 
     @property
-    def may_move(self) -> NDArray[np.bool_]:
+    def may_move(self) -> Bools:
         """Which rows are in motion at some time of the next step."""
         rest = (self._end - self._at) / np.maximum(self._rate, 1e-12)
         return np.asarray(self._moving | (rest < self._step_s))
 
-    def keep(self, going: NDArray[np.bool_]) -> None:
+    def keep(self, going: Bools) -> None:
         """Leave the other rows out from now on."""
         for name in ("row", "which", "last", "first", "cells", "per_s", "part", "at", "lost", "end", "moving", "rate"):
             setattr(self, f"_{name}", getattr(self, f"_{name}")[going])
 
-    def robot_at(self, ahead_s: Vector) -> NDArray[np.float64]:
+    def robot_at(self, ahead_s: Vector) -> Floats:
         """TCP (N, 3) where the rows will be when their nominal time has advanced by `ahead_s` (N,)."""
         place = np.minimum(self._at + ahead_s, self._end)
         cell = np.minimum((place * self._per_s).astype(np.int64), self._cells - 1)
@@ -265,7 +254,7 @@ class _Lines:
         The step is divided where a motion or a stand ends in it: each has a rate of its own.
         """
         lost, left = np.zeros(len(scaling)), np.full(len(scaling), self._step_s)
-        rows: slice | Whole = slice(None)  # first all of them, then those with time left
+        rows: slice | Ints = slice(None)  # first all of them, then those with time left
         while True:
             end, at, moving = self._end[rows], self._at[rows], self._moving[rows]
             rate = np.where(moving, scaling[rows], self._rate[rows])
@@ -283,13 +272,13 @@ class _Lines:
             if not len(rows):
                 return lost, left
 
-    def losses(self) -> NDArray[np.float64]:
+    def losses(self) -> Floats:
         """Safety loss per cycle and task, shape (cycles, tasks), s, that of motions under way included."""
         found = self._safety_s.copy()
         found[self._row, self._part // 2] += self._lost
         return found
 
-    def _next(self, rows: Whole) -> None:
+    def _next(self, rows: Ints) -> None:
         """Let these rows begin with their next motion or stand."""
         row, leg = self._row[rows], self._part[rows] // 2
         self._safety_s[row, leg] += self._lost[rows]
@@ -306,8 +295,8 @@ class _People:
         self._activity = np.ascontiguousarray(tracks.activity.T) % (len(tracks.activities) + 1)  # unknown is the last
         self._step_s = tracks.step_s
 
-    def at(self, t_s: float) -> tuple[NDArray[np.float64], Whole, int]:
-        """Return where each operator is (K, 3), what he does (K,), and the sample before."""
+    def at(self, t_s: float) -> tuple[Floats, Ints, int]:
+        """Return the position of each operator (K, 3), the activity (K,), and the sample before."""
         sample = int(t_s / self._step_s + 1e-9)
         weight = t_s / self._step_s - sample
         here, after = self._xyz_m[sample], self._xyz_m[sample + 1]
@@ -315,9 +304,7 @@ class _People:
         return np.where(np.isnan(between), here, between), self._activity[sample], sample
 
 
-def _of_one(
-    walked: Walked, mine: slice, program: Program, stands_s: NDArray[np.float64], tracks: OperatorTracks
-) -> Rolled:
+def _of_one(walked: Walked, mine: slice, program: Program, stands_s: Floats, tracks: OperatorTracks) -> Rolled:
     duration = walked.duration_s[mine]
     time_s = max(float(np.where(np.isfinite(duration), duration, 0.0).sum()), 1e-9)
     looked = float(walked.looked[mine].sum())

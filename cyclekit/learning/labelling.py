@@ -1,7 +1,7 @@
 """Self-labelling of a dataset: its speed scaling in unbroken stretches of time, and the staircase in it.
 
-How levels are found in a series of values is the business of `steps`; here it is decided which values belong together
-in time (one execution, no gap) and whether the cell file has fixed the levels.
+`scaling.levels` finds levels in a series of values; here it is decided which values belong together in time (one
+execution, no gap) and whether the cell file has fixed the levels.
 """
 
 from __future__ import annotations
@@ -15,13 +15,12 @@ from cyclekit.dataset.time_grid import stretches
 from cyclekit.scaling.levels import Staircase, find_staircase
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.cards import Note
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Floats, Ints
 
 
-def scaling_in_time(frame: pl.DataFrame, rate_hz: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def scaling_in_time(frame: pl.DataFrame, rate_hz: float) -> tuple[Floats, Ints]:
     """Return the scaling of every row of SAMPLES (NaN = unknown) and its stretch, shape (N,) each."""
     return frame["scaling"].fill_null(np.nan).to_numpy(), stretches(frame, rate_hz)
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Singles
 
 _IN_MEMORY_ROWS = 10_000_000
 PART_ROWS = 250_000
@@ -51,7 +52,7 @@ def rows_of(dataset: Dataset) -> int:
 
 
 def some_executions(dataset: Dataset, names: Sequence[str], rows: int, *, seed: int = 0) -> tuple[str, ...]:
-    """Return executions drawn at random until they have about so many samples, in the given order.
+    """Return executions drawn at random until they have about `rows` samples, in the given order.
 
     Args:
         dataset: Whose executions.
@@ -132,9 +133,7 @@ def in_files(parts: Iterable[Samples], folder: Path) -> Samples:
     )  # fmt: skip
 
 
-def filled(
-    file: Path, shape: tuple[int, int], block: Callable[[slice], NDArray[np.float32]], rows: int = PART_ROWS
-) -> NDArray[np.float32]:
+def filled(file: Path, shape: tuple[int, int], block: Callable[[slice], Singles], rows: int = PART_ROWS) -> Singles:
     """Return a new array that lives in a file, made block by block of rows."""
     made = np.memmap(file, np.float32, "w+", shape=shape)
     for first in range(0, shape[0], rows):

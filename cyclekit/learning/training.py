@@ -8,7 +8,7 @@ to learn from alone. How a network is built is in `models.network`; what comes o
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -18,9 +18,9 @@ import numpy as np
 
 from cyclekit import schema
 from cyclekit.dataset.cards import (
-    EpochCard,
     LevelShare,
     MetricsCard,
+    Note,
     RowsCard,
     SplitCard,
     StandardisationCard,
@@ -57,12 +57,10 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from cyclekit.dataset.cards import Note
     from cyclekit.learning.networks.fitting import Fitted
-    from cyclekit.learning.networks.metrics import Metrics
     from cyclekit.learning.networks.spec import ModelSpec
+    from cyclekit.schema import Progress
 
-    Progress = Callable[[float, str], None]
 
 LEAST_S = 10.0
 """Less log than this teaches nothing."""
@@ -192,7 +190,7 @@ def _rounded(staircase: Staircase) -> tuple[float, ...]:
     return tuple(round(float(level), 6) for level in staircase.levels)
 
 
-def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: Metrics, beaten: list[Note]) -> TrainingCard:
+def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: MetricsCard, beaten: list[Note]) -> TrainingCard:
     shares = zip(found.levels, found.staircase.share, strict=True)
     spec = fitted.spec
     warnings = [
@@ -214,7 +212,7 @@ def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: Metrics, beat
         dataset=dataset.path.name,
         dataset_sha256=fingerprint(dataset),
         cell=cell_of(dataset),
-        metrics=MetricsCard(**asdict(metrics)),
+        metrics=metrics,
         levels=tuple(LevelShare(value=value, share=round(float(share), 6)) for value, share in shares),
         warnings=tuple(warnings),
         rate_hz=dataset.rate_hz,
@@ -227,7 +225,7 @@ def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: Metrics, beat
         inputs=tuple(found.learn.inputs),
         standardisation=StandardisationCard(mean_m=tuple(fitted.mean.tolist()), scale_1_m=tuple(fitted.scale.tolist())),
         split=found.split,
-        history=tuple(EpochCard(**asdict(epoch)) for epoch in fitted.history),
+        history=fitted.history,
     )
 
 

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from cyclekit.schema import Bools, Floats, Ints, Singles
+
 Problem = Literal["now", "ahead", "average"]
 PROBLEMS: tuple[Problem, ...] = get_args(Problem)
 
@@ -42,7 +44,7 @@ INPUTS: Mapping[str, tuple[str, ...]] = {
 }
 """Input columns of every problem, in the order of the columns of X."""
 GROUPS: Mapping[str, slice] = {"human": slice(3, 6), "robot_goal": slice(6, 9), "human_goal": slice(9, 12)}
-"""Columns of X that may be unknown together: an operator who is not there, a goal that nobody has said."""
+"""Columns of X that may be unknown together: an absent operator, a goal that was not logged."""
 _MODEL_ERROR = 0.05
 """Error of a prediction against which the uncertainty of an inferred scaling is weighed."""
 
@@ -68,17 +70,17 @@ class Samples:
         in_files: The arrays are mapped from files and may be larger than memory (`out_of_core`).
     """
 
-    X: NDArray[np.float32]
+    X: Singles
     step: NDArray[np.int32]
-    scaling: NDArray[np.float64]
-    execution: NDArray[np.int64]
+    scaling: Floats
+    execution: Ints
     executions: tuple[str, ...]
-    t_s: NDArray[np.float64]
+    t_s: Floats
     inputs: tuple[str, ...]
-    weight: NDArray[np.float32]
-    table: NDArray[np.float32] | None = None
-    before: NDArray[np.int64] | None = None
-    ahead: NDArray[np.int64] | None = None
+    weight: Singles
+    table: Singles | None = None
+    before: Ints | None = None
+    ahead: Ints | None = None
     dropped: Mapping[str, int] = field(default_factory=dict)
     in_files: bool = False
 
@@ -87,7 +89,7 @@ class Samples:
         return int(self.scaling.size)
 
     @property
-    def model_inputs(self) -> NDArray[np.float32]:
+    def model_inputs(self) -> Singles:
         """What a model predicts from: X, or with a history shape (N, K, F)."""
         return self.X if self.table is None or self.before is None else self.table[self.before]
 
@@ -97,7 +99,7 @@ class Samples:
         keep = np.isin(self.execution, [i for i, name in enumerate(self.executions) if name in wanted])
         return self.where(keep)
 
-    def where(self, keep: NDArray[np.bool_]) -> Samples:
+    def where(self, keep: Bools) -> Samples:
         """Return the rows for which `keep`, shape (N,), is true; `dropped` stays empty."""
         names = ("X", "step", "scaling", "execution", "t_s", "weight")
         parts = {name: getattr(self, name)[keep] for name in names}
@@ -161,7 +163,7 @@ def build_samples(
     return replace(every.where(keep), dropped=dropped)
 
 
-def _weight(frame: pl.DataFrame, width: int, problem: str) -> NDArray[np.float32]:
+def _weight(frame: pl.DataFrame, width: int, problem: str) -> Singles:
     """Return the weight of every row: error variance of a prediction over that plus the target's own variance."""
     if "scaling_sd" not in frame.columns:
         return np.ones(frame.height, np.float32)
@@ -175,7 +177,7 @@ def _weight(frame: pl.DataFrame, width: int, problem: str) -> NDArray[np.float32
     return np.asarray(_MODEL_ERROR**2 / (_MODEL_ERROR**2 + mine), np.float32)
 
 
-def _history(run: NDArray[np.int64], unusable: NDArray[np.bool_], history: tuple[int, int]) -> NDArray[np.int64]:
+def _history(run: Ints, unusable: Bools, history: tuple[int, int]) -> Ints:
     """Return which rows each row looks back at, the oldest first, shape (T, K): never past a gap or an unusable row."""
     count, every = history
     at = np.arange(run.size)
@@ -185,9 +187,7 @@ def _history(run: NDArray[np.int64], unusable: NDArray[np.bool_], history: tuple
     return np.asarray(np.maximum(at[:, None] - back[None, :], begin[:, None]))
 
 
-def _target(
-    problem: str, scaling: NDArray[np.float64], run: NDArray[np.int64], width: int
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _target(problem: str, scaling: Floats, run: Ints, width: int) -> tuple[Floats, Bools]:
     """Return the target of each row (NaN = unknown) and whether its window lies inside one unbroken run."""
     count = scaling.size
     if width == 0:
@@ -207,13 +207,11 @@ def _target(
     return target, whole
 
 
-def _unknown_inputs(
-    frame: pl.DataFrame, X: NDArray[np.float32], allow: Collection[str]
-) -> dict[str, NDArray[np.bool_]]:
+def _unknown_inputs(frame: pl.DataFrame, X: Singles, allow: Collection[str]) -> dict[str, Bools]:
     """Return by reason which rows lack an input that they need."""
 
-    def unknown(columns: NDArray[np.float32]) -> NDArray[np.bool_]:
-        total: NDArray[np.float32] = columns.sum(axis=1)  # NaN in any column makes it NaN
+    def unknown(columns: Singles) -> Bools:
+        total: Singles = columns.sum(axis=1)  # NaN in any column makes it NaN
         return np.isnan(total)
 
     nobody = unknown(X[:, GROUPS["human"]])
@@ -227,9 +225,7 @@ def _unknown_inputs(
     return {"robot position unknown": unknown(X[:, :3]), "operator absent or not seen": nobody, "goal unknown": goal}
 
 
-def _usable(
-    unknown: Mapping[str, NDArray[np.bool_]], target: NDArray[np.float64]
-) -> tuple[NDArray[np.bool_], dict[str, int]]:
+def _usable(unknown: Mapping[str, Bools], target: Floats) -> tuple[Bools, dict[str, int]]:
     """Return which rows can be used, and how many are left out for each reason (the first that applies)."""
     keep, dropped = np.ones(target.size, np.bool_), {}
     for reason, bad in {**unknown, "scaling unknown": np.isnan(target)}.items():
@@ -257,7 +253,7 @@ def nobody_there() -> pl.Expr:
 
 
 def scaling_without_operator(frame: pl.DataFrame) -> float | None:
-    """Return the scaling that holds while nobody is there (median), None where the logs never show it.
+    """Return the median scaling without an operator; None where the logs never show it.
 
     The networks need a position of the operator; this is what holds when there is none.
     """

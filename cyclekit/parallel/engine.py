@@ -74,7 +74,7 @@ class Engine:
         return map_in_processes(function, items, min(self.jobs or 1, len(items)))
 
     def stays_here(self, count: int) -> bool:
-        """Tell whether `map` does the work for so many items in this process, where they can share what they like."""
+        """Return whether `map` works on `count` items in this process, where they can share memory."""
         return self.name == "local" and ((self.jobs or 1) == 1 or count <= 1)
 
 
@@ -86,7 +86,7 @@ def _map_here(function: Callable[[Item], Result], items: Sequence[Item]) -> Iter
     for number, item in enumerate(items):
         try:
             result = function(item)
-        except Exception as error:  # whatever it is: the items after it are done all the same
+        except Exception as error:  # of any kind: the items after it are still done
             yield Done(number, item, None, error)
         else:
             yield Done(number, item, result)

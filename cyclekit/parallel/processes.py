@@ -16,8 +16,7 @@ from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import EngineError
-from cyclekit.parallel.outcome import ONE_THREAD, RETRIES, Done, in_chunks
-from cyclekit.parallel.worker import outcomes, packed
+from cyclekit.parallel.outcome import ONE_THREAD, RETRIES, Done, in_chunks, outcomes, packed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -45,7 +44,7 @@ def map_in_processes(function: Callable[[Any], Any], items: Sequence[Any], jobs:
                 if lost[number] <= RETRIES:
                     waiting.append([number])  # after the others: what kills workers shall not hold them up
                 else:
-                    yield Done(number, items[number], None, gave_up(worker.exit_code))
+                    yield Done(number, items[number], None, gave_up(worker.process.exitcode))
     finally:
         for worker in crew:
             worker.end()
@@ -63,38 +62,30 @@ class _Worker:
 
     def __init__(self, function: bytes) -> None:
         context = get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, function), daemon=False)
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs, function), daemon=False)
         with _one_thread_each():
-            self._process.start()
+            self.process.start()
         theirs.close()
         self.at: deque[int] = deque()
-
-    @property
-    def pipe(self) -> Connection:
-        return self._pipe
-
-    @property
-    def exit_code(self) -> int | None:
-        return self._process.exitcode
 
     def give(self, numbers: list[int], items: Sequence[Any]) -> None:
         self.at.extend(numbers)
         with suppress(OSError):  # it has died; its end of the pipe will say so
-            self._pipe.send([items[number] for number in numbers])
+            self.pipe.send([items[number] for number in numbers])
 
     def outcome(self) -> tuple[Any, Exception | None] | None:
         """Return result and error of its next item, None if it has died."""
         try:
-            return self._pipe.recv()  # type: ignore[no-any-return]
+            return self.pipe.recv()  # type: ignore[no-any-return]
         except (EOFError, OSError):
             return None
 
     def end(self) -> list[int]:
-        """End the process, whatever it does; return the items that it leaves."""
-        self._process.terminate()
-        self._process.join()
-        self._pipe.close()
+        """Terminate the process; return the items that it had not done."""
+        self.process.terminate()
+        self.process.join()
+        self.pipe.close()
         left, self.at = list(self.at), deque()
         return left
 
@@ -105,7 +96,7 @@ def _with_news(workers: Sequence[_Worker]) -> list[_Worker]:
 
 
 def _serve(pipe: Connection, function: bytes) -> None:
-    """Answer item by item what comes through the pipe, until nobody is at its other end."""
+    """Work on the items that come through the pipe, one by one, until its other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interruption is the parent's to handle, who ends its workers
     _end_with_parent()
     with suppress(EOFError, OSError):
@@ -115,7 +106,7 @@ def _serve(pipe: Connection, function: bytes) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent was killed; else it would write where nobody asked any more."""
+    """End this worker when its parent was killed; else it would go on writing files."""
     parent = parent_process()
 
     def watch() -> None:

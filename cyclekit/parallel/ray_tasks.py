@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.errors import EngineError
 from cyclekit.extras import need
-from cyclekit.parallel.outcome import ONE_THREAD, RETRIES, Done, cores, in_chunks
-from cyclekit.parallel.worker import outcomes, packed
+from cyclekit.parallel.outcome import ONE_THREAD, RETRIES, Done, cores, in_chunks, outcomes, packed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -15,7 +15,7 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.alignment.frames import to_base
-from cyclekit.dataset.cards import OperatorCard, RecordingCard, note
+from cyclekit.dataset.cards import Note, OperatorCard, RecordingCard, note
 from cyclekit.dataset.dataset import Place
 from cyclekit.people.silence import Silence
 from cyclekit.people.tracks import (
@@ -38,11 +38,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.config import Cell, Source
-    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.sessions import Session
+    from cyclekit.schema import Ints, Points, Vector
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
     Read = Callable[[str, str], pl.DataFrame | None]
 
 GOAL_SIGNAL = "goal"
@@ -137,10 +135,10 @@ class Watch:
             t_s: Times of its samples, shape (T,).
             tcp_m: The TCP there, shape (T, 3), NaN = unknown.
         """
-        found = [_seen_by(log, t_s, self._cell) for log in self._logs]
+        bridge_s, width_s = self._cell.bridge_s, 1.0 / self._cell.rate_hz
+        found = [gap_reasons(log.tracks, t_s, log.recording.span_s, bridge_s=bridge_s) for log in self._logs]
         for counts, reasons in zip(self._counts, found, strict=True):
             counts += np.bincount(reasons, minlength=len(REASONS))
-        bridge_s, width_s = self._cell.bridge_s, 1.0 / self._cell.rate_hz
         human_m = nearest_person(self._tracks, t_s, tcp_m, bridge_s=bridge_s, width_s=width_s)
         goals = goals_from_events(*self._events, t_s) if len(self._events[0]) else []
         spans = find_stays(t_s, human_m)
@@ -159,9 +157,7 @@ class Watch:
         """Return by recording how many samples saw the operator, and why the others did not."""
         return {
             log.recording.id: OperatorCard(
-                not_believed=log.not_believed,
-                warnings=log.warnings,
-                **dict(zip(REASONS, counts.tolist(), strict=True)),
+                not_believed=log.not_believed, warnings=log.warnings, **dict(zip(REASONS, counts.tolist(), strict=True))
             )
             for log, counts in zip(self._logs, self._counts, strict=True)
         }
@@ -256,9 +252,7 @@ def _height_range(tracks: Sequence[PersonTrack]) -> float:
     return max(ranges, default=0.0)
 
 
-def _positions(
-    entry: RecordingCard, read: Read, source: Source | None
-) -> tuple[Vector, Points, NDArray[np.int64], list[str]]:
+def _positions(entry: RecordingCard, read: Read, source: Source | None) -> tuple[Vector, Points, Ints, list[str]]:
     """Return what a recording saw, in the order of time: times (N,), positions (N, 3), whose (N,), and the names."""
     people = read(entry.id, "people")
     people = schema.empty(schema.PEOPLE) if people is None else people
@@ -278,20 +272,15 @@ def _positions(
     return t_s * entry.clock.rate + entry.clock.offset_s, xyz, numbers, names
 
 
-def _rows_of_each(numbers: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+def _rows_of_each(numbers: Ints) -> list[Ints]:
     """Return the rows of each number (N,) that is not negative, those of the first to come first."""
     order = np.argsort(numbers, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1) if len(order) else []
     return sorted((rows for rows in parts if numbers[rows[0]] >= 0), key=lambda rows: int(rows[0]))
 
 
-def _seen_by(log: _Log, times: Vector, cell: Cell) -> NDArray[np.int8]:
-    """Return whether the recording saw somebody at each sample, and why not."""
-    return gap_reasons(log.tracks, times, log.recording.span_s, bridge_s=cell.bridge_s)
-
-
 def _why_unseen(human_m: Points, reasons: NDArray[np.int8]) -> list[str | None]:
     """Return why x_h is unknown at each sample; None where it is known."""
     unseen = np.isnan(human_m[:, 0])
-    least = np.maximum(reasons, REASONS.index("occluded"))  # a position that is not believed was hidden
+    least = np.maximum(reasons, REASONS.index("occluded"))  # an implausible position counts as occluded
     return [REASONS[reason] if hidden else None for reason, hidden in zip(least, unseen, strict=True)]

@@ -15,10 +15,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from cyclekit.schema import Points, Vector
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 Meaning = Literal["absent", "unknown"]
 SILENT_S = 5.0
@@ -72,7 +70,7 @@ class Absence:
 
 
 def absences(sessions: Sequence[Sequence[Silence]]) -> list[Absence]:
-    """Return for each session when it is known, by its logs' silence, that nobody was there.
+    """Return for each session when its logs' silence proves that no operator was present.
 
     Args:
         sessions: Of each session its logs of people.
@@ -97,7 +95,7 @@ def _of_session(logs: Sequence[Silence], beside_m: Points, *, writes_nothing: bo
 
 
 def _end(log: Silence, t_s: float, at_m: Vector, beside_m: Points, *, believed: bool) -> float | None:
-    """Return the time beyond which this log's silence says that nobody is there; None where it says nothing."""
+    """Return the time beyond which this log's silence means that no operator is present; None if it means nothing."""
     if log.told is not None:
         return t_s if log.told == "absent" else None
     if not believed:

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
+    from cyclekit.schema import Bools, Ints, Points, Vector
+
 
 STAY_M_S = 0.2
 """Below this horizontal speed the operator stands still."""
@@ -88,7 +88,7 @@ def at_times(track: PersonTrack, t_s: Vector, *, bridge_s: float, width_s: float
         return np.where(t_s[:, None] == t, xyz, np.nan) if len(t) else np.full((len(t_s), 3), np.nan)
     right = np.clip(np.searchsorted(t, t_s), 1, len(t) - 1)
     inside = (t_s >= t[0]) & (t_s <= t[-1]) & (t[right] - t[right - 1] <= limit)
-    inside |= (t[right] == t_s) | (t[right - 1] == t_s)  # just then it was seen, whatever was before
+    inside |= (t[right] == t_s) | (t[right - 1] == t_s)  # seen at exactly this time
     breaks = np.flatnonzero(np.diff(t) > limit)
     begins, ends = t[np.concatenate([[0], breaks + 1])], t[np.concatenate([breaks, [len(t) - 1]])]
     stretch = np.clip(np.searchsorted(begins, t_s, side="right") - 1, 0, None)
@@ -114,7 +114,7 @@ def _mean_around(t: Vector, x: Vector, at: Vector, half: Vector) -> Vector:
     return np.where(wide, mean, value)
 
 
-def ids_are_real(ids: NDArray[np.int64]) -> bool:
+def ids_are_real(ids: Ints) -> bool:
     """Tell whether the ids of a log's rows (N,) last: a tracker may number each frame's bodies anew."""
     counts = np.bincount(ids) if len(ids) else np.empty(0)
     if np.count_nonzero(counts) < 4:
@@ -122,7 +122,7 @@ def ids_are_real(ids: NDArray[np.int64]) -> bool:
     return float(np.median(counts[ids])) >= SHORT_ROWS  # by rows: a lasting track among false sightings is one
 
 
-def link_by_motion(t_s: Vector, xyz_m: Points) -> NDArray[np.int64]:
+def link_by_motion(t_s: Vector, xyz_m: Points) -> Ints:
     """Return a track number for each row, joining each body to the nearest one of the last frame that it can be.
 
     Where two people pass within a step of a frame they may be exchanged, which changes nothing about the distance to
@@ -155,7 +155,7 @@ def link_by_motion(t_s: Vector, xyz_m: Points) -> NDArray[np.int64]:
 
 
 def _continuations(
-    now: float, rows: NDArray[np.int64], alive: Sequence[tuple[int, int]], t_s: Vector, xyz: Points
+    now: float, rows: Ints, alive: Sequence[tuple[int, int]], t_s: Vector, xyz: Points
 ) -> dict[int, int]:
     """Return the track of each row that continues one: nearest pairs first."""
     if not alive:
@@ -190,7 +190,7 @@ def without_jumps(track: PersonTrack) -> tuple[list[PersonTrack], int]:
     return [PersonTrack(track.person, track.t_s[part], xyz[part]) for part in parts], len(dropped)
 
 
-def _strays(track: PersonTrack, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _strays(track: PersonTrack, rows: Ints) -> Bools:
     """Tell which rows belong to a part between jumps that is short, and shorter than the parts beside it."""
     cuts = _jumps(track, rows)
     starts, ends = np.concatenate([[0], cuts]), np.concatenate([cuts, [len(rows)]])
@@ -203,7 +203,7 @@ def _strays(track: PersonTrack, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.repeat(stray, ends - starts)
 
 
-def _jumps(track: PersonTrack, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+def _jumps(track: PersonTrack, rows: Ints) -> Ints:
     """Return the indices into `rows` that are implausibly far from the row before."""
     step = np.linalg.norm(np.diff(track.xyz_m[rows, :2], axis=0), axis=1)
     return np.flatnonzero(step > np.maximum(JUMP_M, JUMP_M_S * np.diff(track.t_s[rows]))) + 1
@@ -212,7 +212,7 @@ def _jumps(track: PersonTrack, rows: NDArray[np.int64]) -> NDArray[np.int64]:
 def gap_reasons(
     tracks: Sequence[PersonTrack], t_s: Vector, span_s: tuple[float, float], *, bridge_s: float
 ) -> NDArray[np.int8]:
-    """Tell of each time whether somebody is seen, and why nobody is; shape (N,), indices into REASONS.
+    """Return for each time whether an operator is seen, or why not; shape (N,), indices into REASONS.
 
     Args:
         tracks: All that one log saw.
@@ -270,7 +270,7 @@ def find_stays(t_s: Vector, human_m: Points) -> list[tuple[int, int]]:
     if len(t_s) < 3:
         return []
     speed = np.linalg.norm(np.gradient(human_m[:, :2], t_s, axis=0), axis=1)
-    still = speed < STAY_M_S  # NaN compares false: nobody seen is no stay
+    still = speed < STAY_M_S  # NaN compares false: an unseen operator does not stay
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     spans = [(a, b - 1) for a, b in edges.reshape(-1, 2).tolist()]
     return [(a, b) for a, b in spans if t_s[b] - t_s[a] >= STAY_S]

@@ -6,26 +6,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cyclekit.dataset.cards import note
-from cyclekit.scaling.infer.override import infer_overrides
+from cyclekit.dataset.cards import Note, note
+from cyclekit.scaling.infer.override import Reference, infer_overrides
 from cyclekit.scaling.levels import find_staircase
-from cyclekit.segmentation.arrivals import stands_of
+from cyclekit.segmentation.arrivals import Stands, stands_of
 from cyclekit.segmentation.dwell import usual_dwells
 from cyclekit.segmentation.motion import InferredScaling
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset.cards import Note
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import Session
     from cyclekit.parallel.engine import Engine
-    from cyclekit.scaling.infer.override import Reference
-    from cyclekit.segmentation.arrivals import Stands
+    from cyclekit.schema import Progress
     from cyclekit.segmentation.executions import Execution
-    from cyclekit.segmentation.motion import Run
+    from cyclekit.segmentation.stored_run import Run
 
 LEAVING_S = 2.0
 """How soon after a departure the scaling must be known to say whether the robot left slowed."""
@@ -38,10 +36,10 @@ def with_scaling(
     executions: Sequence[Execution],
     places: Mapping[str, Place],
     sessions: Sequence[Session],
-    progress: Callable[[float, str], None],
+    progress: Progress,
     engine: Engine,
 ) -> tuple[list[Run], list[Note]]:
-    """Return the runs, with the scaling inferred where none was logged, and what is to be said about that.
+    """Return the runs, with the scaling inferred where none was logged, and the notes on that.
 
     Args:
         runs: All runs.
@@ -61,17 +59,13 @@ def with_scaling(
     done = [run if run.knows_scaling else run.with_scaling(found) for run, found in zip(runs, parts, strict=True)]
     slowest = slowest_speed([part.scaling for n in silent for part in sorted(parts[n], key=lambda part: part.first)])
     mine = [execution for execution in executions if execution.run in set(silent)]
-    watched = {number for session in sessions if _sees_people(session) for number in session.runs}
+    with_people = (session for session in sessions if any("people" in one.tables for one in session.recordings))
+    watched = {number for session in with_people for number in session.runs}
     mine = [execution for execution in mine if execution.run in watched]
     halts = halts_at_places(done, mine, stands_of(done, mine, places), slowest)
     for number in silent:
         done[number] = runs[number].with_scaling([*parts[number], *halts[number]])
     return done, [_inferred(len(silent), len(runs), references)]
-
-
-def _sees_people(session: Session) -> bool:
-    """Tell whether people were logged: without them a standstill is no sign that anybody halted the robot."""
-    return any("people" in one.tables for one in session.recordings)
 
 
 def _inferred(silent: int, runs: int, references: Mapping[str, Sequence[Reference]]) -> Note:

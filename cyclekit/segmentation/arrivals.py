@@ -18,14 +18,11 @@ from cyclekit.segmentation.motion import RobotRun, lengths
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.dataset import Place
+    from cyclekit.schema import Bools, Ints, Points, Vector
     from cyclekit.segmentation.executions import Execution, Visit
-    from cyclekit.segmentation.motion import Run
+    from cyclekit.segmentation.stored_run import Run
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 BEYOND_S = 1.0
 """Motion before and after a standstill that is looked at, s."""
@@ -38,7 +35,7 @@ STILL_S = 0.1
 REST_S = 0.2
 """A robot that is at a place for this time rests there, even if it stands longer elsewhere."""
 SEEN = 64.0
-"""The beginning of a motion is followed from the shortest way that is seen to so many times that."""
+"""The beginning of a motion is fitted from the shortest visible distance up to this many times that."""
 SLOW = 0.05
 """At a lower scaling the distance does not show how a motion began."""
 BLOCKED = 1e-6
@@ -162,7 +159,7 @@ def _left(part: RobotRun, at: int, place_m: Vector, vague_s: float) -> tuple[flo
     )
 
 
-def _seen(off: Vector, s: Vector, midway: NDArray[np.bool_], reach: float, rest: int, half: int) -> NDArray[np.int64]:
+def _seen(off: Vector, s: Vector, midway: Bools, reach: float, rest: int, half: int) -> Ints:
     """Return the rows that tell how the motion began; if they are enough, those before it was halted `midway`.
 
     How a scaling that was not logged fell to a halt and rose again is not known, so it is not looked across one.
@@ -175,7 +172,7 @@ def _seen(off: Vector, s: Vector, midway: NDArray[np.bool_], reach: float, rest:
     return before if len(before) >= 3 else seen
 
 
-def _instant(t_s: Vector, nominal: Vector, halted: NDArray[np.bool_], began: float) -> tuple[float, float]:
+def _instant(t_s: Vector, nominal: Vector, halted: Bools, began: float) -> tuple[float, float]:
     """Return when nominal time was `began`: an instant, or the halt in which it was, the rows `halted`."""
     halt = np.flatnonzero(halted)
     if len(halt):
@@ -209,7 +206,7 @@ def _averaged(xyz_m: Points, rows: int) -> Points:
 def _rest(xyz_m: Points, scaling: Vector, place_m: Vector, reach: float, enough: int) -> Vector:
     """Return where a robot rests that may have been halted on its way there, or when it had just left.
 
-    That is at the place, if so many rows as are `enough` are there; else where it is most of the time.
+    That is at the place, if at least `enough` rows are there; else where it is most of the time.
     """
     free = ~(scaling <= BLOCKED)  # unknown counts as free
     among = xyz_m[free] if free.any() else xyz_m
@@ -230,7 +227,7 @@ def _known(scaling: Vector, off: Vector, reach: float, half: int) -> Vector:
     return np.where(np.isnan(scaling) & (off > reach) & (moved < reach), 0.0, s)
 
 
-def fill_nearest(s: Vector, known: NDArray[np.int64]) -> Vector:
+def fill_nearest(s: Vector, known: Ints) -> Vector:
     """Return `s` (T,) with every unknown entry replaced by the nearest of the `known` ones (indices, ascending)."""
     row = np.arange(len(s))
     right = np.minimum(np.searchsorted(known, row), len(known) - 1)

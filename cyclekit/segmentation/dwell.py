@@ -78,7 +78,7 @@ def usual_dwells(executions: Sequence[Execution], stands: Stands) -> dict[str, D
 
 
 def _usual(lasts_s: Sequence[float]) -> tuple[float, float]:
-    """Return how long something takes that may be prolonged, and how long at most if it was not."""
+    """Return the usual time of something that may be prolonged, and its maximum without that."""
     low, middle = np.quantile(lasts_s, (0.1, 0.3)).tolist()
     return low, low + VARIES * (middle - low) + BLUR_S
 

@@ -1,6 +1,6 @@
 """What the robot was doing: visits to places and executions, out of its standstills.
 
-What the slow-down costs is computed in `account`; the operator is the business of `people`.
+What the slow-down costs is computed in `account`; the operator is handled in `people`.
 """
 
 from __future__ import annotations
@@ -12,20 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import UnknownName
-from cyclekit.segmentation.motion import pieces
 from cyclekit.segmentation.places import MERGE_M
+from cyclekit.segmentation.stored_run import Run, pieces
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.config import Executions
     from cyclekit.dataset.dataset import Place
-    from cyclekit.segmentation.motion import Run
+    from cyclekit.schema import Ints
     from cyclekit.segmentation.standstills import Stop
-
-    Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -74,7 +70,7 @@ def _stayed(run: Run, a: int, b: int) -> bool:
 
 
 def find_executions(
-    visits: Sequence[Sequence[Visit]], places: Mapping[str, Place], how: Executions, marks: Sequence[Rows]
+    visits: Sequence[Sequence[Visit]], places: Mapping[str, Place], how: Executions, marks: Sequence[Ints]
 ) -> list[Execution]:
     """Cut the visits of each run into executions, as the cell file says they begin.
 
@@ -104,7 +100,7 @@ def find_executions(
     return found
 
 
-def _begins(seen: Sequence[Visit], how: Executions, home: str, marked: Rows) -> list[int]:
+def _begins(seen: Sequence[Visit], how: Executions, home: str, marked: Ints) -> list[int]:
     """Indices of the visits at which an execution begins, with the last visit as the end; ascending."""
     if len(seen) < 2:
         return []

@@ -11,29 +11,25 @@ from cyclekit import schema
 from cyclekit.dataset.signals import OUTPUT, REGISTER, event_times, every_change
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.segmentation.motion import COLUMNS
-from cyclekit.segmentation.stored_run import runs_of
+from cyclekit.segmentation.stored_run import StoredRun, runs_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
     from cyclekit.config import Cell
     from cyclekit.dataset.cards import RecordingCard
     from cyclekit.dataset.sessions import Session
     from cyclekit.dataset.signals import Read, Stored
-    from cyclekit.segmentation.stored_run import StoredRun
+    from cyclekit.schema import Ints, Vector
     from cyclekit.storage.parquet import StoredTable
 
-    Vector = NDArray[np.float64]
-    Rows = NDArray[np.int64]
 
 WHERE = "[executions] signal"
 LATE_S = 0.25
 """Longest delay of a signal after the departure that it marks."""
 
 
-def load_runs(session: Session, read: Read, stored: Stored, cell: Cell) -> tuple[list[StoredRun], list[Rows]]:
+def load_runs(session: Session, read: Read, stored: Stored, cell: Cell) -> tuple[list[StoredRun], list[Ints]]:
     """Return every run of a session, and for each the rows at which a logged signal begins a cycle.
 
     Args:

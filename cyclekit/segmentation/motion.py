@@ -1,35 +1,29 @@
 """A robot's log as runs that are read window by window.
 
-A run is one continuous stretch. Whoever reads motion asks for the rows that matter (a stand, a task, an execution) and
-never for all of them, so a log of any length takes the memory of its longest task. Runs that stay on the disk are in
-`stored_run`; what the motion means is the business of `stops` and `segment`.
+A run is one continuous stretch. Motion is read only for the rows that matter (a standstill, a task, an execution), so a
+log of any length takes the memory of its longest task. `stored_run` has the runs that stay on the disk, and the reading
+of any run in pieces and at sample times.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from cyclekit.storage.ahead import ahead
-
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
-    Rows = NDArray[np.int64]
+    from cyclekit.schema import Ints, Points, Vector
+
 
 SPEED_WINDOW_S = 0.024
 """Speed is the slope of the position over three controller cycles at 125 Hz: at 500 Hz the position's resolution would
 dominate a quotient of differences."""
-DENSE_S = 0.02
-"""Samples snap to log rows closer than this, s."""
-BLOCK_ROWS = 1 << 17
 COLUMNS = ("t_s", "tcp_x_m", "tcp_y_m", "tcp_z_m", "tcp_speed_m_s", "scaling")
 """Columns of table ROBOT that a run is made of."""
 STANDING, PAUSED, STOPPED, NOT_LOGGED, NO_REFERENCE, NEVER_FULL, OTHER_PATH, TOO_SLOW, LOG_GAP = range(9)
@@ -59,64 +53,6 @@ class Halt:
     first: int
     last: int
     gap: int
-
-
-class Run(Protocol):
-    """One continuous stretch of a robot log."""
-
-    @property
-    def rows(self) -> int:
-        """How many rows it has."""
-        ...
-
-    @property
-    def period_s(self) -> float:
-        """Usual time between rows."""
-        ...
-
-    @property
-    def knows_scaling(self) -> bool:
-        """Whether the scaling of any row is known."""
-        ...
-
-    def window(self, first: int, last: int) -> RobotRun:
-        """Return rows `first` to `last`, inclusive."""
-        ...
-
-    def time_at(self, row: int) -> float:
-        """Return the session time of a row, seconds."""
-        ...
-
-    def row_at(self, t_s: Vector) -> Rows:
-        """Return the last row at or before each time, shape (N,); 0 where there is none."""
-        ...
-
-    @property
-    def halts(self) -> Sequence[Halt]:
-        """When its program was paused or stopped, in order."""
-        ...
-
-    @property
-    def is_inferred(self) -> bool:
-        """Whether its scaling was inferred and not logged."""
-        ...
-
-    @property
-    def changes(self) -> Mapping[str, Vector]:
-        """When each logged signal (an output, the register, an event) changed, session seconds, ascending."""
-        ...
-
-    def posture(self, first: int, last: int) -> tuple[Points, Vector]:
-        """Return joint angles (else TCP) of rows `first` to `last`, (T, D), and the slider, (T,), 1 if not logged."""
-        ...
-
-    def slider_at(self, first: int, last: int) -> Vector | None:
-        """Return the slider of rows `first` to `last`, shape (T,), NaN = unknown; None where it was not logged."""
-        ...
-
-    def with_scaling(self, parts: Sequence[InferredScaling]) -> Run:
-        """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -185,7 +121,7 @@ class RobotRun:
         """Return the session time of a row, seconds."""
         return float(self.t_s[row])
 
-    def row_at(self, t_s: Vector) -> Rows:
+    def row_at(self, t_s: Vector) -> Ints:
         """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
         return np.clip(np.searchsorted(self.t_s, t_s + 1e-9, side="right") - 1, 0, None)
 
@@ -223,40 +159,9 @@ class Overlay:
         return scaling, deviation, gap
 
 
-def pieces(run: Run, first: int = 0, last: int | None = None, *, overlap: int = 0) -> Iterator[tuple[int, RobotRun]]:
-    """Return rows `first` to `last` of a run, a block at a time, each with its first row; the next is read meanwhile.
-
-    Args:
-        run: The run.
-        first: First row.
-        last: Last row, inclusive; None = that of the run.
-        overlap: Rows that a block has in common with the one before it.
-    """
-    last = run.rows - 1 if last is None else last
-    blocks = _pieces(run, first, last, overlap)
-    return ahead(blocks) if last - first >= BLOCK_ROWS else blocks
-
-
-def _pieces(run: Run, first: int, last: int, overlap: int) -> Iterator[tuple[int, RobotRun]]:
-    begin = first
-    while begin <= last:
-        after = min(begin + BLOCK_ROWS - 1, last)
-        yield begin, run.window(begin, after)
-        if after == last:
-            return
-        begin = after + 1 - overlap
-
-
 def half_window(period_s: float) -> int:
     """Return how many rows before and behind a row its speed is taken over."""
     return max(1, round(SPEED_WINDOW_S / 2 / period_s))
-
-
-def tcp_speed(t_s: Vector, xyz_m: Points) -> Vector:
-    """Return the TCP speed, m/s, shape (T,), as the slope of the position over SPEED_WINDOW_S around each row."""
-    if len(t_s) < 3:
-        return np.zeros(len(t_s))
-    return slope(t_s, xyz_m, half_window(float(np.median(np.diff(t_s)))))
 
 
 def lengths(ways_m: Points) -> Vector:
@@ -270,64 +175,3 @@ def slope(t_s: Vector, xyz_m: Points, half: int) -> Vector:
     after, before = np.minimum(row + half, len(t_s) - 1), np.maximum(row - half, 0)
     path = lengths(xyz_m[after] - xyz_m[before])
     return np.asarray(path / np.maximum(t_s[after] - t_s[before], 1e-9))
-
-
-@dataclass(frozen=True)
-class Sampled:
-    """A run at N times.
-
-    Attributes:
-        t_s: The times, shape (N,); those of rows where the log has them dense enough.
-        xyz_m: TCP, shape (N, 3); NaN in a gap of the log.
-        scaling: The safety system's scaling in force, shape (N,); NaN = unknown.
-        deviation: Its standard deviation, shape (N,); NaN = unknown.
-        gap: Why it is unknown, shape (N,), where it is: indices into SCALING_GAPS.
-        slider: The operator's speed slider, shape (N,); NaN = not logged.
-        row: Row at or before each time, shape (N,).
-    """
-
-    t_s: Vector
-    xyz_m: Points
-    scaling: Vector
-    deviation: Vector
-    gap: NDArray[np.int8]
-    slider: Vector
-    row: Rows
-
-
-def sampled(run: Run, t_s: Vector) -> Sampled:
-    """Return a run at some times, ascending: TCP by linear interpolation, scaling as the value in force.
-
-    Neither looks across a gap of the log. A time is moved back to the row before it where that is less than DENSE_S
-    ago: the scaling of a row belongs to the positions at that row, and a TCP at 1 m/s is 8 mm farther one controller
-    cycle later, which at the edge of a zone is another level.
-    """
-    at_once = max(1, int(BLOCK_ROWS * run.period_s * len(t_s) / max(t_s[-1] - t_s[0], 1e-9))) if len(t_s) else 1
-    parts = [_sampled(run, t_s[begin : begin + at_once]) for begin in range(0, len(t_s), at_once)]
-    if not parts:
-        none = np.empty(0)
-        return Sampled(none, np.empty((0, 3)), none, none, none.astype(np.int8), none, none.astype(np.int64))
-    columns = zip(*(vars(part).values() for part in parts), strict=True)
-    return Sampled(*(np.concatenate(column) for column in columns))
-
-
-def _sampled(run: Run, t_s: Vector) -> Sampled:
-    row = run.row_at(t_s)
-    first = int(row[0])
-    part = run.window(first, min(int(row[-1]) + 1, run.rows - 1))
-    here = row - first
-    back = t_s - part.t_s[here]
-    t = np.where(back < DENSE_S, part.t_s[here], t_s)
-    after = np.minimum(here + 1, part.rows - 1)
-    gap = part.t_s[after] - part.t_s[here] > max(0.1, 5 * run.period_s)
-    xyz = np.column_stack([np.interp(t, part.t_s, part.xyz_m[:, axis]) for axis in range(3)])
-    xyz[gap] = np.nan
-    scaling = np.where(gap, np.nan, part.scaling[here])
-    known = np.zeros(len(t)) if part.deviation is None else part.deviation[here]
-    why = np.full(len(t), NOT_LOGGED, np.int8) if part.gap is None else part.gap[here].copy()
-    for halt in run.halts:
-        why[(row >= halt.first) & (row <= halt.last)] = halt.gap
-    why[gap] = LOG_GAP
-    slider = run.slider_at(first, first + part.rows - 1)
-    slider = np.full(len(t), np.nan) if slider is None else slider[here]
-    return Sampled(t, xyz, scaling, np.where(np.isnan(scaling), np.nan, known), why, slider, row)

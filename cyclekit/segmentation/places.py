@@ -3,6 +3,9 @@
 A place is a spot where the robot stands although it was allowed to move; where the scaling is not logged, a spot that
 the robot never passes without standing. Motion is asked first; signals (an output, a register, an event) that change
 while the robot stands at places found so, and hardly ever else, tell of places that motion does not show.
+
+A robot that moves on without a dwell stops at each position for a row or two of its log at most. Where it rests at one
+place at most, these turning points divide its motion (`with_turns`).
 """
 
 from __future__ import annotations
@@ -13,20 +16,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.dataset import Place
-from cyclekit.segmentation.motion import pieces
+from cyclekit.segmentation.motion import RobotRun
+from cyclekit.segmentation.standstills import Stop
+from cyclekit.segmentation.stored_run import Run, pieces
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.config import NamedPlace
-    from cyclekit.segmentation.motion import Run
-    from cyclekit.segmentation.standstills import Stop
+    from cyclekit.schema import Ints, Points, Vector
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
-    Rows = NDArray[np.int64]
 
 MERGE_M = 0.01
 """Stops nearer than this to each other are one place (robots repeat to 0.1 mm; two fixtures are never this near)."""
@@ -51,7 +50,7 @@ def find_places(
     able = np.array([stop.free is not False and not stop.edge for stop in stops], bool)
     able[common] = True
     left = able.copy()
-    members: list[Rows] = []
+    members: list[Ints] = []
     for name, place in named.items():
         near = np.linalg.norm(xyz - np.asarray(place.xyz_m), axis=1) <= place.radius_m
         near &= able
@@ -73,7 +72,7 @@ def find_places(
     return places
 
 
-def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: Sequence[Rows]) -> list[Rows]:
+def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: Sequence[Ints]) -> list[Ints]:
     """Return groups of standstills that are places because a signal that marks work at `known` places changes there."""
     telling = _of_work(runs, stops, known)
     if not telling:
@@ -88,7 +87,7 @@ def _by_signals(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, known: 
     return [group for group, here in zip(groups, near, strict=True) if 2 * len(group) >= np.count_nonzero(here)]
 
 
-def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Rows]) -> set[str]:
+def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Ints]) -> set[str]:
     """Return the signals that mark work: see WORKS."""
     total, inside = Counter[str](), Counter[str]()
     for run in runs:
@@ -102,7 +101,7 @@ def _of_work(runs: Sequence[Run], stops: Sequence[Stop], known: Sequence[Rows]) 
     return {name for name in steady if inside[name] >= WORKS * total[name]}
 
 
-def _common_edge(stops: Sequence[Stop], xyz: Points) -> NDArray[np.int64]:
+def _common_edge(stops: Sequence[Stop], xyz: Points) -> Ints:
     """Return the edges of recordings that lie at one spot, if at least two and most of all edges do; else none."""
     edges = np.flatnonzero(np.array([stop.edge for stop in stops], bool))
     largest = max(cluster(xyz, edges, MERGE_M), key=len, default=edges)
@@ -120,7 +119,7 @@ def _radius(members: Points, centre: Vector) -> float:
     return round(min(max(6.0 * spread, 5e-4), MERGE_M), 6)
 
 
-def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArray[np.int64]]:
+def cluster(xyz: Points, rows: Ints, radius_m: float) -> list[Ints]:
     """Group positions that lie within `radius_m` of the densest spots, densest first; an unknown one is in no group.
 
     Nothing depends on where the axes lie: a spot is the median of all that is within half the radius of the position
@@ -133,7 +132,7 @@ def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArr
     """
     from scipy.spatial import cKDTree  # slow to import, and only needed to look for places
 
-    groups: list[NDArray[np.int64]] = []
+    groups: list[Ints] = []
     rows = rows[np.isfinite(xyz[rows]).all(axis=1)]
     if not len(rows):
         return groups
@@ -153,7 +152,7 @@ def cluster(xyz: Points, rows: NDArray[np.int64], radius_m: float) -> list[NDArr
     return groups
 
 
-def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups: Sequence[Rows]) -> list[bool]:
+def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups: Sequence[Ints]) -> list[bool]:
     """Tell which groups of stops are places."""
     centres = [np.median(xyz[group], axis=0) for group in groups]
     free = [any(stops[i].free for i in group.tolist()) for group in groups]
@@ -169,7 +168,7 @@ def _are_places(runs: Sequence[Run], stops: Sequence[Stop], xyz: Points, groups:
     return answers
 
 
-def count_passes(runs: Sequence[Run], centres: Points) -> Rows:
+def count_passes(runs: Sequence[Run], centres: Points) -> Ints:
     """Count how often the robot comes within MERGE_M of each spot, standing or not; centres (C, 3), counts (C,)."""
     counts = np.zeros(len(centres), np.int64)
     around = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -187,7 +186,7 @@ def count_passes(runs: Sequence[Run], centres: Points) -> Rows:
     return counts
 
 
-def _near(xyz_m: Points, centres: Points, cells: Rows, owners: Rows) -> tuple[Rows, Rows]:
+def _near(xyz_m: Points, centres: Points, cells: Ints, owners: Ints) -> tuple[Ints, Ints]:
     """Return which rows are within MERGE_M of which spots, by spot and row.
 
     Args:
@@ -208,7 +207,7 @@ def _near(xyz_m: Points, centres: Points, cells: Rows, owners: Rows) -> tuple[Ro
     return spot[near][order], row[near][order]
 
 
-def _cell(xyz_m: Points) -> Rows:
+def _cell(xyz_m: Points) -> Ints:
     """Return in which cube of MERGE_M each position (..., 3) lies, shape (..., 3).
 
     Neighbours are told by these numbers and not by positions: 0.61 / 0.01 and 0.60 / 0.01 are rounded apart or not.
@@ -216,7 +215,49 @@ def _cell(xyz_m: Points) -> Rows:
     return np.asarray(np.floor(xyz_m / MERGE_M).astype(np.int64))
 
 
-def _packed(index: Rows) -> Rows:
+def _packed(index: Ints) -> Ints:
     """Return one number for each cube (..., 3), shape (...)."""
     index = index + (1 << 20)
     return np.asarray((index[..., 0] << 42) + (index[..., 1] << 21) + index[..., 2])
+
+
+SLOW = 0.1
+"""At a turn the robot is slower than this fraction of its usual speed."""
+APART_S = 0.5
+"""Of slow rows nearer than this to each other the slowest is the turn."""
+
+
+def with_turns(runs: Sequence[Run], stops: Sequence[Stop]) -> list[Stop]:
+    """Return the stops, and the turns of runs that turn or stand at a spot more than once, in order.
+
+    Args:
+        runs: All runs.
+        stops: Their standstills.
+    """
+    turns = [
+        Stop(number, row, row, xyz, free=True)
+        for number, run in enumerate(runs)
+        for begin, part in pieces(run)
+        for row, xyz in _turns(begin, part)
+    ]
+    both = [*stops, *turns]
+    xyz = np.array([stop.xyz_m for stop in both]).reshape(-1, 3)
+    again = {i for group in cluster(xyz, np.arange(len(both)), MERGE_M) if len(group) > 1 for i in group.tolist()}
+    kept = [stop for i, stop in enumerate(both) if i < len(stops) or i in again]
+    return sorted(kept, key=lambda stop: (stop.run, stop.first))
+
+
+def _turns(begin: int, part: RobotRun) -> list[tuple[int, tuple[float, float, float]]]:
+    """Return the rows at which speed falls nearly to zero and rises again at once, and where."""
+    speed = part.speed_m_s
+    usual = float(np.nanquantile(speed, 0.9)) if np.isfinite(speed).any() else 0.0
+    slow = np.flatnonzero(speed < SLOW * usual)
+    groups = np.split(slow, np.flatnonzero(np.diff(part.t_s[slow]) > APART_S) + 1) if len(slow) else []
+    found = []
+    for rows in groups:
+        if rows[0] == 0 or rows[-1] == part.rows - 1 or part.t_s[rows[-1]] - part.t_s[rows[0]] > APART_S:
+            continue  # it stood: that is no turn
+        row = int(rows[int(speed[rows].argmin())])
+        x, y, z = (float(value) for value in part.xyz_m[row])
+        found.append((begin + row, (x, y, z)))
+    return found

@@ -1,4 +1,4 @@
-"""Whether a slow robot stands or creeps: told from the noise and the quantum of the log's own positions.
+"""Whether a slow robot stands or creeps, by the noise and the resolution of the log's own positions.
 
 A speed taken over a few rows tells nothing here: at 3 mm/s a log with a tenth of a millimetre of resolution repeats
 most of its rows, and they read as standstill. So the question is how far the robot gets within a time in which a slow
@@ -12,24 +12,21 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from cyclekit.segmentation.motion import lengths, pieces
+from cyclekit.segmentation.motion import lengths
+from cyclekit.segmentation.stored_run import Run, pieces
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from cyclekit.schema import Points, Vector
 
-    from cyclekit.segmentation.motion import Run
-
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 MIN_STOP_S = 0.15
 """A shorter standstill is not counted: the reversal of a path takes one or two controller cycles."""
 MOVES_M_S = 5e-4
 """A robot at this speed or above moves: welding and gluing are slow. Below it, a standing robot settles or drifts."""
 _SPAN = 8.0
-"""A standing robot's positions spread over so many standard deviations of all axes together."""
+"""A standing robot's positions spread over this many standard deviations of all axes together."""
 AXES = 1.8
 """Each of the three axes may lie between two values: a standing robot's positions spread over so many quanta. A moving
 one shows the same two values for twice as long at most."""
@@ -114,7 +111,7 @@ def quantum_of(steps_m: Vector) -> float:
 
 
 def _within(xyz_m: Points, rows: int, smooth: int, reach_m: float) -> list[tuple[int, int]]:
-    """Return the stretches all of whose rows lie in a window of so many rows that spreads over no more than a reach.
+    """Return the stretches whose rows all lie in a window of `rows` rows that spreads over no more than `reach_m`.
 
     Args:
         xyz_m: Positions, shape (T, 3), metres.

@@ -1,4 +1,4 @@
-"""Where and when a robot stands: its standstills, told from the noise of its own position.
+"""Standstills: where and when a robot stands, by the noise of its own position.
 
 A slow robot is looked at twice: speed says where it may stand, and how far it gets says whether it does.
 A robot program moves from place to place and stands there while the gripper works. A safety halt stands too, but
@@ -13,23 +13,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.segmentation.motion import half_window, lengths, pieces
+from cyclekit.segmentation.motion import half_window, lengths
 from cyclekit.segmentation.slow_motion import AXES, MIN_STOP_S, Stillness, quantum_of, stillness_of
+from cyclekit.segmentation.stored_run import Run, pieces
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
+    from cyclekit.schema import Floats, Vector
 
-    from cyclekit.segmentation.motion import Run
-
-    Vector = NDArray[np.float64]
 
 TWITCH_S, TWITCH_M = 0.1, 2e-4
 """A motion that is over within this time (or TWITCH_ROWS) and leads no farther than this is noise of the position."""
 TWITCH_ROWS = 4
 CRAWL_M_S = 3e-3
-"""A robot slower than this may stand: whether it does is told from how far it gets (see `stillness`)."""
+"""A robot slower than this may stand; how far it gets decides (see `Stillness`)."""
 APART_S = 0.5
 """Slow stretches at one spot with less between them are looked at as one: noise divides them."""
 _CRAWLS = 2_000_000  # speeds from which its noise is found
@@ -94,7 +92,7 @@ def find_stops(run: Run, number: int) -> list[Stop]:
     return _with_changes(run, stops, np.array(times).reshape(-1, 2))
 
 
-def _with_changes(run: Run, stops: list[Stop], times_s: NDArray[np.float64]) -> list[Stop]:
+def _with_changes(run: Run, stops: list[Stop], times_s: Floats) -> list[Stop]:
     """Return the stops with how often each signal changed from the first to the last time (N, 2) of each."""
     found: list[dict[str, int]] = [{} for _ in stops]
     for name, when in run.changes.items():

@@ -1,15 +1,17 @@
-"""A run that stays on the disk, in the Parquet table of its recording."""
+"""Runs that stay on the disk, in the Parquet table of a recording; reading any run in pieces and at sample times."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from cyclekit.segmentation.motion import (
+    LOG_GAP,
+    NOT_LOGGED,
     PAUSED,
     STOPPED,
     Halt,
@@ -20,19 +22,20 @@ from cyclekit.segmentation.motion import (
     moving_slider,
     slope,
 )
+from cyclekit.storage.ahead import ahead
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from cyclekit.schema import Ints, Points, Vector
     from cyclekit.storage.parquet import StoredTable
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
-    Rows = NDArray[np.int64]
 
-
+DENSE_S = 0.02
+"""Samples snap to log rows closer than this, s."""
+BLOCK_ROWS = 1 << 17
 SHORT_ROWS = 1 << 14
 """A run of fewer rows is put together once for all that look at windows of it one after the other."""
 
@@ -48,7 +51,7 @@ class StoredRun:
         period_s: Usual time between rows.
         has_speed: The TCP speed is logged in every row of the table.
         knows_scaling: Whether the scaling of any row is known.
-        steps: Rows of the run, every BLOCK_ROWS-th, and the times there: where to look for a time.
+        steps: Ints of the run, every BLOCK_ROWS-th, and the times there: where to look for a time.
         more: Joint angles and slider of the same rows, as far as they are known; None = neither is.
         halts: When the program was paused or stopped.
         inferred: Scaling in place of the logged one; None = as logged.
@@ -62,7 +65,7 @@ class StoredRun:
     period_s: float
     has_speed: bool
     knows_scaling: bool
-    steps: tuple[Rows, Vector]
+    steps: tuple[Ints, Vector]
     more: StoredTable | None = None
     halts: tuple[Halt, ...] = ()
     inferred: Overlay | None = None
@@ -118,7 +121,7 @@ class StoredRun:
         """Return the session time of a row, seconds."""
         return float(self.table.column("t_s", self.first + row, self.first + row + 1)[0]) + self.offset_s
 
-    def row_at(self, t_s: Vector) -> Rows:
+    def row_at(self, t_s: Vector) -> Ints:
         """Return the last row at or before each time (to a nanosecond), shape (N,); 0 where there is none."""
         rows, times = self.steps
         if len(rows) == 1:
@@ -131,7 +134,7 @@ class StoredRun:
             found[here] = self._last_before(t_s[here], int(rows[number]), last)
         return found
 
-    def _last_before(self, t_s: Vector, first: int, end: int) -> Rows:
+    def _last_before(self, t_s: Vector, first: int, end: int) -> Ints:
         """Do as `row_at` among rows `first` to before `end`."""
         times_there = self.table.column("t_s", self.first + first, self.first + end)
         before = times_there.searchsorted(t_s - self.offset_s + 1e-9, side="right") - 1
@@ -141,6 +144,10 @@ class StoredRun:
         """Return the run with scaling replaced from each first row on; unknown (NaN) elsewhere."""
         kept = Overlay(parts)
         return replace(self, inferred=kept, knows_scaling=kept.is_known)
+
+
+Run: TypeAlias = RobotRun | StoredRun
+"""One continuous stretch of a robot log, in memory or in a file."""
 
 
 @lru_cache(maxsize=4)
@@ -192,3 +199,88 @@ def runs_of(
         )
         found.append(StoredRun(table, first, end, offset_s, period_s, has_speed, logged, steps, more, halts))
     return found
+
+
+def pieces(run: Run, first: int = 0, last: int | None = None, *, overlap: int = 0) -> Iterator[tuple[int, RobotRun]]:
+    """Return rows `first` to `last` of a run, a block at a time, each with its first row; the next is read meanwhile.
+
+    Args:
+        run: The run.
+        first: First row.
+        last: Last row, inclusive; None = that of the run.
+        overlap: Ints that a block has in common with the one before it.
+    """
+    last = run.rows - 1 if last is None else last
+    blocks = _pieces(run, first, last, overlap)
+    return ahead(blocks) if last - first >= BLOCK_ROWS else blocks
+
+
+def _pieces(run: Run, first: int, last: int, overlap: int) -> Iterator[tuple[int, RobotRun]]:
+    begin = first
+    while begin <= last:
+        after = min(begin + BLOCK_ROWS - 1, last)
+        yield begin, run.window(begin, after)
+        if after == last:
+            return
+        begin = after + 1 - overlap
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A run at N times.
+
+    Attributes:
+        t_s: The times, shape (N,); those of rows where the log has them dense enough.
+        xyz_m: TCP, shape (N, 3); NaN in a gap of the log.
+        scaling: The safety system's scaling in force, shape (N,); NaN = unknown.
+        deviation: Its standard deviation, shape (N,); NaN = unknown.
+        gap: Why it is unknown, shape (N,), where it is: indices into SCALING_GAPS.
+        slider: The operator's speed slider, shape (N,); NaN = not logged.
+        row: Row at or before each time, shape (N,).
+    """
+
+    t_s: Vector
+    xyz_m: Points
+    scaling: Vector
+    deviation: Vector
+    gap: NDArray[np.int8]
+    slider: Vector
+    row: Ints
+
+
+def sampled(run: Run, t_s: Vector) -> Sampled:
+    """Return a run at some times, ascending: TCP by linear interpolation, scaling as the value in force.
+
+    Neither looks across a gap of the log. A time is moved back to the row before it where that is less than DENSE_S
+    ago: the scaling of a row belongs to the positions at that row, and a TCP at 1 m/s is 8 mm farther one controller
+    cycle later, which at the edge of a zone is another level.
+    """
+    at_once = max(1, int(BLOCK_ROWS * run.period_s * len(t_s) / max(t_s[-1] - t_s[0], 1e-9))) if len(t_s) else 1
+    parts = [_sampled(run, t_s[begin : begin + at_once]) for begin in range(0, len(t_s), at_once)]
+    if not parts:
+        none = np.empty(0)
+        return Sampled(none, np.empty((0, 3)), none, none, none.astype(np.int8), none, none.astype(np.int64))
+    columns = zip(*(vars(part).values() for part in parts), strict=True)
+    return Sampled(*(np.concatenate(column) for column in columns))
+
+
+def _sampled(run: Run, t_s: Vector) -> Sampled:
+    row = run.row_at(t_s)
+    first = int(row[0])
+    part = run.window(first, min(int(row[-1]) + 1, run.rows - 1))
+    here = row - first
+    back = t_s - part.t_s[here]
+    t = np.where(back < DENSE_S, part.t_s[here], t_s)
+    after = np.minimum(here + 1, part.rows - 1)
+    gap = part.t_s[after] - part.t_s[here] > max(0.1, 5 * run.period_s)
+    xyz = np.column_stack([np.interp(t, part.t_s, part.xyz_m[:, axis]) for axis in range(3)])
+    xyz[gap] = np.nan
+    scaling = np.where(gap, np.nan, part.scaling[here])
+    known = np.zeros(len(t)) if part.deviation is None else part.deviation[here]
+    why = np.full(len(t), NOT_LOGGED, np.int8) if part.gap is None else part.gap[here].copy()
+    for halt in run.halts:
+        why[(row >= halt.first) & (row <= halt.last)] = halt.gap
+    why[gap] = LOG_GAP
+    slider = run.slider_at(first, first + part.rows - 1)
+    slider = np.full(len(t), np.nan) if slider is None else slider[here]
+    return Sampled(t, xyz, scaling, np.where(np.isnan(scaling), np.nan, known), why, slider, row)

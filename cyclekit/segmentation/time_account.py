@@ -15,29 +15,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.segmentation.arrivals import fill_nearest
+from cyclekit.segmentation.arrivals import Stands, fill_nearest
 from cyclekit.segmentation.dwell import Dwell
 from cyclekit.segmentation.motion import moving_slider
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
-    from cyclekit.segmentation.arrivals import Stands
     from cyclekit.segmentation.executions import Execution
-    from cyclekit.segmentation.motion import Run
-
-    Vector = NDArray[np.float64]
+    from cyclekit.segmentation.stored_run import Run
 
 
 @dataclass(frozen=True)
 class Leg:
-    """One executed task, all times in session seconds; see table TASKS of `schema` for the split.
-
-    Attributes:
-        start_row, arrival_row: Rows of the run between which the robot was on its way.
-    """
+    """One executed task, all times in session seconds; see table TASKS of `schema` for the split."""
 
     start_place: str
     goal_place: str
@@ -49,8 +40,6 @@ class Leg:
     safety_loss_s: float | None
     dwell_s: float
     wait_s: float
-    start_row: int
-    arrival_row: int
 
 
 def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str, Dwell]) -> list[Leg]:
@@ -70,7 +59,6 @@ def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str,
         dwell, wait = (stood, 0.0) if stood <= most else (usual, stood - usual)
         if final:
             dwell, wait = 0.0 if visit.place == home else min(stood, usual), 0.0
-        start_row, arrival_row = run.row_at(np.array([departure, arrival])).tolist()
         motion = motion_time(run, departure, arrival)
         legs.append(
             Leg(
@@ -84,8 +72,6 @@ def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str,
                 safety_loss_s=motion.safety_loss_s,
                 dwell_s=dwell,
                 wait_s=wait + motion.paused_s,
-                start_row=start_row,
-                arrival_row=arrival_row,
             )
         )
         departure = arrival + dwell + wait

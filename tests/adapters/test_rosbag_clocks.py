@@ -7,11 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cyclekit.adapter import ReadOptions
+from cyclekit.adapter.clock_line import least_delays
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.schema import STAMPS
 from cyclekit_adapters.rosbag import ADAPTER
 from cyclekit_adapters.rosbag.clocks import StampSource, choose_times, simulated
-from cyclekit_adapters.rosbag.envelope import PARTS, least_delays, line_under
+from cyclekit_adapters.rosbag.envelope import PARTS, line_under
 
 T0 = 1_700_000_000.0
 TCP, POSES, SCALING = "/tcp_pose_broadcaster/pose", "/poses", "/speed_scaling_factor"
@@ -257,7 +258,7 @@ def test_the_least_delay_of_each_part_is_found_the_first_of_equal_ones(count, se
     delays = np.random.default_rng(seed).integers(0, 3, count).astype(float)
     size = -(-count // PARTS)
     parts = [delays[begin : begin + size].tolist() for begin in range(0, count, size)]
-    assert least_delays(delays).tolist() == [k * size + part.index(min(part)) for k, part in enumerate(parts)]
+    assert least_delays(delays, PARTS).tolist() == [k * size + part.index(min(part)) for k, part in enumerate(parts)]
 
 
 def test_moments_before_and_after_the_simulated_clock_go_on_at_the_recorders_speed():

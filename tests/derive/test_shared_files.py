@@ -14,8 +14,8 @@ from polars.testing import assert_frame_equal
 
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.dataset.sessions import Session
-from cyclekit.derive import sharing
-from cyclekit.derive.sharing import MOST_SESSIONS, SHORT, shared_files
+from cyclekit.derive import sample_file
+from cyclekit.derive.sample_file import MOST_SESSIONS, SHORT, shared_files
 from cyclekit.ingest.ingest import ingest
 from cyclekit.parallel.engine import Engine
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 @pytest.fixture
 def sharing_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let any two sessions share a file."""
-    monkeypatch.setattr(sharing, "FEW_SESSIONS", 1)
-    monkeypatch.setattr(sharing, "SHORT", 1 << 20)
+    monkeypatch.setattr(sample_file, "FEW_SESSIONS", 1)
+    monkeypatch.setattr(sample_file, "SHORT", 1 << 20)
 
 
 @pytest.fixture
@@ -91,5 +91,5 @@ def test_every_session_is_in_one_file_and_files_are_short(spans: list[float], ch
 
 
 def test_few_sessions_have_files_of_their_own():
-    sessions = [Session(f"s{number}", (), span_s=(0.0, 1.0)) for number in range(sharing.FEW_SESSIONS)]
+    sessions = [Session(f"s{number}", (), span_s=(0.0, 1.0)) for number in range(sample_file.FEW_SESSIONS)]
     assert {len(numbers) for numbers in shared_files(sessions, 10.0)} == {1}

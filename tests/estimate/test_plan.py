@@ -35,7 +35,7 @@ def table(names: tuple[str, ...] = NAMES) -> TransitTable:
     phase = rng.uniform(0, 6, (len(tasks), 3, 1))
     arrival = start + 2.0 + np.sin(start / 4.0 + phase)
     stand = np.array([0.5, 0.5])
-    nominal = tuple(NominalTask(task, np.zeros((2, 3)), 1.0, 0.5, 0.0, stand, 2) for task in tasks)
+    nominal = tuple(NominalTask(task, np.zeros((2, 3)), 1.0, 0.5, 0.0, stand) for task in tasks)
     return TransitTable(tuple(tasks), arrival.astype(np.float32), 0.2, nominal)
 
 
@@ -53,7 +53,7 @@ def test_of_orders_with_like_means_the_one_that_differs_less_between_operators_i
     names = ("a->b", "b->a", "home->a", "home->b")
     start = np.arange(STARTS) * 0.2
     lasts = np.array([[1.0] * 4, [1.0] * 4, [1.0] * 4, [0.48, 1.48, 0.48, 1.48]])
-    nominal = tuple(NominalTask(name, np.zeros((2, 3)), 1.0, 0.5, 0.0, np.array([0.5, 0.5]), 2) for name in names)
+    nominal = tuple(NominalTask(name, np.zeros((2, 3)), 1.0, 0.5, 0.0, np.array([0.5, 0.5])) for name in names)
     made = TransitTable(names, (start + lasts[..., None]).astype(np.float32), 0.2, nominal)
     assert best_order(Scorer(made, jobs))[0] == ("b", "a")  # by the mean alone
     assert best_order(Scorer(made, jobs, executions=4))[0] == ("a", "b")

@@ -252,7 +252,7 @@ def test_a_sequence_through_positions_never_logged_is_refused_unless_asked_for(
 @settings(deadline=None)
 @given(st.floats(0.01, 100.0), st.floats(0.01, 100.0), st.just(0.0) | st.floats(0.0, 10.0))
 def test_no_part_of_a_task_is_below_zero_and_they_add_up(dwell_s: float, stand_s: float, wait_s: float):
-    task = NominalTask("a->b", np.zeros((2, 3)), 1.0, dwell_s, wait_s, np.array([dwell_s]), 1)
+    task = NominalTask("a->b", np.zeros((2, 3)), 1.0, dwell_s, wait_s, np.array([dwell_s]))
     one = np.array([[stand_s]])
     (share,) = _shares(
         Program((task,), np.array([1.0, 1.0 + dwell_s])), Rolled(1.0 + one[0], one, 0 * one, one[0], 1, 0)

@@ -10,8 +10,7 @@ from fabricated import fabricate_dataset
 
 from cyclekit.cli import run
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.estimate.estimators import ESTIMATORS, Estimator
-from cyclekit.estimate.rivals import by_nominal
+from cyclekit.estimate.estimators import ESTIMATORS, Estimator, by_nominal
 from cyclekit.learning.labelling import staircase_of
 from cyclekit.learning.networks.kinds import NETWORKS, Inputs, Network
 from cyclekit.learning.networks.saved import load_model, save_model
@@ -63,8 +62,8 @@ def test_a_network_of_one_line_is_trained_saved_read_and_judged(
     assert "toy" in capsys.readouterr().out
 
 
-def _twice(_dataset: Dataset, program: Program, _seed: int) -> Rolled:
-    return by_nominal(program)
+def _twice(dataset: Dataset, program: Program, _seed: int) -> Rolled:
+    return by_nominal(dataset, program)
 
 
 def test_an_estimator_of_one_line_answers(

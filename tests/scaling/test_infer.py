@@ -11,13 +11,14 @@ from examples import at_most
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
+from tcp_speed import tcp_speed
 
 from cyclekit.scaling.infer.advance import advance
 from cyclekit.scaling.infer.override import infer_overrides
 from cyclekit.scaling.infer.path import along, path_of
 from cyclekit.scaling.infer.reference import _tcp_peak as tcp_peak
 from cyclekit.segmentation.executions import Execution, Visit
-from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, RobotRun, tcp_speed
+from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, RobotRun
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,12 +12,13 @@ import pytest
 from examples import at_most
 from hypothesis import given
 from hypothesis import strategies as st
+from tcp_speed import tcp_speed
 
 from cyclekit.config import Cell, Executions, NamedPlace, load_cell
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import UnknownName
 from cyclekit.ingest.ingest import ingest
-from cyclekit.segmentation.motion import RobotRun, tcp_speed
+from cyclekit.segmentation.motion import RobotRun
 from cyclekit.segmentation.places import MERGE_M, cluster, count_passes
 from cyclekit_sim import SCENES, scene_places
 

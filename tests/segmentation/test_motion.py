@@ -11,22 +11,14 @@ import pytest
 from examples import at_most
 from hypothesis import given
 from hypothesis import strategies as st
+from tcp_speed import tcp_speed
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
 from cyclekit.schema import ROBOT, conform
-from cyclekit.segmentation import motion, stored_run
-from cyclekit.segmentation.motion import (
-    COLUMNS,
-    NEVER_FULL,
-    STANDING,
-    InferredScaling,
-    RobotRun,
-    pieces,
-    sampled,
-    tcp_speed,
-)
-from cyclekit.segmentation.stored_run import runs_of
+from cyclekit.segmentation import stored_run
+from cyclekit.segmentation.motion import COLUMNS, NEVER_FULL, STANDING, InferredScaling, RobotRun
+from cyclekit.segmentation.stored_run import pieces, runs_of, sampled
 from cyclekit.storage import parquet as tables
 from cyclekit.storage import parquet_layout as table_layout
 from cyclekit.storage.parquet import StoredTable, TableWriter
@@ -64,7 +56,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tables, "GROUP_ROWS", 100)
     monkeypatch.setattr(table_layout, "SMALL_BYTES", 0)
     monkeypatch.setattr(stored_run, "SHORT_ROWS", 0)
-    monkeypatch.setattr(motion, "BLOCK_ROWS", 64)
+    monkeypatch.setattr(stored_run, "BLOCK_ROWS", 64)
 
 
 @pytest.mark.parametrize("inferred", [True, False])
@@ -156,7 +148,7 @@ def test_samples_do_not_depend_on_how_a_log_is_stored(tmp_path_factory, times: l
     folder = tmp_path_factory.mktemp("log")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(tables, "GROUP_ROWS", 100)
-        patch.setattr(motion, "BLOCK_ROWS", 64)
+        patch.setattr(stored_run, "BLOCK_ROWS", 64)
         (run,) = runs_of(stored(folder, frame), 0.0, gap_s=2.0)
         found = sampled(run, np.sort(times))
     same = sampled(in_memory(frame, 0.0), np.sort(times))
@@ -170,7 +162,7 @@ def test_a_dataset_does_not_depend_on_how_much_is_read_at_once(
 ):
     cell = cells("pick-and-package", 2, log_override=override)
     monkeypatch.setattr(tables, "GROUP_ROWS", 3000)
-    monkeypatch.setattr(motion, "BLOCK_ROWS", 2000)
+    monkeypatch.setattr(stored_run, "BLOCK_ROWS", 2000)
     monkeypatch.setattr("cyclekit_adapters.text.text_blocks.BLOCK_BYTES", 1 << 18)
     in_pieces = Dataset.open(ingest([cell.logs], tmp_path / "dataset").dataset)
     assert in_pieces.tasks().equals(cell.dataset.tasks())

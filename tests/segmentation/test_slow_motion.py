@@ -10,10 +10,11 @@ import pytest
 from examples import at_most
 from hypothesis import example, given
 from hypothesis import strategies as st
+from tcp_speed import tcp_speed
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
-from cyclekit.segmentation.motion import RobotRun, tcp_speed
+from cyclekit.segmentation.motion import RobotRun
 from cyclekit.segmentation.standstills import find_stops
 
 if TYPE_CHECKING:

@@ -16,8 +16,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from cyclekit.adapter.clock_line import MAX_DRIFT, least_delays
 from cyclekit.errors import ConfigError
-from cyclekit_adapters.rosbag.envelope import MAX_DRIFT, Array, ClockLine, least_delays, line_under, middle
+from cyclekit_adapters.rosbag.envelope import PARTS, Array, ClockLine, line_under, middle
 
 How = Literal["header", "receive", "own-clock"]
 HOWS: tuple[How, ...] = ("header", "receive", "own-clock")
@@ -171,7 +172,7 @@ def _span_s(source: StampSource) -> float:
 
 def _floors(delay: Array) -> Array:
     """Return the least delay in each of up to 16 consecutive parts."""
-    lowest = delay[least_delays(delay)]
+    lowest = delay[least_delays(delay, PARTS)]
     return np.array([part.min() for part in np.array_split(lowest, min(_PARTS, lowest.size))])
 
 

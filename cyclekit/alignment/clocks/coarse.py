@@ -1,4 +1,4 @@
-"""The alignment that is only ever made when asked for: operator near against robot slows.
+"""The coarse alignment, made on request only: operator near against robot slow.
 
 It looks for the lag at which the robot is slow while somebody is near, and so takes the reaction delay for part of the
 clocks' offset: what is left of the delay afterwards is noise. It is good for finding a lost offset of seconds, never
@@ -18,10 +18,8 @@ from cyclekit.dataset.unknown_height import in_plane
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from cyclekit.schema import Points, Vector
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 FAR_M = 4.0
 """Beyond this a person is far, no matter how far."""

@@ -19,8 +19,8 @@ from cyclekit.errors import ConfigError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
+    from cyclekit.schema import Ints, Points, Vector
+
 
 GRID_HZ = 50.0
 HALF_S = 0.06
@@ -125,7 +125,7 @@ def _positions(t: Vector, xyz: Points, at: Vector, limit: float) -> Points:
     return out
 
 
-def _correlation(a: Vector, b: Vector, least: float) -> tuple[NDArray[np.int64], Vector]:
+def _correlation(a: Vector, b: Vector, least: float) -> tuple[Ints, Vector]:
     """Return lags k and Pearson's correlation of a[i + k] with b[i] over the i at which both are known.
 
     NaN where fewer than `least` are, or where one of them does not change. All lags at once, by Fourier transforms of
@@ -154,7 +154,7 @@ def _correlation(a: Vector, b: Vector, least: float) -> tuple[NDArray[np.int64],
     return lags, np.where(usable, score, np.nan)
 
 
-def _refined(lags: NDArray[np.int64], score: Vector, best: int) -> float:
+def _refined(lags: Ints, score: Vector, best: int) -> float:
     """Return the lag of the parabola's top through the peak and its neighbours."""
     if not 0 < best < len(score) - 1:
         return float(lags[best])

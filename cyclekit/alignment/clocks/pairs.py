@@ -2,7 +2,7 @@
 
 With two events a line is exact but unchecked, so three or more, spread over the run, are asked for. Events that only
 one log saw, or that are somewhere else in the two, are left out; a fit says how many. Which rows of a log are events is
-the business of `align`.
+a matter for `recording_clocks`.
 """
 
 from __future__ import annotations
@@ -17,9 +17,8 @@ from cyclekit.dataset.cards import Note, note
 from cyclekit.errors import ConfigError
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from cyclekit.schema import Ints, Vector
 
-    Vector = NDArray[np.float64]
 
 DRIFT = 0.01
 """No clock runs faster or slower than another by more than this: the worst published case was 0.003."""
@@ -30,7 +29,7 @@ SURE_S = 0.02
 WINDOW_S = 0.5
 """Events whose distances agree this well are taken for the same ones at first sight: 50 ppm over an hour is 0.18 s."""
 MOST = 2000
-"""Of longer lists of events the first so many are used."""
+"""Maximum number of events used of each log, the first ones."""
 AMBIGUOUS = 0.9
 """A second way to match that has at least this share of the best one's support is warned of."""
 
@@ -180,14 +179,14 @@ def _vote(log_s: Vector, other_s: Vector) -> tuple[float, int, int, float]:
     return offset, int(votes[best]), int(votes[next_best]), at - offset
 
 
-def _partners(a: Vector, b: Vector, window_s: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _partners(a: Vector, b: Vector, window_s: float) -> tuple[Ints, Ints]:
     """Return the rows of `a` and of `b` (ascending) that are each other's nearest, within the window."""
     to_b, to_a = _nearest(a, b), _nearest(b, a)
     mine = np.flatnonzero((to_a[to_b] == np.arange(len(a))) & (np.abs(b[to_b] - a) <= window_s))
     return mine, to_b[mine]
 
 
-def _nearest(of: Vector, among: Vector) -> NDArray[np.int64]:
+def _nearest(of: Vector, among: Vector) -> Ints:
     right = np.clip(np.searchsorted(among, of), 0, len(among) - 1)
     left = np.maximum(right - 1, 0)
     return np.where(np.abs(among[left] - of) <= np.abs(among[right] - of), left, right).astype(np.int64)

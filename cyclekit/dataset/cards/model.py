@@ -191,7 +191,7 @@ class TrainingCard(Card, frozen=True, kw_only=True):
 
 
 class ModelCard(Card, frozen=True, kw_only=True):
-    """A model. How its parts must fit each other is checked by `cyclekit.learning.networks.layout`.
+    """A model. How its parts must fit each other is checked by `cyclekit.learning.networks.tensors`.
 
     Attributes:
         problem, network: What it predicts, and how it is built.

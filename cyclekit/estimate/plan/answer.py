@@ -2,40 +2,44 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
-from cyclekit.estimate.nominal import nominal_tasks
-from cyclekit.estimate.plan.exact import Walker
+from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.plan.search import Scorer, best_order, first_order, random_order
 from cyclekit.estimate.resample import resampled
+from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.tracks import operator_tracks
-from cyclekit.estimate.transit import transit_table
+from cyclekit.estimate.transit import TransitTable, transit_table
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     import polars as pl
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
-    from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.plan.jobs import Jobs
     from cyclekit.estimate.result import CycleEstimate
     from cyclekit.estimate.safety import SafetyModel
-    from cyclekit.estimate.transit import TransitTable
+    from cyclekit.schema import Floats, Progress
 
     Order = tuple[str, ...]
 
+WALKED = 10
+"""Of more different orders to compare with, this many are simulated, and all are looked up in the table of arrivals."""
 RANDOM_BASIS = 200
-"""Where none of the logged orders does the same work, so many random ones stand for them."""
+"""Number of random orders to compare with, where no logged order does the same work."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -103,7 +107,7 @@ def plan(
     validate: bool = True,
     check: Check | None = None,
     other_cell: bool = False,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> OrderPlan:
     """Search the order of `jobs` with the least expected cycle time, the surer one where they are alike.
 
@@ -144,9 +148,9 @@ def plan(
             f"{jobs.shown}: cycles do not end within {3 * length:.0f} s",
             cure="The operator's tracks keep the robot at speed 0 %; check the tracker's frame and clock.",
         )
-    walker = Walker(model, dataset, jobs, seed, other_cell)
-    (found,) = walker.estimates([order], validate=validate, check=check)
-    saved = walker.mean_of(basis, every, found.check) - np.array(found.durations_s)
+    walked = partial(estimate, model, dataset, seed=seed, extrapolate=True, other_cell=other_cell)
+    (found,) = walked([TaskSequence("order 0", jobs.places(order))], validate=validate, check=check)
+    saved = _mean_of(basis, every, partial(walked, validate=False, check=found.check)) - np.array(found.durations_s)
     low, high = np.quantile(resampled(tracks.executions, seed) @ saved, (0.025, 0.975)).tolist()
     doubt_s = _doubt_s(found, float(saved.mean()))
     return OrderPlan(
@@ -167,6 +171,20 @@ def plan(
         unlogged=tuple(unlogged),
         notes=tuple(said_of_height(dataset.samples(columns=["human_x_m", "human_z_m"]))),
     )
+
+
+def _mean_of(
+    orders: Sequence[Order], table: Scorer, walked: Callable[[list[TaskSequence]], list[CycleEstimate]]
+) -> Floats:
+    """Return the mean duration of orders, each as often as it occurs, on each track, shape (K,), s."""
+    times = Counter(orders)
+    some = [list(times)[i] for i in np.linspace(0, len(times) - 1, min(len(times), WALKED)).astype(int)]
+    wanted = [TaskSequence(f"order {n}", table.jobs.places(order)) for n, order in enumerate(some)]
+    found = {each.name: each.durations_s for each in walked(wanted)}
+    durations = np.array([found[each.name] for each in wanted])
+    if len(some) == len(times):
+        return np.asarray(np.average(durations, axis=0, weights=[times[order] for order in some]))
+    return np.asarray(table.durations(orders).mean(axis=0) * (durations.mean() / table.means(some).mean()))
 
 
 def _doubt_s(found: CycleEstimate, saved_s: float) -> float:

@@ -14,15 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.plan.jobs import tasks_of
+from cyclekit.estimate.plan.jobs import Jobs, tasks_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
-    from cyclekit.estimate.plan.jobs import Jobs
     from cyclekit.estimate.transit import TransitTable
+    from cyclekit.schema import Floats, Ints, Progress
 
     Order = tuple[str, ...]
 
@@ -30,7 +28,7 @@ FEW_ORDERS = 6000
 """Up to this many orders all are tried (7! = 5040)."""
 RANDOM_ORDERS = 400
 STARTS = 4
-"""Local searches begin at the greedy order and at so many of the best random ones."""
+"""Local searches begin at the greedy order and at this many of the best random ones."""
 
 
 class Scorer:
@@ -44,7 +42,7 @@ class Scorer:
         table: TransitTable,
         jobs: Jobs,
         *,
-        which: NDArray[np.int64] | None = None,
+        which: Ints | None = None,
         seed: int = 0,
         executions: int | None = None,
     ) -> None:
@@ -62,16 +60,16 @@ class Scorer:
         """Duration of each task without an operator, s."""
         return {task.task: task.nominal_s + task.dwell_s + task.wait_s for task in self._table.tasks}
 
-    def durations(self, orders: Sequence[Order]) -> NDArray[np.float64]:
+    def durations(self, orders: Sequence[Order]) -> Floats:
         """Return the duration of each order on each track, shape (orders, k), s."""
         found = self._table.durations([tasks_of(self.jobs.places(order)) for order in orders], seed=self._seed)
         return found if self._rows is None else np.asarray(found[:, self._rows])
 
-    def means(self, orders: Sequence[Order]) -> NDArray[np.float64]:
+    def means(self, orders: Sequence[Order]) -> Floats:
         """Return the mean duration of each order, shape (orders,), s."""
         return np.asarray(self.durations(orders).mean(axis=1))
 
-    def scores(self, orders: Sequence[Order]) -> NDArray[np.float64]:
+    def scores(self, orders: Sequence[Order]) -> Floats:
         """Return what orders are ranked by, shape (orders,), s: the mean and its standard error on top.
 
         The least of many means is mostly one that few operators happened to suit. Of two orders with like means the
@@ -85,9 +83,7 @@ class Scorer:
             return np.asarray(means + np.nan_to_num(found.std(axis=1)) / self._executions**0.5)
 
 
-def best_order(
-    scorer: Scorer, *, seed: int = 0, progress: Callable[[float, str], None] | None = None
-) -> tuple[Order, str, int]:
+def best_order(scorer: Scorer, *, seed: int = 0, progress: Progress | None = None) -> tuple[Order, str, int]:
     """Return the best order found, how it was searched for (`all orders` or `search`), and how many were scored."""
     tell = progress or (lambda fraction, text: None)
     jobs = scorer.jobs
@@ -116,9 +112,7 @@ def every_order(jobs: Jobs) -> Iterator[Order]:
         if not left:
             yield done
         for name in jobs.next_of(left, done[-1] if done else None):
-            rest = list(left)
-            rest.remove(name)
-            yield from following((*done, name), tuple(rest))
+            yield from following((*done, name), tuple(without(left, name)))
 
     yield from following((), jobs.visit)
 
@@ -171,7 +165,7 @@ def first_order(jobs: Jobs, ranked: Callable[[Order, list[str]], Iterable[str]])
             return None
         options = jobs.next_of(left, last)
         for name in ranked(done, options) if options else ():
-            if (found := completed((*done, name), _without(left, name))) is not None:
+            if (found := completed((*done, name), without(left, name))) is not None:
                 return found
         dead.add(state)
         return None
@@ -215,7 +209,8 @@ def _neighbours(order: Order) -> Iterator[Order]:
             yield tuple(swapped)
 
 
-def _without(names: Sequence[str], name: str) -> list[str]:
+def without(names: Sequence[str], name: str) -> list[str]:
+    """Return the names with one `name` fewer."""
     rest = list(names)
     rest.remove(name)
     return rest

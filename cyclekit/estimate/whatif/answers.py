@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
-from cyclekit.estimate.answers import Refusal
+from cyclekit.estimate.answers import Answers
 from cyclekit.estimate.whatif.answer import NO_PROOF, WhatIf
-from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
     import polars as pl
 
 
 @dataclass(frozen=True, repr=False)
-class WhatIfAnswers(Result, Sequence[WhatIf]):
+class WhatIfAnswers(Answers[WhatIf]):
     """Every sequence under every change.
 
     Attributes:
@@ -24,39 +22,13 @@ class WhatIfAnswers(Result, Sequence[WhatIf]):
         safety: That this is no safety proof.
     """
 
-    answers: tuple[WhatIf, ...]
-    refused: tuple[Refusal, ...] = ()
     safety: str = NO_PROOF
-
-    @overload
-    def __getitem__(self, index: int) -> WhatIf: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> tuple[WhatIf, ...]: ...
-
-    def __getitem__(self, index: int | slice) -> WhatIf | tuple[WhatIf, ...]:
-        """Return one answer, or some."""
-        return self.answers[index]
-
-    def __len__(self) -> int:
-        """Return how many answers there are."""
-        return len(self.answers)
 
     @property
     def alarms(self) -> tuple[str, ...]:
         """What belongs above the numbers, one sentence each."""
         checks = (one.before.check for one in self)
         return tuple(dict.fromkeys(check.alarm for check in checks if check and check.alarm))
-
-    def require_all(self) -> WhatIfAnswers:
-        """Return these, if every change was answered.
-
-        Raises:
-            EstimateError: Of the first that was not.
-        """
-        for refusal in self.refused:
-            raise refusal.error
-        return self
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON values."""

@@ -4,7 +4,7 @@
     distance staircase   the best thresholds on ||x_r - x_h||; right where the safety function is one of the distance
     gradient boosting    scikit-learn's, on the same inputs; no geometry assumed
 
-The noise floor of the true staircase is not among them: in a real log nobody knows it.
+The noise floor of the true staircase is not among them: it is unknown for a real log.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from cyclekit.learning.networks.beaten import STAIRCASE, distance_of, fit_thresh
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.learning.windows import Samples
+    from cyclekit.schema import Floats
 
 _BOOSTED_ROWS = 100_000
 
@@ -31,7 +30,7 @@ class Rival:
     """What was done instead of a network, and its squared errors, shape (N,), at the rows that all are judged by."""
 
     name: str
-    squared: NDArray[np.float64]
+    squared: Floats
     note: str
 
 

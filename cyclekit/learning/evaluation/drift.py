@@ -20,10 +20,9 @@ from cyclekit.parallel.one_thread import one_thread
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.learning.networks.saved import TrainedModel
+    from cyclekit.schema import Floats
 
 NAMED = 4.0
 """Standard errors beyond which a difference is named."""
@@ -157,7 +156,7 @@ def _errors(model: TrainedModel, frame: pl.DataFrame, rate_hz: float) -> pl.Data
     return known.select("execution", "robot_task", "human_task").with_columns(error=pl.Series(error))
 
 
-def _by_execution(errors: pl.DataFrame) -> NDArray[np.float64]:
+def _by_execution(errors: pl.DataFrame) -> Floats:
     means = errors.group_by("execution", maintain_order=True).agg(pl.col("error").mean())
     return means["error"].to_numpy()
 
@@ -175,7 +174,7 @@ def _habits(before: pl.DataFrame, after: pl.DataFrame) -> list[Shift]:
     return [_shift(name, old.get(name, nobody[0]), new.get(name, nobody[1]), LEAST_SHARE) for name in names]
 
 
-def _shares(frame: pl.DataFrame) -> Mapping[str, NDArray[np.float64]]:
+def _shares(frame: pl.DataFrame) -> Mapping[str, Floats]:
     counts = frame.drop_nulls("where").group_by("execution", "where").len()
     wide = counts.pivot("where", index="execution", values="len").fill_null(0)
     names = [name for name in wide.columns if name != "execution"]
@@ -183,7 +182,7 @@ def _shares(frame: pl.DataFrame) -> Mapping[str, NDArray[np.float64]]:
     return {name: wide[name].to_numpy() / np.maximum(total, 1) for name in names}
 
 
-def _shift(what: str, before: NDArray[np.float64], after: NDArray[np.float64], least: float) -> Shift:
+def _shift(what: str, before: Floats, after: Floats, least: float) -> Shift:
     """Compare two groups of executions; with one execution on either side nothing can be told from chance."""
     old, new = float(before.mean()), float(after.mean())
     if min(len(before), len(after)) < 2:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from cyclekit.dataset.cards import MetricsCard, plain
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import DatasetError, ModelError, command_line
@@ -20,19 +21,20 @@ from cyclekit.learning.evaluation.drift import Drift, drift
 from cyclekit.learning.labelling import without_slider
 from cyclekit.learning.networks.beaten import Better, better_rival
 from cyclekit.learning.networks.cell import fingerprint, refuse_other_cell
-from cyclekit.learning.networks.metrics import Metrics, measure
-from cyclekit.learning.networks.saved import load_model
+from cyclekit.learning.networks.metrics import measure
+from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.out_of_core import memory_rows, some_executions
 from cyclekit.learning.windows import Samples, build_samples
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     import polars as pl
 
-    from cyclekit.learning.networks.saved import TrainedModel
+    from cyclekit.schema import Progress
+
 
 __all__ = ["ErrorRow", "Evaluation", "LevelRow", "evaluate", "evaluate_at"]
 
@@ -88,7 +90,7 @@ class Evaluation(Result):
     network: str
     held_out: bool
     executions: tuple[str, ...]
-    metrics: Metrics
+    metrics: MetricsCard
     mse: tuple[ErrorRow, ...]
     confusion: tuple[tuple[int, ...], ...] | None
     levels: tuple[LevelRow, ...]
@@ -109,7 +111,7 @@ class Evaluation(Result):
             "network": self.network,
             "held_out": self.held_out,
             "executions": list(self.executions),
-            **self.metrics.to_dict(),
+            **plain(self.metrics, nulls=True),
             "mse": [vars(row) for row in self.mse],
             "confusion": None if self.confusion is None else [list(row) for row in self.confusion],
             "levels": [vars(row) for row in self.levels],
@@ -138,7 +140,7 @@ def evaluate(
     *,
     boosting: bool = True,
     other_cell: bool = False,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Evaluation:
     """Judge `model` on the executions of `dataset` that it never saw.
 
@@ -212,7 +214,7 @@ def evaluate_at(
     trained_on: str | None = None,
     other_cell: bool = False,
     boosting: bool = True,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Evaluation:
     """Judge the model of one place, as a task of an engine; where `trained_on` is given, also what has changed since.
 
@@ -252,7 +254,7 @@ def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) ->
     )
 
 
-def _read_outs(metrics: Metrics) -> list[ErrorRow]:
+def _read_outs(metrics: MetricsCard) -> list[ErrorRow]:
     rows = [
         ErrorRow(
             "model", metrics.mse_mean, "best estimate: mean of the levels weighted by their probabilities, or the value"

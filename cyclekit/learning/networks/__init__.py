@@ -6,8 +6,8 @@ needs no torch.
 
 from __future__ import annotations
 
-from cyclekit.learning.networks.metrics import Metrics, measure
+from cyclekit.learning.networks.metrics import measure
 from cyclekit.learning.networks.saved import MODEL_VERSION, TrainedModel, load_model, save_model
 from cyclekit.learning.networks.spec import ModelSpec
 
-__all__ = ["MODEL_VERSION", "Metrics", "ModelSpec", "TrainedModel", "load_model", "measure", "save_model"]
+__all__ = ["MODEL_VERSION", "ModelSpec", "TrainedModel", "load_model", "measure", "save_model"]

@@ -17,11 +17,10 @@ from cyclekit.learning.networks.spec import ModelSpec
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.cards import SpecCard
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.learning.windows import Samples
+    from cyclekit.schema import Floats, Ints
 
 STAIRCASE = "distance staircase"
 LEAST = 1.25
@@ -94,12 +93,7 @@ def staircase_if_better(model: TrainedModel, spec: ModelSpec, learn: Samples, ju
     return better_rival(spec.card(), mine, {STAIRCASE: squared}, judge.execution)
 
 
-def better_rival(
-    spec: SpecCard | None,
-    model: NDArray[np.float64],
-    rivals: Mapping[str, NDArray[np.float64]],
-    execution: NDArray[np.int64],
-) -> Better | None:
+def better_rival(spec: SpecCard | None, model: Floats, rivals: Mapping[str, Floats], execution: Ints) -> Better | None:
     """Return the rival of least error among those that are better beyond chance; None where there is none.
 
     Args:
@@ -122,9 +116,7 @@ def better_rival(
     return min(found, key=lambda better: better.mse, default=None)
 
 
-def fit_thresholds(
-    distance_m: NDArray[np.float64], scaling: NDArray[np.float64], levels: Sequence[float]
-) -> NDArray[np.float64]:
+def fit_thresholds(distance_m: Floats, scaling: Floats, levels: Sequence[float]) -> Floats:
     """Return the distances at which a rising staircase of given levels fits best.
 
     Exact to one of 4096 equally filled bins of distance: a dynamic programme over bins and levels.
@@ -157,12 +149,12 @@ def fit_thresholds(
     return thresholds
 
 
-def staircase_at(thresholds: NDArray[np.float64], levels: Sequence[float], rows: Samples) -> NDArray[np.float64]:
+def staircase_at(thresholds: Floats, levels: Sequence[float], rows: Samples) -> Floats:
     """Return the level at each row by its distance, shape (N,)."""
     return np.asarray(np.array(levels)[np.searchsorted(thresholds, distance_of(rows), side="right")])
 
 
-def distance_of(rows: Samples) -> NDArray[np.float64]:
-    """Return ||x_r - x_h|| of every row, shape (N,), m; infinite where nobody is there."""
+def distance_of(rows: Samples) -> Floats:
+    """Return ||x_r - x_h|| of every row, shape (N,), m; infinite without an operator."""
     apart = np.linalg.norm((rows.X[:, 0:3] - rows.X[:, 3:6]).astype(np.float64), axis=1)
     return np.asarray(np.where(np.isnan(apart), np.inf, apart))

@@ -12,13 +12,12 @@ import json
 import math
 from typing import TYPE_CHECKING
 
-from cyclekit.dataset.cards import CellCard, plain
+from cyclekit.dataset.cards import CellCard, FrameCard, TrainingCard, plain
 from cyclekit.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from cyclekit.dataset.cards import FrameCard, TrainingCard
     from cyclekit.dataset.dataset import Dataset
 
     _Spot = tuple[float, float, float, float, bool]

@@ -13,27 +13,25 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from torch import nn
 
+from cyclekit.dataset.cards import EpochCard
 from cyclekit.errors import ConfigError
-from cyclekit.learning.networks.calibration import best_temperature
 from cyclekit.learning.networks.folding import fold
+from cyclekit.learning.networks.metrics import best_temperature
 from cyclekit.learning.networks.network import Forecasting, build
 from cyclekit.learning.networks.optimiser import Steps
 from cyclekit.learning.networks.rows import DISTANCE_1_M, DISTANCE_M, TrainingRows, rows_on, standardisation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Iterator, Sequence
 
     from cyclekit.learning.networks.spec import ModelSpec
     from cyclekit.learning.networks.weights import Weights
     from cyclekit.learning.windows import Samples
+    from cyclekit.schema import Floats, Progress
 
-    Progress = Callable[[float, str], None]
 
 _BLOCK = 16_384
 _STEPS, _EPOCHS = 12_000, (8, 100)
@@ -45,15 +43,6 @@ _DECAY_ROWS, _MOST_DECAY = 3000, 0.1
 
 class CutOff(ConfigError):
     """A network answers 0, or 1, for every input: outputs are cut there and have no slope to learn by."""
-
-
-@dataclass(frozen=True)
-class Epoch:
-    """One pass over the training rows: mean loss, and weighted MSE of the best estimate on the validation part."""
-
-    epoch: int
-    loss: float
-    validation_mse: float
 
 
 @dataclass(frozen=True)
@@ -72,9 +61,9 @@ class Fitted:
 
     spec: ModelSpec
     weights: Weights
-    history: tuple[Epoch, ...]
-    mean: NDArray[np.float64]
-    scale: NDArray[np.float64]
+    history: tuple[EpochCard, ...]
+    mean: Floats
+    scale: Floats
     temperature: float = 1.0
 
 
@@ -132,9 +121,7 @@ def fit(
     return Fitted(spec, folded, history, *standard, temperature)
 
 
-def _fresh(
-    spec: ModelSpec, rows: Samples, levels: Sequence[float], known: Sequence[str], scale: NDArray[np.float64]
-) -> nn.Module:
+def _fresh(spec: ModelSpec, rows: Samples, levels: Sequence[float], known: Sequence[str], scale: Floats) -> nn.Module:
     torch.manual_seed(spec.seed)
     return build(spec, rows.X.shape[1], levels, known, scale)
 
@@ -164,14 +151,14 @@ def _run(
     check: TrainingRows,
     levels: torch.Tensor,
     progress: Progress | None,
-) -> tuple[Epoch, ...]:
+) -> tuple[EpochCard, ...]:
     """Train in place and leave the weights of the best epoch in `network`."""
     batches = max(len(learn) // spec.batch, 1)
     epochs = spec.epochs or min(max(round(_STEPS / batches), _EPOCHS[0]), _EPOCHS[1])
     decay = min(_DECAY_ROWS / len(learn), _MOST_DECAY) if spec.weight_decay is None else spec.weight_decay
     steps = Steps(network, spec, decay, max(batches * epochs, 20))  # fewer cannot rise and fall
     balance = _balance(learn, len(levels)) if spec.balance == "classes" and spec.kind.names_levels else None
-    history: list[Epoch] = []
+    history: list[EpochCard] = []
     spread = _spread(check)
     best, best_state, since = float("inf"), copy.deepcopy(network.state_dict()), 0
     for number in range(1, epochs + 1):
@@ -184,7 +171,7 @@ def _run(
             steps.take(loss)
             total += loss.detach()
         mse = _validation_mse(network, check, levels if spec.kind.names_levels else None)
-        history.append(Epoch(number, float(total) / batches, mse))
+        history.append(EpochCard(epoch=number, loss=float(total) / batches, validation_mse=mse))
         since += 1
         if mse < best:
             best, best_state, since = mse, copy.deepcopy(network.state_dict()), 0

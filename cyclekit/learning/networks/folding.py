@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     import torch
-    from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
+    from cyclekit.schema import Vector
+
 
 _HUMAN = GROUPS["human"]
 

@@ -1,56 +1,34 @@
-"""How far predictions are from the logged scaling: the few numbers that every model and baseline is judged by."""
+"""How far predictions are from the logged scaling, and whether a classifier's probabilities hold.
+
+Where a classifier says 0.8, eight of ten such rows should be on that level (Guo et al., ICML 2017). Dividing the logits
+by one number, the temperature, found on rows that taught nothing, corrects probabilities that are too high or too low;
+the likeliest step stays.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.learning.networks.calibration import reliability
+from cyclekit.dataset.cards import MetricsCard
 from cyclekit.learning.networks.kinds import names_levels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from cyclekit.dataset.cards import MetricsCard
+    from numpy.typing import NDArray
+
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.learning.windows import Samples
+    from cyclekit.schema import Singles
 
 MUCH_UNEXPLAINED = 0.25
 """A model that leaves more than this part of the variance of the scaling unexplained has a large error."""
 
 
-@dataclass(frozen=True)
-class Metrics:
-    """Errors against the logged scaling over N rows; scaling is a fraction, so all are fractions.
-
-    Attributes:
-        rows: N.
-        mse_mean: Mean squared error of the best estimate (`predict`).
-        mse_argmax: The same of the level of the most likely step; None where there are no levels to name.
-        mae: Mean absolute error of the best estimate.
-        bias: Mean of predicted - true.
-        accuracy: Part of the rows on a level whose step is named rightly; None where there is none.
-        calibration_error: Expected calibration error of a classifier's probabilities; None for the others.
-        mse_constant: Mean squared error of always predicting the mean of these rows; None where it was not measured.
-    """
-
-    rows: int
-    mse_mean: float
-    mse_argmax: float | None
-    mae: float
-    bias: float
-    accuracy: float | None
-    calibration_error: float | None = None
-    mse_constant: float | None = None
-
-    def to_dict(self) -> dict[str, float | int | None]:
-        """Return the numbers as JSON values."""
-        return asdict(self)
-
-
-def measure(model: TrainedModel, samples: Samples) -> Metrics:
+def measure(model: TrainedModel, samples: Samples) -> MetricsCard:
     """Judge `model` by rows that it has not seen; `samples` must be of its problem and not empty."""
     X, on_level = samples.model_inputs, samples.step >= 0
     error = model.predict(X) - samples.scaling
@@ -62,7 +40,7 @@ def measure(model: TrainedModel, samples: Samples) -> Metrics:
             accuracy = float(np.mean(step[on_level] == samples.step[on_level]))
             if names_levels(model.network):
                 calibration = reliability(model.probabilities(X)[on_level], samples.step[on_level]).error
-    return Metrics(
+    return MetricsCard(
         rows=len(samples),
         mse_mean=float(np.mean(error**2)),
         mse_argmax=mse_argmax,
@@ -74,7 +52,7 @@ def measure(model: TrainedModel, samples: Samples) -> Metrics:
     )
 
 
-def large_error(metrics: Metrics | MetricsCard, levels: Sequence[float]) -> str:
+def large_error(metrics: MetricsCard, levels: Sequence[float]) -> str:
     """Say why the error of a model is large, in a sentence; empty where it is not.
 
     Args:
@@ -89,3 +67,68 @@ def large_error(metrics: Metrics | MetricsCard, levels: Sequence[float]) -> str:
     if left > MUCH_UNEXPLAINED:
         return f"{left:.0%} of the variance of the speed scaling unexplained (always predicting the mean: 100%)"
     return ""
+
+
+BINS = 15
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Confidence against truth: rows by how sure the likeliest step was, in bins of equal width.
+
+    Attributes:
+        confidence: Mean probability of the likeliest step in each bin that holds rows.
+        accuracy: Part of them that was right.
+        rows: How many they are.
+    """
+
+    confidence: tuple[float, ...]
+    accuracy: tuple[float, ...]
+    rows: tuple[int, ...]
+
+    @property
+    def error(self) -> float:
+        """Expected calibration error: mean distance of confidence and accuracy, weighted by rows."""
+        off = np.abs(np.subtract(self.confidence, self.accuracy))
+        return float(np.average(off, weights=self.rows)) if self.rows else 0.0
+
+
+def reliability(probabilities: NDArray[np.floating], step: NDArray[np.integer]) -> Reliability:
+    """Return how sure a classifier was and how often it was right.
+
+    Args:
+        probabilities: Shape (N, P).
+        step: True level, shape (N,), all 0 or more.
+    """
+    likeliest = probabilities.argmax(axis=1)
+    sure = probabilities[np.arange(len(step)), likeliest].astype(np.float64)
+    at = np.minimum((sure * BINS).astype(np.int64), BINS - 1)
+    rows = np.bincount(at, minlength=BINS)
+    used = np.flatnonzero(rows)
+    confidence = np.bincount(at, weights=sure, minlength=BINS)[used] / rows[used]
+    accuracy = np.bincount(at, weights=likeliest == step, minlength=BINS)[used] / rows[used]
+    return Reliability(tuple(confidence.tolist()), tuple(accuracy.tolist()), tuple(rows[used].tolist()))
+
+
+def best_temperature(logits: Singles, step: NDArray[np.integer]) -> float:
+    """Return the temperature under which the true steps are likeliest, between 0.2 and 5.
+
+    Args:
+        logits: Shape (N, P), N > 0.
+        step: True level, shape (N,), all 0 or more.
+    """
+    low, high = np.log(0.2), np.log(5.0)
+    golden = (5**0.5 - 1) / 2
+    for _ in range(30):  # the loss has one minimum in the inverse temperature
+        a, b = high - golden * (high - low), low + golden * (high - low)
+        if _loss(logits, step, np.exp(a)) <= _loss(logits, step, np.exp(b)):
+            high = b
+        else:
+            low = a
+    return float(np.exp((low + high) / 2))
+
+
+def _loss(logits: Singles, step: NDArray[np.integer], temperature: float) -> float:
+    scaled = logits / temperature
+    scaled = scaled - scaled.max(axis=1, keepdims=True)
+    return float(np.mean(np.log(np.exp(scaled).sum(axis=1)) - scaled[np.arange(len(step)), step]))

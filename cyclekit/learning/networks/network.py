@@ -27,22 +27,16 @@ from cyclekit.learning.windows import GROUPS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from cyclekit.learning.networks.kinds.kind import Widths
     from cyclekit.learning.networks.spec import ModelSpec
+    from cyclekit.schema import Floats
 
 _HUMAN = GROUPS["human"]
 _LEAK = 0.01
 
 
 def build(
-    spec: ModelSpec,
-    inputs: int,
-    levels: Sequence[float],
-    known: Sequence[str] = (),
-    scale: NDArray[np.float64] | None = None,
+    spec: ModelSpec, inputs: int, levels: Sequence[float], known: Sequence[str] = (), scale: Floats | None = None
 ) -> nn.Module:
     """Return the untrained network of `spec`; its first weights come from torch's random state.
 
@@ -80,7 +74,7 @@ class Recurrent(nn.Module):
 
 
 class Forecasting(nn.Module):
-    """LSTM-2: where the operator will be, from where he has been; then the regression network.
+    """LSTM-2: forecast of the operator's position from the past ones; then the regression network.
 
     `forecast` of the last call, shape (B, 3), standardised, is kept for the loss. A coordinate that never varies is
     forecast as what it always is: left free, it would be no position but one more channel between the two networks.

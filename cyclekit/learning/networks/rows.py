@@ -11,17 +11,15 @@ import numpy as np
 import torch
 
 from cyclekit.learning.out_of_core import filled
-from cyclekit.learning.windows import GROUPS
+from cyclekit.learning.windows import GROUPS, Samples
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.learning.networks.spec import ModelSpec
-    from cyclekit.learning.windows import Samples
+    from cyclekit.schema import Bools, Floats, Singles
 
-    Standard = tuple[NDArray[np.float64], NDArray[np.float64]]
+    Standard = tuple[Floats, Floats]
 
 _HUMAN = GROUPS["human"]
 DISTANCE_M = 2.0
@@ -103,7 +101,7 @@ class TrainingRows:
         return torch.cat([x, (metres - DISTANCE_M) * DISTANCE_1_M], dim=-1)
 
 
-def standardisation(X: NDArray[np.float32]) -> Standard:
+def standardisation(X: Singles) -> Standard:
     """Return mean and 1/deviation of every input over the rows that know it, shape (F,); 0 where it does not vary."""
     blocks = [X[first : first + _AT_ONCE] for first in range(0, len(X), _AT_ONCE)]
     count = np.maximum(sum(np.isfinite(block).sum(axis=0) for block in blocks), 1)
@@ -125,7 +123,7 @@ def rows_on(
     else:
         table = _standardised(raw, standard, known)
     ahead: torch.Tensor | None = None
-    seen: NDArray[np.bool_] = np.zeros(len(rows), np.bool_)
+    seen: Bools = np.zeros(len(rows), np.bool_)
     if spec.kind.forecasts and rows.table is not None and rows.ahead is not None:
         ahead = torch.from_numpy(table[rows.ahead][:, _HUMAN]).to(device)
         seen = np.asarray(np.isfinite(rows.table[rows.ahead][:, _HUMAN]).all(axis=1))
@@ -152,7 +150,7 @@ def _apart(device: torch.device, standard: Standard) -> tuple[torch.Tensor, ...]
     return tuple(torch.from_numpy(part.astype(np.float32)).to(device) for part in parts)
 
 
-def _standardised(X: NDArray[np.float32], standard: Standard, known: Sequence[str]) -> NDArray[np.float32]:
+def _standardised(X: Singles, standard: Standard, known: Sequence[str]) -> Singles:
     """Return the standardised inputs, unknown ones 0, and behind them whether each group is known."""
     mean, scale = standard
     flags = [np.asarray(np.isfinite(X[:, GROUPS[group]]).all(axis=1), np.float32)[:, None] for group in known]

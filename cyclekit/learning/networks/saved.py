@@ -23,8 +23,7 @@ from cyclekit.dataset.cards import BadCard, TrainingCard, model_card, plain, rea
 from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.learning.networks.kinds import names_levels
-from cyclekit.learning.networks.layout import NetworkLayout, NotAModel
-from cyclekit.learning.networks.tensors import parse_weights, sizes_of, to_safetensors
+from cyclekit.learning.networks.tensors import NotAModel, check_layout, parse_weights, sizes_of, to_safetensors
 from cyclekit.learning.windows import GROUPS, INPUTS
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.storage.atomic import recover, staged
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.learning.networks.weights import Weights
+    from cyclekit.schema import Floats, Ints, Singles
 
 FORMAT, MODEL_VERSION = "cyclekit-model", 3
 CARD, WEIGHTS = MODEL_CARD, "weights.safetensors"
@@ -74,7 +74,7 @@ class TrainedModel(Result):
         return INPUTS[self.problem]
 
     @one_thread()
-    def predict(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def predict(self, X: NDArray[np.floating[Any]]) -> Floats:
         """Return the scaling with the least expected squared error.
 
         For a classifier that is the mean of the levels under its probabilities, not the level of the most likely step.
@@ -96,7 +96,7 @@ class TrainedModel(Result):
         values = np.matmul(out, np.array(self.levels)) if names_levels(self.network) else out[:, 0]
         return np.asarray(np.clip(values, 0.0, 1.0), np.float64)
 
-    def probabilities(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def probabilities(self, X: NDArray[np.floating[Any]]) -> Floats:
         """Return the probability of every step, shape (N, P); rows sum to 1.
 
         Raises:
@@ -108,7 +108,7 @@ class TrainedModel(Result):
             raise ModelError(msg, cure="Train a classifier: cyclekit train DATASET --network classifier --out MODEL")
         return self._run(X).astype(np.float64)
 
-    def steps(self, X: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
+    def steps(self, X: NDArray[np.floating[Any]]) -> Ints:
         """Return the index of the likeliest step (of a regressor: of the level nearest to its value), shape (N,).
 
         Raises:
@@ -123,7 +123,7 @@ class TrainedModel(Result):
         levels = np.array(self.levels)
         return np.searchsorted((levels[1:] + levels[:-1]) / 2, self.predict(X)).astype(np.int64)
 
-    def _run(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
+    def _run(self, X: NDArray[np.floating[Any]]) -> Singles:
         """Return the last layer's output: (N, P) probabilities of a classifier, (N, 1) otherwise."""
         wanted = ("N", len(self.inputs)) if self.history[0] == 1 else ("N", self.history[0], len(self.inputs))
         if X.ndim != len(wanted) or X.shape[1:] != wanted[1:]:
@@ -144,8 +144,8 @@ class TrainedModel(Result):
             )
         return self._finite(X)
 
-    def _finite(self, X: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
-        """Run the network; weights may be finite and still so large that no number comes out.
+    def _finite(self, X: NDArray[np.floating[Any]]) -> Singles:
+        """Run the network; finite weights may still be so large that the output is not a number.
 
         Raises:
             ModelError: That is so.
@@ -244,9 +244,9 @@ def load_model(place: Path | str) -> TrainedModel:
         about = read_json(file, most_bytes=_MAX_CARD_BYTES)
         _check_versions(about)
         card = model_card(all_in_one_line(about))
-        layout = NetworkLayout.of(card)
+        check_layout(card)
         file = path / WEIGHTS
-        weights = parse_weights(file, layout, card.weights_sha256)
+        weights = parse_weights(file, card)
     except (BadCard, NotAModel) as cause:
         msg = f"{file}: {cause}"
         again = command_line("train", "DATASET", "--out", place)
@@ -256,8 +256,8 @@ def load_model(place: Path | str) -> TrainedModel:
     except OSError as cause:
         msg = f"{file}: cannot be read ({cause.strerror or cause})"
         raise ModelError(msg, cure="Check the path and its permissions.") from cause
-    made = (layout.problem, layout.network, layout.horizon_s, layout.levels)
-    return TrainedModel(*made, weights, card.card, layout.history)
+    made = (card.problem, card.network, card.horizon_s, card.levels)
+    return TrainedModel(*made, weights, card.card, card.history)
 
 
 def _no_model(path: Path) -> ModelError:

@@ -228,7 +228,7 @@ class ModelSpec:
         return replace(self, features="distance" if self.problem == "now" else "positions")
 
     def for_rows(self, count: int) -> ModelSpec:
-        """Return this with the optimiser for so many rows to learn from, and the part of the run that goes with it."""
+        """Return this with the optimiser for `count` training rows, and its default of `freeze_norm_after`."""
         best: Optimiser = "muon" if self.problem != "average" and count >= MUON_ROWS else "adamw"
         optimiser = best if self.optimiser == "auto" else self.optimiser
         after = FREEZE_NORM_AFTER[optimiser] if self.freeze_norm_after is None else self.freeze_norm_after

@@ -1,40 +1,45 @@
-"""The weights of a model as a safetensors file, and back: byte for byte what the layout calls for, or refused.
+"""The weights of a model as a safetensors file, and back: byte for byte what `model.json` describes, or refused.
 
-No other loader is ever tried, and no number is read before sizes, names, shapes and checksum agree.
+A model folder may come from anywhere. So the sizes in `model.json` are checked against limits (`cards`) and against
+each other first, then the file against them. No other loader is ever tried, and no number is read before sizes, names,
+shapes and checksum agree.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from cyclekit.learning.networks.layout import NetworkLayout, NotAModel
+from cyclekit.learning.networks.kinds import NETWORKS, networks_for
 from cyclekit.learning.networks.weights import Weights
-from cyclekit.learning.windows import INPUTS
+from cyclekit.learning.windows import GROUPS, INPUTS
 from cyclekit.storage.files import regular
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
+    from cyclekit.dataset.cards import ModelCard
+    from cyclekit.schema import Singles
+
 
 _MAX_HEADER_BYTES = 64 * 2**10
 
 
-def parse_weights(file: Path, layout: NetworkLayout, sha256: str) -> Weights:
-    """Return the weights of `layout`.
+def parse_weights(file: Path, about: ModelCard) -> Weights:
+    """Return the weights of the network that `about`, checked, describes.
 
     Raises:
-        NotAModel: The file is not exactly the safetensors file that the layout calls for.
+        NotAModel: The file is not exactly the safetensors file that `about` describes.
         OSError: It cannot be read.
     """
-    shapes = _shapes(layout)
+    shapes = _shapes(about)
     numbers = 4 * sum(math.prod(shape) for shape in shapes.values())
     if not file.exists():
         raise NotAModel("no such file")
@@ -43,7 +48,7 @@ def parse_weights(file: Path, layout: NetworkLayout, sha256: str) -> Weights:
     header = int.from_bytes(content[:8], "little")
     if len(content) < 8 or header > _MAX_HEADER_BYTES or len(content) != 8 + header + numbers:
         raise NotAModel(f"not a safetensors file of {numbers} bytes of weights, as {file.parent.name} calls for")
-    if hashlib.sha256(content).hexdigest() != sha256:
+    if hashlib.sha256(content).hexdigest() != about.weights_sha256:
         raise NotAModel("changed since the model was saved: its checksum is not the one in model.json")
     try:
         found = load(content)
@@ -55,12 +60,12 @@ def parse_weights(file: Path, layout: NetworkLayout, sha256: str) -> Weights:
         raise NotAModel("holds other arrays than the layers in model.json")
     if not all(np.isfinite(array).all() for array in found.values()):
         raise NotAModel("holds weights that are not finite")
-    return _weights(layout, found)
+    return _weights(about, found)
 
 
 def to_safetensors(weights: Weights) -> bytes:
     """Return the weights as the content of a safetensors file."""
-    arrays: dict[str, NDArray[np.float32]] = {}
+    arrays: dict[str, Singles] = {}
     for i, (weight, bias) in enumerate(weights.layers):
         arrays |= {f"layer{i}.weight": weight, f"layer{i}.bias": bias}
     for i, (weight, state, bias) in enumerate(weights.recurrent):
@@ -83,30 +88,96 @@ def sizes_of(weights: Weights) -> dict[str, Any]:
     }
 
 
-def _shapes(layout: NetworkLayout) -> dict[str, tuple[int, ...]]:
+def _shapes(about: ModelCard) -> dict[str, tuple[int, ...]]:
     shapes: dict[str, tuple[int, ...]] = {}
-    for i, (inputs, outputs) in enumerate(layout.layers):
+    for i, (inputs, outputs) in enumerate(about.layers):
         shapes |= {f"layer{i}.weight": (inputs, outputs), f"layer{i}.bias": (outputs,)}
-    for i, (inputs, width) in enumerate(layout.recurrent):
+    for i, (inputs, width) in enumerate(about.recurrent):
         shapes[f"lstm{i}.weight"], shapes[f"lstm{i}.state"] = (inputs, 4 * width), (width, 4 * width)
         shapes[f"lstm{i}.bias"] = (4 * width,)
-    if layout.forecast is not None:
-        shapes |= {"forecast.weight": layout.forecast, "forecast.bias": (layout.forecast[1],)}
-    if layout.known:
-        shapes["middle"] = (len(INPUTS[layout.problem]),)
+    if about.forecast is not None:
+        shapes |= {"forecast.weight": about.forecast, "forecast.bias": (about.forecast[1],)}
+    if about.known:
+        shapes["middle"] = (len(INPUTS[about.problem]),)
     return shapes
 
 
-def _weights(layout: NetworkLayout, found: Mapping[str, NDArray[np.float32]]) -> Weights:
+def _weights(about: ModelCard, found: Mapping[str, Singles]) -> Weights:
     return Weights(
-        tuple((found[f"layer{i}.weight"], found[f"layer{i}.bias"]) for i in range(len(layout.layers))),
-        layout.softmax_after,
+        tuple((found[f"layer{i}.weight"], found[f"layer{i}.bias"]) for i in range(len(about.layers))),
+        softmax_after(about),
         tuple(
             (found[f"lstm{i}.weight"], found[f"lstm{i}.state"], found[f"lstm{i}.bias"])
-            for i in range(len(layout.recurrent))
+            for i in range(len(about.recurrent))
         ),
-        (found["forecast.weight"], found["forecast.bias"]) if layout.forecast is not None else None,
-        layout.known,
-        layout.distance,
-        found["middle"] if layout.known else np.empty(0, np.float32),
+        (found["forecast.weight"], found["forecast.bias"]) if about.forecast is not None else None,
+        about.known,
+        about.distance,
+        found["middle"] if about.known else np.empty(0, np.float32),
     )
+
+
+class NotAModel(Exception):
+    """Why a file is not part of a model; `load_model` tells it as a ModelError, with the file and the cure."""
+
+
+def softmax_after(about: ModelCard) -> int | None:
+    """Return the index of the layer that the softmax follows; None without one."""
+    kind = NETWORKS[about.network]
+    return len(about.layers) - len(kind.outputs(len(about.levels))) if kind.needs_levels else None
+
+
+def check_layout(about: ModelCard) -> None:
+    """Check that the parts of the stated network fit each other.
+
+    Raises:
+        NotAModel: They do not.
+    """
+    problem, network = about.problem, about.network
+    if network not in networks_for(problem):
+        raise NotAModel(f"no known network: problem {problem!r}, network {network!r}")
+    if (about.horizon_s == 0) != (problem == "now"):
+        raise NotAModel(f"horizon_s is {about.horizon_s!r} for problem {problem!r}")
+    if NETWORKS[network].needs_levels and len(about.levels) < 2:
+        raise NotAModel(f"a {network} needs two levels or more, and has {len(about.levels)}")
+    _check_recurrent(about)
+    _check_known(about)
+    _check_chain(about.layers)
+    if not _fits(about):
+        named = f"layers {about.layers} do not fit a {network}"
+        raise NotAModel(f"{named} of {len(about.levels)} levels for problem {problem!r}")
+    if (about.history[0] > 1) != bool(about.recurrent):
+        raise NotAModel(f"history is {about.history} for a {network}")
+
+
+def _fits(about: ModelCard) -> bool:
+    """Tell whether inputs, hidden layers and outputs have the widths that go with each other."""
+    levels, recurrent, forecast = len(about.levels), about.recurrent, about.forecast
+    inputs = len(INPUTS[about.problem]) + len(about.known) + (about.distance is not None)
+    outputs = NETWORKS[about.network].outputs(levels)
+    first = recurrent[0][0] if recurrent and forecast is None else about.layers[0][0]
+    fits = first == inputs and [out for _, out in about.layers[-len(outputs) :]] == outputs
+    if recurrent and forecast is None:
+        fits = fits and about.layers[0][0] == recurrent[-1][1]
+    if forecast is not None:
+        fits = fits and forecast == (recurrent[-1][1], 3) and recurrent[0][0] == 3 + ("human" in about.known)
+    return fits
+
+
+def _check_recurrent(about: ModelCard) -> None:
+    kind = NETWORKS[about.network]
+    if len(about.recurrent) != kind.lstm_layers or (about.forecast is not None) != kind.forecasts:
+        raise NotAModel(f"{len(about.recurrent)} LSTM layers do not fit a {about.network}")
+    _check_chain(about.recurrent)
+
+
+def _check_known(about: ModelCard) -> None:
+    """Refuse groups that may be unknown unless each is there once, in the order of the columns."""
+    there = [group for group, columns in GROUPS.items() if columns.start < len(INPUTS[about.problem])]
+    if about.known != tuple(group for group in there if group in about.known):
+        raise NotAModel(f"groups of inputs that may be unknown are {about.known!r:.80}")
+
+
+def _check_chain(sizes: Sequence[tuple[int, int]]) -> None:
+    if any(a[1] != b[0] for a, b in pairwise(sizes)):
+        raise NotAModel(f"layers {sizes!r:.200} do not join")

@@ -20,9 +20,10 @@ from cyclekit.parallel.one_thread import one_thread
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Matrix = NDArray[np.float32]
-    Layer = tuple[Matrix, Matrix]
-    Cell = tuple[Matrix, Matrix, Matrix]
+    from cyclekit.schema import Singles
+
+    Layer = tuple[Singles, Singles]
+    Cell = tuple[Singles, Singles, Singles]
 
 _BLOCK = 1024
 _MANY = 50_000
@@ -56,7 +57,7 @@ class Weights:
     forecast: Layer | None = None
     known: tuple[str, ...] = ()
     distance: float | None = None
-    middle: Matrix = field(default_factory=lambda: np.empty(0, np.float32))
+    middle: Singles = field(default_factory=lambda: np.empty(0, np.float32))
 
     @property
     def count(self) -> int:
@@ -65,7 +66,7 @@ class Weights:
         return sum(int(array.size) for array in arrays)
 
     @one_thread()
-    def run(self, X: NDArray[np.floating[Any]]) -> Matrix:
+    def run(self, X: NDArray[np.floating[Any]]) -> Singles:
         """Return the last layer's outputs, shape (N, outputs).
 
         Args:
@@ -80,13 +81,13 @@ class Weights:
             list(threads.map(lambda chunk: self._fill(out[chunk], X[chunk]), chunks))
         return out
 
-    def _fill(self, out: Matrix, X: NDArray[np.floating[Any]]) -> None:
+    def _fill(self, out: Singles, X: NDArray[np.floating[Any]]) -> None:
         """Put the last layer's outputs for `X` into `out`, block by block."""
         with np.errstate(over="ignore", invalid="ignore"):  # of weights too large, which whoever asks is told
             for start in range(0, len(X), _BLOCK):
                 out[start : start + _BLOCK] = self._block(self._completed(X[start : start + _BLOCK]))
 
-    def _completed(self, X: NDArray[np.floating[Any]]) -> Matrix:
+    def _completed(self, X: NDArray[np.floating[Any]]) -> Singles:
         """Return the inputs with the unknown ones replaced, and one more per group that says whether it is known."""
         values = X.astype(np.float32)
         if not self.known and self.distance is None:
@@ -100,7 +101,7 @@ class Weights:
             values[..., GROUPS[group]] = np.where(flag, part, self.middle[GROUPS[group]])
         return np.concatenate([values, *[flag.astype(np.float32) for flag in flags], *apart], axis=-1)
 
-    def _block(self, values: Matrix) -> Matrix:
+    def _block(self, values: Singles) -> Singles:
         if self.recurrent:
             values = self._after_history(values)
         for index, (weight, bias) in enumerate(self.layers):
@@ -112,7 +113,7 @@ class Weights:
                 np.maximum(values, _zeros(weight.shape[1])[: len(values)], out=values)
         return values
 
-    def _after_history(self, values: Matrix) -> Matrix:
+    def _after_history(self, values: Singles) -> Singles:
         """Return what the feed-forward layers see: the last state, or the last sample with the forecast position."""
         if self.forecast is None:
             return _lstm(values, self.recurrent)
@@ -123,19 +124,19 @@ class Weights:
         return now
 
 
-def distance(X: Matrix, unknown: float) -> Matrix:
+def distance(X: Singles, unknown: float) -> Singles:
     """Return ||x_r - x_h||, shape (..., 1), m; `unknown` where that is not known."""
     apart = np.linalg.norm(X[..., :3] - X[..., _HUMAN], axis=-1, keepdims=True)
     return np.asarray(np.where(np.isnan(apart), np.float32(unknown), apart), np.float32)
 
 
 @lru_cache(maxsize=8)
-def _zeros(width: int) -> Matrix:
+def _zeros(width: int) -> Singles:
     """Return zeros (_BLOCK, width): numpy compares with an array several times faster than with one number."""
     return np.zeros((_BLOCK, width), np.float32)
 
 
-def _softmax(values: Matrix) -> Matrix:
+def _softmax(values: Singles) -> Singles:
     """Return the softmax of each row (N, outputs); a few long rows are quicker than many short ones."""
     values = np.ascontiguousarray(values.T)
     values -= values.max(axis=0)
@@ -144,7 +145,7 @@ def _softmax(values: Matrix) -> Matrix:
     return values.T
 
 
-def _lstm(values: Matrix, cells: tuple[Cell, ...]) -> Matrix:
+def _lstm(values: Singles, cells: tuple[Cell, ...]) -> Singles:
     """Return the last state (N, H) of LSTM layers over sequences (N, K, inputs)."""
     steps = [values[:, k] for k in range(values.shape[1])]
     for weight, recurrent, bias in cells:
@@ -161,6 +162,6 @@ def _lstm(values: Matrix, cells: tuple[Cell, ...]) -> Matrix:
     return steps[-1]
 
 
-def _sigmoid(values: Matrix) -> Matrix:
+def _sigmoid(values: Singles) -> Singles:
     half = np.tanh(values * np.float32(0.5))
     return np.asarray(np.float32(0.5) * half + np.float32(0.5), np.float32)

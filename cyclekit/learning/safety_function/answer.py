@@ -29,10 +29,9 @@ from cyclekit.text.results import Result
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.learning.networks.saved import TrainedModel
+    from cyclekit.schema import Floats
 
 LEAST_ROWS = 500
 BY_DISTANCE = 0.02
@@ -73,8 +72,8 @@ class SafetyFunction(Result):
     thresholds_of_network: tuple[float, ...]
     hysteresis_m: float | None
     hysteresis_origin: str
-    floor_m: NDArray[np.float64]
-    floor_scaling: NDArray[np.float64]
+    floor_m: Floats
+    floor_scaling: Floats
     rows: int
     executions: int
     notes: tuple[str, ...]
@@ -174,13 +173,13 @@ def _rows(dataset: Dataset) -> tuple[ScalingSamples, list[str]]:
     return ScalingSamples(robot, human, known["scaling"].to_numpy(), code, known["t_s"].to_numpy()), told
 
 
-def _predicted(model: TrainedModel, rows: ScalingSamples) -> NDArray[np.float64]:
+def _predicted(model: TrainedModel, rows: ScalingSamples) -> Floats:
     inputs = np.concatenate([rows.robot_m, rows.human_m], axis=1).astype(np.float32)
     parts = [model.predict(inputs[first : first + 2048]) for first in range(0, len(inputs), 2048)]
     return np.concatenate(parts)
 
 
-def _floor(rows: ScalingSamples) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _floor(rows: ScalingSamples) -> tuple[Floats, Floats]:
     cell, code = np.unique(floor_cells(rows.human_m), axis=0, return_inverse=True)
     code = code.ravel()
     order = np.argsort(code, kind="stable")

@@ -21,9 +21,8 @@ from cyclekit.learning.networks.beaten import fit_thresholds
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from numpy.typing import NDArray
+    from cyclekit.schema import Bools, Floats, Ints, Vector
 
-    Vector = NDArray[np.float64]
 
 FLOOR_M = 0.2
 """Edge of a cell of the floor."""
@@ -40,7 +39,7 @@ known. On simulated cells it was off by up to 0.03 of it."""
 MOVING_M_S = 0.2
 """A distance that changes faster than this is approaching or leaving."""
 
-DISTANCES: Mapping[str, Callable[[NDArray[np.float64], NDArray[np.float64]], Vector]] = {
+DISTANCES: Mapping[str, Callable[[Floats, Floats], Vector]] = {
     "distance TCP to operator": lambda robot, human: _norm(robot - human),
     "distance TCP to operator on the floor": lambda robot, human: _norm((robot - human)[:, :2]),
     "distance robot base to operator on the floor": lambda _robot, human: _norm(human[:, :2]),
@@ -52,13 +51,13 @@ DISTANCES: Mapping[str, Callable[[NDArray[np.float64], NDArray[np.float64]], Vec
 class ScalingSamples:
     """Logged samples: x_r and x_h (N, 3), m; s (N,); execution number (N,); session time (N,)."""
 
-    robot_m: NDArray[np.float64]
-    human_m: NDArray[np.float64]
+    robot_m: Floats
+    human_m: Floats
     scaling: Vector
-    execution: NDArray[np.int64]
+    execution: Ints
     t_s: Vector
 
-    def of(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> ScalingSamples:
+    def of(self, rows: Ints | Bools) -> ScalingSamples:
         """Return some rows."""
         return ScalingSamples(*(part[rows] for part in vars(self).values()))
 
@@ -102,7 +101,7 @@ def by_place(rows: ScalingSamples) -> float:
     return explained(rows.scaling, predicted)
 
 
-def floor_cells(human_m: NDArray[np.float64]) -> NDArray[np.int64]:
+def floor_cells(human_m: Floats) -> Ints:
     """Return the cell of the floor of each position, shape (N, 2), FLOOR_M wide."""
     return np.asarray(np.floor(human_m[:, :2] / FLOOR_M).astype(np.int64))
 
@@ -145,18 +144,18 @@ class Crossings:
         execution: Which, as a number from 0, shape (N,).
     """
 
-    threshold: NDArray[np.int64]
+    threshold: Ints
     metres: Vector
     speed_m_s: Vector
     way_m: Vector
-    execution: NDArray[np.int64]
+    execution: Ints
 
     def of(self, threshold: int) -> Crossings:
         """Return those of one threshold."""
         mine = self.threshold == threshold
         return Crossings(*(part[mine] for part in vars(self).values()))
 
-    def metres_at_rest(self, times: NDArray[np.int64] | None = None) -> float:
+    def metres_at_rest(self, times: Ints | None = None) -> float:
         """Return the distance at which a level changes for whoever stands still; each counts `times` often (1), (N,).
 
         A scaling that answers late, or a clock that is off, moves each crossing by that time at its speed: a straight
@@ -199,7 +198,7 @@ def crossings(rows: ScalingSamples, levels: Sequence[float], distance: str) -> C
     )
 
 
-def _by_crossings(fitted: Threshold, crossed: Crossings, picks: Sequence[NDArray[np.int64]]) -> Threshold | None:
+def _by_crossings(fitted: Threshold, crossed: Crossings, picks: Sequence[Ints]) -> Threshold | None:
     """Return the same threshold by its crossings, with its interval; None where they are too few."""
     drawn = []
     for pick in picks if len(crossed.metres) >= CROSSINGS else ():
@@ -232,5 +231,5 @@ def hysteresis(rows: ScalingSamples, levels: Sequence[float], distance: str) -> 
     return float(np.median((out - into)[known])) if known.any() else None
 
 
-def _norm(way: NDArray[np.float64]) -> Vector:
+def _norm(way: Floats) -> Vector:
     return np.asarray(np.linalg.norm(way, axis=1))

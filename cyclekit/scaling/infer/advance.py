@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from cyclekit.schema import Bools, Floats, Vector
 
-    Vector = NDArray[np.float64]
 
 DOUBLINGS = 7
 """A stretch has up to 2**7 rows to either side."""
 MISFIT = 3.0
-"""A stretch agrees with one scaling while its misfit is within so many standard deviations of what noise gives."""
+"""A stretch agrees with one scaling while its misfit is within this many standard deviations of that of noise."""
 _LEAST = 1e-18  # of information: the window says nothing
 
 
@@ -35,10 +34,10 @@ class _Fit:
             products about the means (tt, ty, yy), and how many rows count.
     """
 
-    sums: NDArray[np.float64]
+    sums: Floats
 
     def shifted(self, rows: int) -> _Fit:
-        """Return, row by row, the stretch that begins so many rows later (earlier where negative); outside, none."""
+        """Return, row by row, the stretch that begins `rows` rows later (negative: earlier); empty outside."""
         moved = np.zeros_like(self.sums)
         count = self.sums.shape[1]
         if abs(rows) < count:
@@ -58,7 +57,7 @@ class _Fit:
         both[5] += across[1] * d[1]
         return _Fit(both)
 
-    def chosen(self, other: _Fit, which: NDArray[np.bool_]) -> _Fit:
+    def chosen(self, other: _Fit, which: Bools) -> _Fit:
         """Return `other` where `which` says so, else this."""
         return _Fit(np.where(which, other.sums, self.sums))
 
@@ -75,7 +74,7 @@ class _Fit:
         return np.asarray(np.divide(1.0, tt, out=np.full_like(tt, np.inf), where=tt > _LEAST))
 
     @property
-    def agrees(self) -> NDArray[np.bool_]:
+    def agrees(self) -> Bools:
         """Whether the misfit is what noise gives: chi-squared with rows - 2 degrees of freedom."""
         _, _, _, _, ty, yy, rows = self.sums
         misfit = yy - ty * self.slope

@@ -34,13 +34,10 @@ from cyclekit.segmentation.motion import NEVER_FULL, NO_REFERENCE, OTHER_PATH, T
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from cyclekit.schema import Bools, Points, Vector
     from cyclekit.segmentation.executions import Execution
-    from cyclekit.segmentation.motion import Run
+    from cyclekit.segmentation.stored_run import Run
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 __all__ = ["Reference", "infer_overrides"]
 
@@ -55,7 +52,7 @@ SLOW = 0.2
 PATHS = 4
 """Maximum number of different paths between two places."""
 LEAST_NOISE = 1e-6
-"""Noise of a coordinate (rad or m) that shows none: logs are written with so many digits."""
+"""Noise of a coordinate (rad or m) that shows none: the resolution of written logs."""
 HALTED, CRAWL_M_S = 0.02, 6e-3
 """Scaling below this is a halt, and a robot that is halted does not go faster than so, or than twice that share of its
 usual speed."""
@@ -249,7 +246,7 @@ def _inferred(run: Run, leg: _Leg, reference: Reference, noise: Mapping[int, Vec
     return InferredScaling(leg.first, known[0], known[1], gap)
 
 
-def _goes(speed_m_s: Vector) -> NDArray[np.bool_]:
+def _goes(speed_m_s: Vector) -> Bools:
     """Tell in which rows of a motion, speeds (T,), the robot is too fast to be halted."""
     usual = float(np.nanquantile(speed_m_s, 0.9)) if np.isfinite(speed_m_s).any() else 0.0
     return np.asarray(speed_m_s > max(CRAWL_M_S, 2.0 * HALTED * usual))

@@ -13,11 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from cyclekit.schema import Bools, Points, Vector
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
-    Rows = NDArray[np.int64]
 
 SMOOTH_S = 0.024
 """Half of the stretch over which the path is smoothed: a cubic over 48 ms follows any jerk-limited motion."""
@@ -81,7 +78,7 @@ def path_of(t_s: Vector, points: Points) -> Path:
     return Path(even, even, smooth, slope)
 
 
-def _halted(t_s: Vector, points: Points, period_s: float) -> NDArray[np.bool_]:
+def _halted(t_s: Vector, points: Points, period_s: float) -> Bools:
     half = max(1, round(HALT_S / period_s))
     row = np.arange(len(t_s))
     after, before = np.minimum(row + half, len(t_s) - 1), np.maximum(row - half, 0)
@@ -146,7 +143,7 @@ def along(path: Path, t_s: Vector, points: Points) -> Along:
     return Along(own, variance, np.linalg.norm(points - x, axis=1))
 
 
-def _written_twice(t_s: Vector, points: Points) -> NDArray[np.bool_]:
+def _written_twice(t_s: Vector, points: Points) -> Bools:
     """Tell which rows repeat the one before them because the recorder is faster than the controller, not in a halt."""
     repeated = np.concatenate([[False], (np.diff(points, axis=0) == 0).all(axis=1)])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], repeated, [False]]).astype(np.int8))).reshape(-1, 2)

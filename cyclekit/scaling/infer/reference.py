@@ -20,10 +20,8 @@ from cyclekit.scaling.infer.path import SMOOTH_S, Path, along, path_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from cyclekit.schema import Bools, Ints, Points, Vector
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 AMONG = 60
 """The envelope is taken over this many repetitions, the fastest ones."""
@@ -42,7 +40,7 @@ alike."""
 STOP_S, STILL = 0.2, 0.02
 """A repetition stands where it advances slower than STILL for longer than STOP_S; stops so near in it are one."""
 CLEAR = 10.0
-"""A limit of speed or acceleration that is not so many times its noise is none: that joint hardly moves."""
+"""A limit of speed or acceleration that is less than this many times its noise does not count."""
 STRAIGHT = 0.01
 """A TCP that never leaves the straight line to its goal by more than this fraction of its length goes straight."""
 LOOKED_AT = 60
@@ -75,7 +73,6 @@ class Reference:
         path: Places and nominal times.
         confirmed: Per row of the path, whether WITNESSES repetitions reached the pace, or it is that of an empty cell.
         stops: Where every repetition stands for a while, `own_s` of the path: the program may want it so.
-        repetitions: How many repetitions it was taken from.
         alone: It was recorded with nobody in the cell.
         peak: Greatest speed and acceleration at nominal pace, (2, D + 1): of each joint (or axis), in units of its
             noise, and of the TCP along its path, m/s and m/s² (NaN: the TCP is not known).
@@ -85,9 +82,8 @@ class Reference:
     """
 
     path: Path
-    confirmed: NDArray[np.bool_]
+    confirmed: Bools
     stops: Vector
-    repetitions: int
     alone: bool
     peak: Points
     noise: Points
@@ -125,7 +121,6 @@ def reference_of(repetitions: Sequence[Repetition], *, alone: bool) -> Reference
         path.retimed(_integral(1.0 / pace, path.own_s)),
         np.full(len(pace), True) if alone else agreeing >= WITNESSES,
         _common(stops) if not alone else np.empty(0),
-        len(rates),
         alone,
         np.column_stack([_peak(path, pace), _tcp_peak(path, pace, ways[0])]),
         np.column_stack([np.tile(_peak_noise(path), (path.points.shape[1], 1)).T, np.zeros(2)]),
@@ -144,7 +139,7 @@ def is_elsewhere(path: Path, off: Vector) -> bool:
     return bool(np.quantile(off, 0.95) > max(OFF * path.length, 20.0))
 
 
-def _top(rates: Points, deviations: Points, top: float) -> tuple[Vector, NDArray[np.int64]]:
+def _top(rates: Points, deviations: Points, top: float) -> tuple[Vector, Ints]:
     """Return the pace reached at each row of the path and how many repetitions agree, from (N, M) rates."""
     count, rows = rates.shape
     known = np.isfinite(rates) & (deviations < VAGUE_SD * np.maximum(rates, 0.1))
@@ -180,7 +175,7 @@ def _common(stops: Sequence[Vector]) -> Vector:
     return np.array(kept)
 
 
-def is_common_stop(reference: Reference, t_s: Vector, rate: Vector, own_s: Vector) -> NDArray[np.bool_]:
+def is_common_stop(reference: Reference, t_s: Vector, rate: Vector, own_s: Vector) -> Bools:
     """Tell which rows, shape (T,), belong to a stop that every repetition has."""
     near = (np.abs(own_s[:, None] - reference.stops[None]) < STOP_S).any(axis=1)
     return np.asarray(near & (rate < STILL) & (t_s > t_s[0]))

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.scaling.levels.plateaus import Plateaus
+    from cyclekit.schema import Ints, Vector
 
-    Vector = NDArray[np.float64]
 
 _LEAST_EPS = 0.01
 _USUAL_HOLD_S = 1.5
@@ -30,7 +30,7 @@ _SLIDERS_DIFFER = 0.02
 _LOWEST_SLIDER = 0.1
 
 
-def by_density(values: Vector, eps: float, min_samples: int) -> NDArray[np.int64]:
+def by_density(values: Vector, eps: float, min_samples: int) -> Ints:
     """Return the cluster of every value by DBSCAN, shape (T,); -1 = none.
 
     Args:
@@ -41,17 +41,14 @@ def by_density(values: Vector, eps: float, min_samples: int) -> NDArray[np.int64
     return dbscan_1d(values, eps=eps, min_samples=min_samples)
 
 
-def by_kmeans(values: Vector, eps: float, min_samples: int) -> NDArray[np.int64]:
+def by_kmeans(values: Vector, eps: float, min_samples: int) -> Ints:
     """Return the cluster of every value by K-means with the best silhouette, shape (T,); arguments as `by_density`."""
     del eps, min_samples
     points = condense(values)
     return by_silhouette(points)[points.of]
 
 
-FINDERS: dict[str, Callable[[Vector, float, int], NDArray[np.int64]]] = {
-    "dbscan": by_density,
-    "kmeans-silhouette": by_kmeans,
-}
+FINDERS: dict[str, Callable[[Vector, float, int], Ints]] = {"dbscan": by_density, "kmeans-silhouette": by_kmeans}
 """Ways to find levels in values without their order in time, by name: a line each makes one known to `--method`."""
 
 
@@ -113,7 +110,7 @@ def cluster_values(values: Vector, method: str, eps: float | None, min_samples: 
     return Cluster(found.value, None, found.spread)
 
 
-def _clusters(value: Vector, cluster: NDArray[np.int64], weight: Vector, eps: float, noise: float) -> Cluster:
+def _clusters(value: Vector, cluster: Ints, weight: Vector, eps: float, noise: float) -> Cluster:
     """Return mean, standard error and spread of every cluster that has a member, by rising mean."""
     member = cluster >= 0
     names, index = np.unique(cluster[member], return_inverse=True)

@@ -9,15 +9,15 @@ import numpy as np
 from cyclekit.errors import ShapeError
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
+
+    from cyclekit.schema import Floats, Ints
 
 UNKNOWN = -1
 """Label of values outside of all clusters."""
 
 
-def dbscan_1d(
-    values: ArrayLike, *, eps: float, min_samples: float, weight: ArrayLike | None = None
-) -> NDArray[np.int64]:
+def dbscan_1d(values: ArrayLike, *, eps: float, min_samples: float, weight: ArrayLike | None = None) -> Ints:
     """Cluster scalars by density: exactly DBSCAN, in O(n log n) time and O(n) memory.
 
     On a line, the neighbours of a value are a run of the sorted values, so two binary searches count them, and a
@@ -43,7 +43,7 @@ def dbscan_1d(
     order = np.argsort(x, kind="stable")
     line = x[order]
     low, high = np.searchsorted(line, line - eps, "left"), np.searchsorted(line, line + eps, "right")
-    neighbours: NDArray[np.float64] | NDArray[np.int64] = high - low
+    neighbours: Floats | Ints = high - low
     if weight is not None:
         total = np.concatenate([[0.0], np.cumsum(np.asarray(weight, np.float64)[order])])
         neighbours = total[high] - total[low]
@@ -61,7 +61,7 @@ def dbscan_1d(
     return result
 
 
-def _number_by_first(run: NDArray[np.int64], position: NDArray[np.int64]) -> NDArray[np.int64]:
+def _number_by_first(run: Ints, position: Ints) -> Ints:
     """Return the number of each run: runs are numbered by where their first core value stands in the data."""
     starts = np.flatnonzero(np.diff(run, prepend=-1))
     first = np.minimum.reduceat(position, starts)
@@ -70,9 +70,7 @@ def _number_by_first(run: NDArray[np.int64], position: NDArray[np.int64]) -> NDA
     return number
 
 
-def _border(
-    value: NDArray[np.float64], core: NDArray[np.float64], number: NDArray[np.int64], eps: float
-) -> NDArray[np.int64]:
+def _border(value: Floats, core: Floats, number: Ints, eps: float) -> Ints:
     """Return the cluster of values that are no core: that of a core value within eps, the lower number winning."""
     nobody = np.iinfo(np.int64).max
     right = np.searchsorted(core, value)

@@ -14,10 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from cyclekit.schema import Ints, Vector
 
-    Vector = NDArray[np.float64]
-    Rows = NDArray[np.int64]
 
 BINS = 2048
 MOST = 10
@@ -30,7 +28,7 @@ class Weighted:
 
     value: Vector
     weight: Vector
-    of: Rows
+    of: Ints
     """Point of every sample, shape (T,)."""
 
 
@@ -51,7 +49,7 @@ def condense(values: Vector, *, bins: int = BINS) -> Weighted:
     return Weighted(point, np.bincount(of, minlength=point.size).astype(np.float64), of.astype(np.int64))
 
 
-def kmeans_1d(points: Weighted, most: int = MOST) -> list[tuple[Rows, float]]:
+def kmeans_1d(points: Weighted, most: int = MOST) -> list[tuple[Ints, float]]:
     """Return the best division into k clusters and its squared error, for k = 1 to `most` (or to the number of points).
 
     Returns:
@@ -76,7 +74,7 @@ def kmeans_1d(points: Weighted, most: int = MOST) -> list[tuple[Rows, float]]:
     return found
 
 
-def _trace(cuts: list[Rows], count: int) -> Rows:
+def _trace(cuts: list[Ints], count: int) -> Ints:
     """Walk back through the cuts and return the cluster of every point."""
     label, stop = np.zeros(count, np.int64), count
     for k in range(len(cuts) - 1, 0, -1):
@@ -86,7 +84,7 @@ def _trace(cuts: list[Rows], count: int) -> Rows:
     return label
 
 
-def silhouette_1d(points: Weighted, cluster: Rows) -> float:
+def silhouette_1d(points: Weighted, cluster: Ints) -> float:
     """Return the exact mean silhouette of all samples; -1 with fewer than two clusters.
 
     Equal to `sklearn.metrics.silhouette_score` on the samples that the points stand for.
@@ -117,7 +115,7 @@ def silhouette_1d(points: Weighted, cluster: Rows) -> float:
     return float((score * w).sum() / w.sum())
 
 
-def by_silhouette(points: Weighted, most: int = MOST) -> Rows:
+def by_silhouette(points: Weighted, most: int = MOST) -> Ints:
     """Return the cluster of every point for the number of clusters with the best silhouette (1 where all are equal)."""
     if points.value.size < 2:
         return np.zeros(points.value.size, np.int64)

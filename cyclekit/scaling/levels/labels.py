@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from cyclekit.schema import Bools, Floats, Ints
+
 TOLERANCE = 0.03
 """Farthest distance from a level (fraction of full speed) at which a value still counts as being on it."""
 _SHARP = (0.003, 0.01)
@@ -22,7 +24,7 @@ _SHARP = (0.003, 0.01)
 deviations of the noise, and these bounds."""
 
 
-def unbroken(run: NDArray[np.generic], known: NDArray[np.bool_]) -> NDArray[np.int64]:
+def unbroken(run: NDArray[np.generic], known: Bools) -> Ints:
     """Return the number of the stretch of every sample: a new one begins with a new run and after an unknown value.
 
     Args:
@@ -57,12 +59,7 @@ def label(values: ArrayLike, levels: ArrayLike | Sequence[float], *, tolerance: 
 
 
 def label_in_time(
-    values: NDArray[np.float64],
-    levels: ArrayLike,
-    run: NDArray[np.int64],
-    *,
-    rate_hz: float = USUAL_HZ,
-    plateaus: Plateaus | None = None,
+    values: Floats, levels: ArrayLike, run: Ints, *, rate_hz: float = USUAL_HZ, plateaus: Plateaus | None = None
 ) -> NDArray[np.int32]:
     """Return the level of every sample by the plateau it lies on, so that a ramp that passes a level is not on it.
 

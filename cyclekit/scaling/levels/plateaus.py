@@ -17,10 +17,8 @@ import numpy as np
 from cyclekit.dataset.time_grid import USUAL_HZ, samples_in
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from cyclekit.schema import Bools, Ints, Vector
 
-    Vector = NDArray[np.float64]
-    Rows = NDArray[np.int64]
 
 _LEAST_NOISE = 1e-4
 _WINDOW_S = 50.0
@@ -53,13 +51,13 @@ class Plateaus:
         noise: Standard deviation of the noise of one sample.
     """
 
-    first: Rows
-    end: Rows
+    first: Ints
+    end: Ints
     value: Vector
     noise: float
 
     @property
-    def samples(self) -> Rows:
+    def samples(self) -> Ints:
         """How many samples each one lasts, shape (K,)."""
         return self.end - self.first
 
@@ -80,7 +78,7 @@ def noise_of(values: Vector) -> float:
     return max(float(min(quartile / 0.3186, median / 0.6745)), _LEAST_NOISE)
 
 
-def find_plateaus(values: Vector, run: Rows, *, rate_hz: float = USUAL_HZ, most_noise: float = np.inf) -> Plateaus:
+def find_plateaus(values: Vector, run: Ints, *, rate_hz: float = USUAL_HZ, most_noise: float = np.inf) -> Plateaus:
     """Find the plateaus.
 
     Args:
@@ -107,14 +105,14 @@ def find_plateaus(values: Vector, run: Rows, *, rate_hz: float = USUAL_HZ, most_
     return Plateaus(first, end, _robust_mean(values, first, end, noise), noise)
 
 
-def _bounds(run: Rows) -> tuple[Rows, Rows]:
+def _bounds(run: Ints) -> tuple[Ints, Ints]:
     """Return the first sample and one past the last of the run of every sample, shape (T,) each."""
     starts = np.flatnonzero(np.diff(run, prepend=run[0] - 1))
     ends = np.append(starts[1:], run.size)
     return np.repeat(starts, ends - starts), np.repeat(ends, ends - starts)
 
 
-def _steady(values: Vector, begin: Rows, stop: Rows, window: int, noise: float) -> NDArray[np.bool_]:
+def _steady(values: Vector, begin: Ints, stop: Ints, window: int, noise: float) -> Bools:
     """Tell at which samples the means of the windows before and after, and the sample itself, agree."""
     at = np.arange(values.size)
     low, high = np.maximum(at - window, begin), np.minimum(at + window + 1, stop)
@@ -128,7 +126,7 @@ def _steady(values: Vector, begin: Rows, stop: Rows, window: int, noise: float) 
     return np.asarray(agree & itself & (high - low > 1))
 
 
-def _cores(steady: NDArray[np.bool_], run: Rows) -> tuple[Rows, Rows]:
+def _cores(steady: Bools, run: Ints) -> tuple[Ints, Ints]:
     """Return first sample and one past the last of every run of steady samples."""
     new = steady & ~np.concatenate([[False], steady[:-1] & (np.diff(run) == 0)])
     over = steady & ~np.concatenate([steady[1:] & (np.diff(run) == 0), [False]])
@@ -136,9 +134,9 @@ def _cores(steady: NDArray[np.bool_], run: Rows) -> tuple[Rows, Rows]:
 
 
 def _by_samples(
-    values: Vector, first: Rows, end: Rows, begin: Rows, stop: Rows, window: int, noise: float
-) -> tuple[Rows, Rows]:
-    """Let every core reach over the samples beside it that have its value; where two meet, the earlier one stops."""
+    values: Vector, first: Ints, end: Ints, begin: Ints, stop: Ints, window: int, noise: float
+) -> tuple[Ints, Ints]:
+    """Extend every core over the neighbouring samples of its value; where two meet, the earlier one ends."""
     near = max(3.0 * noise, 0.2 * _LEAST_STEP)
     mean = _means(values, first, end)
     first, end = first.copy(), end.copy()
@@ -152,8 +150,8 @@ def _by_samples(
 
 
 def _by_hinges(
-    values: Vector, first: Rows, end: Rows, begin: Rows, stop: Rows, window: int, noise: float
-) -> tuple[Rows, Rows]:
+    values: Vector, first: Ints, end: Ints, begin: Ints, stop: Ints, window: int, noise: float
+) -> tuple[Ints, Ints]:
     """Fit where every core is left and the next one reached: value, straight line, value.
 
     Cores that lie further apart than any hinge needs only reach as far as a window does.
@@ -171,7 +169,7 @@ def _by_hinges(
     return first, end
 
 
-def _needed(values: Vector, first: Rows, end: Rows, begin: Rows, short: int, noise: float) -> NDArray[np.bool_]:
+def _needed(values: Vector, first: Ints, end: Ints, begin: Ints, short: int, noise: float) -> Bools:
     """Tell which plateaus are more than a piece of the ramp between their neighbours.
 
     Args:
@@ -210,12 +208,12 @@ def _hinge(values: Vector, before: float, after: float) -> tuple[int, int, float
     return int(leave[best]), int(reach[best]), float(error[best])
 
 
-def _means(values: Vector, first: Rows, end: Rows) -> Vector:
+def _means(values: Vector, first: Ints, end: Ints) -> Vector:
     total = np.concatenate([[0.0], np.cumsum(values)])
     return np.asarray((total[end] - total[first]) / np.maximum(end - first, 1))
 
 
-def _is_flat(values: Vector, first: Rows, end: Rows, noise: float) -> NDArray[np.bool_]:
+def _is_flat(values: Vector, first: Ints, end: Ints, noise: float) -> Bools:
     """Tell which plateaus are flat: no slope that matters beyond the noise, and no more spread than the noise has."""
     count = np.maximum(end - first, 1).astype(np.float64)
     total = np.concatenate([[0.0], np.cumsum(values)])
@@ -229,7 +227,7 @@ def _is_flat(values: Vector, first: Rows, end: Rows, noise: float) -> NDArray[np
     return np.asarray(straight & (variance <= max(2 * noise, _LEAST_STEP) ** 2))
 
 
-def _robust_mean(values: Vector, first: Rows, end: Rows, noise: float) -> Vector:
+def _robust_mean(values: Vector, first: Ints, end: Ints, noise: float) -> Vector:
     """Return the mean of each plateau over the samples within four deviations of its plain mean."""
     count = end - first
     owner = np.repeat(np.arange(first.size), count)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.dataset.cards import note
+from cyclekit.dataset.cards import Note, note
 from cyclekit.dataset.time_grid import USUAL_HZ, samples_in
 from cyclekit.errors import ShapeError, UnknownName
 from cyclekit.parallel.one_thread import one_thread
@@ -27,7 +27,6 @@ from cyclekit.scaling.levels.clusters import (
     rounded,
     usual_eps,
 )
-from cyclekit.scaling.levels.doubts import doubts
 from cyclekit.scaling.levels.kmeans import by_silhouette, condense
 from cyclekit.scaling.levels.labels import label_in_time, unbroken
 from cyclekit.scaling.levels.plateaus import Plateaus, find_plateaus
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from cyclekit.dataset.cards import Note
+    from cyclekit.schema import Floats, Ints, Vector
 
 LEAST_HELD_S = 1.0
 """Minimum time for which a level is held, all plateaus together; short, so that a rare level survives."""
@@ -61,12 +60,12 @@ class Staircase:
         is_staircase: False where the values are not held on a few levels: then learn them by regression.
     """
 
-    levels: NDArray[np.float64]
+    levels: Floats
     label: NDArray[np.int32]
-    share: NDArray[np.float64]
+    share: Floats
     warnings: tuple[Note, ...] = ()
-    means: NDArray[np.float64] | None = None
-    slider: NDArray[np.float64] | None = None
+    means: Floats | None = None
+    slider: Floats | None = None
     noise: float = 0.0
     is_staircase: bool = True
 
@@ -151,13 +150,7 @@ def second_opinion(scaling: ArrayLike, staircase: Staircase) -> Note | None:
     return note("levels-disputed", levels=int(staircase.levels.size), other=other)
 
 
-def _finish(
-    values: NDArray[np.float64],
-    stretch: NDArray[np.int64],
-    plateaus: Plateaus,
-    found: Cluster,
-    slider: NDArray[np.float64] | None,
-) -> Staircase:
+def _finish(values: Floats, stretch: Ints, plateaus: Plateaus, found: Cluster, slider: Floats | None) -> Staircase:
     """Round the levels where that is sure, label every sample, and say what is doubtful."""
     levels = found.value if found.deviation is None else rounded(found.value, found.deviation)
     seen = values if slider is None else values / slider
@@ -170,3 +163,50 @@ def _finish(
         each = ", ".join(f"{value:.2f}" for value in np.unique(np.round(slider[np.isfinite(slider)], 2))[:8])
         said.append(note("levels-with-slider", sliders=each))
     return Staircase(levels, labels, share, tuple(said), found.value, slider, plateaus.noise, stairs)
+
+
+_MANY_LEVELS = 12
+"""More levels than any safety configuration offers: then the values are not a staircase."""
+_WIDE = 6.0
+"""A cluster whose middle 90 % spread over more than this many eps is not a single level."""
+_MUCH_UNKNOWN = 0.2
+_LITTLE_HELD = 0.5
+_MUCH_NOISE = 0.15
+
+
+def doubts(
+    levels: Vector, share: Vector, spread: Vector, *, known: int, held: float, noise: float
+) -> tuple[list[Note], bool]:
+    """Say what speaks against a staircase.
+
+    Args:
+        levels: Shape (P,), ascending.
+        share: Part of the known samples on each, shape (P,).
+        spread: Width of each cluster in eps, shape (P,).
+        known: Samples whose scaling is known.
+        held: Part of them that lies on plateaus.
+        noise: Standard deviation of one sample.
+
+    Returns:
+        The reasons, and whether it is a staircase nevertheless.
+    """
+    if known == 0:
+        return [note("scaling-nowhere")], False
+    if levels.size == 0 or noise > _MUCH_NOISE:
+        return [note("levels-none")], False
+    said, stairs = [], True
+    if levels.size == 1:
+        said.append(note("levels-one", level=float(levels[0])))
+    if levels.size > _MANY_LEVELS:
+        said.append(note("levels-many", levels=int(levels.size)))
+        stairs = False
+    wide = [f"{value:.2f}" for value, width in zip(levels, spread, strict=True) if width > _WIDE]
+    if wide:
+        said.append(note("levels-wide", values=", ".join(wide)))
+        stairs = False
+    if (unknown := 1 - float(share.sum())) > _MUCH_UNKNOWN:
+        said.append(note("levels-left", unknown=unknown))
+    if held < _LITTLE_HELD and stairs:
+        said.append(note("levels-not-held", held=held))
+        stairs = False
+    return said, stairs

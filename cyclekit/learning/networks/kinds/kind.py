@@ -70,5 +70,5 @@ class Network:
         return self.names_levels or self.through_levels
 
     def outputs(self, levels: int) -> list[int]:
-        """Return the widths of its last layers, for so many levels."""
+        """Return the widths of its last layers for `levels` levels."""
         return [levels] if self.names_levels else [levels, 1] if self.through_levels else [1]

@@ -1,4 +1,4 @@
-"""`lstm-2`: an LSTM layer forecasts where the operator will be; the regressor sees that in place of where he is."""
+"""`lstm-2`: an LSTM layer forecasts the operator's position; the regressor gets that in place of the present one."""
 
 from __future__ import annotations
 

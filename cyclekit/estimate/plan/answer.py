@@ -15,6 +15,7 @@ from cyclekit.estimate.plan.search import Scorer, best_order, first_order, rando
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
+from cyclekit.estimate.validate import validated
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.results import Result
@@ -132,7 +133,9 @@ def plan(
     jobs = replace(jobs, unlogged=frozenset(unlogged))
     first_order(jobs, lambda _, options: options)  # refused before the tracks are walked
     length = max(task.nominal_s + task.dwell_s + task.wait_s for task in tasks.values()) * (2 * len(jobs.visit) + 2)
-    tracks = operator_tracks(dataset, horizon_s=3.0 * length)
+    if check is None and validate:
+        check, _ = validated(model, dataset, seed=seed)
+    tracks = operator_tracks(dataset, horizon_s=3.0 * length, phases=check.phases if check else None)
     table = transit_table(model, tasks, tracks, progress=progress)
     every = Scorer(table, jobs, seed=seed, executions=len(set(tracks.executions)))
     order, searched, tried = best_order(every, seed=seed, progress=progress)

@@ -225,7 +225,9 @@ def check_rollout(
         _enough(dataset, len(sequences))
         entries = only_tracks(entries, {sequence.name for sequence in sequences})
         tracks = beginnings(entries)
-        (own,) = beside_own(model, dataset, sequences, nominal, tracks)
+        phases = range(len(entries.executions) // len(tracks.executions))
+        beside = beside_own(model, dataset, sequences, nominal, entries, phases=phases)
+        own = beside[0]
         asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
         table = transit_table(model, asked, tracks, progress=progress)
         crossed = table.durations([sequence.tasks for sequence in sequences], seed=seed)
@@ -247,7 +249,7 @@ def check_rollout(
     return replace(
         found,
         order_error=order_error(TaskTimes(dataset), sequences, means),
-        operator=operator_model(model, dataset, sequences, nominal, entries, own),
+        operator=operator_model([sequence.name for sequence in sequences], beside, entries),
     )
 
 

@@ -76,11 +76,10 @@ def beside_own(
     tracks: OperatorTracks,
     *,
     phases: Sequence[int] = (0,),
-    fine: bool = True,
 ) -> NDArray[np.float64]:
     """Roll out each execution beside its own operator and with its own stands, shape (phases, E), s.
 
-    `phases`: at which of its entries each operator is met; 0 is where the execution began. `fine` as of `walk`.
+    `phases`: at which of its entries each operator is met; 0 is where the execution began.
     """
     programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
     by_execution = dataset.tasks().sort("execution", "index").group_by(["execution"], maintain_order=True)
@@ -91,5 +90,5 @@ def beside_own(
     track = (begins[:, None] + len(set(tracks.executions)) * entries).ravel()
     which = np.repeat(np.arange(len(programs)), len(phases))
     dynamics = Dynamics.of(dataset.card.dynamics)
-    walked = walk(model, programs, which, track, own, tracks, dynamics=dynamics, fine=fine)
+    walked = walk(model, programs, which, track, own, tracks, dynamics=dynamics, fine=True)
     return walked.duration_s.reshape(len(programs), len(phases)).T

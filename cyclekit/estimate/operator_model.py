@@ -14,18 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.estimate.logged import beside_own
 from cyclekit.estimate.resample import TOGETHER, resampled
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.config.sequences import TaskSequence
-    from cyclekit.dataset.dataset import Dataset
-    from cyclekit.estimate.nominal import NominalTask
-    from cyclekit.estimate.safety import SafetyModel
     from cyclekit.estimate.tracks import OperatorTracks
 
 CHANCE_Z = 2.6
@@ -64,32 +59,21 @@ class OperatorModel:
         return {"bias": self.bias, "z": self.z, "as_logged": self.as_logged}
 
 
-def operator_model(
-    model: SafetyModel,
-    dataset: Dataset,
-    sequences: Sequence[TaskSequence],
-    nominal: Mapping[str, NominalTask],
-    tracks: OperatorTracks,
-    own_s: NDArray[np.float64],
-) -> OperatorModel | None:
+def operator_model(names: Sequence[str], beside_s: NDArray[np.float64], tracks: OperatorTracks) -> OperatorModel | None:
     """Compare; None where the model enters tracks at their beginning alone.
 
     Args:
-        model: The safety function.
-        dataset: The logs.
-        sequences: The logged executions.
-        nominal: Their tasks.
-        tracks: Entries of their operators, the beginnings first.
-        own_s: How long each takes beside its own operator from the beginning, shape (E,), s.
+        names: The logged executions.
+        beside_s: How long each takes beside its own operator from the beginning and from each later entry, shape
+            (entries, E), s; inf: not within the track.
+        tracks: Of these executions.
     """
-    phases = len(tracks.executions) // len(set(tracks.executions))
-    if phases == 1:
+    if len(beside_s) == 1:
         return None
-    later_s = beside_own(model, dataset, sequences, nominal, tracks, phases=range(1, phases), fine=False)
-    later_s = np.minimum(later_s, tracks.step_s * tracks.xyz_m.shape[1])  # at least so long, where it does not end
+    longest_s = tracks.step_s * tracks.xyz_m.shape[1]  # a cycle that does not end takes at least so long
+    own_s, later_s = beside_s[0], np.minimum(beside_s[1:], longest_s).mean(axis=0)
     known = np.isfinite(own_s)
-    off = later_s.mean(axis=0)[known] - own_s[known]
-    names = [sequence.name for sequence, ends in zip(sequences, known, strict=True) if ends]
-    weights = resampled(names, 0, together=TOGETHER if tracks.runs_on else 1)
-    error = float((weights @ off).std())
-    return OperatorModel(float(off.mean() / own_s[known].mean()), float(off.mean()) / max(error, 1e-9))
+    off_s = later_s[known] - own_s[known]
+    weights = resampled([str(name) for name in np.array(names)[known]], 0, together=TOGETHER if tracks.runs_on else 1)
+    error_s = float((weights @ off_s).std())
+    return OperatorModel(float(off_s.mean() / own_s[known].mean()), float(off_s.mean()) / max(error_s, 1e-9))

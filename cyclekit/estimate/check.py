@@ -21,8 +21,9 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.conformal import conformal, holds
 from cyclekit.estimate.history import TaskTimes, order_error
 from cyclekit.estimate.judges import judge, within
-from cyclekit.estimate.logged import beside_own, logged_durations, logged_sequences, only_tracks
+from cyclekit.estimate.logged import beginnings, beside_own, logged_durations, logged_sequences, only_tracks
 from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.operator_model import OperatorModel, operator_model
 from cyclekit.estimate.safety import Dynamics, SafetyModel
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
@@ -78,6 +79,7 @@ class Check:
         levels: The outer quantile levels of these coverages.
         order_error: How far sums of logged task durations are off by the order, as part of the duration of an order of
             one task (`history.order_error`); None with few executions.
+        operator: How the operator model compares with the logged tracks; None where it is these tracks.
     """
 
     executions: int
@@ -91,6 +93,12 @@ class Check:
     coverage_held_out: float | None
     levels: tuple[float, float]
     order_error: float | None = None
+    operator: OperatorModel | None = None
+
+    @property
+    def phases(self) -> int | None:
+        """How often tracks are entered (`operator_tracks`): once where logged tracks are used as they are."""
+        return 1 if self.operator is not None and self.operator.as_logged else None
 
     @property
     def factor(self) -> float:
@@ -168,7 +176,7 @@ class Check:
     def to_dict(self) -> dict[str, Any]:
         """Return the check as plain JSON values."""
         out = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
-        return out | {"doubts": list(self.doubts)}
+        return out | {"doubts": list(self.doubts), "operator": self.operator.to_dict() if self.operator else None}
 
 
 @one_thread()
@@ -200,11 +208,14 @@ def check_rollout(
     longest_s = 3.0 * max(sum(nominal[task].nominal_s + nominal[task].dwell_s for task in s.tasks) for s in sequences)
     usual_s = min(ENOUGH * float(logged_durations(dataset, sequences).max()), longest_s)
     for until_s in (usual_s, longest_s):
-        tracks = operator_tracks(dataset, horizon_s=until_s, phases=1)
-        sequences = _some([sequence for sequence in sequences if sequence.name in tracks.executions], most)
+        entries = operator_tracks(dataset, horizon_s=until_s)
+        sequences = _some([sequence for sequence in sequences if sequence.name in entries.executions], most)
         _enough(dataset, len(sequences))
-        tracks = only_tracks(tracks, {sequence.name for sequence in sequences})
-        own = beside_own(model, dataset, sequences, nominal, tracks)
+        entries = only_tracks(entries, {sequence.name for sequence in sequences})
+        tracks = beginnings(entries)
+        phases = range(len(entries.executions) // len(tracks.executions))
+        beside = beside_own(model, dataset, sequences, nominal, entries, phases=phases)
+        own = beside[0]
         asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
         table = transit_table(model, asked, tracks)
         crossed = table.durations([sequence.tasks for sequence in sequences], seed=seed)
@@ -223,7 +234,11 @@ def check_rollout(
     some = np.isfinite(crossed).any(axis=1)
     means = np.full(len(sequences), np.nan)
     means[some] = np.nanmean(crossed[some], axis=1) * found.factor
-    return replace(found, order_error=order_error(TaskTimes(dataset), sequences, means))
+    return replace(
+        found,
+        order_error=order_error(TaskTimes(dataset), sequences, means),
+        operator=operator_model([sequence.name for sequence in sequences], beside, entries),
+    )
 
 
 def _late(own_s: Vector, at_once_s: Vector) -> float:

@@ -40,7 +40,9 @@ def cycles_of(
     rolled: list[Rolled] = []
     for last in (False, False, False, True):  # tracks must be long enough for the slowest cycle; halts take longer
         operator = sequences[0].operator
-        tracks = operator_tracks(ask.dataset, horizon_s=horizon, operator=operator, goals=estimator.goals)
+        tracks = operator_tracks(
+            ask.dataset, horizon_s=horizon, operator=operator, phases=ask.phases, goals=estimator.goals
+        )
         if ask.altered is not None:
             tracks = ask.altered.tracks(tracks, {task.task: task for program in programs for task in program.tasks})
         rolled = []
@@ -79,7 +81,7 @@ def _walked(ask: Question, turn: _Round) -> Iterator[Rolled]:
     if ask.altered is None and not ask.engine.stays_here(len(programs)):
         operator = turn.sequences[0].operator
         some = tuple(ask.dataset.executions["execution"]) if ask.dataset.is_part else None
-        asked = Asked(ask.model, ask.dataset.place, some, operator, turn.horizon_s, ask.seed)
+        asked = Asked(ask.model, ask.dataset.place, some, operator, ask.phases, turn.horizon_s, ask.seed)
         return roll_spread(ask.engine, asked, turn.sequences, len(tracks.executions))
     support = None if holds_everywhere(ask.model) else logged_support(ask.dataset)
     return roll_all(ask.model, programs, tracks, support, seed=ask.seed, dynamics=_dynamics(ask))

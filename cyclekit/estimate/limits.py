@@ -99,7 +99,7 @@ REFUSED_BIAS = 0.1
 
 
 def validated(
-    model: SafetyModel, dataset: Dataset, *, levels: Sequence[float], seed: int
+    model: SafetyModel, dataset: Dataset, *, levels: Sequence[float] = (0.05, 0.5, 0.95), seed: int
 ) -> tuple[Check | None, tuple[str, ...]]:
     """Return how the rollout does on logged executions; None and why in a sentence where they are too few for that."""
     try:

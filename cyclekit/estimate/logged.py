@@ -27,7 +27,15 @@ SLIDER_LOSS = 0.002
 
 def only_tracks(tracks: OperatorTracks, names: set[str]) -> OperatorTracks:
     """Return the tracks of these executions, in their order."""
-    kept = [k for k, name in enumerate(tracks.executions) if name in names]
+    return _kept(tracks, [k for k, name in enumerate(tracks.executions) if name in names])
+
+
+def beginnings(tracks: OperatorTracks) -> OperatorTracks:
+    """Return the tracks that begin where their executions began."""
+    return _kept(tracks, list(range(len(set(tracks.executions)))))
+
+
+def _kept(tracks: OperatorTracks, kept: list[int]) -> OperatorTracks:
     return replace(
         tracks,
         xyz_m=tracks.xyz_m[kept],
@@ -62,13 +70,21 @@ def beside_own(
     sequences: Sequence[TaskSequence],
     nominal: Mapping[str, NominalTask],
     tracks: OperatorTracks,
-) -> Vector:
-    """Roll out each execution beside its own operator and with its own stands, shape (E,), s."""
+    *,
+    phases: Sequence[int] = (0,),
+) -> NDArray[np.float64]:
+    """Roll out each execution beside its own operator and with its own stands, shape (phases, E), s.
+
+    `phases`: at which of its entries each operator is met; 0 is where the execution began.
+    """
     programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
     by_execution = dataset.tasks().sort("execution", "index").group_by(["execution"], maintain_order=True)
     stands = {str(name): (rows["dwell_s"] + rows["wait_s"]).to_numpy() for (name,), rows in by_execution}
-    own = [np.maximum(stands[sequence.name][: len(sequence.tasks)], 1e-3)[None, :] for sequence in sequences]
-    track = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
+    own = [np.maximum(stands[sequence.name][: len(sequence.tasks)], 1e-3) for sequence in sequences]
+    own = [np.tile(stand, (len(phases), 1)) for stand in own]
+    begins, entries = np.array([tracks.executions.index(sequence.name) for sequence in sequences]), np.array(phases)
+    track = (begins[:, None] + len(set(tracks.executions)) * entries).ravel()
+    which = np.repeat(np.arange(len(programs)), len(phases))
     dynamics = Dynamics.of(dataset.card.dynamics)
-    walked = walk(model, programs, np.arange(len(programs)), track, own, tracks, dynamics=dynamics, fine=True)
-    return walked.duration_s
+    walked = walk(model, programs, which, track, own, tracks, dynamics=dynamics, fine=True)
+    return walked.duration_s.reshape(len(programs), len(phases)).T

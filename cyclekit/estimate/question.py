@@ -40,3 +40,8 @@ class Question:
     check: Check | None
     altered: Altered | None
     engine: Engine
+
+    @property
+    def phases(self) -> int | None:
+        """How often operator tracks are entered; None: as these logs allow."""
+        return self.check.phases if self.check else None

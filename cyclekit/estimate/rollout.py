@@ -116,6 +116,8 @@ def estimate(
         refuse_biased(check)
     ask = Question(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, check, altered, engine)
     limits = [*([left_out] if left_out else []), *limits_of_logs(dataset, model)]
+    if check and check.operator and check.operator.said:
+        limits.append(check.operator.said)
     found: list[CycleEstimate] = []
     means: list[Vector] = []
     looked_up: list[bool] = []

@@ -161,6 +161,9 @@ class Follower:
 
     def __init__(self, model: SafetyModel, dynamics: Dynamics, step_s: float) -> None:
         self._model, self._dynamics, self._step_s = model, dynamics, step_s
+        # what kind of model it is takes Python as long to tell as the network takes for a few rows
+        self._written = model if isinstance(model, Written) else None
+        self._classifier = model if isinstance(model, Classifier) and names_levels(model.network) else None
         self._delay = round((dynamics.latency_s or 0.0) / step_s)
         self._asked = np.empty(0)
         self._seen: deque[Vector] = deque()
@@ -206,19 +209,19 @@ class Follower:
         there is on either side of the middle; of what lies within half the hysteresis the slowest may be risen to, and
         the quickest need not be fallen below.
         """
-        if isinstance(self._model, Written):
-            outer = self._model.moved_outwards(margin_m)
+        if self._written is not None:
+            outer = self._written.moved_outwards(margin_m)
             return scaling_of(outer, robot_m, human_m), scaling_of(self._model, robot_m, human_m)
         human_m = in_plane(robot_m, human_m)
-        if not isinstance(self._model, Classifier) or not names_levels(self._model.network):
+        if self._classifier is None:
             nearer, farther, *_ = around(robot_m, human_m, margin_m / 2)
             return scaling_of(self._model, robot_m, nearer), scaling_of(self._model, robot_m, farther)
-        rising, sure = likeliest_of(self._model, robot_m, human_m)
+        rising, sure = likeliest_of(self._classifier, robot_m, human_m)
         falling, near = rising.copy(), np.flatnonzero(~sure)
         if len(near):  # all four at once: the network takes as long for a few rows as for many
             moved = around(robot_m[near], human_m[near], margin_m / 2)
             robots = np.tile(robot_m[near], (len(moved), 1))
-            levels = likeliest_of(self._model, robots, np.concatenate(moved))[0].reshape(len(moved), -1)
+            levels = likeliest_of(self._classifier, robots, np.concatenate(moved))[0].reshape(len(moved), -1)
             rising[near] = np.minimum(rising[near], levels.min(axis=0))
             falling[near] = np.maximum(falling[near], levels.max(axis=0))
         return rising, falling

@@ -34,6 +34,7 @@ class Asked:
         dataset: Its place.
         executions: Which of it are looked at; None = all.
         operator: Order of the operator's tasks; None = any.
+        phases: How often tracks are entered; None = as the logs allow.
         horizon_s: Length of the tracks.
     """
 
@@ -41,6 +42,7 @@ class Asked:
     dataset: str
     executions: tuple[str, ...] | None
     operator: tuple[str, ...] | None
+    phases: int | None
     horizon_s: float
     seed: int
 
@@ -61,7 +63,9 @@ def roll_spread(engine: Engine, asked: Asked, sequences: Sequence[TaskSequence],
 
 @one_thread()
 def _walk(asked: Asked, sequences: Sequence[TaskSequence]) -> list[Rolled]:
-    logs, nominal, tracks, support = _of_logs(asked.dataset, asked.executions, asked.operator, asked.horizon_s)
+    logs, nominal, tracks, support = _of_logs(
+        asked.dataset, asked.executions, asked.operator, asked.phases, asked.horizon_s
+    )
     programs = [lay_out(sequence, nominal, logs) for sequence in sequences]
     dynamics = Dynamics.of(logs.card.dynamics)
     near = None if holds_everywhere(asked.model) else support
@@ -70,11 +74,15 @@ def _walk(asked: Asked, sequences: Sequence[TaskSequence]) -> list[Rolled]:
 
 @lru_cache(maxsize=1)
 def _of_logs(
-    dataset: str, executions: tuple[str, ...] | None, operator: tuple[str, ...] | None, horizon_s: float
+    dataset: str,
+    executions: tuple[str, ...] | None,
+    operator: tuple[str, ...] | None,
+    phases: int | None,
+    horizon_s: float,
 ) -> tuple[Dataset, Mapping[str, NominalTask], OperatorTracks, Support]:
     logs = Dataset.open(dataset)
     logs = logs if executions is None else logs.only(executions)
-    tracks = operator_tracks(logs, horizon_s=horizon_s, operator=operator)
+    tracks = operator_tracks(logs, horizon_s=horizon_s, operator=operator, phases=phases)
     return logs, nominal_tasks(logs), tracks, logged_support(logs)
 
 

@@ -1,7 +1,7 @@
 """Logged operator tracks, long enough for any cycle that is rolled out against them.
 
 A track begins where its execution began. An operator who comes and goes as he likes, whatever the robot does, is
-entered at more phases of each execution as well: a cycle may begin at any of them.
+entered at more phases of each execution as well, so long after its beginning each: a cycle may begin at any of them.
 
 Where a cycle takes longer than the logged one, the track goes on: with what the operator really did next, if the log
 runs on; else with a stretch of another track that begins in the same state (`continuation`), again and again, so that
@@ -33,7 +33,9 @@ if TYPE_CHECKING:
 RUN_ON_S = 5.0
 """The next execution of a session goes on with the same operator if it begins within this time."""
 PHASES = 4
-"""Phases of each execution at which a track is entered, where the operator's habits do not begin with it."""
+"""Phases of each execution at which a track is entered, where the operator's habits do not begin with it,"""
+SHORTEST = 0.1
+"""... spread over the length of the shortest tracks: no more than this part of them are shorter."""
 SAME_SPREAD = (0.6, 1.6)
 """Where starts are like any other instant, the operator's spread at them is within this ratio of that at all times."""
 SAME_MEAN = 3.5
@@ -133,7 +135,8 @@ def operator_tracks(
     after = _after(dataset)
     ran_on = {name: _run_on(tracks, [name, *after[name]], step) for name in begins}
     length = int(np.ceil(horizon_s / step)) + 2
-    entries = [(name, len(tracks[name].where) * phase // phases) for phase in range(phases) for name in begins]
+    instants = _instants([len(tracks[name].where) for name in begins], phases)
+    entries = [(name, min(at, len(tracks[name].where) - 1)) for at in instants for name in begins]
     streams = [Stretch(ran_on[name][0].where[at:], ran_on[name][0].activity[at:]) for name, at in entries]
     followed = {name: number for number, name in enumerate(name for name in tracks if tracks[name].followed)}
     pool = [Stretch(tracks[name].where, tracks[name].activity) for name in followed]
@@ -146,6 +149,16 @@ def operator_tracks(
     return OperatorTracks(
         where[..., :3], activity, tuple(names), logged, executions, step, goal_m, free, _runs_on(dataset)
     )
+
+
+def _instants(lengths: Sequence[int], phases: int) -> list[int]:
+    """Return the samples at which tracks of these lengths are entered, the same for all.
+
+    At a part of its own length each track would be entered as often as any other. But an execution is long where the
+    operator was in the way: such times would be entered more seldom than they come.
+    """
+    within = int(np.quantile(lengths, SHORTEST, method="lower"))
+    return [within * phase // phases for phase in range(phases)]
 
 
 def _runs_on(dataset: Dataset) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import EstimateError, ModelError, UnknownName, command_line
+from cyclekit.estimate.limits import validated
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
 from cyclekit.estimate.plan.search import Scorer, best_order, first_order, random_order
 from cyclekit.estimate.resample import resampled
@@ -136,7 +137,9 @@ def plan(
     jobs = replace(jobs, unlogged=frozenset(unlogged))
     first_order(jobs, lambda _, options: options)  # refused before the tracks are walked
     length = max(task.nominal_s + task.dwell_s + task.wait_s for task in tasks.values()) * (2 * len(jobs.visit) + 2)
-    tracks = operator_tracks(dataset, horizon_s=3.0 * length)
+    if check is None and validate:
+        check, _ = validated(model, dataset, seed=seed)
+    tracks = operator_tracks(dataset, horizon_s=3.0 * length, phases=check.phases if check else None)
     table = transit_table(model, tasks, tracks, progress=progress)
     every = Scorer(table, jobs, seed=seed, executions=len(set(tracks.executions)))
     order, searched, tried = best_order(every, seed=seed, progress=progress)

@@ -1,0 +1,81 @@
+"""The operator model against the logged tracks: where cycles beside it differ beyond chance, the tracks are used."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.check import check_rollout
+from cyclekit.estimate.plan import Jobs, plan
+from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.tracks import PHASES, phase_is_free
+from cyclekit.estimate.whatif import Change, what_if
+
+AND_BACK = TaskSequence("and back", ("place_1", "place_2", "place_1"))
+EXECUTIONS = 12
+
+
+def operators(hand_made: Any, *, follows: bool) -> Dataset:
+    """A robot that drives 1 m, stands, and drives back; an operator who steps up to it for a second now and then.
+
+    He waits somewhere else in each execution. Where he follows the cycle he steps up while the robot stands and it
+    loses nothing; else at any time.
+    """
+    rng, sessions = np.random.default_rng(5), {}
+    for number in range(EXECUTIONS):
+        x_m, y_m = rng.uniform(3.6, 10.0), rng.uniform(-2.0, 2.0)
+        steps_up_s = 2.65 if follows else rng.uniform(0.0, 6.0)
+        at_s = [0.0, steps_up_s, steps_up_s + 0.01, steps_up_s + 0.5, steps_up_s + 0.51, 20.0]
+        where = [(x_m, y_m)] * 2 + [(1.0, 0.7)] * 2 + [(x_m, y_m)] * 2
+        sessions[f"run_{number:02}"] = ([0.0], dict(zip(at_s, where, strict=True)))
+    return hand_made(sessions)
+
+
+def test_where_the_model_gives_other_cycles_than_the_logged_tracks_these_are_used_and_it_is_said(
+    hand_made: Any, staircase: Any
+):
+    """He loses nothing for the robot at the time he keeps; entered at any instant he would be in its way."""
+    following = operators(hand_made, follows=True)
+    assert phase_is_free(following)  # where he is at some instants tells nothing of that with so few executions
+    (found,) = estimate(staircase, following, [AND_BACK])
+    assert found.check is not None
+    assert found.check.operator is not None
+    assert found.check.operator.as_logged
+    assert found.check.operator.z > 2.6
+    assert found.check.to_dict()["operator"]["as_logged"] is True
+    assert found.tracks == EXECUTIONS
+    assert found.safety_loss_s < 0.01
+    assert "logged tracks are used from their beginning" in "".join(found.warnings)
+    unchecked = replace(found.check, operator=replace(found.check.operator, z=0.0))
+    (model,) = estimate(staircase, following, [AND_BACK], check=unchecked)
+    assert model.tracks == PHASES * EXECUTIONS
+    assert model.safety_loss_s > 0.2
+    assert "logged tracks" not in "".join(model.warnings)
+
+
+def test_a_change_and_a_plan_rest_on_the_same_tracks_as_the_estimate(hand_made: Any, staircase: Any):
+    following = operators(hand_made, follows=True)
+    check = check_rollout(staircase, following)
+    assert phase_is_free(following)
+    change = Change("slower", (0.0, 0.5), (1.2,))
+    (changed,) = what_if(staircase, following, [AND_BACK], [change], check=check)
+    assert changed.before.tracks == changed.after.tracks == EXECUTIONS
+    jobs = Jobs(("place_2", "place_1"), "place_1", before=(("place_2", "place_1"),))
+    for given in (check, None):
+        planned = plan(staircase, following, jobs, check=given)
+        assert planned.expected_s == changed.before.expected_s
+
+
+def test_an_operator_who_keeps_no_time_with_the_cycle_is_entered_at_any_instant(hand_made: Any, staircase: Any):
+    roaming = operators(hand_made, follows=False)
+    assert phase_is_free(roaming)
+    (found,) = estimate(staircase, roaming, [AND_BACK])
+    assert found.check is not None
+    assert found.check.operator is not None
+    assert not found.check.operator.as_logged
+    assert found.tracks == PHASES * EXECUTIONS
+    assert "logged tracks" not in "".join(found.warnings)

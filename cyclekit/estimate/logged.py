@@ -72,7 +72,7 @@ def beside_own(
     tracks: OperatorTracks,
     *,
     phases: Sequence[int] = (0,),
-) -> NDArray[np.float64]:
+) -> Vector:
     """Roll out each execution beside its own operator and with its own stands, shape (phases, E), s.
 
     `phases`: at which of its entries each operator is met; 0 is where the execution began.

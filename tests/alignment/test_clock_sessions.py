@@ -233,14 +233,14 @@ def test_start_texts_place_a_log_to_a_second_or_so(logs: Path, tmp_path: Path):
     _, operator = ingested(logs, tmp_path / "d", replace(cell, sources=(robot, *cell.sources[1:])))
     assert operator.clock.method == "start-text"
     assert operator.clock.offset_s == pytest.approx(-6.0)
-    assert any("good to a second" in text for text in operator.said)
+    assert any("accurate to about a second" in text for text in operator.said)
 
 
 def test_a_clock_found_once_is_kept_with_what_was_read_and_its_warnings_are_not_doubled(logs: Path, tmp_path: Path):
     cell = cell_with(logs, {})
     ingested(logs, tmp_path / "d", cell)
     _, operator = ingested(logs, tmp_path / "d", replace(cell, bridge_s=0.4))
-    assert len([text for text in operator.said if "clock relates" in text]) == 1
+    assert len([text for text in operator.said if "a common start is assumed" in text]) == 1
 
 
 def test_pseudonymised_clocks_tell_no_time_and_still_find_the_flange(logs: Path, tmp_path: Path):

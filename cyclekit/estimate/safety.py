@@ -14,6 +14,7 @@ import numpy as np
 
 from cyclekit.dataset.unknown_height import in_plane, inputs_in_plane
 from cyclekit.learning.networks.kinds import names_levels
+from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -110,6 +111,11 @@ class Dynamics:
         return not any(vars(self).values())
 
 
+def at_once(model: SafetyModel, dynamics: Dynamics) -> bool:
+    """Return whether s depends on the positions of the instant alone."""
+    return dynamics.none and not (isinstance(model, RuleSafety) and model.lags)
+
+
 def scaling_of(model: SafetyModel, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
     """Return s of each pair of positions, shape (N, 3) both; where nobody is seen, what the logs showed then.
 
@@ -198,7 +204,8 @@ class Follower:
     def _wanted(self, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
         """Return what the safety function with its hysteresis asks for."""
         margin_m = self._dynamics.hysteresis_m or 0.0
-        if margin_m == 0.0:
+        lags = self._model.lags if isinstance(self._model, RuleSafety) else margin_m != 0.0
+        if not lags:
             return scaling_of(self._model, robot_m, human_m)
         rising, falling = self._within(margin_m, robot_m, human_m)
         falling = np.maximum(falling, rising)
@@ -214,6 +221,9 @@ class Follower:
         there is on either side of the middle; of what lies within half the hysteresis the slowest may be risen to, and
         the quickest need not be fallen below.
         """
+        if isinstance(self._model, RuleSafety):
+            entering, leaving = self._model.of_side("entering"), self._model.of_side("leaving")
+            return scaling_of(leaving, robot_m, human_m), scaling_of(entering, robot_m, human_m)
         if isinstance(self._model, Written):
             outer = self._model.moved_outwards(margin_m)
             return scaling_of(outer, robot_m, human_m), scaling_of(self._model, robot_m, human_m)

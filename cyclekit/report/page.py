@@ -12,6 +12,8 @@ from importlib.metadata import version as installed
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.estimate.same_work import by_work
+from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.learning.rules.safety import answering
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.report import answer, helps, trust, where, why
 from cyclekit.report.document import MARK, ReportInputs, as_csv, as_json, as_markdown
@@ -128,6 +130,7 @@ def compose_report(
         return ReportFacts(out, out.stat().st_size, name, 0, tuple(missing), len(ranked))
     texts = look.texts
     sections: dict[str, Any] = {}
+    answers = answering(model) if isinstance(model, TrainedModel) else model
     judged = verdict(dataset, ranked, what_if, planned, takt_s)
     about: dict[str, Any] = {
         "has_model": model is not None,
@@ -138,7 +141,7 @@ def compose_report(
     steps: list[tuple[str, Callable[[], dict[str, Any]]]] = [
         ("answer", lambda: answer.section(texts, ranked, seen, **about)),
         ("where", lambda: where.section(texts, ranked, tasks)),
-        ("why", lambda: why.section(texts, dataset, samples, model, seen)),
+        ("why", lambda: why.section(texts, dataset, samples, answers, seen)),
         ("helps", lambda: helps.section(texts, ranked, samples, seen, what_if, planned)),
         ("trust", lambda: trust.section(texts, dataset, samples, model, evaluation, seen, ranked, check)),
     ]

@@ -13,6 +13,9 @@ from msgspec import Meta, field
 
 from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction, Metres, Scaling, ascending
 
+_TO = "distance (TCP to operator( on the floor)?|robot base to operator on the floor|nearest link to operator)"
+DistanceName = Annotated[str, Meta(pattern=f"^{_TO}$")]
+"""By what the operator is near; `cyclekit.learning.rules.distances` measures them."""
 Angle = Annotated[float, Meta(ge=-7.0, le=7.0)]
 """An angle, rad."""
 
@@ -26,9 +29,9 @@ class MetresCard(Card, frozen=True, kw_only=True):
 
 
 class NearerCard(Card, frozen=True, kw_only=True):
-    """The operator is nearer than this by that distance, one of `rules.distances.DISTANCES`."""
+    """The operator is nearer than this by that distance."""
 
-    distance: str
+    distance: DistanceName
     metres: MetresCard
 
 

@@ -75,6 +75,7 @@ def find_rule(
     held_out: NDArray[np.int64] | None = None,
     network: NDArray[np.int64] | None = None,
     latency_s: float = 0.0,
+    judged_apart: bool = False,
     seed: int = 0,
 ) -> RuleSearch:
     """Find the simplest rule that explains the commanded level.
@@ -85,6 +86,7 @@ def find_rule(
         held_out: Numbers of the executions to judge by; None: a fifth of them, drawn by `seed`.
         network: Level that a network names in each row, shape (N,), which has not seen `held_out`; None = no network.
         latency_s: By which positions were shifted, kept in the rule.
+        judged_apart: The chosen rule is not fitted again to the executions by which it was judged.
         seed: Of what is drawn.
     """
     levels = tuple(levels)
@@ -101,7 +103,7 @@ def find_rule(
     explained = {fit.said: _part(fit.right, judge) for fit in fits}
     seen = (len(rows), len(np.unique(rows.execution)))
     part = None if rival is None else _part(rival, judge)
-    rule = None if best is None else _whole(best, rows, levels, noisy=noisy, seed=seed)
+    rule = None if best is None else _whole(best, learn if judged_apart else rows, levels, noisy=noisy, seed=seed)
     if rule is None or best is None:
         return RuleSearch(None, explained, part, *seen)
     card = RuleCard(

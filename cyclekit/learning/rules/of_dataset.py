@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -37,13 +37,21 @@ class LevelNamer(Protocol):
         """Return the index of the likeliest level (N,) for rows x_r, x_h (N, 6), m."""
 
 
-def rule_of(dataset: Dataset, levels: Sequence[float], *, model: LevelNamer | None = None, seed: int = 0) -> RuleSearch:
+def rule_of(
+    dataset: Dataset,
+    levels: Sequence[float],
+    *,
+    model: LevelNamer | None = None,
+    judged_apart: bool = False,
+    seed: int = 0,
+) -> RuleSearch:
     """Find the simplest rule that explains the commanded level in a dataset.
 
     Args:
         dataset: With positions and a scaling.
         levels: Of the speed scaling, ascending.
         model: A network of the same levels, to compare with on executions that it has not seen.
+        judged_apart: The rule is not fitted again to the executions by which it was judged.
         seed: Of what is drawn.
     """
     names = dataset.executions["execution"].to_list()
@@ -59,7 +67,8 @@ def rule_of(dataset: Dataset, levels: Sequence[float], *, model: LevelNamer | No
         return RuleSearch(None, rows=len(rows))
     judged = _numbers(names, unseen, rows)
     named = None if model is None or judged is None else _named(model, rows, levels)
-    return find_rule(rows, levels, held_out=judged, network=named, latency_s=latency_s, seed=seed)
+    asked: dict[str, Any] = {"network": named, "latency_s": latency_s, "judged_apart": judged_apart, "seed": seed}
+    return find_rule(rows, levels, held_out=judged, **asked)
 
 
 def _numbers(names: Sequence[str], chosen: Collection[str], rows: RuleRows) -> NDArray[np.int64] | None:

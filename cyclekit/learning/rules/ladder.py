@@ -29,7 +29,7 @@ NOISY_EXPLAINS = 0.9
 """With noise, a rule that names fewer explains nothing."""
 SAME = 0.005
 """With noise, rules and networks whose parts differ by less than this are taken as equal: the simpler is chosen."""
-CHANCE = 3.0
+CHANCE = 2.0
 """Nor can they where the difference is less than so many standard errors over executions."""
 LIKELY = 0.02
 """A distance that explains this much less than the best one by itself is not tried together with a rectangle."""
@@ -54,6 +54,11 @@ class RuleSearch:
     network: float | None = None
     rows: int = 0
     executions: int = 0
+
+    @property
+    def best(self) -> float:
+        """Part that the best kind of rule explains; 0 where none was fitted."""
+        return max(self.explained.values(), default=0.0)
 
 
 @dataclass(frozen=True)

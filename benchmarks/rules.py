@@ -1,8 +1,11 @@
-"""Ten hidden rules: is the kind named, and how far off are thresholds and corners?
+"""Hidden rules: is the kind named, and how far off are thresholds and corners?
 
 Each cell of the simulator is given a safety function that no log tells; its truth lies beside the logs in
 `truth/truth.json`. The logs are ingested as any logs, and `find_rule` sees the dataset alone. A cell counts where the
 kind of rule is named, thresholds are within 1 cm and corners within 3 cm.
+
+In the tenth the left edge of the rectangle lies behind the distance, where few operators show it; in the eleventh the
+rectangle lies apart.
 
 The limits of the method were chosen on the scenes as they are, with seed 3.
 
@@ -120,6 +123,11 @@ CASES = (
         f"{TO_TCP}, or {BOX}",
         Hidden(FOUR, TO_TCP, {0: 0.83, 1: 1.17, 2: 1.74}, {1: PANEL}),
         {"hysteresis_m": 0.1, "latency_s": 0.08},
+    ),
+    Case(
+        "scanner-visits",
+        f"{TO_TCP}, or {BOX}",
+        Hidden(FOUR, TO_TCP, {0: 0.83, 1: 1.17, 2: 1.74}, {1: (2.25, 3.0, 0.75, 1.5, 0.0)}),
     ),
 )
 

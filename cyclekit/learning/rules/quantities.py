@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 MOST_M = 0.05
 """A bound farther off than this is no gap between samples but a lack of them."""
 
+BETWEEN_M = 0.01
+"""Nobody comes farther between two samples than a straight line between them, but by this."""
+
 
 class RulePlace(NamedTuple):
     """Which number of a rule: of which limit (by its level), which of its two regions, and where in that."""
@@ -67,13 +70,19 @@ def grown(limits: tuple[LimitCard, ...], by_m: float) -> tuple[LimitCard, ...]:
 
 
 def with_bounds(limits: tuple[LimitCard, ...], *, larger: bool) -> tuple[LimitCard, ...]:
-    """Return a rule with each region as large, or as small, as the bounds of its numbers allow, within MOST_M."""
+    """Return a rule with each region as large, or as small, as the bounds of its numbers allow, within MOST_M.
+
+    With hysteresis by BETWEEN_M at least: who comes so near to a threshold may have crossed it between two samples, and
+    the level is then held until long after.
+    """
+    least_m = {limit.scaling: 0.0 if limit.until is None else BETWEEN_M for limit in limits}
 
     def moved(place: RulePlace, metres: MetresCard) -> MetresCard:
         upper = larger != (place.kind == "rectangle" and place.edge % 2 == 0)
         bound = metres.high if upper else metres.low
-        way = 0.0 if bound is None else min(max(bound - metres.value, -MOST_M), MOST_M)
-        return structs.replace(metres, value=metres.value + way)
+        way = 0.0 if bound is None else min(abs(bound - metres.value), MOST_M)
+        way = max(way, least_m[place.level])
+        return structs.replace(metres, value=metres.value + (way if upper else -way))
 
     return changed(limits, moved)
 

@@ -12,14 +12,16 @@ from cyclekit.estimate.plan.jobs import Jobs, load_jobs
 from cyclekit.estimate.safety import SafetyModel
 from cyclekit.estimate.whatif.change import Change, load_changes
 from cyclekit.learning.networks.saved import TrainedModel, load_model
+from cyclekit.learning.rules.safety import answering
 
 Sequences = Place | TaskSequence | Sequence[TaskSequence]
 Changes = Place | Change | Sequence[Change]
 
 
 def model_of(given: SafetyModel | Place) -> SafetyModel:
-    """Return a safety function; a trained model where a place is given."""
-    return load_model(given) if isinstance(given, str | Path) else given
+    """Return a safety function; of a trained model the rule beside it, if it has one, else its network."""
+    opened = load_model(given) if isinstance(given, str | Path) else given
+    return answering(opened) if isinstance(opened, TrainedModel) else opened
 
 
 def trained_of(given: TrainedModel | Place) -> TrainedModel:

@@ -10,6 +10,7 @@ from cyclekit.api.given import place_of, trained_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.learning.rules.safety import answering
 from cyclekit.replay.layout import Focus
 from cyclekit.replay.recording import ReplayFacts
 from cyclekit.replay.recording import write_replay as record
@@ -32,7 +33,7 @@ def write_replay(
         dataset: A dataset, its folder or its URL.
         execution: Name, or number counted from 1; or several of them.
         out: The .rrd file; an existing one is replaced when the new one is complete.
-        model: Model of problem `now` whose prediction and learned zones are shown beside the log.
+        model: Model of problem `now` whose prediction and zones, by its rule if it has one, are shown beside the log.
         at: What plays first: `slowdown` (the costliest), `error` (the model's worst), or a time in s.
         other_cell: Show the prediction of a model of another cell too.
         progress: Told fraction and text.
@@ -45,7 +46,7 @@ def write_replay(
     file = Path(out)
     check_output(file, "replay", [place_of(dataset), place_of(model)], endings=(".rrd",))
     opened = Dataset.of(dataset)
-    trained = None if model is None else trained_of(model)
+    trained = None if model is None else answering(trained_of(model))
     names = [execution] if isinstance(execution, str | int) else execution
     asked = list(map(str, names))
     return record(opened, asked, file, model=trained, at=at, other_cell=other_cell, progress=progress)

@@ -21,6 +21,7 @@ def train_model(
     dataset: Dataset | Place,
     spec: ModelSpec | None = None,
     *,
+    rules: bool = False,
     out: Place | None = None,
     engine: Engine = LOCAL,
     progress: Progress | None = None,
@@ -30,6 +31,7 @@ def train_model(
     Args:
         dataset: With a speed scaling, logged or inferred, and positions of robot and operator.
         spec: What to train; None: `ModelSpec.of()`.
+        rules: Also look for a rule that explains the commanded level; estimates then ask it in place of the network.
         out: Also put it there: a folder or a URL.
         engine: Where it is trained, if `out` is given; else in this process.
         progress: Told the fraction done and the validation error after every epoch.
@@ -42,8 +44,8 @@ def train_model(
     """
     wanted = spec or ModelSpec.of()
     if out is None:
-        return train(Dataset.of(dataset), wanted, progress=progress)
-    (model,) = _put([Training(_place(dataset), wanted, str(out))], engine, progress)
+        return train(Dataset.of(dataset), wanted, rules=rules, progress=progress)
+    (model,) = _put([Training(_place(dataset), wanted, str(out), rules)], engine, progress)
     return model
 
 
@@ -54,6 +56,7 @@ def train_seeds(
     out: Place,
     spec: ModelSpec | None = None,
     *,
+    rules: bool = False,
     engine: Engine = LOCAL,
     progress: Progress | None = None,
 ) -> dict[str, TrainedModel]:
@@ -64,6 +67,7 @@ def train_seeds(
         seeds: Of the splits and the trainings.
         out: A folder or a URL for all of them.
         spec: What to train; its seed does not count.
+        rules: As of `train_model`.
         engine: Where they are trained, and how many at the same time.
         progress: Told the fraction done.
 
@@ -71,7 +75,9 @@ def train_seeds(
         CyclekitError: As of `train_model`.
     """
     wanted = spec or ModelSpec.of()
-    todo = [Training(_place(dataset), replace(wanted, seed=seed), join(str(out), f"seed-{seed}")) for seed in seeds]
+    todo = [
+        Training(_place(dataset), replace(wanted, seed=seed), join(str(out), f"seed-{seed}"), rules) for seed in seeds
+    ]
     return dict(zip([each.out for each in todo], _put(todo, engine, progress), strict=True))
 
 

@@ -21,6 +21,7 @@ from cyclekit.cli.terminal import Terminal
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import TrainingCard
+    from cyclekit.dataset.cards.rule import RuleCard
 
 EXAMPLE = "cyclekit train dataset --out model"
 Problem = Literal["now", "ahead", "average"]
@@ -36,6 +37,10 @@ def train(
         str | None,
         typer.Option(help="By name; default: classifier, for the average: mixed (docs/models.md).", show_default=False),
     ] = None,
+    model: Annotated[
+        Literal["auto", "network"],
+        typer.Option(help="auto: a rule answers where a simple one explains the commanded level; else the network."),
+    ] = "network",
     horizon: Annotated[str | None, typer.Option(help="How far ahead, such as 14s (ahead and average).")] = None,
     norm: Annotated[
         Literal["batch", "none"], typer.Option(help="Batch normalisation as in the literature, or none.")
@@ -71,6 +76,9 @@ def train(
     if problem == "now" and horizon_s is not None:
         msg = "--horizon goes with --problem ahead or average"
         raise typer.BadParameter(msg)
+    if problem != "now" and model == "auto":
+        msg = "--model auto goes with --problem now: a rule gives the present scaling"
+        raise typer.BadParameter(msg)
     chosen = None if seeds is None else whole_numbers(seeds)
     from cyclekit.api.train import train_model, train_seeds
     from cyclekit.dataset.cards import texts
@@ -82,9 +90,9 @@ def train(
     spec = ModelSpec.of(problem, network, horizon_s, norm=norm, seed=seed, **inputs)
     with terminal.progress("training") as progress:
         if chosen is None:
-            models = {out: train_model(dataset, spec, out=out, engine=work, progress=progress)}
+            models = {out: train_model(dataset, spec, rules=model == "auto", out=out, engine=work, progress=progress)}
         else:
-            models = train_seeds(dataset, chosen, out, spec, engine=work, progress=progress)
+            models = train_seeds(dataset, chosen, out, spec, rules=model == "auto", engine=work, progress=progress)
     cards = {place: model.card for place, model in models.items()}
     terminal.warnings(list(dict.fromkeys(text for card in cards.values() for text in texts(card.warnings))))
     shown = {place: card.to_dict() for place, card in cards.items()}
@@ -110,9 +118,19 @@ def summary(card: TrainingCard) -> str:
     if metrics is not None:
         named = "" if metrics.accuracy is None else f", {100 * metrics.accuracy:.1f}% of levels predicted correctly"
         held_out = f"MSE {metrics.mse_mean:.2e}, mean absolute error {metrics.mae:.4f}{named}"
+    rule = "" if card.rule is None else "".join(f"\n  {line}" for line in rule_lines(card.rule))
     return (
         f"{card.network} for problem {card.problem}, speed-scaling levels {levels}\n"
         f"  {len(split.train) + len(split.validation) + len(split.test)} executions: {len(split.train)} for training, "
         f"{len(split.validation)} for validation, {len(split.test)} held out\n"
-        f"  held out: {held_out}"
+        f"  held out: {held_out}{rule}"
     )
+
+
+def rule_lines(rule: RuleCard) -> list[str]:
+    """Return what answers in place of the network: how much the rule explains, and the rule itself."""
+    from cyclekit.learning.rules.words import kind_of, sentences
+
+    network = "" if rule.network is None else f" (the network {rule.network:.2%})"
+    first = f"answers: the rule {kind_of(rule)}; commanded level right in {rule.explained:.2%} of held-out samples"
+    return [f"{first}{network}", *(f"- {sentence}" for sentence in sentences(rule))]

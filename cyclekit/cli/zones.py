@@ -27,7 +27,8 @@ def zones(
 ) -> None:
     """Read the safety function back: levels, thresholds, zones.
 
-    Thresholds in metres where a distance explains the slow-down; a map of the floor where it does not. No safety proof.
+    The rule in words where a simple one explains the commanded level; else the best thresholds on a distance and a map
+    of the floor. No safety proof.
     """
     from cyclekit.api.zones import read_safety_function
 
@@ -36,16 +37,39 @@ def zones(
         found = read_safety_function(model, dataset, out=out, seed=seed, other_cell=other_cell)
     if out is not None:
         terminal.remark(f"written: {out}")
-    terminal.answer(found.to_dict(), _rule(found), _thresholds(found), _explained(found), bullet(found.notes))
+    shown = (_written(found),) if found.rule_sentences else (_rule(found), _thresholds(found), _explained(found))
+    terminal.answer(found.to_dict(), *shown, bullet([*_why(found), *found.notes]))
 
 
-def _rule(found: SafetyFunction) -> str:
+def _written(found: SafetyFunction) -> str:
+    """Return the rule as it would be written into a safety controller."""
+    from cyclekit.learning.rules.words import verdict
+
+    first = bullet([verdict(found.commanded)], mark="")
+    return f"{first}\n{bullet(found.rule_sentences)}\n{_levels(found)}\n{_from(found)}"
+
+
+def _why(found: SafetyFunction) -> list[str]:
+    from cyclekit.learning.rules.words import verdict
+
+    return [] if found.rule_sentences else [verdict(found.commanded)]
+
+
+def _levels(found: SafetyFunction) -> str:
     levels = ", ".join(
         f"{level:.2f} ({percent(share)})" for level, share in zip(found.levels, found.shares, strict=True)
     )
+    return f"levels, share of the samples: {levels}"
+
+
+def _from(found: SafetyFunction) -> str:
+    return f"from {found.rows} samples of {found.executions} executions"
+
+
+def _rule(found: SafetyFunction) -> str:
     late = "unknown" if found.hysteresis_m is None else f"{found.hysteresis_m:.3f} m ({found.hysteresis_origin})"
-    rule, rows = f"the speed depends on: {found.rule}", f"from {found.rows} samples of {found.executions} executions"
-    return bullet([f"levels, share of the samples: {levels}", rule, f"hysteresis: {late}", rows], mark="")
+    rule = f"the speed depends on: {found.rule}"
+    return bullet([_levels(found), rule, f"hysteresis: {late}", _from(found)], mark="")
 
 
 def _thresholds(found: SafetyFunction) -> str:

@@ -24,7 +24,7 @@ from cyclekit.estimate.judges import judge, within
 from cyclekit.estimate.logged import beginnings, beside_own, logged_durations, logged_sequences, only_tracks
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.operator_model import OperatorModel, operator_model
-from cyclekit.estimate.safety import Dynamics, SafetyModel
+from cyclekit.estimate.safety import Dynamics, SafetyModel, at_once
 from cyclekit.estimate.tracks import operator_tracks
 from cyclekit.estimate.transit import transit_table
 from cyclekit.learning.out_of_core import in_memory
@@ -223,7 +223,7 @@ def check_rollout(
             break
     logged = logged_durations(dataset, sequences)
     column = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
-    if not Dynamics.of(dataset.card.dynamics).none:
+    if not at_once(model, Dynamics.of(dataset.card.dynamics)):
         crossed *= _late(own, crossed[np.arange(len(sequences)), column])
     crossed[np.arange(len(sequences)), column] = np.nan  # its own operator is left out
     _enough(dataset, int((np.isfinite(own) & np.isfinite(crossed).any(axis=1)).sum()))

@@ -14,6 +14,7 @@ import numpy as np
 
 from cyclekit.dataset.unknown_height import in_plane, inputs_in_plane
 from cyclekit.learning.networks.kinds import names_levels
+from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import DynamicsCard, TrainingCard
@@ -108,6 +109,11 @@ class Dynamics:
         return not any(vars(self).values())
 
 
+def at_once(model: SafetyModel, dynamics: Dynamics) -> bool:
+    """Return whether s depends on the positions of the instant alone."""
+    return dynamics.none and not (isinstance(model, RuleSafety) and model.lags)
+
+
 def scaling_of(model: SafetyModel, robot_m: Floats, human_m: Floats) -> Vector:
     """Return s of each pair of positions, shape (N, 3) both; without an operator, what the logs showed then.
 
@@ -162,6 +168,7 @@ class Follower:
     def __init__(self, model: SafetyModel, dynamics: Dynamics, step_s: float) -> None:
         self._model, self._dynamics, self._step_s = model, dynamics, step_s
         # what kind of model it is takes Python as long to tell as the network takes for a few rows
+        self._rule = model if isinstance(model, RuleSafety) else None
         self._written = model if isinstance(model, Written) else None
         self._classifier = model if isinstance(model, Classifier) and names_levels(model.network) else None
         self._delay = round((dynamics.latency_s or 0.0) / step_s)
@@ -195,7 +202,8 @@ class Follower:
     def _wanted(self, robot_m: Floats, human_m: Floats) -> Vector:
         """Return what the safety function with its hysteresis asks for."""
         margin_m = self._dynamics.hysteresis_m or 0.0
-        if margin_m == 0.0:
+        lags = self._rule.lags if self._rule is not None else margin_m != 0.0
+        if not lags:
             return scaling_of(self._model, robot_m, human_m)
         rising, falling = self._within(margin_m, robot_m, human_m)
         falling = np.maximum(falling, rising)
@@ -209,6 +217,9 @@ class Follower:
         there is on either side of the middle; of what lies within half the hysteresis the slowest may be risen to, and
         the quickest need not be fallen below.
         """
+        if self._rule is not None:
+            entering, leaving = self._rule.of_side("entering"), self._rule.of_side("leaving")
+            return scaling_of(leaving, robot_m, human_m), scaling_of(entering, robot_m, human_m)
         if self._written is not None:
             outer = self._written.moved_outwards(margin_m)
             return scaling_of(outer, robot_m, human_m), scaling_of(self._model, robot_m, human_m)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.estimate.program import Program, draw_stands
-from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, scaling_of
+from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, at_once, scaling_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -154,12 +154,13 @@ def walk(
         dynamics: How s follows the safety function.
         fine: Walk in steps of FINE_STEP_S in any case.
     """
-    step_s = TIME_STEP_S if dynamics.none and not fine else FINE_STEP_S
+    jumps = at_once(model, dynamics)
+    step_s = TIME_STEP_S if jumps and not fine else FINE_STEP_S
     lines, people = _Lines(programs, which, stands_s, step_s), _People(tracks)
     count, samples, kinds = len(which), tracks.activity.shape[1], len(tracks.activities) + 1
     duration, activity_s = np.full(count, np.inf), np.zeros(count * kinds)
     known, looked, spliced, own_loss = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
-    follower = None if dynamics.none else Follower(model, dynamics, step_s)
+    follower = None if jumps else Follower(model, dynamics, step_s)
     looks_after, asks_after = round(SUPPORT_EVERY_S / step_s), 1 if fine else round(TIME_STEP_S / step_s)
     rows, mine, scaling = np.arange(count), track, np.ones(count)  # of the rows that are not at their end
     for number in range(int((samples - 2) * tracks.step_s / step_s) - asks_after + 1):

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import structs
 
 from cyclekit import schema
 from cyclekit.dataset.cards import (
@@ -32,7 +33,7 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.dataset.time_grid import samples_in
 from cyclekit.dataset.unknown_height import said_of_height
-from cyclekit.errors import DatasetError, command_line
+from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.extras import need
 from cyclekit.learning.labelling import scaling_in_time, staircase_of, without_slider
 from cyclekit.learning.networks.beaten import staircase_if_better
@@ -40,6 +41,9 @@ from cyclekit.learning.networks.cell import cell_of, fingerprint
 from cyclekit.learning.networks.metrics import measure
 from cyclekit.learning.networks.saved import MODEL_VERSION, TrainedModel, check_model_output, save_model
 from cyclekit.learning.out_of_core import PART_ROWS, frames, in_files, memory_rows, rows_of, some_executions
+from cyclekit.learning.rules.of_dataset import rule_of
+from cyclekit.learning.rules.safety import answering
+from cyclekit.learning.rules.words import verdict
 from cyclekit.learning.windows import (
     GROUPS,
     Samples,
@@ -69,7 +73,7 @@ MIN_EXECUTIONS = 3
 
 
 @one_thread()
-def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None) -> TrainedModel:
+def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: Progress | None = None) -> TrainedModel:
     """Train the network of `spec` on `dataset` and judge it on held-out executions.
 
     Of a dataset with more samples than `memory_rows`, the rows to learn from are kept in temporary files and read in
@@ -78,6 +82,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
     Args:
         dataset: With a speed scaling, logged or inferred, and positions of robot and operator.
         spec: What to train.
+        rules: Also look for a rule that explains the commanded level; one that does answers in place of the network.
         progress: Told the fraction done and the validation error after every epoch.
 
     Returns:
@@ -105,6 +110,26 @@ def train(dataset: Dataset, spec: ModelSpec, *, progress: Progress | None = None
         better = staircase_if_better(model, fitted.spec, found.learn, found.held_out)
         beaten = [note("model-beaten", text=better.said(dataset.place, "MODEL"))] if better else []
         card = _card(dataset, found, fitted, measure(model, found.held_out), beaten)
+    model = replace(model, card=card)
+    return with_rule(model, dataset, seed=spec.seed) if rules else model
+
+
+def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> TrainedModel:
+    """Return the model with the simplest rule that explains the commanded level beside it, or a warning why none is.
+
+    The rule is fitted to the executions that the network learned from, and judged by those held out.
+
+    Raises:
+        ModelError: The model does not predict which level holds now.
+    """
+    if model.problem != "now":
+        msg = f"a rule gives the present scaling, and the model is for problem {model.problem!r}"
+        raise ModelError(msg, cure="Leave --model auto out.")
+    found = rule_of(dataset, model.levels, model=model, judged_apart=True, seed=seed)
+    if found.rule is not None and answering(replace(model, card=structs.replace(model.card, rule=found.rule))) is model:
+        found = replace(found, rule=None)
+    said = () if found.rule is not None else (note("model-data", text=f"{verdict(found)}; the network answers"),)
+    card = structs.replace(model.card, rule=found.rule, warnings=(*model.card.warnings, *said))
     return replace(model, card=card)
 
 
@@ -231,11 +256,12 @@ def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: MetricsCard, 
 
 @dataclass(frozen=True)
 class Training:
-    """One model to train, as a task of an engine: the places of dataset and model, and what to train."""
+    """One model to train, as a task of an engine: the places of dataset and model, what to train, and if with rules."""
 
     dataset: str
     spec: ModelSpec
     out: str
+    rules: bool = False
 
 
 def train_at(what: Training, *, progress: Progress | None = None) -> TrainingCard:
@@ -247,7 +273,7 @@ def train_at(what: Training, *, progress: Progress | None = None) -> TrainingCar
     """
     check_output(what.out, "model", [what.dataset])
     check_model_output(what.out)
-    model = train(Dataset.open(what.dataset), what.spec, progress=progress)
+    model = train(Dataset.open(what.dataset), what.spec, rules=what.rules, progress=progress)
     save_model(what.out, model)
     return model.card
 

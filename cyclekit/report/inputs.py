@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.learning.rules.safety import answering
 from cyclekit.report import findings
 from cyclekit.report.floor import floor_plan
 from cyclekit.report.verdict import verdict
@@ -68,14 +70,19 @@ class PageInputs:
         return findings.overview(self.dataset, self.samples, self.tasks)
 
     @cached_property
+    def answers(self) -> Predicts | None:
+        """What answers for the model: the rule beside it, or its network."""
+        return answering(self.model) if isinstance(self.model, TrainedModel) else self.model
+
+    @cached_property
     def response(self) -> LoggedResponse | None:
         """Scaling against distance; None where scaling or positions are unknown."""
-        return findings.safety_function(self.samples, self.dataset.levels, self.model)
+        return findings.safety_function(self.samples, self.dataset.levels, self.answers)
 
     @cached_property
     def plan(self) -> FloorPlan | None:
         """The floor plan; None where no operator position is known."""
-        return floor_plan(self.dataset, self.samples, self.model)
+        return floor_plan(self.dataset, self.samples, self.answers)
 
     @cached_property
     def verdict(self) -> TaktVerdict | None:

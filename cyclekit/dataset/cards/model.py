@@ -19,6 +19,7 @@ from cyclekit.dataset.cards.quantities import (
     ascending,
 )
 from cyclekit.dataset.cards.read import checked, plain
+from cyclekit.dataset.cards.rule import RuleCard
 
 Width = Annotated[int, Meta(ge=1, le=4096)]
 """Numbers that go into a layer, or come out of it."""
@@ -152,6 +153,7 @@ class TrainingCard(Card, frozen=True, kw_only=True):
         dropped: Samples that could not be used, by reason.
         inputs: Names of the inputs.
         warnings: What a person must know before trusting it.
+        rule: The rule that answers in place of the network; None = the network answers.
     """
 
     cyclekit: str | None = None
@@ -179,6 +181,7 @@ class TrainingCard(Card, frozen=True, kw_only=True):
     standardisation: StandardisationCard | None = None
     split: SplitCard | None = None
     history: tuple[EpochCard, ...] | None = None
+    rule: RuleCard | None = None
 
     @property
     def held_out(self) -> tuple[str, ...]:

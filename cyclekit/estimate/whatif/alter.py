@@ -17,6 +17,7 @@ from cyclekit.dataset.cards import TrainingCard
 from cyclekit.errors import EstimateError, UnknownName
 from cyclekit.estimate.safety import Classifier, Dynamics, SafetyModel, around, likeliest_of, scaling_of
 from cyclekit.learning.networks.kinds import names_levels
+from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -112,7 +113,11 @@ def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> Safe
     """Return the safety function that holds after the change; `logged` is how s followed it before."""
     if change.levels:
         return WrittenSafety(change)
-    return LearnedSafety(model, logged.hysteresis_m or 0.0) if "hysteresis_m" in change.dynamics else model
+    if "hysteresis_m" not in change.dynamics:
+        return model
+    if isinstance(model, RuleSafety):
+        return model.with_hysteresis(change.dynamics["hysteresis_m"] or 0.0)
+    return LearnedSafety(model, logged.hysteresis_m or 0.0)
 
 
 def altered_tasks(change: Change, tasks: Mapping[str, NominalTask], dataset: Dataset) -> dict[str, NominalTask]:

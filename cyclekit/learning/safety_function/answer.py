@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
+from cyclekit.dataset.cards import plain
 from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE, said_of_height
 from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.learning.networks.cell import refuse_other_cell
+from cyclekit.learning.rules.distances import DISTANCES
+from cyclekit.learning.rules.ladder import RuleSearch
+from cyclekit.learning.rules.of_dataset import rule_of
+from cyclekit.learning.rules.words import sentences, verdict
 from cyclekit.learning.safety_function.fit import (
-    DISTANCES,
     FLOOR_M,
     ScalingSamples,
     Threshold,
@@ -61,6 +65,8 @@ class SafetyFunction(Result):
         rows: Samples used.
         executions: Executions they come from.
         notes: What limits the answer.
+        commanded: The rule that explains the commanded level, if there is one. Where there is, it is the answer: its
+            thresholds are those to enter and to leave, and `thresholds` lie between them.
     """
 
     levels: tuple[float, ...]
@@ -77,6 +83,12 @@ class SafetyFunction(Result):
     rows: int
     executions: int
     notes: tuple[str, ...]
+    commanded: RuleSearch
+
+    @property
+    def rule_sentences(self) -> tuple[str, ...]:
+        """The rule as it would be written into a safety controller; empty where none explains the logs."""
+        return () if self.commanded.rule is None else tuple(sentences(self.commanded.rule))
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain JSON values."""
@@ -85,6 +97,14 @@ class SafetyFunction(Result):
         out["thresholds"] = [dict(vars(entry)) for entry in self.thresholds]
         out["floor_m"], out["floor_scaling"] = self.floor_m.tolist(), self.floor_scaling.tolist()
         out["floor_cell_m"] = FLOOR_M
+        found = self.commanded
+        out["commanded"] = {
+            "rule": None if found.rule is None else plain(found.rule, nulls=True),
+            "sentences": list(self.rule_sentences),
+            "verdict": verdict(found),
+            "explained": dict(found.explained),
+            "network": found.network,
+        }
         return out
 
     def to_frame(self) -> pl.DataFrame:
@@ -103,6 +123,8 @@ class SafetyFunction(Result):
         return pl.DataFrame(rows)
 
     def _said(self) -> list[str]:
+        if self.commanded.rule is not None:
+            return list(self.rule_sentences)
         best = self.explained.get(self.rule, float("nan"))
         return [f"levels {', '.join(f'{level:.2f}' for level in self.levels)}; by {self.rule} (explains {best:.1%})"]
 
@@ -140,6 +162,7 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
     rule = nearest if is_distance or fits[nearest] >= parts["place on the floor"] else "place on the floor"
     asked = ScalingSamples(rows.robot_m, rows.human_m, predicted, rows.execution, rows.t_s)
     network = by_distance(asked, levels, nearest)[0]
+    found = rule_of(dataset, levels, model=model, seed=seed)
     said = dataset.card.dynamics.hysteresis_m
     corner, scaling = _floor(rows)
     share = np.bincount(np.abs(rows.scaling[:, None] - np.array(levels)).argmin(axis=1), minlength=len(levels))
@@ -157,7 +180,8 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
         floor_scaling=scaling,
         rows=len(rows.scaling),
         executions=len(np.unique(rows.execution)),
-        notes=(*told, *_notes(rule, is_distance=is_distance, parts=parts)),
+        notes=(*told, *_notes(rule, is_distance=is_distance or found.rule is not None, parts=parts)),
+        commanded=found,
     )
 
 

@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.learning.networks.beaten import fit_thresholds
+from cyclekit.learning.rules.distances import DISTANCES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Sequence
 
     from cyclekit.schema import Bools, Floats, Ints, Vector
 
@@ -38,13 +39,6 @@ BETWEEN = 0.05
 known. On simulated cells it was off by up to 0.03 of it."""
 MOVING_M_S = 0.2
 """A distance that changes faster than this is approaching or leaving."""
-
-DISTANCES: Mapping[str, Callable[[Floats, Floats], Vector]] = {
-    "distance TCP to operator": lambda robot, human: _norm(robot - human),
-    "distance TCP to operator on the floor": lambda robot, human: _norm((robot - human)[:, :2]),
-    "distance robot base to operator on the floor": lambda _robot, human: _norm(human[:, :2]),
-}
-"""Distances gamma by name, of TCP (N, 3) and operator (N, 3) in the base frame, m."""
 
 
 @dataclass(frozen=True)
@@ -229,7 +223,3 @@ def hysteresis(rows: ScalingSamples, levels: Sequence[float], distance: str) -> 
     out, into = (by_distance(rows.of(part), levels, distance)[0] for part in (leaving, coming))
     known = np.isfinite(out) & np.isfinite(into)
     return float(np.median((out - into)[known])) if known.any() else None
-
-
-def _norm(way: Floats) -> Vector:
-    return np.asarray(np.linalg.norm(way, axis=1))

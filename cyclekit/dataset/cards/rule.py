@@ -1,0 +1,103 @@
+"""A rule of the safety function as data: which level holds where, with intervals.
+
+A rule is a list of limits. Each allows at most its level of the speed scaling while the operator is in its region:
+anywhere in the cell, nearer than a distance, within a rectangle on the floor, or in any of these. The slowest limit
+holds; where none does, the speed is the fastest level.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta, field
+
+from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction, Metres, Scaling, ascending
+
+_TO = "distance (TCP to operator( on the floor)?|robot base to operator on the floor|nearest link to operator)"
+DistanceName = Annotated[str, Meta(pattern=f"^{_TO}$")]
+"""By what the operator is near; `cyclekit.learning.rules.distances` measures them."""
+Angle = Annotated[float, Meta(ge=-7.0, le=7.0)]
+"""An angle, rad."""
+
+
+class MetresCard(Card, frozen=True, kw_only=True):
+    """A length or coordinate with its 95 % confidence interval, m; a bound that nobody knows is None."""
+
+    value: Metres
+    low: Metres | None = None
+    high: Metres | None = None
+
+
+class NearerCard(Card, frozen=True, kw_only=True):
+    """The operator is nearer than this by that distance."""
+
+    distance: DistanceName
+    metres: MetresCard
+
+
+class RectangleCard(Card, frozen=True, kw_only=True):
+    """The operator stands in a rectangle on the floor, base frame.
+
+    Attributes:
+        angle_rad: By which the rectangle is turned about the robot's base, counterclockwise.
+        along, across: Its edges in that turned frame: from, to; None where the operator was never seen to cross it.
+    """
+
+    angle_rad: Angle = 0.0
+    along: tuple[MetresCard | None, MetresCard | None]
+    across: tuple[MetresCard | None, MetresCard | None]
+
+
+class RegionCard(Card, frozen=True, kw_only=True):
+    """Where an operator is: in any of these; `anywhere`: somebody is present."""
+
+    anywhere: bool = False
+    nearer: Annotated[tuple[NearerCard, ...], Meta(max_length=8)] = ()
+    rectangles: Annotated[tuple[RectangleCard, ...], Meta(max_length=8)] = ()
+
+
+class LimitCard(Card, frozen=True, kw_only=True):
+    """The speed is at most this level from when the operator enters `within` until he has left `until`.
+
+    `until` is None where both are the same: there is no hysteresis.
+    """
+
+    scaling: Scaling
+    within: RegionCard
+    until: RegionCard | None = None
+
+
+class RuleCard(Card, frozen=True, kw_only=True):
+    """The simplest rule that explains the commanded level.
+
+    Attributes:
+        family: Which kind of rule, one of `rules.families.FAMILIES`.
+        hysteresis: Speed comes back farther out than it was taken.
+        levels: Of the speed scaling, ascending.
+        limits: The slowest first; a level that never holds by itself has none.
+        latency_s: By which the commanded level was taken to answer to the positions.
+        explained: Part of the held-out samples whose commanded level the rule names.
+        network: The same of the network; None = not asked.
+        others: The same of the other kinds of rule that were fitted, in the order they were tried.
+        rows, executions: What it was fitted to, with those held out for the choice.
+    """
+
+    family: str
+    hysteresis: bool = False
+    levels: Annotated[tuple[Scaling, ...], Meta(min_length=2, max_length=64)]
+    limits: Annotated[tuple[LimitCard, ...], Meta(min_length=1, max_length=64)]
+    latency_s: Duration = 0.0
+    explained: Fraction
+    network: Fraction | None = None
+    others: dict[str, Fraction] = field(default_factory=dict)
+    rows: Count = 0
+    executions: Count = 0
+
+    def __post_init__(self) -> None:
+        """Refuse levels and limits that are not ascending.
+
+        Raises:
+            ValueError: They are not.
+        """
+        ascending(self.levels)
+        ascending(tuple(limit.scaling for limit in self.limits))

@@ -1,0 +1,80 @@
+"""Two rules at once: slow while the operator is nearer than a threshold, or stands in a rectangle."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.dataset.cards.rule import MetresCard, NearerCard, RegionCard
+from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
+from cyclekit.learning.rules.families.distance import nearer
+from cyclekit.learning.rules.families.family import Family
+from cyclekit.learning.rules.families.rectangle import at_any_angle, straight
+from cyclekit.learning.rules.regions import inside
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from cyclekit.learning.rules.cuts import LimitRows
+
+    _Rectangle = Callable[[LimitRows, RegionCard | None], RegionCard]
+
+_ROUNDS = 10
+_PURE = 0.995
+"""To begin with, so many of the samples nearer than the threshold are slow."""
+_GAIN = 2e-4
+"""A second condition is kept if it explains this part of the samples more."""
+
+
+def _fit(rows: LimitRows, start: RegionCard | None, distance: str, rectangle: _Rectangle) -> RegionCard:
+    if start is not None and not (start.nearer and start.rectangles):
+        return rectangle(rows, start) if start.rectangles else nearer(rows, None, distance)
+    if start is not None:
+        return _alternating(rows, RegionCard(nearer=start.nearer), start, distance, rectangle)
+    single = [nearer(rows, None, distance), rectangle(rows, None)]
+    begins = [_purely_slow(rows, distance), single[0], _near_outside(rows, single[1], distance)]
+    both = [_alternating(rows, begin, None, distance, rectangle) for begin in begins]
+    best = min(both, key=lambda region: rows.wrong(inside(region, rows)))
+    least = rows.wrong(inside(best, rows)) + _GAIN * float(rows.weight.sum())
+    return next((region for region in single if rows.wrong(inside(region, rows)) <= least), best)
+
+
+def _alternating(
+    rows: LimitRows, near: RegionCard, start: RegionCard | None, distance: str, rectangle: _Rectangle
+) -> RegionCard:
+    """Return the union of both, each fitted in turn to what the other leaves."""
+    zone, wrong = start, np.inf
+    for _ in range(_ROUNDS):
+        zone = rectangle(rows.where(~inside(near, rows)), zone if zone and zone.rectangles else None)
+        near = nearer(rows.where(~inside(zone, rows)), None, distance)
+        found = RegionCard(nearer=near.nearer, rectangles=zone.rectangles)
+        missed = rows.wrong(inside(found, rows))
+        if missed >= wrong:
+            break
+        wrong = missed
+    return found
+
+
+def _near_outside(rows: LimitRows, zone: RegionCard, distance: str) -> RegionCard:
+    return nearer(rows.where(~inside(zone, rows)), None, distance)
+
+
+def _purely_slow(rows: LimitRows, distance: str) -> RegionCard:
+    """Return the farthest threshold within which nearly everything is slow."""
+    order = np.argsort(rows.apart_m[distance], kind="stable")
+    weight = rows.weight[order]
+    share = np.cumsum(weight * rows.slow[order]) / np.maximum(np.cumsum(weight), 1e-9)
+    pure = np.flatnonzero(share >= _PURE)
+    metres = float(rows.apart_m[distance][order][pure[-1]]) if len(pure) else np.inf
+    if not np.isfinite(metres):
+        return RegionCard()
+    return RegionCard(nearer=(NearerCard(distance=distance, metres=MetresCard(value=metres)),))
+
+
+MIXTURE = {
+    f"{name}, or {kind}": Family(partial(_fit, distance=name, rectangle=fit), (name,), mixed=True)
+    for kind, fit in (("rectangle on the floor", straight), ("turned rectangle on the floor", at_any_angle))
+    for name in (*DISTANCES, TO_LINK)
+}

@@ -1,0 +1,85 @@
+"""95 % confidence intervals of the thresholds and edges of a rule, from executions drawn again."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING
+
+import numpy as np
+from msgspec import structs
+
+from cyclekit.learning.rules.crossings import by_crossings
+from cyclekit.learning.rules.fitting import fit_limits
+from cyclekit.learning.rules.quantities import changed, grown, quantities
+from cyclekit.learning.rules.regions import inside
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.cards.rule import LimitCard, MetresCard
+    from cyclekit.learning.rules.families.family import Family
+    from cyclekit.learning.rules.quantities import RulePlace
+    from cyclekit.learning.rules.rows import RuleRows
+
+RESAMPLES = 40
+BOUNDS = (0.025, 0.975)
+NEAR_M = 0.25
+"""Samples farther than this from every threshold and edge move none of them."""
+
+
+def with_intervals(
+    limits: tuple[LimitCard, ...],
+    rows: RuleRows,
+    levels: Sequence[float],
+    family: Family,
+    *,
+    noisy: bool,
+    seed: int,
+) -> tuple[LimitCard, ...]:
+    """Return a rule with the interval of every threshold and edge.
+
+    Where samples leave a gap between slow and fast the interval holds the whole gap: nothing in it is less likely.
+
+    Args:
+        limits: The rule, fitted to `rows`.
+        rows: What it was fitted to.
+        levels: Of the speed scaling, ascending.
+        family: Its kind.
+        noisy: Thresholds are those of the crossings.
+        seed: Of the drawing.
+    """
+    lag = any(limit.until is not None for limit in limits)
+    start = {limit.scaling: limit for limit in limits}
+    steps = {level: step for step, level in enumerate(levels)}
+    near = _near(limits, rows)
+    rng = np.random.default_rng(seed)
+    count = int(rows.execution.max()) + 1
+    present = np.unique(rows.execution)
+    low: defaultdict[RulePlace, list[float]] = defaultdict(list)
+    high: defaultdict[RulePlace, list[float]] = defaultdict(list)
+    for _ in range(RESAMPLES):
+        times = np.bincount(rng.choice(present, len(present)), minlength=count)[rows.execution].astype(np.float64)
+        drawn = fit_limits(rows, levels, family, lag=lag, weight=times * near, start=start)
+        drawn = by_crossings(drawn, rows, steps, times) if noisy else drawn
+        for place, metres in quantities(drawn).items():
+            low[place].append(metres.value if metres.low is None else metres.low)
+            high[place].append(metres.value if metres.high is None else metres.high)
+
+    def bounded(place: RulePlace, metres: MetresCard) -> MetresCard:
+        ends = [metres.value if end is None else end for end in (metres.low, metres.high)]
+        below = float(np.quantile([*low[place], ends[0]], BOUNDS[0], method="lower"))
+        above = float(np.quantile([*high[place], ends[1]], BOUNDS[1], method="higher"))
+        return structs.replace(metres, low=min(below, metres.value), high=max(above, metres.value))
+
+    return changed(limits, bounded)
+
+
+def _near(limits: tuple[LimitCard, ...], rows: RuleRows) -> NDArray[np.bool_]:
+    near = np.zeros(len(rows), np.bool_)
+    for inner, outer in zip(grown(limits, -NEAR_M), grown(limits, NEAR_M), strict=True):
+        for small, large in ((inner.within, outer.within), (inner.until, outer.until)):
+            if small is not None and large is not None:
+                near |= inside(large, rows) & ~inside(small, rows)
+    return near

@@ -1,0 +1,223 @@
+"""Which kind of rule explains the commanded level: the simplest that does, judged on held-out executions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.dataset.cards.rule import RuleCard
+from cyclekit.learning.rules.crossings import by_crossings, lags
+from cyclekit.learning.rules.families import FAMILIES
+from cyclekit.learning.rules.fitting import fit_limits
+from cyclekit.learning.rules.intervals import with_intervals
+from cyclekit.learning.rules.quantities import with_bounds
+from cyclekit.learning.rules.regions import followed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.learning.rules.fitting import Limits
+    from cyclekit.learning.rules.rows import RuleRows
+
+EXPLAINS = 0.999
+"""A rule that names the level of this part of the held-out samples explains them: positions have no noise then."""
+NOISY_EXPLAINS = 0.9
+"""With noise, a rule that names fewer explains nothing."""
+SAME = 0.005
+"""With noise, rules and networks whose parts differ by less than this are taken as equal: the simpler is chosen."""
+CHANCE = 2.0
+"""Nor can they where the difference is less than so many standard errors over executions."""
+LIKELY = 0.02
+"""A distance that explains this much less than the best one by itself is not tried together with a rectangle."""
+GAINS = 0.005
+"""Two conditions at once must explain so much more than one."""
+TEST_PART = 0.2
+
+
+@dataclass(frozen=True)
+class RuleSearch:
+    """What the ladder found.
+
+    Attributes:
+        rule: The simplest rule that explains the commanded level; None where none does.
+        explained: Part of the held-out samples that each kind that was fitted explains, in that order.
+        network: The same of the network; None where there is none.
+        rows, executions: What was looked at.
+    """
+
+    rule: RuleCard | None
+    explained: Mapping[str, float] = field(default_factory=dict)
+    network: float | None = None
+    rows: int = 0
+    executions: int = 0
+
+    @property
+    def best(self) -> float:
+        """Part that the best kind of rule explains; 0 where none was fitted."""
+        return max(self.explained.values(), default=0.0)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    name: str
+    lag: bool
+    limits: Limits
+    right: NDArray[np.float64]
+
+    @property
+    def said(self) -> str:
+        return f"{self.name}, with hysteresis" if self.lag else self.name
+
+
+def find_rule(
+    rows: RuleRows,
+    levels: Sequence[float],
+    *,
+    held_out: NDArray[np.int64] | None = None,
+    network: NDArray[np.int64] | None = None,
+    latency_s: float = 0.0,
+    judged_apart: bool = False,
+    seed: int = 0,
+) -> RuleSearch:
+    """Find the simplest rule that explains the commanded level.
+
+    Args:
+        rows: Of at least two executions.
+        levels: Of the speed scaling, ascending.
+        held_out: Numbers of the executions to judge by; None: a fifth of them, drawn by `seed`.
+        network: Level that a network names in each row, shape (N,), which has not seen `held_out`; None = no network.
+        latency_s: By which positions were shifted, kept in the rule.
+        judged_apart: The chosen rule is not fitted again to the executions by which it was judged.
+        seed: Of what is drawn.
+    """
+    levels = tuple(levels)
+    judged = _drawn(rows, seed) if held_out is None else held_out
+    learn, judge = rows.of(np.setdiff1d(rows.execution, judged)), rows.of(judged)
+    if not len(learn) or not len(judge) or len(levels) < 2:
+        return RuleSearch(None, rows=len(rows))
+    rival = None if network is None else _by_execution(network[np.isin(rows.execution, judged)] == judge.level, judge)
+    fits: list[_Fit] = []
+    best = next((fit for fit in _tried(learn, judge, levels, fits) if _part(fit.right, judge) >= EXPLAINS), None)
+    noisy = best is None
+    if noisy:
+        best = _simplest(fits, judge, learn, levels, rival)
+    explained = {fit.said: _part(fit.right, judge) for fit in fits}
+    seen = (len(rows), len(np.unique(rows.execution)))
+    part = None if rival is None else _part(rival, judge)
+    rule = None if best is None else _whole(best, learn if judged_apart else rows, levels, noisy=noisy, seed=seed)
+    if rule is None or best is None:
+        return RuleSearch(None, explained, part, *seen)
+    card = RuleCard(
+        family=best.name,
+        hysteresis=best.lag,
+        levels=levels,
+        limits=rule,
+        latency_s=latency_s,
+        explained=explained[best.said],
+        network=part,
+        others={name: each for name, each in explained.items() if name != best.said},
+        rows=seen[0],
+        executions=seen[1],
+    )
+    return RuleSearch(card, explained, part, *seen)
+
+
+def _drawn(rows: RuleRows, seed: int) -> NDArray[np.int64]:
+    every = np.unique(rows.execution)
+    return np.random.default_rng(seed).permutation(every)[: max(1, round(TEST_PART * len(every)))]
+
+
+def _tried(learn: RuleRows, judge: RuleRows, levels: Sequence[float], fits: list[_Fit]) -> Iterator[_Fit]:
+    """Yield one kind of rule after the other, fitted; `fits` keeps them.
+
+    Single conditions come before two of them, and without hysteresis before with it. Of two conditions at once only
+    those are fitted whose distance explains much by itself, and no more of them where two explain no more than one.
+    """
+    able = [name for name, family in FAMILIES.items() if set(family.uses) <= set(learn.apart_m)]
+    single = [name for name in able if not FAMILIES[name].mixed]
+    for lag in (False, True):
+        yield from _fitted(single, learn, judge, levels, fits, lag=lag)
+    likely = _likely_distances(fits, judge)
+    mixed = [name for name in able if FAMILIES[name].mixed and FAMILIES[name].uses in likely]
+    enough = max(_part(fit.right, judge) for fit in fits if not fit.lag) + GAINS
+    for names in (mixed[: len(likely)], mixed[len(likely) :]):
+        before = len(fits)
+        yield from _fitted(names, learn, judge, levels, fits, lag=False)
+        if max(_part(fit.right, judge) for fit in fits[before:]) < enough:
+            return
+        yield from _fitted(names, learn, judge, levels, fits, lag=True)
+
+
+def _fitted(
+    names: Sequence[str], learn: RuleRows, judge: RuleRows, levels: Sequence[float], fits: list[_Fit], *, lag: bool
+) -> Iterator[_Fit]:
+    for name in names:
+        if FAMILIES[name].may_lag or not lag:
+            limits = fit_limits(learn, levels, FAMILIES[name], lag=lag)
+            fits.append(_Fit(name, lag, limits, _by_execution(_agrees(limits, levels, judge), judge)))
+            yield fits[-1]
+
+
+def _agrees(limits: Limits, levels: Sequence[float], rows: RuleRows) -> NDArray[np.bool_]:
+    """Return which rows a rule explains, shape (N,).
+
+    Of a threshold no more is known than that it lies between the last slow and the first fast sample: a row in that gap
+    speaks neither for nor against the rule.
+    """
+    fastest, slowest = (followed(with_bounds(limits, larger=larger), levels, rows) for larger in (False, True))
+    return np.asarray((slowest <= rows.level) & (rows.level <= fastest))
+
+
+def _likely_distances(fits: Sequence[_Fit], judge: RuleRows) -> set[tuple[str, ...]]:
+    """Return the distances that explain nearly as much as the best one does."""
+    parts = {fit.name: _part(fit.right, judge) for fit in fits if not fit.lag and FAMILIES[fit.name].uses}
+    return {FAMILIES[name].uses for name, part in parts.items() if part >= max(parts.values()) - LIKELY}
+
+
+def _simplest(
+    fits: Sequence[_Fit], judge: RuleRows, learn: RuleRows, levels: Sequence[float], rival: NDArray[np.float64] | None
+) -> _Fit | None:
+    """Return the simplest rule that no other rule, nor the network, is better than beyond chance.
+
+    Noise makes any hysteresis look useful, as it holds a level that flickers: it is believed only where the level is
+    seen to rise farther out than it falls.
+    """
+    steps = {level: step for step, level in enumerate(levels)}
+    able = [fit for fit in fits if fit.limits and fit.lag == lags(fit.limits, learn, steps)]
+    rivals = [fit.right for fit in able] + ([] if rival is None else [rival])
+    for fit in able:
+        if _part(fit.right, judge) >= NOISY_EXPLAINS and not any(_better(other, fit.right, judge) for other in rivals):
+            return fit
+    return None
+
+
+def _better(one: NDArray[np.float64], other: NDArray[np.float64], judge: RuleRows) -> bool:
+    """Tell whether one names more levels than the other, beyond chance and by more than SAME."""
+    lead = one - other
+    chance = CHANCE * float(np.sqrt(len(lead)) * lead.std(ddof=1)) if len(lead) > 1 else 0.0
+    return float(lead.sum()) > max(SAME * len(judge), chance)
+
+
+def _whole(fit: _Fit, rows: RuleRows, levels: Sequence[float], *, noisy: bool, seed: int) -> Limits | None:
+    """Return the chosen kind of rule fitted to all rows, with intervals."""
+    family = FAMILIES[fit.name]
+    limits = fit_limits(rows, levels, family, lag=fit.lag)
+    if not limits:
+        return None
+    if noisy:
+        limits = by_crossings(limits, rows, {level: step for step, level in enumerate(levels)})
+    return with_intervals(limits, rows, levels, family, noisy=noisy, seed=seed)
+
+
+def _by_execution(right: NDArray[np.bool_], rows: RuleRows) -> NDArray[np.float64]:
+    """Return the number of rows that are named rightly in each execution, shape (E,)."""
+    _, number = np.unique(rows.execution, return_inverse=True)
+    return np.bincount(number.ravel(), right).astype(np.float64)
+
+
+def _part(right: NDArray[np.float64], rows: RuleRows) -> float:
+    return float(right.sum() / len(rows))

@@ -1,0 +1,107 @@
+"""The rule behind a dataset: its samples read, the ladder climbed, the network as rival."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from cyclekit.learning.out_of_core import rows_of as count_rows
+from cyclekit.learning.out_of_core import some_executions
+from cyclekit.learning.rules.ladder import EXPLAINS, RuleSearch, find_rule
+from cyclekit.learning.rules.rows import rows_of
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.cards import TrainingCard
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.learning.rules.rows import RuleRows
+
+MOST_ROWS = 60_000
+"""Of more samples, so many of executions drawn at random: their thresholds are known to millimetres already."""
+LEAST_ROWS, LEAST_EXECUTIONS = 500, 3
+_BLOCK = 2048
+
+
+class LevelNamer(Protocol):
+    """What a rule is compared with: a network that names a level for each pair of positions."""
+
+    @property
+    def card(self) -> TrainingCard:
+        """How it came about."""
+
+    def steps(self, X: NDArray[np.float32], /) -> NDArray[np.int64]:
+        """Return the index of the likeliest level (N,) for rows x_r, x_h (N, 6), m."""
+
+
+def rule_of(
+    dataset: Dataset,
+    levels: Sequence[float],
+    *,
+    model: LevelNamer | None = None,
+    judged_apart: bool = False,
+    seed: int = 0,
+) -> RuleSearch:
+    """Find the simplest rule that explains the commanded level in a dataset.
+
+    Args:
+        dataset: With positions and a scaling.
+        levels: Of the speed scaling, ascending.
+        model: A network of the same levels, to compare with on executions that it has not seen.
+        judged_apart: The rule is not fitted again to the executions by which it was judged.
+        seed: Of what is drawn.
+    """
+    names = dataset.executions["execution"].to_list()
+    unseen = set(() if model is None else model.card.held_out) & set(names)
+    most = MOST_ROWS if count_rows(dataset) > MOST_ROWS else None
+    if most is not None:
+        some = set(some_executions(dataset, names, most, seed=seed))
+        names = [name for name in names if name in some]
+        unseen &= some
+    latency_s = float(dataset.card.dynamics.latency_s or 0.0)
+    found = _searched(dataset, names, unseen, levels, model, latency_s, judged_apart=judged_apart, seed=seed)
+    if latency_s and found.best < EXPLAINS:  # a latency read off the wrong distance hides the rule
+        other = _searched(dataset, names, unseen, levels, model, 0.0, judged_apart=judged_apart, seed=seed)
+        return other if other.best >= EXPLAINS else found
+    return found
+
+
+def _searched(
+    dataset: Dataset,
+    names: Sequence[str],
+    unseen: Collection[str],
+    levels: Sequence[float],
+    model: LevelNamer | None,
+    latency_s: float,
+    *,
+    judged_apart: bool,
+    seed: int,
+) -> RuleSearch:
+    rows = rows_of(dataset, names, levels, latency_s=latency_s)
+    if len(rows) < LEAST_ROWS or len(np.unique(rows.execution)) < LEAST_EXECUTIONS or len(np.unique(rows.level)) < 2:
+        return RuleSearch(None, rows=len(rows))
+    judged = _numbers(names, unseen, rows)
+    named = None if model is None or judged is None else _named(model, rows, levels)
+    asked: dict[str, Any] = {"network": named, "latency_s": latency_s, "judged_apart": judged_apart, "seed": seed}
+    return find_rule(rows, levels, held_out=judged, **asked)
+
+
+def _numbers(names: Sequence[str], chosen: Collection[str], rows: RuleRows) -> NDArray[np.int64] | None:
+    """Return the numbers of executions that have rows; None where there are fewer than two."""
+    found = np.intersect1d([number for number, name in enumerate(names) if name in chosen], rows.execution)
+    return found.astype(np.int64) if 2 <= len(found) < len(np.unique(rows.execution)) else None
+
+
+def _named(model: LevelNamer, rows: RuleRows, levels: Sequence[float]) -> NDArray[np.int64]:
+    """Return the level that the network names in each row; where nobody is there, that of the logs."""
+    without = model.card.scaling_without_operator
+    alone = len(levels) - 1 if without is None else int(np.abs(np.asarray(levels) - without).argmin())
+    found = np.full(len(rows), alone)
+    present = np.flatnonzero(rows.present)
+    for first in range(0, len(present), _BLOCK):
+        some = present[first : first + _BLOCK]
+        found[some] = model.steps(rows.at_m[some])
+    return found

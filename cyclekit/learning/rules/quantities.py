@@ -1,0 +1,115 @@
+"""The numbers of a rule one by one: read, and put back with other values or intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+from msgspec import structs
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.cards.rule import LimitCard, MetresCard, RectangleCard, RegionCard
+
+
+MOST_M = 0.05
+"""A bound farther off than this is no gap between samples but a lack of them."""
+
+BETWEEN_M = 0.01
+"""Nobody comes farther between two samples than a straight line between them, but by this."""
+
+
+class RulePlace(NamedTuple):
+    """Which number of a rule: of which limit (by its level), which of its two regions, and where in that."""
+
+    level: float
+    until: bool
+    kind: str
+    item: int
+    edge: int = 0
+
+
+def quantities(limits: tuple[LimitCard, ...]) -> dict[RulePlace, MetresCard]:
+    """Return all thresholds and edges of a rule by their place."""
+    found: dict[RulePlace, MetresCard] = {}
+
+    def keep(place: RulePlace, metres: MetresCard) -> MetresCard:
+        found[place] = metres
+        return metres
+
+    changed(limits, keep)
+    return found
+
+
+def changed(
+    limits: tuple[LimitCard, ...], change: Callable[[RulePlace, MetresCard], MetresCard]
+) -> tuple[LimitCard, ...]:
+    """Return a rule with every threshold and edge replaced by what `change` makes of it."""
+    return tuple(
+        structs.replace(
+            limit,
+            within=_region(limit.within, limit.scaling, change, until=False),
+            until=None if limit.until is None else _region(limit.until, limit.scaling, change, until=True),
+        )
+        for limit in limits
+    )
+
+
+def put(limits: tuple[LimitCard, ...], values: Mapping[RulePlace, MetresCard]) -> tuple[LimitCard, ...]:
+    """Return a rule with some of its thresholds and edges replaced."""
+    return changed(limits, lambda place, metres: values.get(place, metres))
+
+
+def grown(limits: tuple[LimitCard, ...], by_m: float) -> tuple[LimitCard, ...]:
+    """Return a rule with all its regions larger by `by_m` on every side, smaller where that is negative."""
+
+    def moved(place: RulePlace, metres: MetresCard) -> MetresCard:
+        lower = place.kind == "rectangle" and place.edge % 2 == 0
+        return structs.replace(metres, value=metres.value - by_m if lower else metres.value + by_m)
+
+    return changed(limits, moved)
+
+
+def with_bounds(limits: tuple[LimitCard, ...], *, larger: bool) -> tuple[LimitCard, ...]:
+    """Return a rule with each region as large, or as small, as the bounds of its numbers allow, within MOST_M.
+
+    With hysteresis by BETWEEN_M at least: who comes so near to a threshold may have crossed it between two samples, and
+    the level is then held until long after.
+    """
+    least_m = {limit.scaling: 0.0 if limit.until is None else BETWEEN_M for limit in limits}
+
+    def moved(place: RulePlace, metres: MetresCard) -> MetresCard:
+        upper = larger != (place.kind == "rectangle" and place.edge % 2 == 0)
+        bound = metres.high if upper else metres.low
+        way = 0.0 if bound is None else min(abs(bound - metres.value), MOST_M)
+        way = max(way, least_m[place.level])
+        return structs.replace(metres, value=metres.value + (way if upper else -way))
+
+    return changed(limits, moved)
+
+
+def _region(
+    region: RegionCard, level: float, change: Callable[[RulePlace, MetresCard], MetresCard], *, until: bool
+) -> RegionCard:
+    nearer = [
+        structs.replace(near, metres=change(RulePlace(level, until, "nearer", item), near.metres))
+        for item, near in enumerate(region.nearer)
+    ]
+    rectangles = [
+        _rectangle(rectangle, item, level, change, until=until) for item, rectangle in enumerate(region.rectangles)
+    ]
+    return structs.replace(region, nearer=tuple(nearer), rectangles=tuple(rectangles))
+
+
+def _rectangle(
+    rectangle: RectangleCard,
+    item: int,
+    level: float,
+    change: Callable[[RulePlace, MetresCard], MetresCard],
+    *,
+    until: bool,
+) -> RectangleCard:
+    edges = [
+        None if edge is None else change(RulePlace(level, until, "rectangle", item, number), edge)
+        for number, edge in enumerate((*rectangle.along, *rectangle.across))
+    ]
+    return structs.replace(rectangle, along=(edges[0], edges[1]), across=(edges[2], edges[3]))

@@ -1,0 +1,101 @@
+"""Where a region holds, and which level a rule allows: `RuleCard` asked of rows."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.cards.rule import LimitCard, RectangleCard, RegionCard
+    from cyclekit.learning.rules.rows import RuleRows
+
+    Vector = NDArray[np.float64]
+    Flags = NDArray[np.bool_]
+
+NOWHERE = (-np.inf, np.inf)
+
+
+class Positions(Protocol):
+    """What a region is asked of: `RuleRows`, or rows of a rollout."""
+
+    @property
+    def apart_m(self) -> Mapping[str, Vector]:
+        """Distances by name, (N,), m; infinite where nobody is there."""
+
+    @property
+    def floor_m(self) -> NDArray[np.float64]:
+        """The operator on the floor, (N, 2), m; NaN where nobody is there."""
+
+
+def turned(floor_m: NDArray[np.float64], angle_rad: float) -> tuple[Vector, Vector]:
+    """Return coordinates (N,) along and across a frame turned by `angle_rad`, of points (N, 2), m."""
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    return floor_m[:, 0] * cos + floor_m[:, 1] * sin, floor_m[:, 1] * cos - floor_m[:, 0] * sin
+
+
+def corners(rectangle: RectangleCard) -> list[tuple[float, float]] | None:
+    """Return the corners of a rectangle, base frame, m, counterclockwise; None where an edge was never seen."""
+    (left, right), (near, far) = rectangle.along, rectangle.across
+    if left is None or right is None or near is None or far is None:
+        return None
+    cos, sin = np.cos(rectangle.angle_rad), np.sin(rectangle.angle_rad)
+    frame = [(u.value, v.value) for u, v in ((left, near), (right, near), (right, far), (left, far))]
+    return [(float(u * cos - v * sin), float(u * sin + v * cos)) for u, v in frame]
+
+
+def inside(region: RegionCard, rows: Positions) -> Flags:
+    """Return where the operator is in a region, shape (N,)."""
+    found = np.isfinite(rows.floor_m[:, 0]) if region.anywhere else np.zeros(len(rows.floor_m), np.bool_)
+    for near in region.nearer:
+        found |= rows.apart_m[near.distance] < near.metres.value
+    for rectangle in region.rectangles:
+        found |= within_rectangle(rectangle, rows.floor_m)
+    return found
+
+
+def within_rectangle(rectangle: RectangleCard, floor_m: NDArray[np.float64]) -> Flags:
+    """Return which points (N, 2), m, lie in a rectangle; edges never seen do not bound it."""
+    found = np.isfinite(floor_m[:, 0])
+    for edges, at in zip((rectangle.along, rectangle.across), turned(floor_m, rectangle.angle_rad), strict=True):
+        low, high = (bound if edge is None else edge.value for edge, bound in zip(edges, NOWHERE, strict=True))
+        found &= (at > low) & (at < high)
+    return found
+
+
+def allowed(limits: Sequence[LimitCard], levels: Sequence[float], rows: Positions, *, until: bool) -> Vector:
+    """Return the level that a rule allows in each row, shape (N,).
+
+    Args:
+        limits: Of the rule.
+        levels: Of the speed scaling, ascending.
+        rows: Where everybody is.
+        until: Take the regions that the operator must have left, in place of those that he enters.
+    """
+    found = np.full(len(rows.floor_m), levels[-1])
+    for limit in reversed(limits):
+        region = limit.until if until and limit.until is not None else limit.within
+        found[inside(region, rows)] = limit.scaling
+    return found
+
+
+def followed(limits: Sequence[LimitCard], levels: Sequence[float], rows: RuleRows) -> NDArray[np.int64]:
+    """Return the index of the level that a rule allows in each row, shape (N,), with hysteresis followed in time.
+
+    The state at the beginning of a stretch is that of its commanded level.
+    """
+    found = np.full(len(rows), len(levels) - 1)
+    at, begins = np.arange(len(rows)), rows.before < 0
+    for limit in reversed(limits):
+        step = int(np.abs(np.asarray(levels) - limit.scaling).argmin())
+        slow = inside(limit.within, rows)
+        if limit.until is not None:
+            decided = slow | ~inside(limit.until, rows)
+            slow = np.where(decided, slow, rows.level <= step)
+            slow = slow[np.maximum.accumulate(np.where(decided | begins, at, 0))] if len(at) else slow
+        found[slow] = step
+    return found

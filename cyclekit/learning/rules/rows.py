@@ -1,0 +1,164 @@
+"""What rules are fitted to: positions of robot and operator, and the level that the safety system commanded then."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.dataset.time_grid import stretches
+from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE
+from cyclekit.learning.labelling import without_slider
+from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
+from cyclekit.learning.rules.links import to_nearest_link
+from cyclekit.learning.windows import nobody_there
+from cyclekit.scaling.levels import label_in_time, unbroken
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.dataset import Dataset
+
+    Vector = NDArray[np.float64]
+    Flags = NDArray[np.bool_]
+
+_COLUMNS = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
+
+
+@dataclass(frozen=True)
+class RuleRows:
+    """N samples with a known commanded level, in the order of time within each execution.
+
+    Attributes:
+        apart_m: Distances by name, shape (N,) each; infinite where nobody is there.
+        floor_m: The operator on the floor, x and y, shape (N, 2), m; NaN where nobody is there.
+        level: Index of the commanded level, shape (N,).
+        before: Row of the sample before in the same unbroken stretch, shape (N,); -1 = there is none.
+        execution: Number of the execution, shape (N,).
+        at_m: TCP and operator, shape (N, 6), m; NaN where nobody is there.
+    """
+
+    apart_m: Mapping[str, Vector]
+    floor_m: NDArray[np.float64]
+    level: NDArray[np.int64]
+    before: NDArray[np.int64]
+    execution: NDArray[np.int64]
+    at_m: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        """Return N."""
+        return len(self.level)
+
+    @property
+    def present(self) -> Flags:
+        """Where somebody is there, shape (N,)."""
+        return np.isfinite(self.floor_m[:, 0])
+
+    def of(self, executions: NDArray[np.int64]) -> RuleRows:
+        """Return the rows of some executions; none of their stretches is broken by that."""
+        keep = np.isin(self.execution, executions)
+        number = np.cumsum(keep) - 1
+        before = self.before[keep]
+        before = np.where(before >= 0, number[before], -1)
+        apart = {name: apart[keep] for name, apart in self.apart_m.items()}
+        return RuleRows(apart, self.floor_m[keep], self.level[keep], before, self.execution[keep], self.at_m[keep])
+
+    @classmethod
+    def made(
+        cls,
+        robot_m: NDArray[np.float64],
+        human_m: NDArray[np.float64],
+        level: NDArray[np.int64],
+        execution: NDArray[np.int64],
+        *,
+        stretch: NDArray[np.int64] | None = None,
+        to_link_m: Vector | None = None,
+    ) -> RuleRows:
+        """Return rows of positions (N, 3), m, and commanded levels (N,); unknown levels (-1) are left out.
+
+        Args:
+            robot_m: The TCP.
+            human_m: The operator; NaN where nobody is there.
+            level: Index of the level.
+            execution: Number of the execution, shape (N,).
+            stretch: Number of the unbroken stretch, shape (N,); None: one for each execution.
+            to_link_m: Distance of the nearest link, shape (N,); None = not known.
+        """
+        known = level >= 0
+        robot_m, human_m, level, execution = robot_m[known], human_m[known], level[known], execution[known]
+        of = execution if stretch is None else stretch[known]
+        apart = {name: distance(robot_m, human_m) for name, distance in DISTANCES.items()}
+        apart |= {} if to_link_m is None else {TO_LINK: to_link_m[known]}
+        apart = {name: np.where(np.isnan(each), np.inf, each) for name, each in apart.items()}
+        at = np.arange(len(level))
+        before = np.where(np.diff(of, prepend=-1) == 0, at - 1, -1)
+        inputs = np.concatenate([robot_m, human_m], axis=1).astype(np.float32)
+        return cls(apart, human_m[:, :2], level.astype(np.int64), before, execution, inputs)
+
+
+def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float], *, latency_s: float) -> RuleRows:
+    """Return what rules are fitted to.
+
+    Args:
+        dataset: With positions and a scaling.
+        executions: Of these.
+        levels: Of the speed scaling, ascending.
+        latency_s: By which the scaling answers to the positions, s.
+    """
+    frame = dataset.samples(list(executions)).with_columns(human_z_m=HUMAN_Z_IN_PLANE)
+    frame, _ = without_slider(dataset, frame)
+    run = stretches(frame, dataset.rate_hz)
+    level = commanded(frame, levels, run, rate_hz=dataset.rate_hz)
+    hidden = frame.select(pl.col("human_x_m").is_null() & ~nobody_there()).to_series().to_numpy()
+    level[hidden | frame["robot_x_m"].is_null().to_numpy()] = -1
+    places = frame.select(pl.col(_COLUMNS).fill_null(float("nan"))).to_numpy()
+    t_s = frame["t_s"].to_numpy()
+    seen_s = t_s - latency_s
+    if latency_s:
+        places, early = _earlier(places, t_s, seen_s, run)
+        level[early] = -1
+    names = frame["execution"].to_numpy()
+    order = {name: number for number, name in enumerate(executions)}
+    number = frame["execution"].replace_strict(order, return_dtype=pl.Int64).to_numpy()
+    to_link = to_nearest_link(dataset, names, seen_s, places[:, :3], places[:, 3:])
+    return RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=run, to_link_m=to_link)
+
+
+def commanded(
+    frame: pl.DataFrame, levels: Sequence[float], run: NDArray[np.int64], *, rate_hz: float
+) -> NDArray[np.int64]:
+    """Return the level that the safety system is heading for at every row of SAMPLES, shape (N,); -1 = unknown.
+
+    A sample on a level is commanded that. In a ramp between two levels that follow each other it is the one at the end
+    of the ramp; a ramp over more levels may have been commanded in steps, so nothing is known there.
+    """
+    scaling = frame["scaling"].fill_null(np.nan).to_numpy()
+    parts = unbroken(run, np.isfinite(scaling))
+    level = label_in_time(scaling, levels, parts, rate_hz=rate_hz).astype(np.int64)
+    at = np.arange(len(level))
+    after = np.minimum.accumulate(np.where(level >= 0, at, len(level) - 1)[::-1])[::-1]
+    before = np.maximum.accumulate(np.where(level >= 0, at, 0))
+    ramp = (level < 0) & np.isfinite(scaling) & (parts[after] == parts) & (parts[before] == parts)
+    ramp &= (np.abs(level[after] - level[before]) == 1) & (level[after] >= 0) & (level[before] >= 0)
+    return np.where(ramp, level[after], level)
+
+
+def _earlier(
+    places: NDArray[np.float64], t_s: Vector, seen_s: Vector, run: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], Flags]:
+    """Return the positions (N, 6) at `seen_s`, and where they lie before the stretch began."""
+    first = np.flatnonzero(np.diff(run, prepend=-1))
+    begin_s = np.repeat(t_s[first], np.diff(np.append(first, len(run))))
+    after = np.clip(np.searchsorted(t_s + _apart(run), seen_s + _apart(run)), 1, len(t_s) - 1)
+    share = (seen_s - t_s[after - 1]) / np.maximum(t_s[after] - t_s[after - 1], 1e-9)
+    moved = places[after - 1] + np.clip(share, 0.0, 1.0)[:, None] * (places[after] - places[after - 1])
+    return moved, seen_s < begin_s - 1e-9
+
+
+def _apart(run: NDArray[np.int64]) -> Vector:
+    """Return what keeps the times of stretches apart, so that all are searched at once."""
+    return np.asarray(run * 1e7)

@@ -1,0 +1,105 @@
+"""A rule asked for the speed scaling, in place of the network of its model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from msgspec import structs
+
+from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
+from cyclekit.learning.rules.quantities import grown, quantities
+from cyclekit.learning.rules.regions import allowed
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from cyclekit.dataset.cards import TrainingCard
+    from cyclekit.dataset.cards.rule import LimitCard, RuleCard
+    from cyclekit.learning.networks.saved import TrainedModel
+
+    Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _AskedPositions:
+    apart_m: Mapping[str, Vector]
+    floor_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RuleSafety:
+    """The safety function of a rule.
+
+    Attributes:
+        rule: What holds where.
+        card: Of the model that the rule lies beside.
+        side: With hysteresis: what s falls by (`entering`), what s must allow to rise (`leaving`), or, where nothing is
+            known of the time before, the mean of both.
+        problem: It gives the present scaling.
+    """
+
+    rule: RuleCard
+    card: TrainingCard
+    side: Literal["entering", "leaving", "mean"] = "mean"
+    problem: str = "now"
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Its levels, ascending."""
+        return self.rule.levels
+
+    @property
+    def network(self) -> str:
+        """What answers: no network."""
+        return "rule"
+
+    @property
+    def lags(self) -> bool:
+        """Whether it has hysteresis of its own."""
+        return any(limit.until is not None for limit in self.rule.limits)
+
+    def of_side(self, side: Literal["entering", "leaving"]) -> RuleSafety:
+        """Return it as s falls by it, or as s must be allowed to rise."""
+        return replace(self, side=side)
+
+    def with_hysteresis(self, margin_m: float) -> RuleSafety:
+        """Return it with regions to leave that lie `margin_m` outside of those to enter, m; 0 = none."""
+        limits = tuple(_widened(limit, margin_m) for limit in self.rule.limits)
+        return replace(self, rule=structs.replace(self.rule, limits=limits, hysteresis=margin_m > 0.0))
+
+    def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
+        """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
+        robot_m, human_m = X[:, :3].astype(np.float64), X[:, 3:6].astype(np.float64)
+        rows = _AskedPositions(
+            {name: DISTANCES[name](robot_m, human_m) for name in _distances(self.rule)}, human_m[:, :2]
+        )
+        sides = (False, True) if self.side == "mean" and self.lags else (self.side == "leaving",)
+        found = [allowed(self.rule.limits, self.rule.levels, rows, until=until) for until in sides]
+        return np.asarray(np.mean(found, axis=0))
+
+
+def answering(model: TrainedModel) -> TrainedModel | RuleSafety:
+    """Return what answers for a model: the rule beside it if it has one that can be asked, else its network.
+
+    A rule on the nearest link needs joint angles, which no estimate has.
+    """
+    rule = model.card.rule
+    if rule is None or TO_LINK in _distances(rule):
+        return model
+    return RuleSafety(rule, model.card)
+
+
+def _distances(rule: RuleCard) -> set[str]:
+    regions = [region for limit in rule.limits for region in (limit.within, limit.until) if region is not None]
+    return {near.distance for region in regions for near in region.nearer}
+
+
+def _widened(limit: LimitCard, margin_m: float) -> LimitCard:
+    if margin_m <= 0.0 or not quantities((limit,)):
+        return structs.replace(limit, until=None)
+    (outer,) = grown((structs.replace(limit, until=None),), margin_m)
+    return structs.replace(limit, until=outer.within)

@@ -1,0 +1,96 @@
+"""A rule in words, as a person would write it into a safety controller."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.learning.rules.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
+from cyclekit.learning.rules.regions import corners
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.cards.rule import LimitCard, MetresCard, RectangleCard, RegionCard, RuleCard
+    from cyclekit.learning.rules.ladder import RuleSearch
+
+    _Edges = tuple[MetresCard | None, MetresCard | None]
+
+_TO = {
+    TO_TCP: "to the TCP",
+    TO_TCP_FLAT: "to the TCP, measured on the floor",
+    TO_BASE: "to the robot's base, measured on the floor",
+    TO_LINK: "to the nearest link of the arm",
+}
+
+
+def kind_of(rule: RuleCard) -> str:
+    """Return the kind of a rule in a few words."""
+    return f"{rule.family}, with hysteresis" if rule.hysteresis else rule.family
+
+
+def sentences(rule: RuleCard) -> list[str]:
+    """Return one sentence for each limit, the slowest first, and one for where none holds."""
+    return [*(_limit(limit) for limit in rule.limits), f"{_speed(rule.levels[-1])} otherwise"]
+
+
+def verdict(found: RuleSearch) -> str:
+    """Say in one line which rule explains the commanded level, or that none does."""
+    rival = "" if found.network is None else f"; the network {found.network:.2%}"
+    if found.rule is not None:
+        said = f"{kind_of(found.rule)} explains {found.rule.explained:.2%} of held-out samples"
+        return f"{said} (commanded level{rival})"
+    if not found.explained:
+        return "no rule was looked for: too few executions"
+    best = max(found.explained, key=lambda name: found.explained[name])
+    return f"no simple rule explains the commanded level; best: {best} ({found.explained[best]:.1%}{rival})"
+
+
+def _limit(limit: LimitCard) -> str:
+    said = f"{_speed(limit.scaling)} when {_region(limit.within, 'is')}"
+    if limit.until is None or limit.within.anywhere:
+        return said
+    return f"{said}; faster again when {_region(limit.until, 'left')}"
+
+
+def _speed(level: float) -> str:
+    return "stop (speed 0 %)" if level == 0.0 else f"speed {100 * level:.4g} %"
+
+
+def _region(region: RegionCard, verb: str) -> str:
+    if region.anywhere:
+        return "the operator is in the cell"
+    away = verb == "left"
+    parts = [
+        f"{'farther' if away else 'nearer'} than {_metres(near.metres)} {_TO[near.distance]}" for near in region.nearer
+    ]
+    parts += [f"{'outside of' if away else 'in'} the {_rectangle(rectangle)}" for rectangle in region.rectangles]
+    return f"the operator is {(' and ' if away else ' or ').join(parts)}"
+
+
+def _rectangle(rectangle: RectangleCard) -> str:
+    turned, degrees = rectangle.angle_rad != 0.0, np.rad2deg(rectangle.angle_rad)
+    sides = [_side(name, edges) for name, edges in zip("uv" if turned else "xy", _sides(rectangle), strict=True)]
+    said = "rectangle " + ", ".join(side for side in sides if side)
+    said += f", u and v being x and y turned by {degrees:.1f} degrees" if turned else ""
+    found = corners(rectangle)
+    if found is None:
+        return f"{said} (its other edges were never crossed)"
+    return f"{said} (corners {', '.join(f'({x:.2f}, {y:.2f})' for x, y in found)} m)"
+
+
+def _sides(rectangle: RectangleCard) -> tuple[_Edges, _Edges]:
+    return rectangle.along, rectangle.across
+
+
+def _side(name: str, edges: _Edges) -> str:
+    """Return from where to where the rectangle reaches along one axis; empty where neither edge was crossed."""
+    low, high = edges
+    if low is None:
+        return "" if high is None else f"{name} up to {_metres(high)}"
+    return f"{name} from {_metres(low)}" + ("" if high is None else f" to {_metres(high)}")
+
+
+def _metres(metres: MetresCard) -> str:
+    if metres.low is None or metres.high is None:
+        return f"{metres.value:.3f} m"
+    return f"{metres.value:.3f} m (95 % CI {metres.low:.3f} to {metres.high:.3f})"

@@ -1,0 +1,182 @@
+"""Hidden rules are found again from samples: their kind, their thresholds, their corners."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cyclekit.learning.rules.distances import TO_LINK, TO_TCP, to_links
+from cyclekit.learning.rules.families import FAMILIES
+from cyclekit.learning.rules.ladder import find_rule
+from cyclekit.learning.rules.quantities import quantities
+from cyclekit.learning.rules.regions import corners
+from cyclekit.learning.rules.rows import RuleRows
+from cyclekit.learning.rules.words import sentences, verdict
+
+LEVELS = (0.0, 0.5, 1.0)
+ROWS, EXECUTIONS = 400, 30
+
+
+def walks(*, away: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A robot and somebody who walks at up to 1.5 m/s, ten times a second: TCP and operator (N, 3), execution (N,)."""
+    rng = np.random.default_rng(0)
+    t = np.arange(ROWS) / 10
+    robots, humans = [], []
+    for _ in range(EXECUTIONS):
+        phase = rng.uniform(0, 6.3, 6)
+        robots.append(np.stack([0.5 * np.sin(t + phase[0]), 0.4 * np.sin(0.7 * t + phase[1]), 0.2 + 0 * t], axis=1))
+        x = 0.6 + 1.6 * np.sin(0.5 * t + phase[2]) + 0.5 * np.sin(1.1 * t + phase[3])
+        y = 1.4 * np.sin(0.45 * t + phase[4]) + 0.5 * np.sin(0.9 * t + phase[5])
+        human = np.stack([x, y, 0.2 + 0 * t], axis=1)
+        human[: ROWS // 4 if away else 0] = np.nan
+        humans.append(human)
+    return np.concatenate(robots), np.concatenate(humans), np.repeat(np.arange(EXECUTIONS), ROWS)
+
+
+def rows_by(step: Any, *, margin_m: float = 0.0, noise_m: float = 0.0, away: bool = False) -> RuleRows:
+    """Rows of which `step(robot, human, margin)` is the commanded level, with a hysteresis of `margin_m`."""
+    robot, human, execution = walks(away=away)
+    level = step(robot, human, 0.0)
+    outer = step(robot, human, margin_m)
+    for row in range(1, len(level)):
+        if execution[row] == execution[row - 1]:
+            level[row] = np.clip(level[row - 1], outer[row], level[row])
+    noise = np.random.default_rng(1).normal(0.0, noise_m, human.shape)
+    return RuleRows.made(robot, human + noise, level, execution)
+
+
+def apart(robot: np.ndarray, human: np.ndarray) -> np.ndarray:
+    return np.asarray(np.nan_to_num(np.linalg.norm(robot - human, axis=1), nan=np.inf))
+
+
+def by_distance(robot: np.ndarray, human: np.ndarray, margin_m: float) -> np.ndarray:
+    return np.searchsorted(np.array([0.7, 1.2]) + margin_m, apart(robot, human), side="left")
+
+
+def in_box(human: np.ndarray, margin_m: float, degrees: float = 0.0) -> np.ndarray:
+    turn = np.deg2rad(degrees)
+    u = human[:, 0] * np.cos(turn) + human[:, 1] * np.sin(turn)
+    v = human[:, 1] * np.cos(turn) - human[:, 0] * np.sin(turn)
+    inside = (u > 0.1 - margin_m) & (u < 1.3 + margin_m)
+    return np.asarray(inside & (v > -0.6 - margin_m) & (v < 0.7 + margin_m))
+
+
+def by_box(_robot: np.ndarray, human: np.ndarray, margin_m: float) -> np.ndarray:
+    return np.where(in_box(human, margin_m), 1, 2)
+
+
+def by_turned_box(_robot: np.ndarray, human: np.ndarray, margin_m: float) -> np.ndarray:
+    return np.where(in_box(human, margin_m, 25.0), 0, 2)
+
+
+def by_either(robot: np.ndarray, human: np.ndarray, margin_m: float) -> np.ndarray:
+    return np.where(
+        in_box(human, margin_m),
+        np.minimum(1, by_distance(robot, human, margin_m)),
+        np.where(apart(robot, human) < 0.7 + margin_m, 0, 2),
+    )
+
+
+def presence(_robot: np.ndarray, human: np.ndarray, _margin_m: float) -> np.ndarray:
+    return np.where(np.isnan(human[:, 0]), 2, 1)
+
+
+def thresholds(found: Any) -> list[float]:
+    return [metres.value for metres in quantities(found.rule.limits).values()]
+
+
+def test_presence_is_the_simplest_rule() -> None:
+    found = find_rule(rows_by(presence, away=True), LEVELS)
+    assert found.rule is not None
+    assert (found.rule.family, found.rule.explained, list(found.explained)) == ("presence", 1.0, ["presence"])
+    assert sentences(found.rule) == ["speed 50 % when the operator is in the cell", "speed 100 % otherwise"]
+
+
+def test_a_distance_is_named_with_its_thresholds_and_intervals() -> None:
+    found = find_rule(rows_by(by_distance), LEVELS)
+    assert found.rule is not None
+    assert (found.rule.family, found.rule.hysteresis) == (TO_TCP, False)
+    assert thresholds(found) == pytest.approx([0.7, 1.2], abs=0.005)
+    for metres, truth in zip(quantities(found.rule.limits).values(), (0.7, 1.2), strict=True):
+        assert metres.low is not None
+        assert metres.high is not None
+        assert metres.low <= truth <= metres.high < metres.low + 0.02
+    assert sentences(found.rule)[0].startswith("stop (speed 0 %) when the operator is nearer than 0.70")
+
+
+def test_hysteresis_has_two_thresholds_and_not_their_middle() -> None:
+    found = find_rule(rows_by(by_distance, margin_m=0.15), LEVELS)
+    assert found.rule is not None
+    assert (found.rule.family, found.rule.hysteresis) == (TO_TCP, True)
+    assert thresholds(found) == pytest.approx([0.7, 0.85, 1.2, 1.35], abs=0.01)
+    assert "; faster again when the operator is farther than 1.3" in sentences(found.rule)[1]
+
+
+@pytest.mark.parametrize(
+    ("step", "degrees", "margin_m"), [(by_box, 0.0, 0.0), (by_box, 0.0, 0.1), (by_turned_box, 25.0, 0.0)]
+)
+def test_a_rectangle_is_named_by_its_corners(step: Any, degrees: float, margin_m: float) -> None:
+    found = find_rule(rows_by(step, margin_m=margin_m), LEVELS)
+    assert found.rule is not None
+    assert found.rule.family == ("turned rectangle on the floor" if degrees else "rectangle on the floor")
+    assert found.rule.hysteresis == (margin_m > 0)
+    (limit,) = found.rule.limits
+    turn = np.deg2rad(degrees)
+    for region, by_m in ((limit.within, 0.0), (limit.until, margin_m)):
+        if region is None:
+            continue
+        frame = [
+            (0.1 - by_m, -0.6 - by_m),
+            (1.3 + by_m, -0.6 - by_m),
+            (1.3 + by_m, 0.7 + by_m),
+            (0.1 - by_m, 0.7 + by_m),
+        ]
+        truth = [(u * np.cos(turn) - v * np.sin(turn), u * np.sin(turn) + v * np.cos(turn)) for u, v in frame]
+        seen = corners(region.rectangles[0])
+        assert seen is not None
+        assert max(min(np.hypot(x - a, y - b) for x, y in seen) for a, b in truth) < 0.03
+
+
+def test_a_rectangle_and_a_distance_are_told_apart() -> None:
+    found = find_rule(rows_by(by_either), LEVELS)
+    assert found.rule is not None
+    assert found.rule.family == f"{TO_TCP}, or rectangle on the floor"
+    stop, half = found.rule.limits
+    assert stop.within.nearer[0].metres.value == pytest.approx(0.7, abs=0.01)
+    assert not stop.within.rectangles
+    assert not half.within.nearer
+    assert np.array(corners(half.within.rectangles[0])) == pytest.approx(
+        np.array([(0.1, -0.6), (1.3, -0.6), (1.3, 0.7), (0.1, 0.7)]), abs=0.03
+    )
+
+
+def test_noise_is_no_hysteresis_and_moves_no_threshold() -> None:
+    found = find_rule(rows_by(by_distance, noise_m=0.05), LEVELS)
+    assert found.rule is not None
+    assert (found.rule.family, found.rule.hysteresis) == (TO_TCP, False)
+    assert found.rule.explained < 0.99
+    assert thresholds(found) == pytest.approx([0.7, 1.2], abs=0.015)
+
+
+def test_what_no_rule_explains_is_left_to_the_network() -> None:
+    rows = rows_by(lambda _robot, human, _margin: np.where(np.sin(4 * human[:, 0]) * np.sin(4 * human[:, 1]) > 0, 0, 2))
+    found = find_rule(rows, LEVELS, network=rows.level)
+    assert found.rule is None
+    assert found.network == 1.0
+    assert verdict(found).startswith("no simple rule explains the commanded level; best: ")
+
+
+def test_the_nearest_link_is_as_far_as_its_nearest_point() -> None:
+    points = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]] * 3)
+    human = np.array([[0.5, 0.0, 1.5], [0.0, 2.0, 0.5], [3.0, 0.0, 1.0]])
+    assert to_links(points, human).tolist() == pytest.approx([0.5, 2.0, 2.0])
+    assert FAMILIES[TO_LINK].uses == (TO_LINK,)
+
+
+def test_simpler_kinds_come_first() -> None:
+    mixed = [family.mixed for family in FAMILIES.values()]
+    assert all(first <= second for first, second in pairwise(mixed))
+    assert next(iter(FAMILIES)) == "presence"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from cyclekit.scaling.ways import Hold, Rates, Way, fresh, holds_of, repeats, tolerance_of, ways_of
+from cyclekit.scaling.ways import Hold, Rates, Way, begin_of, fresh, holds_of, repeats, tolerance_of, ways_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -101,12 +101,13 @@ def _commands(t_s: Vector, scaling: Vector, levels: Vector, rates: Rates) -> lis
     holds = holds_of(t_s, scaling, levels, near, rates)
     found = [_Command(-np.inf, *anything)]
     ways = ways_of(scaling, holds, near)
+    leads_on = {way.first for way in ways}
     both: list[Hold | Way] = [*holds, *ways]
     for what in sorted(both, key=lambda one: (one.first, isinstance(one, Hold))):
         if isinstance(what, Hold):
             found += [_Command(float(t_s[what.first]), *(what.level,) * 3)] if found[-1].level != what.level else []
             after = what.last + 1
-            if after < len(t_s) and not any(way.first == after for way in ways):
+            if after < len(t_s) and after not in leads_on:
                 found.append(_Command(float(t_s[what.last]) + 1e-9, *anything))
         else:
             found += _on_the_way(what, t_s, scaling, levels, near, rates)
@@ -157,26 +158,3 @@ def _on_the_way(way: Way, t_s: Vector, scaling: Vector, levels: Vector, near: fl
         )
         for since, level in zip(begin, next_one[new].tolist(), strict=True)
     ]  # fmt: skip
-
-
-def begin_of(way: Way, t_s: Vector, scaling: Vector, levels: Vector, rate: float | None) -> float:
-    """Return when a way begins, seconds: where its ramp leaves the level, else half way between two rows.
-
-    Args:
-        way: One of `ways_of`.
-        t_s: Time, shape (T,), seconds.
-        scaling: Shape (T,).
-        levels: Shape (P,), ascending.
-        rate: Change of the scaling per second; None: it jumps.
-    """
-    left_s = float(t_s[max(way.first - 1, 0)])
-    if way.before is None:
-        return left_s
-    if way.last < way.first or rate is None:
-        reached_s = float(t_s[min(way.first, len(t_s) - 1)])
-        step = 0.0 if rate is None or way.after is None else abs(levels[way.after] - levels[way.before]) / rate
-        return 0.5 * (left_s + max(left_s, reached_s - step))
-    rows = slice(way.first, way.last + 1)
-    gone = np.abs(scaling[rows] - levels[way.before])
-    soon = gone <= max(0.5, float(gone[0]) + 1e-9)
-    return float(np.median(t_s[rows][soon] - gone[soon] / rate))

@@ -207,3 +207,26 @@ def _turns(values: Vector, turn: float) -> list[int]:
 def _back(values: Vector) -> float:
     """Return by how much values that should rise fall."""
     return float((np.maximum.accumulate(values) - values).max(initial=0.0))
+
+
+def begin_of(way: Way, t_s: Vector, scaling: Vector, levels: Vector, rate: float | None) -> float:
+    """Return when a way begins, seconds: where its ramp leaves the level, else half way between two rows.
+
+    Args:
+        way: One of `ways_of`.
+        t_s: Time, shape (T,), seconds.
+        scaling: Shape (T,).
+        levels: Shape (P,), ascending.
+        rate: Change of the scaling per second; None: it jumps.
+    """
+    left_s = float(t_s[max(way.first - 1, 0)])
+    if way.before is None:
+        return left_s
+    if way.last < way.first or rate is None:
+        reached_s = float(t_s[min(way.first, len(t_s) - 1)])
+        step = 0.0 if rate is None or way.after is None else abs(levels[way.after] - levels[way.before]) / rate
+        return 0.5 * (left_s + max(left_s, reached_s - step))
+    rows = slice(way.first, way.last + 1)
+    gone = np.abs(scaling[rows] - levels[way.before])
+    soon = gone <= max(0.5, float(gone[0]) + 1e-9)
+    return float(np.median(t_s[rows][soon] - gone[soon] / rate))

@@ -164,8 +164,9 @@ def _finish(
     labels = label_in_time(seen, levels, stretch, plateaus=plateaus)
     known = int(np.isfinite(values).sum())
     share = np.bincount(labels[labels >= 0], minlength=levels.size) / max(known, 1)
-    held = float(plateaus.samples.sum()) / max(known, 1)
-    said, stairs = doubts(levels, share, found.spread, known=known, held=held, noise=plateaus.noise)
+    held = float(plateaus.samples.sum()) / max(known - plateaus.on_ramp, 1)
+    parts = plateaus.on_ramp / max(known, 1), plateaus.varied / max(known, 1)
+    said, stairs = doubts(levels, share, found.spread, known=known, held=held, noise=plateaus.noise, slopes=parts)
     if slider is not None:
         each = ", ".join(f"{value:.2f}" for value in np.unique(np.round(slider[np.isfinite(slider)], 2))[:8])
         said.append(note("levels-with-slider", sliders=each))

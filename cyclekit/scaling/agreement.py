@@ -30,6 +30,8 @@ LEAST, LEAST_KIND = 20, 5
 """Fewer changes in all, or of one kind, say nothing."""
 AGREE_M = 0.04
 """Places agree if half of them are within this of where the others of their kind are."""
+LEAST_M = 0.01
+"""A hysteresis of less is the error of its reading."""
 _SHARE = 0.4
 """Of the changes of one kind so many must share a distance: a zone may cause the others."""
 _AROUND = 8
@@ -176,4 +178,6 @@ def _lag(apart: Vector, kind: Kinds) -> float | None:
         for step in np.unique(kind // 2).tolist()
         if (kind == 2 * step).sum() >= LEAST_KIND and (kind == 2 * step + 1).sum() >= LEAST_KIND
     ]
-    return max(0.0, float(np.median(lag))) if lag else None
+    if not lag:
+        return None
+    return float(np.median(lag)) if np.median(lag) >= LEAST_M else 0.0

@@ -26,6 +26,9 @@ UNKNOWN = -1
 _SLOWER = 1.5
 """A way that takes so many times as long as its ramp, and _STALLS_S more, heads for nothing that is known."""
 _STALLS_S = 0.3
+_SURE_S = 0.3
+"""So soon after a ramp to the next level has begun, and so shortly before it ends there, that level is the command; in
+between a slow ramp may have headed for a farther one."""
 
 
 class Response(Protocol):
@@ -150,7 +153,7 @@ def _on_the_way(way: Way, t_s: Vector, scaling: Vector, levels: Vector, near: fl
     begin = times[new].tolist()
     begin[0] = begins_s
     edge = top if way.rises else 0
-    return [
+    found = [
         _Command(
             since, level if level in {edge, way.after} else UNKNOWN,
             level if way.rises else (level if level == way.after else 0),
@@ -158,3 +161,20 @@ def _on_the_way(way: Way, t_s: Vector, scaling: Vector, levels: Vector, near: fl
         )
         for since, level in zip(begin, next_one[new].tolist(), strict=True)
     ]  # fmt: skip
+    if way.after is None or way.after == edge or found[-1].level != way.after:
+        return found
+    return [
+        *found[:-1],
+        *_last_part(found[-1], top, rises=way.rises, whole=len(found) == 1, reached_s=float(times[-1])),
+    ]
+
+
+def _last_part(last: _Command, top: int, *, rises: bool, whole: bool, reached_s: float) -> list[_Command]:
+    """Return what the last part of a way to a level tells: if it takes long, the command may have lain farther on."""
+    if reached_s - last.since_s <= 2 * _SURE_S:
+        return [last]
+    level = last.level
+    hidden = _Command(last.since_s, UNKNOWN, level if rises else 0, top if rises else level)
+    if not whole:
+        return [hidden, last._replace(since_s=reached_s - _SURE_S)]
+    return [last, hidden._replace(since_s=last.since_s + _SURE_S), last._replace(since_s=reached_s - _SURE_S)]

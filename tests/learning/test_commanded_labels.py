@@ -31,7 +31,7 @@ def test_samples_on_slow_ramps_are_on_the_level_that_was_commanded():
     response = DynamicsCard(latency_s=0.3, ramp_down_per_s=1.0, ramp_up_per_s=0.1)
     found = with_commands(logged(response), frame, LEVELS)["scaling"].fill_null(np.nan).to_numpy()
     known = np.isfinite(found)
-    assert known.mean() > 0.7
+    assert known.mean() > 0.5
     assert (found[known] == np.asarray(LEVELS)[level[known]]).mean() > 0.98
     before = np.isin(frame["scaling"].to_numpy(), LEVELS)
     assert (frame["scaling"].to_numpy()[before] == np.asarray(LEVELS)[level[before]]).mean() < 0.96  # answered late

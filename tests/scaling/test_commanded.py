@@ -24,7 +24,7 @@ def test_the_command_is_read_back_through_ramps_and_reaction_time(rate_hz: int, 
     found = commanded_levels(t_s, scaling, LEVELS, response(round(latency_s * rate_hz) / rate_hz, 1.0, up))
     known = found.level >= 0
     changes = 1 + np.count_nonzero(np.diff(level))
-    assert known.mean() > 0.6
+    assert known.mean() > 0.4
     assert (found.level[known] != level[known]).sum() <= 2 * changes  # a row or two where one ends
     assert ((found.at_least > level) | (found.at_most < level)).sum() <= 2 * changes
 
@@ -63,3 +63,12 @@ def test_an_unknown_scaling_tells_nothing():
     assert (found.level[scaling == 0.5] == 2).all()
     assert (found.level[np.isnan(scaling)] == -1).all()
     assert (found.at_most[np.isnan(scaling)] == 4).all()
+
+
+def test_a_slow_ramp_may_have_headed_farther_than_where_it_ends():
+    level = np.repeat([2, 4, 3, 2], [200, 150, 300, 100])  # walks out, and half way back before the robot is at 75 %
+    scaling = followed(level, 100, 0.0, 1.0, 0.1)
+    found = commanded_levels(np.arange(len(level)) / 100, scaling, LEVELS, response(None, 1.0, 0.1))
+    assert (found.level[250:400] == -1).all()
+    assert (found.at_least[250:400] == 3).all()
+    assert (found.level[430:640] == 3).all()

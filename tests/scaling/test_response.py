@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,6 +20,7 @@ from cyclekit.scaling.response import Changes, LevelChange, changes_of, rate_of,
 if TYPE_CHECKING:
     from simulated_cells import Cells
 
+SAMPLES = Path(os.environ.get("CYCLEKIT_SAMPLES", "absent")) / "cnr-override"
 SLOW = {"latency_s": 0.2, "ramp_down_per_s": 2.5, "ramp_up_per_s": 1.0, "hysteresis_m": 0.1}
 
 
@@ -153,3 +157,17 @@ def test_a_hold_time_is_what_the_robot_speeds_up_later_than_it_slows_down():
     found = read_response([Changes.of(changes, t_s, robot_m, away)])
     assert found.hold_s == pytest.approx(0.4, abs=0.03)
     assert found.latency_s == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.skipif(not SAMPLES.is_dir(), reason="CYCLEKIT_SAMPLES names no folder")
+def test_the_override_of_a_research_cell_has_three_levels_and_two_rates():
+    log = pl.read_csv(SAMPLES / "ovr_monitoring_safety_area.csv")
+    t_s, override = log["Timestamp"].to_numpy(), log["Safe_Ovr"].to_numpy() / 100
+    silent = np.diff(t_s) > 0.5
+    found = find_staircase(override, run=np.cumsum(np.append(False, silent)), rate_hz=30)
+    assert found.levels == pytest.approx((0.0, 0.5, 1.0), abs=0.001)
+    assert (found.is_staircase, found.warnings) == (True, ())
+    parts = zip(np.split(t_s, np.flatnonzero(silent) + 1), np.split(override, np.flatnonzero(silent) + 1), strict=True)
+    changes = [change for part_s, part in parts for change in changes_of(part_s, part, found.levels.tolist())]
+    down, up = (rate_of([change for change in changes if change.rises is rises]) for rises in (False, True))
+    assert (down, up) == pytest.approx((1.0, 0.1), rel=0.01)

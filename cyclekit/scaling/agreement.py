@@ -45,7 +45,7 @@ _SHARPER = 0.6
 
 
 @dataclass(frozen=True)
-class Seen:
+class PlacesBefore:
     """Where TCP and operator were, at each time before N changes.
 
     Attributes:
@@ -61,7 +61,7 @@ class Seen:
     samples: int
 
     @classmethod
-    def before(cls, begin_s: Vector, kind: Kinds, t_s: Vector, robot_m: Points, human_m: Points) -> Seen:
+    def before(cls, begin_s: Vector, kind: Kinds, t_s: Vector, robot_m: Points, human_m: Points) -> PlacesBefore:
         """Look up the places before changes that began at `begin_s` (N,), s, in samples at `t_s` (M,), s."""
         apart = np.linalg.norm(robot_m - in_plane(robot_m, human_m), axis=1) if len(t_s) else np.empty(0)
         known = np.isfinite(apart)
@@ -90,7 +90,7 @@ class Agreement:
     spread_m: float
 
 
-def agreement_of(seen: Sequence[Seen]) -> Agreement | None:
+def agreement_of(seen: Sequence[PlacesBefore]) -> Agreement | None:
     """Return at which reaction time the places agree; None where there are too few."""
     kind = np.concatenate([np.empty(0, np.int64), *(mine.kind for mine in seen)])
     if len(kind) < LEAST or sum(mine.samples for mine in seen) < LEAST:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from cyclekit.scaling.ways import Hold, Rates, Way, begin_of, fresh, holds_of, repeats, tolerance_of, ways_of
+from cyclekit.scaling.ways import Hold, RampRates, Way, begin_of, fresh, holds_of, repeats, tolerance_of, ways_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,13 +90,13 @@ def commanded_levels(
     if len(steps) == 0 or len(time) < 3:
         none = np.full(at.shape, UNKNOWN, np.int32)
         return CommandedLevels(none, np.zeros_like(none), np.full_like(none, len(steps) - 1))
-    commands = _commands(time, values, steps, Rates(response.ramp_down_per_s, response.ramp_up_per_s))
+    commands = _commands(time, values, steps, RampRates(response.ramp_down_per_s, response.ramp_up_per_s))
     since, level, lowest, highest = (np.array(part) for part in zip(*commands, strict=True))
     row = np.searchsorted(since, at + (response.latency_s or 0.0), side="right") - 1
     return CommandedLevels(*(part[row].astype(np.int32) for part in (level, lowest, highest)))
 
 
-def _commands(t_s: Vector, scaling: Vector, levels: Vector, rates: Rates) -> list[_Command]:
+def _commands(t_s: Vector, scaling: Vector, levels: Vector, rates: RampRates) -> list[_Command]:
     """Return the commands in the order in which they are obeyed, the first one from ever on."""
     rows = fresh(scaling, repeats(t_s, scaling))
     t_s, scaling, end_s = t_s[rows], scaling[rows], float(t_s[-1])
@@ -126,7 +126,9 @@ def _in_time(commands: Sequence[_Command]) -> list[_Command]:
     return [command._replace(since_s=float(begin)) for command, begin in zip(commands, since, strict=True)]
 
 
-def _on_the_way(way: Way, t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: Rates) -> list[_Command]:
+def _on_the_way(
+    way: Way, t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: RampRates
+) -> list[_Command]:
     """Return what a way tells: of each level that it passes, that the command lies beyond."""
     rate, top = rates.of(rises=way.rises), len(levels) - 1
     begins_s = begin_of(way, t_s, scaling, levels, rate)

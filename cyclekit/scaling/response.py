@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.scaling.agreement import LATENCIES_S, Agreement, Seen, agreement_of
-from cyclekit.scaling.ways import Rates, begin_of, fresh, holds_of, repeats, tolerance_of, ways_of
+from cyclekit.scaling.agreement import LATENCIES_S, Agreement, PlacesBefore, agreement_of
+from cyclekit.scaling.ways import RampRates, begin_of, fresh, holds_of, repeats, tolerance_of, ways_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -101,7 +101,7 @@ def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[Le
     rows = fresh(scaling, repeats(t_s, scaling))
     t_s, scaling = t_s[rows], scaling[rows]
     near = tolerance_of(scaling, steps)
-    ways = ways_of(scaling, holds_of(t_s, scaling, steps, near, Rates()), near)
+    ways = ways_of(scaling, holds_of(t_s, scaling, steps, near, RampRates()), near)
     slopes = [_slope(way, t_s, scaling) for way in ways]
     usual = {
         rises: _usual([slope for way, slope in zip(ways, slopes, strict=True) if way.rises is rises and slope[0]])
@@ -151,7 +151,7 @@ def _usual(slopes: Sequence[tuple[float | None, float]]) -> float | None:
     """Return the rate at which most of the change happens; ways that stop on the way are slower and left out.
 
     Args:
-        slopes: Rates, and the change that happened at each.
+        slopes: RampRates, and the change that happened at each.
     """
     told = [(rate, weight) for rate, weight in slopes if rate]
     if len(told) < LEAST_RAMPS:
@@ -201,7 +201,7 @@ class Changes:
     """
 
     changes: list[LevelChange]
-    seen: Seen
+    seen: PlacesBefore
 
     @classmethod
     def of(
@@ -220,7 +220,7 @@ class Changes:
         told = left[:: max(1, -(-len(left) // most))]
         kind = np.array([2 * change.step + change.rises for change in told], np.int64)
         begin_s = np.array([change.t_s for change in told])
-        return cls(list(changes), Seen.before(begin_s, kind, t_s, robot_m, human_m))
+        return cls(list(changes), PlacesBefore.before(begin_s, kind, t_s, robot_m, human_m))
 
 
 def read_response(seen: Sequence[Changes]) -> SafetyResponse:

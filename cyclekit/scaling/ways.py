@@ -57,7 +57,7 @@ class Way(NamedTuple):
     last: int
 
 
-class Rates(NamedTuple):
+class RampRates(NamedTuple):
     """Fastest fall and rise of the scaling per second; None: it jumps, or is not known."""
 
     down_per_s: float | None = None
@@ -102,7 +102,7 @@ def tolerance_of(scaling: Vector, levels: Vector) -> float:
     return min(max(ON_LEVEL, _SIGMAS * noise_of(known)), apart / 4) + 1e-9
 
 
-def holds_of(t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: Rates) -> list[Hold]:
+def holds_of(t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: RampRates) -> list[Hold]:
     """Return where the levels are held.
 
     Args:

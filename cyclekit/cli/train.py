@@ -49,6 +49,12 @@ def train(
         Literal["auto", "positions", "distance"],
         typer.Option(help="distance: the network sees it as well; auto: for problem now."),
     ] = "auto",
+    target: Annotated[
+        Literal["auto", "commanded", "logged"],
+        typer.Option(
+            help="For now: the level that is headed for, or the scaling as logged (the paper's); auto: the level."
+        ),
+    ] = "auto",
     optimiser: Annotated[
         Literal["auto", "muon", "adamw"],
         typer.Option(help="Optimiser; auto: muon where it was measured better."),
@@ -87,6 +93,7 @@ def train(
 
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     inputs: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}
+    inputs["target"] = target
     spec = ModelSpec.of(problem, network, horizon_s, norm=norm, seed=seed, **inputs)
     with terminal.progress("training") as progress:
         if chosen is None:

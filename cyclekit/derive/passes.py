@@ -26,7 +26,7 @@ from cyclekit.people.activity import operator_places
 from cyclekit.people.silence import absences
 from cyclekit.scaling.levels import Staircase, find_staircase
 from cyclekit.scaling.of_runs import with_scaling
-from cyclekit.scaling.response import MOST, SafetyResponse, read_dynamics
+from cyclekit.scaling.response import MOST, SafetyResponse, read_response
 from cyclekit.segmentation.arrivals import Stands, stands_of
 from cyclekit.segmentation.dwell import Dwell, usual_dwells
 from cyclekit.segmentation.executions import Execution, find_executions, find_visits
@@ -159,7 +159,7 @@ def _finished(
         human_places=spots,
         levels=levels,
         origin=" and ".join(sorted({name for one in some for name in one.origins}, reverse=True)) or None,
-        dynamics=read_dynamics(changes),
+        dynamics=read_response(changes),
         warnings=[*robot.warnings, *(staircase.warnings if some or not made else [])],
     )
 

@@ -9,7 +9,6 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
-from cyclekit.dataset.unknown_height import in_plane
 from cyclekit.derive.sample_file import AT_ONCE, write_samples
 from cyclekit.people.activity import Stays, with_goals
 from cyclekit.people.tracks import goals_from_stays
@@ -65,16 +64,16 @@ def finish(
         folder: Where the files of samples lie.
     """
     times: list[Vector] = [np.empty(0)]
-    apart: list[Vector] = [np.empty(0)]
+    places: list[Vector] = [np.empty((0, 6))]
     counts = [len(one.label) for one in left]
     if sum(counts):
         file = folder / f"{left[0].part}.parquet"
         made = file.with_suffix(".part")
-        write_samples(_completed(file, left, spots, times, apart), made)
+        write_samples(_completed(file, left, spots, times, places), made)
         made.replace(file)  # whoever does this again finds the one or the other
     ends = np.cumsum(counts)[:-1]
-    each = zip(left, np.split(np.concatenate(times), ends), np.split(np.concatenate(apart), ends), strict=True)
-    return [Changes.seen(_changes(one, levels), t_s, apart_m, most_changes) for one, t_s, apart_m in each]
+    each = zip(left, np.split(np.concatenate(times), ends), np.split(np.concatenate(places), ends), strict=True)
+    return [Changes.of(_changes(one, levels), t_s, at[:, :3], at[:, 3:], most_changes) for one, t_s, at in each]
 
 
 def _changes(left: Left, levels: Sequence[float]) -> list[LevelChange]:
@@ -85,9 +84,9 @@ def _changes(left: Left, levels: Sequence[float]) -> list[LevelChange]:
 
 
 def _completed(
-    file: Path, left: Sequence[Left], spots: Mapping[str, Place], times: list[Vector], apart: list[Vector]
+    file: Path, left: Sequence[Left], spots: Mapping[str, Place], times: list[Vector], places: list[Vector]
 ) -> Iterator[pl.DataFrame]:
-    """Yield the samples with goals and levels, in parts; add their times and how far operator and TCP are apart."""
+    """Yield the samples with goals and levels, in parts; add their times and where TCP and operator are, (N, 6)."""
     goals = [goal for one in left for goal in _goals(one, spots)]
     labels = np.concatenate([one.label for one in left])
     ends = np.cumsum([len(one.label) for one in left])
@@ -104,9 +103,8 @@ def _completed(
         samples = _with_absence(samples, until_s[whose], from_s[whose])
         done = with_goals(samples, mine, spots)
         done = schema.conform(done.with_columns(step=pl.when(step >= 0).then(step)), schema.SAMPLES)
-        robot, human = (done.select(f"{who}_{axis}_m" for axis in "xyz").to_numpy() for who in ("robot", "human"))
         times.append(done["t_s"].to_numpy())
-        apart.append(np.linalg.norm(robot - in_plane(robot, human), axis=1))
+        places.append(done.select(f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz").to_numpy())
         yield done
 
 

@@ -91,12 +91,14 @@ class Dynamics:
         latency_s: From positions to the scaling that answers to them.
         ramp_down_per_s, ramp_up_per_s: Fastest fall and rise of s.
         hysteresis_m: How much farther away the operator must be for s to rise than for it to fall.
+        hold_s: How long s must have been allowed to rise before it does.
     """
 
     latency_s: float | None = None
     ramp_down_per_s: float | None = None
     ramp_up_per_s: float | None = None
     hysteresis_m: float | None = None
+    hold_s: float | None = None
 
     @classmethod
     def of(cls, card: DynamicsCard) -> Dynamics:
@@ -172,6 +174,7 @@ class Follower:
         self._written = model if isinstance(model, Written) else None
         self._classifier = model if isinstance(model, Classifier) and names_levels(model.network) else None
         self._delay = round((dynamics.latency_s or 0.0) / step_s)
+        self._recent: deque[Vector] = deque(maxlen=1 + round((dynamics.hold_s or 0.0) / step_s))
         self._asked = np.empty(0)
         self._seen: deque[Vector] = deque()
         self._held: Vector | None = None
@@ -184,7 +187,8 @@ class Follower:
 
     def go_on(self) -> Vector:
         """Return s (N,) of one more step for the positions that were told last."""
-        self._seen.append(self._asked)
+        self._recent.append(self._asked)
+        self._seen.append(np.min(self._recent, axis=0) if len(self._recent) > 1 else self._asked)
         wanted = self._seen.popleft() if len(self._seen) > self._delay else self._seen[0]
         if self._s is not None:
             down, up = self._dynamics.ramp_down_per_s, self._dynamics.ramp_up_per_s
@@ -197,6 +201,7 @@ class Follower:
     def keep(self, going: Bools) -> None:
         """Leave the other rows out from now on."""
         self._seen, self._asked = deque(wanted[going] for wanted in self._seen), self._asked[going]
+        self._recent = deque((wanted[going] for wanted in self._recent), self._recent.maxlen)
         self._s, self._held = (None if part is None else part[going] for part in (self._s, self._held))
 
     def _wanted(self, robot_m: Floats, human_m: Floats) -> Vector:

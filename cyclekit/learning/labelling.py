@@ -12,12 +12,18 @@ import numpy as np
 import polars as pl
 
 from cyclekit.dataset.time_grid import stretches
+from cyclekit.scaling.commanded import commanded_levels
 from cyclekit.scaling.levels import Staircase, find_staircase
 
 if TYPE_CHECKING:
-    from cyclekit.dataset.cards import Note
+    from collections.abc import Sequence
+
+    from cyclekit.dataset.cards import DynamicsCard, Note, TrainingCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Floats, Ints
+
+LEAST_LATENCY_S = 0.03
+"""A shorter reaction time than this is no more than its own error."""
 
 
 def scaling_in_time(frame: pl.DataFrame, rate_hz: float) -> tuple[Floats, Ints]:
@@ -45,6 +51,43 @@ def without_slider(dataset: Dataset, frame: pl.DataFrame) -> tuple[pl.DataFrame,
         return frame, None
     said = next(one for one in found.warnings if one.code == "levels-with-slider")
     return frame.with_columns(scaling=pl.col("scaling") / pl.Series(found.slider).fill_nan(None)), said
+
+
+def with_commands(dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float]) -> pl.DataFrame:
+    """Return the rows with the scaling that the safety system headed for instead of the one that followed late.
+
+    Args:
+        dataset: Whose rows; its response is undone.
+        frame: Rows of SAMPLES, those of one execution together and in order of time.
+        levels: Of the scaling, ascending.
+
+    Returns:
+        The rows; null where a ramp hides the command, or the log ends before the answer. `frame` itself where nothing
+        of a response was read.
+    """
+    response = dataset.card.dynamics
+    if not follows_late(response) or len(levels) < 2:
+        return frame
+    scaling, run = scaling_in_time(frame, dataset.rate_hz)
+    time, values = frame["t_s"].to_numpy(), np.append(levels, np.nan)
+    ends = np.flatnonzero(np.diff(run)) + 1
+    parts = [
+        values[commanded_levels(t_s, s, levels, response).level]
+        for t_s, s in zip(np.split(time, ends), np.split(scaling, ends), strict=True)
+    ]
+    return frame.with_columns(scaling=pl.Series(np.concatenate(parts), dtype=pl.Float64).fill_nan(None))
+
+
+def as_learned(card: TrainingCard, dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float]) -> pl.DataFrame:
+    """Return the rows with the scaling that a model learned: the commanded one, or as it was logged."""
+    commanded = card.spec is not None and card.spec.target == "commanded"
+    return with_commands(dataset, frame, levels) if commanded else frame
+
+
+def follows_late(response: DynamicsCard) -> bool:
+    """Return whether the scaling was seen to follow the command late or in ramps."""
+    ramps = (response.ramp_down_per_s, response.ramp_up_per_s)
+    return (response.latency_s or 0.0) >= LEAST_LATENCY_S or any(ramps)
 
 
 def staircase_of(dataset: Dataset, frame: pl.DataFrame, method: str = "plateau") -> Staircase:

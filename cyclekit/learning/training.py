@@ -35,7 +35,13 @@ from cyclekit.dataset.time_grid import samples_in
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.extras import need
-from cyclekit.learning.labelling import scaling_in_time, staircase_of, without_slider
+from cyclekit.learning.labelling import (
+    follows_late,
+    scaling_in_time,
+    staircase_of,
+    with_commands,
+    without_slider,
+)
 from cyclekit.learning.networks.beaten import staircase_if_better
 from cyclekit.learning.networks.cell import cell_of, fingerprint
 from cyclekit.learning.networks.metrics import measure
@@ -104,6 +110,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
         else:
             found = _in_parts(dataset, spec, scratch.path, memory_rows())
         _check_learnable(dataset, found.learn, found.check, found.held_out, spec)
+        spec = replace(spec, target="commanded" if _commanded(dataset, spec, found.staircase) else "logged")
         fitted = fit(spec, found.learn, found.check, found.levels, progress, known=found.known)
         made = (spec.problem, spec.network, spec.horizon_s, found.levels, fitted.weights)
         model = TrainedModel(*made, history=spec.history or (1, 1))
@@ -172,6 +179,8 @@ def _in_memory(dataset: Dataset, spec: ModelSpec) -> _Rows:
     staircase = _staircase(dataset, seen, spec)
     levels = _rounded(staircase)
     known = groups_seen_both_ways(everything.of(split.train), enough)
+    if _commanded(dataset, spec, staircase):
+        frame = with_commands(dataset, frame, levels)
     rows = _enough(dataset, frame, build(frame, levels=levels, allow=known))
     learn, check, held_out = (rows.of(part) for part in (split.train, split.validation, split.test))
     notes = (slider,) if slider else ()
@@ -196,19 +205,28 @@ def _in_parts(dataset: Dataset, spec: ModelSpec, folder: Path, most_rows: int) -
     levels = _rounded(staircase)
     _enough(dataset, seen, build(seen, levels=levels, allow=known))
 
+    def built(frame: pl.DataFrame) -> Samples:
+        frame = without_slider(dataset, frame)[0] if slider else frame
+        frame = with_commands(dataset, frame, levels) if _commanded(dataset, spec, staircase) else frame
+        return build(frame, levels=levels, allow=known)
+
     def rows(frame: pl.DataFrame) -> Samples:
-        found = build(without_slider(dataset, frame)[0] if slider else frame, levels=levels, allow=known)
+        found = built(frame)
         on_level = found.where(found.step >= 0) if spec.kind.names_levels else found
         return replace(on_level, dropped=found.dropped)
 
     learn = in_files((rows(frame) for frame in frames(dataset, split.train, min(PART_ROWS, most_rows))), folder)
-    check, held_out = (
-        build(without_slider(dataset, frame)[0] if slider else frame, levels=levels, allow=known)
-        for frame in (dataset.samples(split.validation), dataset.samples(split.test))
-    )
+    check, held_out = (built(dataset.samples(part)) for part in (split.validation, split.test))
     dropped = sum((Counter(part.dropped) for part in (learn, check, held_out)), Counter[str]())
     notes = (*((slider,) if slider else ()), note("learned-in-files", executions=len(some)))
     return _Rows(learn, check, held_out, split, staircase, levels, known, seen, notes, dict(dropped))
+
+
+def _commanded(dataset: Dataset, spec: ModelSpec, staircase: Staircase) -> bool:
+    """Return whether the network learns the commanded levels: where the scaling has levels and follows them late."""
+    if spec.problem != "now" or spec.target == "logged" or not staircase.is_staircase:
+        return False
+    return len(staircase.levels) > 1 and follows_late(dataset.card.dynamics)
 
 
 def _rounded(staircase: Staircase) -> tuple[float, ...]:
@@ -218,6 +236,7 @@ def _rounded(staircase: Staircase) -> tuple[float, ...]:
 def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: MetricsCard, beaten: list[Note]) -> TrainingCard:
     shares = zip(found.levels, found.staircase.share, strict=True)
     spec = fitted.spec
+    alone = with_commands(dataset, found.seen, found.levels) if spec.target == "commanded" else found.seen
     warnings = [
         *found.notes,
         *(note("model-data", text=text) for text in said_of_height(found.seen)),
@@ -243,7 +262,7 @@ def _card(dataset: Dataset, found: _Rows, fitted: Fitted, metrics: MetricsCard, 
         rate_hz=dataset.rate_hz,
         temperature=fitted.temperature,
         may_be_unknown=tuple(found.known),
-        scaling_without_operator=scaling_without_operator(found.seen),
+        scaling_without_operator=scaling_without_operator(alone),
         mean_scaling=float(found.learn.scaling.mean()),
         rows=RowsCard(train=len(found.learn), validation=len(found.check), test=len(found.held_out)),
         dropped=dict(found.dropped),

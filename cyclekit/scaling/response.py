@@ -1,57 +1,68 @@
-"""The safety function in time, read from the logs: how late it reacts, how fast it ramps, how much farther it lets go.
+"""The response of the safety system, read from the logs: reaction time, ramps, hysteresis, hold time.
 
-A change of level begins some latency after the operator has crossed a threshold. Which threshold is unknown, but it is
-the same each time: at the right latency the distances at which one level gives way to the next differ least. How steep
-a change is, is its ramp. Where distance does not decide (zones, presence) the distances never agree, and latency and
-hysteresis stay unknown.
+A way from one level towards another begins the reaction time after the operator has crossed a threshold, and is as
+steep as the ramp. Which threshold is unknown, but it is the same each time: at the right reaction time the places at
+which one level gives way to the next agree best. They agree in the distance, or on a line across the floor (the edge of
+a zone). Where neither holds, reaction time and hysteresis stay unknown. A robot that speeds up later than it slows down
+is held: the difference is the hold time.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from cyclekit.scaling.agreement import LATENCIES_S, Agreement, PlacesBefore, agreement_of
+from cyclekit.scaling.ways import RampRates, begin_of, fresh, holds_of, repeats, tolerance_of, ways_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
+    from cyclekit.scaling.ways import Way
 
-ON_LEVEL = 0.01
-"""A scaling so near to a level is on it."""
-HELD_S = 0.05
-"""A level holds if it lasts this long."""
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+
 RAMP_ROWS = 3
-"""A change over fewer rows is a jump."""
-LATEST_S, STEP_S = 1.0, 0.01
-"""Latencies up to this are tried, in such steps."""
-LATENCIES_S = np.arange(0.0, LATEST_S + STEP_S / 2, STEP_S)
-LEAST = 20
-"""Fewer changes say nothing."""
+"""A way of fewer rows between its levels has no slope; how many there are on average tells the rate."""
+JUMP_ROWS = 0.1
+"""With fewer rows between two levels on average the scaling jumps."""
+LEAST_RAMPS = 5
+"""Fewer ramps do not tell a rate."""
+_WHOLE = 0.85
+"""Changes from row to row of so much of a step are limited by the step and not by the rate."""
+SHORT_S = 1.0
+"""Ways without a slope are no longer."""
 MOST = 20_000
 """More changes say no more."""
-AGREE_M = 0.04
-"""Distances at which the level changes agree if half of them are within this of their median."""
+HOLD_S = 0.06
+"""A robot that speeds up later than it slows down by less than this is not held."""
 
 
 class LevelChange(NamedTuple):
-    """One change of level: when it began, the step below the threshold that was crossed, and how fast it went.
+    """One way from a level: when it began, the threshold that was crossed, and how fast it went.
 
     Attributes:
-        t_s: Session time at which the level was last held.
-        step: Index of the slower of the two levels between which the threshold lies.
+        t_s: Session time at which the scaling began to leave the level.
+        step: Index of the slower of the two levels between which the threshold lies; -1: it left no level.
         rises: The scaling rose.
-        rate_per_s: Its change over time; None = at once.
+        rate_per_s: Its change over time; None = too few rows to tell.
+        change: By how much it changed where that was seen.
+        way_s: How long it was between two levels, as its rows tell; None where it did not lead from one to another.
+        most_per_s: Its fastest change from one row to the next, where it has rows.
     """
 
     t_s: float
     step: int
     rises: bool
     rate_per_s: float | None
+    change: float = 0.0
+    way_s: float | None = None
+    most_per_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -59,11 +70,12 @@ class SafetyResponse:
     """What is visible of the safety function in time; None = not visible.
 
     Attributes:
-        latency_s: From the crossing of a threshold to the beginning of the change.
+        latency_s: Reaction time: from the crossing of a threshold to the beginning of the change.
         ramp_down_per_s, ramp_up_per_s: Change of the scaling per second; None also where it jumps.
         hysteresis_m: How much farther than where it slowed the robot speeds up again.
         changes: How many changes of level were seen.
-        spread_m: Median deviation of the distances at which levels change, at that latency.
+        spread_m: Median deviation of the places at which levels change, at that reaction time.
+        hold_s: How much later than it slows down the robot speeds up again; None: not later.
     """
 
     latency_s: float | None
@@ -72,105 +84,161 @@ class SafetyResponse:
     hysteresis_m: float | None
     changes: int
     spread_m: float | None
+    hold_s: float | None = None
 
 
 def changes_of(t_s: Vector, scaling: Vector, levels: Sequence[float]) -> list[LevelChange]:
-    """Return the changes of level of one unbroken stretch.
+    """Return the changes of level of one unbroken stretch, interrupted ones as well.
 
     Args:
         t_s: Time, shape (T,), native rate, seconds.
         scaling: Shape (T,), NaN = unknown.
         levels: Ascending.
     """
-    if len(levels) < 2 or len(t_s) < 3:
+    if len(levels) < 2 or len(t_s) < 3 or np.isnan(scaling).all():
         return []
-    values = np.asarray(levels)
-    nearest = np.searchsorted((values[1:] + values[:-1]) / 2, scaling).clip(max=len(values) - 1)
-    on = np.abs(scaling - values[nearest]) < ON_LEVEL
-    label = np.where(on, nearest, -1)
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [len(label)]])
-    held = [
-        (int(label[a]), a, b - 1)
-        for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-        if label[a] >= 0 and t_s[b - 1] - t_s[a] >= HELD_S
+    steps = np.asarray(levels, np.float64)
+    rows = fresh(scaling, repeats(t_s, scaling))
+    t_s, scaling = t_s[rows], scaling[rows]
+    near = tolerance_of(scaling, steps)
+    ways = ways_of(scaling, holds_of(t_s, scaling, steps, near, RampRates()), near)
+    slopes = [_slope(way, t_s, scaling) for way in ways]
+    usual = {
+        rises: _usual([slope for way, slope in zip(ways, slopes, strict=True) if way.rises is rises and slope[0]])
+        for rises in (False, True)
+    }
+    return [
+        _change(way, slope, t_s, scaling, steps, usual[way.rises], near)
+        for way, slope in zip(ways, slopes, strict=True)
     ]
-    found = []
-    for (before, _, left), (after, reached, _) in pairwise(held):
-        if before == after or t_s[reached] - t_s[left] > LATEST_S:
-            continue
-        rises, way = after > before, slice(left + 1, reached)
-        ramp = reached - left > RAMP_ROWS and np.isfinite(scaling[way]).all()
-        rate = abs(float(np.polyfit(t_s[way] - t_s[left], scaling[way], 1)[0])) if ramp else None
-        found.append(LevelChange(float(t_s[left]), before if rises else before - 1, rises, rate))
-    return found
+
+
+def _slope(way: Way, t_s: Vector, scaling: Vector) -> tuple[float | None, float]:
+    """Return the rate of a way, None where it has too few rows, and by how much it changes in them."""
+    first, last = way.first, way.last
+    if way.before is None or way.after is None:  # where it turns it may be level for a moment
+        first, last = first + (way.before is None), last - (way.after is None)
+    if last - first + 1 <= RAMP_ROWS:
+        return None, 0.0
+    at, values = t_s[first : last + 1], scaling[first : last + 1]
+    return abs(float(np.polyfit(at - at[0], values, 1)[0])), abs(float(values[-1] - values[0]))
+
+
+def _change(
+    way: Way,
+    slope: tuple[float | None, float],
+    t_s: Vector,
+    scaling: Vector,
+    levels: Vector,
+    usual: float | None,
+    near: float,
+) -> LevelChange:
+    rate, change = slope
+    begin_s = begin_of(way, t_s, scaling, levels, usual or rate)
+    step = -1 if way.before is None else way.before - (not way.rises)
+    if way.before is None or way.after is None:
+        return LevelChange(begin_s, step, way.rises, rate, change)
+    rows = slice(max(way.first - 1, 0), way.last + 2)
+    row_s = np.diff(t_s[rows])
+    most = float(np.abs(np.diff(scaling[rows]) / row_s).max()) if way.last >= way.first else None
+    whole = abs(float(levels[way.after] - levels[way.before])) - 2 * near  # within that it is on a level
+    return LevelChange(
+        begin_s, step, way.rises, rate, whole, (way.last - way.first + 1) * float(np.median(row_s)), most
+    )  # fmt: skip
+
+
+def _usual(slopes: Sequence[tuple[float | None, float]]) -> float | None:
+    """Return the rate at which most of the change happens; ways that stop on the way are slower and left out.
+
+    Args:
+        slopes: RampRates, and the change that happened at each.
+    """
+    told = [(rate, weight) for rate, weight in slopes if rate]
+    if len(told) < LEAST_RAMPS:
+        return None
+    rate, weight = np.array(told).T
+    usual = _weighted_median(rate, weight)
+    near = np.abs(rate - usual) <= 0.2 * usual
+    return _weighted_median(rate[near], weight[near])
+
+
+def _weighted_median(values: Vector, weight: Vector) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def rate_of(changes: Sequence[LevelChange]) -> float | None:
+    """Return the rate of the ramps of one direction; None where they are too few, or the scaling jumps.
+
+    Slopes tell it where ramps have rows enough; else the time that all of them spend between levels: the mean number
+    of rows is right even where a single ramp has one or none. Where the log is written by the safety system's own
+    cycle that number is too low, and the fastest change from row to row is the rate.
+    """
+    whole = [change for change in changes if change.way_s is not None]
+    sloped = [(change.rate_per_s, change.change) for change in changes if change.rate_per_s is not None]
+    short = [change for change in whole if change.rate_per_s is None and (change.way_s or 0.0) <= SHORT_S]
+    if sum(weight for _, weight in sloped) > 0.5 * sum(change.change for change in short):
+        return _usual(sloped)
+    spent_s = sum(change.way_s or 0.0 for change in short)
+    fastest = [change.most_per_s for change in short if change.most_per_s is not None]
+    if len(fastest) < max(LEAST_RAMPS, JUMP_ROWS * len(short)):
+        return None
+    mean = sum(change.change for change in short) / spent_s
+    row_s = float(np.median([change.way_s for change in short if change.most_per_s is not None]))
+    most = float(np.quantile(fastest, 0.95))
+    limited = most * row_s > _WHOLE * float(np.median([change.change for change in short]))
+    return mean if limited else min(mean, most)
 
 
 @dataclass(frozen=True)
 class Changes:
-    """The changes of level of one session, and how far apart operator and TCP were shortly before.
+    """The changes of level of one session, and where operator and TCP were shortly before.
 
     Attributes:
         changes: All of them.
-        kind: Of those whose distances are told: which threshold and direction, shape (N,).
-        near_m: Their distances at each latency that is tried, shape (N, L), metres.
-        samples: How many distances are known in all.
+        seen: Where those were whose places are known.
     """
 
     changes: list[LevelChange]
-    kind: NDArray[np.int64]
-    near_m: NDArray[np.float64]
-    samples: int
+    seen: PlacesBefore
 
     @classmethod
-    def seen(cls, changes: Sequence[LevelChange], t_s: Vector, distance_m: Vector, most: int = MOST) -> Changes:
-        """Look up the distances before changes of one session; of more than `most`, evenly spread, so many.
+    def of(
+        cls, changes: Sequence[LevelChange], t_s: Vector, robot_m: Points, human_m: Points, most: int = MOST
+    ) -> Changes:
+        """Look up the places before changes of one session; of more than `most`, evenly spread, so many.
 
         Args:
             changes: In the order of time.
             t_s: Times of samples, shape (N,), ascending.
-            distance_m: Distance of operator and TCP there, shape (N,), metres; NaN = unknown.
+            robot_m: TCP there, shape (N, 3), metres; NaN = unknown.
+            human_m: Operator there, shape (N, 3), likewise.
             most: Of so many changes at most.
         """
-        known = np.isfinite(distance_m)
-        told = changes[:: max(1, -(-len(changes) // most))] if known.any() else []
-        at = np.array([change.t_s for change in told])[:, None] - LATENCIES_S[None]
-        near_m = np.interp(at, t_s[known], distance_m[known]) if told else np.empty(at.shape)
+        left = [change for change in changes if change.step >= 0]
+        told = left[:: max(1, -(-len(left) // most))]
         kind = np.array([2 * change.step + change.rises for change in told], np.int64)
-        return cls(list(changes), kind, near_m, int(known.sum()))
+        begin_s = np.array([change.t_s for change in told])
+        return cls(list(changes), PlacesBefore.before(begin_s, kind, t_s, robot_m, human_m))
 
 
-def read_dynamics(seen: Sequence[Changes]) -> SafetyResponse:
+def read_response(seen: Sequence[Changes]) -> SafetyResponse:
     """Return what the changes of level of all sessions tell."""
     changes = [change for mine in seen for change in mine.changes]
-    ramps = {
-        rises: [change.rate_per_s for change in changes if change.rises is rises] for rises in (False, True)
-    }  # fmt: skip
-    down, up = (_usual(ramps[rises]) for rises in (False, True))
-    kinds = np.concatenate([np.empty(0, np.int64), *(mine.kind for mine in seen)])
-    if len(kinds) < LEAST or sum(mine.samples for mine in seen) < LEAST:
-        return SafetyResponse(None, down, up, None, len(changes), None)
-    near = np.concatenate([mine.near_m for mine in seen]).T
-    off = np.full(near.shape, np.nan)
-    for kind in np.unique(kinds):
-        mine = kinds == kind
-        if mine.sum() >= 5:
-            off[:, mine] = np.abs(near[:, mine] - np.median(near[:, mine], axis=1, keepdims=True))
-    if np.isnan(off).all():
-        return SafetyResponse(None, down, up, None, len(changes), None)
-    spread = np.nanmedian(off, axis=1)
-    best = int(spread.argmin())
-    if spread[best] > AGREE_M or best == len(LATENCIES_S) - 1:
-        return SafetyResponse(None, down, up, None, len(changes), float(spread[best]))
-    lag = [
-        float(np.median(near[best][kinds == 2 * step + 1]) - np.median(near[best][kinds == 2 * step]))
-        for step in np.unique(kinds // 2).tolist()
-        if (kinds == 2 * step).sum() >= 5 and (kinds == 2 * step + 1).sum() >= 5
-    ]
-    hysteresis = max(0.0, float(np.median(lag))) if lag else None
-    return SafetyResponse(float(LATENCIES_S[best]), down, up, hysteresis, len(changes), float(spread[best]))
+    down, up = (rate_of([change for change in changes if change.rises is rises]) for rises in (False, True))
+    found = agreement_of([mine.seen for mine in seen])
+    if found is None or found.latency_s is None:
+        return SafetyResponse(None, down, up, None, len(changes), None if found is None else found.spread_m)
+    return _with_hold(found, down, up, len(changes))
 
 
-def _usual(rates: Sequence[float | None]) -> float | None:
-    """Return the usual rate of ramps; None where most changes happen at once."""
-    ramps = [rate for rate in rates if rate is not None]
-    return float(np.median(ramps)) if ramps and 2 * len(ramps) > len(rates) else None
+def _with_hold(found: Agreement, down: float | None, up: float | None, changes: int) -> SafetyResponse:
+    later_s = (found.rising_s or 0.0) - (found.falling_s or 0.0)
+    held = found.rising_s is not None and found.falling_s is not None and later_s > HOLD_S
+    latency_s = found.falling_s if held else found.latency_s
+    hold_s = later_s if held else None
+    return SafetyResponse(latency_s, down, up, found.hysteresis_m, changes, found.spread_m, hold_s)
+
+
+__all__ = ["LATENCIES_S", "Changes", "LevelChange", "SafetyResponse", "changes_of", "rate_of", "read_response"]

@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from staircases import LEVELS, commanded, followed
 
-from cyclekit.scaling.response import LATENCIES_S, Changes, LevelChange, changes_of, read_dynamics
+from cyclekit.scaling.agreement import LATENCIES_S
+from cyclekit.scaling.levels import find_staircase
+from cyclekit.scaling.response import Changes, LevelChange, changes_of, rate_of, read_response
 
 if TYPE_CHECKING:
     from simulated_cells import Cells
 
+SAMPLES = Path(os.environ.get("CYCLEKIT_SAMPLES", "absent")) / "cnr-override"
 SLOW = {"latency_s": 0.2, "ramp_down_per_s": 2.5, "ramp_up_per_s": 1.0, "hysteresis_m": 0.1}
 
 
@@ -30,9 +39,10 @@ def test_a_safety_system_that_reacts_at_once_has_no_latency_and_no_ramps(cells: 
     assert (found.ramp_down_per_s, found.ramp_up_per_s) == (None, None)
 
 
-def test_where_distance_does_not_decide_latency_and_hysteresis_stay_unknown(cells: Cells):
+def test_where_zones_decide_their_edges_tell_the_reaction_time_and_no_distance_a_hysteresis(cells: Cells):
     found = cells("laser-zones", 6).dataset.card.dynamics
-    assert (found.latency_s, found.hysteresis_m) == (None, None)
+    assert found.latency_s == pytest.approx(0.0, abs=0.02)
+    assert found.hysteresis_m is None
 
 
 def test_few_changes_say_nothing():
@@ -40,36 +50,124 @@ def test_few_changes_say_nothing():
     scaling = np.where((t_s > 2) & (t_s < 4), 0.5, 1.0)
     changes = changes_of(t_s, scaling, (0.5, 1.0))
     assert [(change.step, change.rises, change.rate_per_s) for change in changes] == [(0, False, None), (0, True, None)]
-    assert changes[0].t_s == pytest.approx(2.0)
-    found = read_dynamics([Changes.seen(changes, t_s, np.ones(1000))])
+    assert changes[0].t_s == pytest.approx(2.0, abs=0.01)
+    found = read_response([Changes.of(changes, t_s, np.zeros((1000, 3)), np.ones((1000, 3)))])
     assert (found.changes, found.latency_s, found.hysteresis_m) == (2, None, None)
 
 
-def approaches(session_s: float, count: int = 40) -> tuple[list[LevelChange], np.ndarray, np.ndarray]:
-    """Return changes 0.3 s after an operator comes nearer than 1 m, every 10 s at another speed, and the distances."""
+def approaches(session_s: float, count: int = 40) -> tuple[list[LevelChange], np.ndarray, np.ndarray, np.ndarray]:
+    """Return changes 0.3 s after an operator comes nearer than 1 m, every 10 s at another speed, and the places."""
     t_s = session_s + np.arange(0.0, 10.0 * count, 0.1)
     passed_s = t_s - session_s
     distance_m = 1.0 + (0.5 + 0.1 * (passed_s // 10.0 % 7)) * (4.0 - passed_s % 10.0)
     crossed_s = session_s + 10.0 * np.arange(count) + 4.0
-    return [LevelChange(float(t) + 0.3, 0, False, None) for t in crossed_s], t_s, distance_m
+    nowhere = np.zeros((len(t_s), 3))
+    human_m = nowhere + distance_m[:, None] * (1.0, 0.0, 0.0)
+    return [LevelChange(float(t) + 0.3, 0, False, None) for t in crossed_s], t_s, nowhere, human_m
 
 
 def test_sessions_tell_together_what_one_is_too_short_for():
-    (early, late) = (Changes.seen(*approaches(begin, 12)) for begin in (0.0, 3.0))  # their times overlap
-    assert read_dynamics([early]).latency_s is None
-    assert read_dynamics([early, late]).latency_s == pytest.approx(0.3)
+    (early, late) = (Changes.of(*approaches(begin, 12)) for begin in (0.0, 3.0))  # their times overlap
+    assert read_response([early]).latency_s is None
+    assert read_response([early, late]).latency_s == pytest.approx(0.3)
 
 
 def test_of_very_many_changes_some_are_looked_at_and_all_are_counted():
-    seen = Changes.seen(*approaches(0.0, 500), most=100)
-    assert seen.near_m.shape == (100, len(LATENCIES_S))
-    found = read_dynamics([seen])
+    seen = Changes.of(*approaches(0.0, 500), most=100)
+    assert seen.seen.apart_m.shape == (100, len(LATENCIES_S))
+    found = read_response([seen])
     assert (found.changes, found.latency_s) == (500, pytest.approx(0.3))
 
 
 def test_an_unknown_scaling_ends_a_level():
     t_s = np.arange(600) / 125
     scaling = np.where(t_s < 2, 1.0, np.where(t_s < 2.2, np.nan, 0.5))
-    (change,) = changes_of(t_s, scaling, (0.5, 1.0))
-    assert change.rate_per_s is None
+    assert changes_of(t_s, scaling, (0.5, 1.0)) == []  # when it began nobody saw
     assert changes_of(t_s, np.full(600, np.nan), (0.5, 1.0)) == []
+
+
+def rates(t_s: np.ndarray, scaling: np.ndarray) -> tuple[float | None, float | None]:
+    """Return the rates down and up that a log shows."""
+    changes = changes_of(t_s, scaling, LEVELS)
+    down, up = (rate_of([change for change in changes if change.rises is rises]) for rises in (False, True))
+    return down, up
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.sampled_from((10, 30, 125)), st.floats(0.05, 1.0), st.sampled_from(("clean", "percent", "noisy")))
+def test_rates_are_read_from_slow_and_interrupted_ramps(rate_hz: int, up: float, log: str):
+    t_s, level = commanded(rate_hz, seconds=300, shortest_s=1.0, seed=3)
+    scaling = followed(level, rate_hz, 0.0, 1.0, up)
+    if log == "percent":
+        scaling = np.floor(100 * scaling + 1e-9) / 100
+    if log == "noisy":
+        scaling = scaling + np.random.default_rng(3).normal(0, 0.01, len(t_s))
+    down_found, up_found = rates(t_s, scaling)
+    assert up_found == pytest.approx(up, rel=0.05)
+    assert down_found == pytest.approx(1.0, rel=0.06)
+
+
+def test_a_rate_of_ten_percent_a_second_is_read_though_each_ramp_takes_seconds():
+    t_s, level = commanded(125, seconds=400, shortest_s=6.0)
+    assert rates(t_s, followed(level, 125, 0.0, 1.0, 0.1)) == pytest.approx((1.0, 0.1), rel=0.01)
+
+
+@pytest.mark.parametrize("every", [1, 4])
+def test_ramps_of_fewer_rows_than_a_slope_takes_are_timed(every: int):
+    t_s, level = commanded(125, seconds=400, shortest_s=1.0)
+    scaling = followed(level, 125, 0.0, 5.0, 5.0)
+    repeated = np.repeat(scaling[::every], every)[: len(t_s)]  # a log that writes each value four times
+    assert rates(t_s, repeated) == pytest.approx((5.0, 5.0), rel=0.15 if every > 1 else 0.02)
+
+
+def test_a_log_of_whole_percents_has_the_levels_and_rates_of_its_safety_system():
+    rate_hz = 30
+    t_s, level = commanded(rate_hz, seconds=400, shortest_s=4.0)
+    scaling = np.floor(100 * followed(level, rate_hz, 0.0, 1.0, 0.1) + 1e-9) / 100
+    found = find_staircase(scaling, rate_hz=rate_hz)
+    assert found.levels == pytest.approx(LEVELS, abs=0.002)
+    assert found.is_staircase
+    assert rates(t_s, scaling) == pytest.approx((1.0, 0.1), rel=0.05)
+
+
+def test_a_ramp_is_no_level_however_slow_and_leaves_a_staircase():
+    _, level = commanded(10, seconds=1200, shortest_s=3.0)
+    found = find_staircase(followed(level, 10, 0.0, 1.0, 0.05), rate_hz=10)
+    assert found.levels == pytest.approx(LEVELS, abs=0.002)
+    assert (found.is_staircase, 1 - found.share.sum() > 0.4) == (True, True)
+
+
+def test_a_scaling_that_follows_a_distance_is_said_to_be_continuous():
+    t_s = np.arange(0.0, 1200.0, 0.1)
+    distance_m = 1.5 + np.sin(0.31 * t_s) + 0.6 * np.sin(0.83 * t_s) + 0.3 * np.sin(1.7 * t_s)
+    found = find_staircase(np.clip((distance_m - 0.4) / 2.2, 0.0, 1.0), rate_hz=10)
+    assert not found.is_staircase
+    assert any(warning.code == "scaling-continuous" for warning in found.warnings)
+
+
+def test_a_hold_time_is_what_the_robot_speeds_up_later_than_it_slows_down():
+    down, t_s, robot_m, human_m = approaches(0.0)
+    leaves = [LevelChange(change.t_s + 5.5 + 0.4, 0, True, None) for change in down]
+    away = np.where((t_s % 10.0 > 4.6)[:, None], human_m * 0, human_m)
+    for number, change in enumerate(down):  # walks out past 1 m 5.5 s after it came in, each time at another speed
+        speed = 0.5 + 0.1 * (number * 3 % 7)
+        rows = (t_s >= change.t_s + 4.3) & (t_s < change.t_s + 6.6)
+        away[rows, 0] = 1.0 + speed * (t_s[rows] - (change.t_s - 0.3 + 5.5))
+    changes = sorted([*down, *leaves], key=lambda change: change.t_s)
+    found = read_response([Changes.of(changes, t_s, robot_m, away)])
+    assert found.hold_s == pytest.approx(0.4, abs=0.03)
+    assert found.latency_s == pytest.approx(0.3, abs=0.02)
+
+
+@pytest.mark.skipif(not SAMPLES.is_dir(), reason="CYCLEKIT_SAMPLES names no folder")
+def test_the_override_of_a_research_cell_has_three_levels_and_two_rates():
+    log = pl.read_csv(SAMPLES / "ovr_monitoring_safety_area.csv")
+    t_s, override = log["Timestamp"].to_numpy(), log["Safe_Ovr"].to_numpy() / 100
+    silent = np.diff(t_s) > 0.5
+    found = find_staircase(override, run=np.cumsum(np.append(False, silent)), rate_hz=30)
+    assert found.levels == pytest.approx((0.0, 0.5, 1.0), abs=0.001)
+    assert (found.is_staircase, found.warnings) == (True, ())
+    parts = zip(np.split(t_s, np.flatnonzero(silent) + 1), np.split(override, np.flatnonzero(silent) + 1), strict=True)
+    changes = [change for part_s, part in parts for change in changes_of(part_s, part, found.levels.tolist())]
+    down, up = (rate_of([change for change in changes if change.rises is rises]) for rises in (False, True))
+    assert (down, up) == pytest.approx((1.0, 0.1), rel=0.01)

@@ -88,7 +88,8 @@ class DynamicsCard(Card, frozen=True, kw_only=True):
         ramp_down_per_s, ramp_up_per_s: Change of the scaling per second; None also where it jumps.
         hysteresis_m: How much farther away than where it slowed the robot speeds up again.
         changes: Changes of level that were seen.
-        spread_m: Median deviation of the distances at which levels change, at that latency.
+        spread_m: Median deviation of the places at which levels change, at that latency.
+        hold_s: How much later than it slows down the robot speeds up again; None: not later.
     """
 
     latency_s: Seconds | None = None
@@ -97,6 +98,7 @@ class DynamicsCard(Card, frozen=True, kw_only=True):
     hysteresis_m: Length | None = None
     changes: Count = 0
     spread_m: Length | None = None
+    hold_s: Seconds | None = None
 
 
 class RowCounts(Card, frozen=True, kw_only=True):

@@ -113,6 +113,7 @@ class SpecCard(Card, frozen=True, kw_only=True):
     noise_m: float = 0.0
     optimiser: str = "auto"
     features: str = "positions"
+    target: str = "logged"
     balance: str = "none"
     history: tuple[Samples, Samples] = (1, 1)
     forecast_weight: float = 0.02

@@ -186,6 +186,9 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "levels-many": f"{{levels}} levels are too many for discrete levels: a continuous function; {_REGRESSION}",
     "levels-wide": f"values around {{values}} form no clear level: a continuous function; {_REGRESSION}",
     "levels-left": "{unknown:.0%} of the known samples are on no level: ramps, or no discrete levels",
+    "scaling-continuous": (
+        f"{{varied:.0%}} of the known samples lie on slopes of many rates: a continuous function; {_REGRESSION}"
+    ),
     "levels-not-held": (
         f"only {{held:.0%}} of the known samples are held: probably a continuous function; {_REGRESSION}"
     ),

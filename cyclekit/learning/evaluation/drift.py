@@ -14,6 +14,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.errors import ModelError, command_line
+from cyclekit.learning.labelling import as_learned
 from cyclekit.learning.windows import build_samples
 from cyclekit.parallel.one_thread import one_thread
 
@@ -125,8 +126,8 @@ def drift_between(
     """
     before, after = older.samples(), newer.samples()
     judged = [
-        frame.filter(pl.col("execution").is_in(list(names)))
-        for frame, names in ((before, judged_before), (after, judged_after))
+        as_learned(model.card, whose, frame.filter(pl.col("execution").is_in(list(names))), model.levels)
+        for whose, frame, names in ((older, before, judged_before), (newer, after, judged_after))
     ]
     rates = (older.rate_hz, newer.rate_hz)
     safety = _safety(*(_errors(model, frame, rate_hz) for frame, rate_hz in zip(judged, rates, strict=True)))

@@ -18,7 +18,7 @@ from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import DatasetError, ModelError, command_line
 from cyclekit.learning.evaluation.baselines import rivals
 from cyclekit.learning.evaluation.drift import Drift, drift
-from cyclekit.learning.labelling import without_slider
+from cyclekit.learning.labelling import as_learned, without_slider
 from cyclekit.learning.networks.beaten import Better, better_rival
 from cyclekit.learning.networks.cell import fingerprint, refuse_other_cell
 from cyclekit.learning.networks.metrics import measure
@@ -244,6 +244,7 @@ def _learned_from(model: TrainedModel) -> tuple[str, ...]:
 
 def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) -> Samples:
     frame, _ = without_slider(dataset, dataset.samples(executions))
+    frame = as_learned(model.card, dataset, frame, model.levels)
     known, history = model.weights.known, model.history
     learned_hz = model.card.rate_hz or dataset.rate_hz
     if history != (1, 1) and learned_hz != dataset.rate_hz:

@@ -23,6 +23,7 @@ Norm = Literal["batch", "none"]
 Balance = Literal["none", "classes"]
 Optimiser = Literal["auto", "adamw", "muon"]
 Features = Literal["auto", "positions", "distance"]
+Target = Literal["auto", "commanded", "logged"]
 
 HISTORY, HISTORY_S = 6, 1.0
 """What a recurrent network sees where nothing else is asked for: six samples over one second, fewer where the rate is
@@ -52,6 +53,7 @@ class RunSettings(TypedDict, total=False):
     noise_m: float
     optimiser: Optimiser
     features: Features
+    target: Target
     balance: Balance
     history: tuple[int, int] | None
     forecast_weight: float
@@ -83,6 +85,9 @@ class ModelSpec:
             `auto` for the one that was measured better for the problem and that many rows (`MUON_ROWS`).
         features: `distance` gives the network ||x_r - x_h|| beside the positions. The paper's networks see `positions`
             only. `auto` is the distance for `now`, see `with_features`.
+        target: What `now` learns. `commanded` is the level that the safety system heads for: what was read of its
+            response (reaction time, ramps) is undone, and applied again where cycles are simulated. `logged` is the
+            scaling at that instant, as in the paper. `auto` is `commanded` for a network that names levels.
         balance: `classes` weighs every level alike in a classifier's loss, however rare; its probabilities then say
             nothing about how often a level is in force, so `none` is the default.
         history: Samples that a recurrent network sees, and rows between them; (1, 1) for the others. None for the
@@ -115,6 +120,7 @@ class ModelSpec:
     noise_m: float = 0.0
     optimiser: Optimiser = "auto"
     features: Features = "auto"
+    target: Target = "auto"
     balance: Balance = "none"
     history: tuple[int, int] | None = None
     forecast_weight: float = 0.02
@@ -149,7 +155,7 @@ class ModelSpec:
             raise ConfigError(msg, cure="Parts lie between 0 and 1; seed and weight decay are not negative.")
 
     def _check_extras(self) -> None:
-        for name, kinds in (("balance", Balance), ("optimiser", Optimiser), ("features", Features)):
+        for name, kinds in (("balance", Balance), ("optimiser", Optimiser), ("features", Features), ("target", Target)):
             if getattr(self, name) not in get_args(kinds):
                 raise UnknownName("the model", name, getattr(self, name), get_args(kinds))
         recurrent = self.kind.lstm_layers > 0

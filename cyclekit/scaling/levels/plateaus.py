@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.time_grid import USUAL_HZ, samples_in
+from cyclekit.scaling.levels.slopes import find_slopes
 
 if TYPE_CHECKING:
     from cyclekit.schema import Bools, Ints, Vector
@@ -49,12 +50,16 @@ class Plateaus:
         end: One past its last sample, shape (K,).
         value: Its mean without outliers, shape (K,).
         noise: Standard deviation of the noise of one sample.
+        on_ramp: How many samples lie on slow ramps, and so on no plateau.
+        varied: How many lie on slopes of many rates.
     """
 
     first: Ints
     end: Ints
     value: Vector
     noise: float
+    on_ramp: int = 0
+    varied: int = 0
 
     @property
     def samples(self) -> Ints:
@@ -94,15 +99,24 @@ def find_plateaus(values: Vector, run: Ints, *, rate_hz: float = USUAL_HZ, most_
     bounds = samples_in(_NARROWEST_S, rate_hz), samples_in(_WIDEST_S, rate_hz)
     window = int(np.clip(np.ceil((_WINDOW_S * rate_hz * noise) ** (2 / 3)), *bounds))
     begin, stop = _bounds(run)
+    slopes = find_slopes(values, begin, stop, rate_hz, noise)
+    if slopes.on_ramp.any():  # what is on a ramp is no plateau, and none reaches across it
+        run = np.cumsum(np.diff(run, prepend=run[0]) + np.abs(np.diff(slopes.on_ramp, prepend=False)) != 0)
+        begin, stop = _bounds(run)
     first, end = _cores(_steady(values, begin, stop, window, noise), run)
     reach = _by_hinges if noise > _HINGE_NOISE else _by_samples
     first, end = reach(values, first, end, begin, stop, window, noise)
-    keep = (end - first >= samples_in(_SHORTEST_S, rate_hz, least=2)) & _is_flat(values, first, end, noise)
+    keep = (
+        ~slopes.on_ramp[first]
+        & (end - first >= samples_in(_SHORTEST_S, rate_hz, least=2))
+        & _is_flat(values, first, end, noise)
+    )
     first, end = first[keep], end[keep]
     if noise > _HINGE_NOISE:
         needed = _needed(values, first, end, begin, 4 * window, noise)
         first, end = first[needed], end[needed]
-    return Plateaus(first, end, _robust_mean(values, first, end, noise), noise)
+    counts = int(slopes.on_ramp.sum()), int(slopes.varied.sum())
+    return Plateaus(first, end, _robust_mean(values, first, end, noise), noise, *counts)
 
 
 def _bounds(run: Ints) -> tuple[Ints, Ints]:

@@ -157,8 +157,9 @@ def _finish(values: Floats, stretch: Ints, plateaus: Plateaus, found: Cluster, s
     labels = label_in_time(seen, levels, stretch, plateaus=plateaus)
     known = int(np.isfinite(values).sum())
     share = np.bincount(labels[labels >= 0], minlength=levels.size) / max(known, 1)
-    held = float(plateaus.samples.sum()) / max(known, 1)
-    said, stairs = doubts(levels, share, found.spread, known=known, held=held, noise=plateaus.noise)
+    held = float(plateaus.samples.sum()) / max(known - plateaus.on_ramp, 1)
+    parts = plateaus.on_ramp / max(known, 1), plateaus.varied / max(known, 1)
+    said, stairs = doubts(levels, share, found.spread, known=known, held=held, noise=plateaus.noise, slopes=parts)
     if slider is not None:
         each = ", ".join(f"{value:.2f}" for value in np.unique(np.round(slider[np.isfinite(slider)], 2))[:8])
         said.append(note("levels-with-slider", sliders=each))
@@ -171,11 +172,20 @@ _WIDE = 6.0
 """A cluster whose middle 90 % spread over more than this many eps is not a single level."""
 _MUCH_UNKNOWN = 0.2
 _LITTLE_HELD = 0.5
+_CONTINUOUS = 0.35
+"""So much of the time on slopes of many rates, and the scaling follows something that has no levels."""
 _MUCH_NOISE = 0.15
 
 
 def doubts(
-    levels: Vector, share: Vector, spread: Vector, *, known: int, held: float, noise: float
+    levels: Vector,
+    share: Vector,
+    spread: Vector,
+    *,
+    known: int,
+    held: float,
+    noise: float,
+    slopes: tuple[float, float] = (0.0, 0.0),
 ) -> tuple[list[Note], bool]:
     """Say what speaks against a staircase.
 
@@ -184,8 +194,9 @@ def doubts(
         share: Part of the known samples on each, shape (P,).
         spread: Width of each cluster in eps, shape (P,).
         known: Samples whose scaling is known.
-        held: Part of them that lies on plateaus.
+        held: Part of them that lies on plateaus; those on ramps between levels are not counted.
         noise: Standard deviation of one sample.
+        slopes: Part of them on ramps of one rate, which lead from level to level, and on slopes of many rates.
 
     Returns:
         The reasons, and whether it is a staircase nevertheless.
@@ -204,7 +215,11 @@ def doubts(
     if wide:
         said.append(note("levels-wide", values=", ".join(wide)))
         stairs = False
-    if (unknown := 1 - float(share.sum())) > _MUCH_UNKNOWN:
+    on_ramp, varied = slopes
+    if varied > _CONTINUOUS:
+        said.append(note("scaling-continuous", varied=varied))
+        stairs = False
+    if (unknown := 1 - float(share.sum()) - on_ramp) > _MUCH_UNKNOWN:
         said.append(note("levels-left", unknown=unknown))
     if held < _LITTLE_HELD and stairs:
         said.append(note("levels-not-held", held=held))

@@ -1,0 +1,183 @@
+"""At which reaction time the places agree at which one level gives way to the next.
+
+A threshold is crossed at the same distance each time, or on the same line across the floor. So for each time that may
+have passed since, it is asked how near the distances at the changes of one kind lie to each other, and how near each
+place of the operator lies to the line through those around it. At the right time both are exact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.dataset.unknown_height import in_plane
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Vector = NDArray[np.float64]
+    Points = NDArray[np.float64]
+    Kinds = NDArray[np.int64]
+
+LATEST_S, STEP_S = 1.0, 0.01
+"""Reaction times up to this are tried, in such steps."""
+LATENCIES_S = np.arange(0.0, LATEST_S + STEP_S / 2, STEP_S)
+LEAST, LEAST_KIND = 20, 5
+"""Fewer changes in all, or of one kind, say nothing."""
+AGREE_M = 0.04
+"""Places agree if half of them are within this of where the others of their kind are."""
+LEAST_M = 0.01
+"""A hysteresis of less is the error of its reading."""
+_SHARE = 0.4
+"""Of the changes of one kind so many must share a distance: a zone may cause the others."""
+_AROUND = 8
+"""So many neighbours show the line of a zone."""
+_MOST_AROUND = 400
+"""More changes of one kind say no more about lines."""
+_EXACT_M, _BETTER = 0.005, 0.6
+"""Where distances alone agree so well nothing else is asked; else lines must make it so much better."""
+_SHARPER = 0.6
+"""A line must make the places agree so much better than the worst reaction time does."""
+
+
+@dataclass(frozen=True)
+class PlacesBefore:
+    """Where TCP and operator were, at each time before N changes.
+
+    Attributes:
+        kind: Which threshold and direction, shape (N,): twice the slower level, one more where it rises.
+        apart_m: Their distance, shape (N, L), metres.
+        floor_m: The operator on the floor, shape (N, L, 2), metres.
+        samples: How many distances were known in all.
+    """
+
+    kind: Kinds
+    apart_m: NDArray[np.float64]
+    floor_m: NDArray[np.float64]
+    samples: int
+
+    @classmethod
+    def before(cls, begin_s: Vector, kind: Kinds, t_s: Vector, robot_m: Points, human_m: Points) -> PlacesBefore:
+        """Look up the places before changes that began at `begin_s` (N,), s, in samples at `t_s` (M,), s."""
+        apart = np.linalg.norm(robot_m - in_plane(robot_m, human_m), axis=1) if len(t_s) else np.empty(0)
+        known = np.isfinite(apart)
+        at = begin_s[:, None] - LATENCIES_S[None]
+        if not known.any() or not len(begin_s):
+            return cls(kind[:0], np.empty((0, len(LATENCIES_S))), np.empty((0, len(LATENCIES_S), 2)), int(known.sum()))
+        look = [np.interp(at, t_s[known], values) for values in (apart[known], *human_m[known, :2].T)]
+        return cls(kind, look[0], np.stack(look[1:], axis=2), int(known.sum()))
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What the places tell.
+
+    Attributes:
+        latency_s: At which they agree best; None: at none.
+        falling_s, rising_s: That of the changes down and up alone, where they tell it.
+        hysteresis_m: How much farther than the falling changes the rising ones are; None where it is no distance.
+        spread_m: Median deviation at `latency_s`.
+    """
+
+    latency_s: float | None
+    falling_s: float | None
+    rising_s: float | None
+    hysteresis_m: float | None
+    spread_m: float
+
+
+def agreement_of(seen: Sequence[PlacesBefore]) -> Agreement | None:
+    """Return at which reaction time the places agree; None where there are too few."""
+    kind = np.concatenate([np.empty(0, np.int64), *(mine.kind for mine in seen)])
+    if len(kind) < LEAST or sum(mine.samples for mine in seen) < LEAST:
+        return None
+    apart = np.concatenate([mine.apart_m for mine in seen])
+    by_distance = _spreads(apart, kind)
+    if by_distance is None:
+        return None
+    spread = np.nanmedian(by_distance, axis=0)
+    best = int(spread.argmin())
+    if spread[best] <= AGREE_M and best < len(LATENCIES_S) - 1:
+        falling, rising = (_best(by_distance[kind % 2 == rises]) for rises in (0, 1))
+        lag = _lag(apart[:, best], kind)
+        alone = Agreement(float(LATENCIES_S[best]), falling, rising, lag, float(spread[best]))
+    else:
+        alone = Agreement(None, None, None, None, float(spread[best]))
+    if alone.latency_s is not None and alone.spread_m <= _EXACT_M:
+        return alone
+    both = _by_lines(apart, np.concatenate([mine.floor_m for mine in seen]), kind, alone.spread_m)
+    return both if both.latency_s is not None and both.spread_m < _BETTER * alone.spread_m else alone
+
+
+def _best(spreads: NDArray[np.float64]) -> float | None:
+    told = spreads[np.isfinite(spreads).all(axis=1)]
+    if len(told) < LEAST:
+        return None
+    spread = np.median(told, axis=0)
+    best = int(spread.argmin())
+    return float(LATENCIES_S[best]) if spread[best] <= AGREE_M and best < len(LATENCIES_S) - 1 else None
+
+
+def _spreads(apart: NDArray[np.float64], kind: Kinds) -> NDArray[np.float64] | None:
+    """Return how far each change is from the others of its kind, shape (N, L); NaN of kinds that are too rare."""
+    off = np.full(apart.shape, np.nan)
+    for one in np.unique(kind):
+        mine = kind == one
+        if mine.sum() >= LEAST_KIND:
+            off[mine] = np.abs(apart[mine] - np.median(apart[mine], axis=0))
+    return None if np.isnan(off).all() else off
+
+
+def _by_lines(apart: NDArray[np.float64], floor: NDArray[np.float64], kind: Kinds, spread_m: float) -> Agreement:
+    """Return at which reaction time places agree that share a line on the floor, or a distance that others have too."""
+    every = [np.flatnonzero(kind == one) for one in np.unique(kind)]
+    every = [mine[:: -(-len(mine) // _MOST_AROUND)] for mine in every if len(mine) > 2 * _AROUND]
+    if sum(len(mine) for mine in every) < LEAST:
+        return Agreement(None, None, None, None, spread_m)
+    off = [np.minimum(_off_lines(floor[mine]), _off_shared(apart[mine])) for mine in every]
+    spread = np.median(np.concatenate(off), axis=0)
+    best = int(spread.argmin())
+    sharp = spread[best] <= min(AGREE_M, _SHARPER * float(np.median(spread)))
+    if not sharp or best == len(LATENCIES_S) - 1:
+        return Agreement(None, None, None, None, min(spread_m, float(spread[best])))
+    up = np.concatenate([np.full(len(mine), kind[mine[0]] % 2) for mine in every])
+    falling, rising = (_best(np.concatenate(off)[up == rises]) for rises in (0, 1))
+    return Agreement(float(LATENCIES_S[best]), falling, rising, None, float(spread[best]))
+
+
+def _off_lines(floor: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far places (N, L, 2) are from the line through those around them, shape (N, L)."""
+    off = np.empty(floor.shape[:2])
+    for number in range(floor.shape[1]):
+        at = floor[:, number]
+        away = ((at[:, None] - at[None]) ** 2).sum(axis=2)
+        around = at[np.argpartition(away, _AROUND, axis=1)[:, : _AROUND + 1]]
+        around = around - around.mean(axis=1, keepdims=True)
+        off[:, number] = np.linalg.svd(around, compute_uv=False)[:, 1] / np.sqrt(_AROUND)
+    return off
+
+
+def _off_shared(apart: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far distances (N, L) are from the one that most of them are near, shape (N, L)."""
+    ordered = np.sort(apart, axis=0)
+    count = max(2, int(_SHARE * len(apart)))
+    width = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
+    first = width.argmin(axis=0)
+    middle = ordered[first + count // 2, np.arange(apart.shape[1])]
+    return np.asarray(np.abs(apart - middle))
+
+
+def _lag(apart: Vector, kind: Kinds) -> float | None:
+    """Return how much farther than it slows the robot speeds up again."""
+    lag = [
+        float(np.median(apart[kind == 2 * step + 1]) - np.median(apart[kind == 2 * step]))
+        for step in np.unique(kind // 2).tolist()
+        if (kind == 2 * step).sum() >= LEAST_KIND and (kind == 2 * step + 1).sum() >= LEAST_KIND
+    ]
+    if not lag:
+        return None
+    return float(np.median(lag)) if np.median(lag) >= LEAST_M else 0.0

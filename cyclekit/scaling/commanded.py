@@ -1,0 +1,182 @@
+"""The commanded level: for which level the safety system heads, once its response is undone.
+
+What is logged answers late (latency) and slowly (ramps). The command is known where a level is held and in the last
+part of a way to it. Before that a ramp hides it: while the scaling rises past other levels all that is known is that
+the command is higher. The time of a command is the begin of the change less the reaction time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
+
+from cyclekit.scaling.ways import Hold, RampRates, Way, begin_of, fresh, holds_of, repeats, tolerance_of, ways_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    Vector = NDArray[np.float64]
+    Levels = NDArray[np.int32]
+
+UNKNOWN = -1
+_SLOWER = 1.5
+"""A way that takes so many times as long as its ramp, and _STALLS_S more, heads for nothing that is known."""
+_STALLS_S = 0.3
+_SURE_S = 0.3
+"""So soon after a ramp to the next level has begun, and so shortly before it ends there, that level is the command; in
+between a slow ramp may have headed for a farther one."""
+
+
+class Response(Protocol):
+    """What is known of the response: `SafetyResponse`, or a dataset's card."""
+
+    @property
+    def latency_s(self) -> float | None:
+        """From the command to the beginning of the change."""
+
+    @property
+    def ramp_down_per_s(self) -> float | None:
+        """Fastest fall of the scaling."""
+
+    @property
+    def ramp_up_per_s(self) -> float | None:
+        """Fastest rise of the scaling."""
+
+
+@dataclass(frozen=True)
+class CommandedLevels:
+    """The level that the safety system heads for, at N times.
+
+    Attributes:
+        level: Index of the level, shape (N,), int32; -1 = unknown.
+        at_least, at_most: Between which levels it lies in any case, shape (N,), int32.
+    """
+
+    level: Levels
+    at_least: Levels
+    at_most: Levels
+
+
+class _Command(NamedTuple):
+    """From when on which level, at least and at most which, is headed for."""
+
+    since_s: float
+    level: int
+    at_least: int
+    at_most: int
+
+
+def commanded_levels(
+    t_s: ArrayLike, scaling: ArrayLike, levels: Sequence[float], response: Response, at_s: ArrayLike | None = None
+) -> CommandedLevels:
+    """Return the commanded level of one unbroken stretch of a log.
+
+    Args:
+        t_s: Time, shape (T,), native rate, seconds, ascending.
+        scaling: Shape (T,), fractions; NaN = unknown.
+        levels: Level values, shape (P,), ascending.
+        response: The response, to be undone; None in it = at once.
+        at_s: Times at which to tell, shape (N,); None: those of the rows.
+
+    Returns:
+        The levels of N times. -1 from the reaction time before the end of the log on: nobody saw the answer.
+    """
+    time, values = np.asarray(t_s, np.float64), np.asarray(scaling, np.float64)
+    steps, at = np.asarray(levels, np.float64), time if at_s is None else np.asarray(at_s, np.float64)
+    if len(steps) == 0 or len(time) < 3:
+        none = np.full(at.shape, UNKNOWN, np.int32)
+        return CommandedLevels(none, np.zeros_like(none), np.full_like(none, len(steps) - 1))
+    commands = _commands(time, values, steps, RampRates(response.ramp_down_per_s, response.ramp_up_per_s))
+    since, level, lowest, highest = (np.array(part) for part in zip(*commands, strict=True))
+    row = np.searchsorted(since, at + (response.latency_s or 0.0), side="right") - 1
+    return CommandedLevels(*(part[row].astype(np.int32) for part in (level, lowest, highest)))
+
+
+def _commands(t_s: Vector, scaling: Vector, levels: Vector, rates: RampRates) -> list[_Command]:
+    """Return the commands in the order in which they are obeyed, the first one from ever on."""
+    rows = fresh(scaling, repeats(t_s, scaling))
+    t_s, scaling, end_s = t_s[rows], scaling[rows], float(t_s[-1])
+    near, anything = tolerance_of(scaling, levels), (UNKNOWN, 0, len(levels) - 1)
+    holds = holds_of(t_s, scaling, levels, near, rates)
+    found = [_Command(-np.inf, *anything)]
+    ways = ways_of(scaling, holds, near)
+    leads_on = {way.first for way in ways}
+    both: list[Hold | Way] = [*holds, *ways]
+    for what in sorted(both, key=lambda one: (one.first, isinstance(one, Hold))):
+        if isinstance(what, Hold):
+            found += [_Command(float(t_s[what.first]), *(what.level,) * 3)] if found[-1].level != what.level else []
+            after = what.last + 1
+            if after < len(t_s) and after not in leads_on:
+                found.append(_Command(float(t_s[what.last]) + 1e-9, *anything))
+        else:
+            found += _on_the_way(what, t_s, scaling, levels, near, rates)
+            if what.after is None:
+                found.append(_Command(float(t_s[min(what.last + 1, len(t_s) - 1)]), *anything))
+    found.append(_Command(end_s + 1e-9, *anything))
+    return _in_time(found)
+
+
+def _in_time(commands: Sequence[_Command]) -> list[_Command]:
+    """Let no command be older than the one before it."""
+    since = np.maximum.accumulate([command.since_s for command in commands])
+    return [command._replace(since_s=float(begin)) for command, begin in zip(commands, since, strict=True)]
+
+
+def _on_the_way(
+    way: Way, t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: RampRates
+) -> list[_Command]:
+    """Return what a way tells: of each level that it passes, that the command lies beyond."""
+    rate, top = rates.of(rises=way.rises), len(levels) - 1
+    begins_s = begin_of(way, t_s, scaling, levels, rate)
+    if rate is None and way.after is not None and way.before is not None:
+        return [_Command(begins_s, *(way.after,) * 3)]
+    rows = slice(way.first, way.last + 1)
+    values, times = scaling[rows], t_s[rows]
+    change = abs(float(values[-1] - values[0])) if len(values) else 0.0
+    if len(values) and times[-1] - times[0] > _SLOWER * (change / rate if rate else 0.0) + _STALLS_S:
+        return [_Command(begins_s, UNKNOWN, 0, top)]
+    if way.rises:
+        next_one = np.searchsorted(levels, np.maximum.accumulate(values) + near)
+    else:
+        next_one = np.searchsorted(levels, np.minimum.accumulate(values) - near, side="right") - 1
+    next_one = next_one.clip(0, top)
+    if way.before is not None:  # where the scaling still is near the level that it left
+        first = way.before + (1 if way.rises else -1)
+        next_one = np.maximum(next_one, first) if way.rises else np.minimum(next_one, first)
+    if way.after is not None:
+        next_one = np.minimum(next_one, way.after) if way.rises else np.maximum(next_one, way.after)
+    if not len(next_one):
+        next_one, times = np.array([way.after if way.after is not None else UNKNOWN]), np.array([begins_s])
+    new = np.flatnonzero(np.diff(next_one, prepend=-2))
+    begin = times[new].tolist()
+    begin[0] = begins_s
+    edge = top if way.rises else 0
+    found = [
+        _Command(
+            since, level if level in {edge, way.after} else UNKNOWN,
+            level if way.rises else (level if level == way.after else 0),
+            (level if level == way.after else top) if way.rises else level,
+        )
+        for since, level in zip(begin, next_one[new].tolist(), strict=True)
+    ]  # fmt: skip
+    if way.after is None or way.after == edge or found[-1].level != way.after:
+        return found
+    return [
+        *found[:-1],
+        *_last_part(found[-1], top, rises=way.rises, whole=len(found) == 1, reached_s=float(times[-1])),
+    ]
+
+
+def _last_part(last: _Command, top: int, *, rises: bool, whole: bool, reached_s: float) -> list[_Command]:
+    """Return what the last part of a way to a level tells: if it takes long, the command may have lain farther on."""
+    if reached_s - last.since_s <= 2 * _SURE_S:
+        return [last]
+    level = last.level
+    hidden = _Command(last.since_s, UNKNOWN, level if rises else 0, top if rises else level)
+    if not whole:
+        return [hidden, last._replace(since_s=reached_s - _SURE_S)]
+    return [last, hidden._replace(since_s=last.since_s + _SURE_S), last._replace(since_s=reached_s - _SURE_S)]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cyclekit.errors import EstimateError
+from cyclekit.estimate.judges import within
 from cyclekit.estimate.question import Altered
 from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.rollout import estimate
@@ -40,7 +41,8 @@ class WhatIf(Result):
     Attributes:
         change: Its name.
         before, after: The estimates; the sequence's name is in them.
-        saves_s: before - after, mean, and its 95 % interval from resampling executions (common operators).
+        saves_s: before - after, mean, and its 95 % interval from resampling executions (common operators); where the
+            changed safety function is written down, with the error of the learned one.
         safety: NO_PROOF.
     """
 
@@ -188,4 +190,20 @@ def _compared(change: Change, before: CycleEstimate, after: CycleEstimate, seed:
     entries = len(saved) // max(before.executions, 1)
     weights = resampled([str(k % max(before.executions, 1)) for k in range(len(saved))], seed, together=min(entries, 3))
     low, high = np.quantile(weights @ saved, (0.025, 0.975)).tolist()
-    return WhatIf(change.name, before, after, (float(saved.mean()), low, high))
+    mean, off_s = float(saved.mean()), _network_error_s(change, before)
+    return WhatIf(
+        change.name,
+        before,
+        after,
+        (mean, mean - float(np.hypot(mean - low, off_s)), mean + float(np.hypot(high - mean, off_s))),
+    )
+
+
+def _network_error_s(change: Change, before: CycleEstimate) -> float:
+    """Return half a 95 % interval, s, of what the network's error moves a saving by.
+
+    Only where the changed function is written down: it has no such error, and the cell as it is has.
+    """
+    if not change.levels or before.check is None:
+        return 0.0
+    return within(before.check.model_error, len(before.check.residuals)) * before.expected_s

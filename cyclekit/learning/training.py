@@ -322,9 +322,10 @@ def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:
 
 def _check_learnable(dataset: Dataset, learn: Samples, check: Samples, held_out: Samples, spec: ModelSpec) -> None:
     """Refuse when the split leaves too little to learn from: executions may be of very different length."""
-    count = int((learn.step >= 0).sum()) if spec.kind.names_levels else len(learn)
+    seen = (learn.step >= 0) & np.isfinite(learn.X[:, GROUPS["human"]].sum(axis=1))  # nobody there teaches no zone
+    count = int(seen.sum()) if spec.kind.names_levels else len(learn)
     if count < samples_in(LEAST_S / 2, dataset.rate_hz):
-        what = "samples on a level" if spec.kind.names_levels else "usable samples"
+        what = "samples on a level beside an operator" if spec.kind.names_levels else "usable samples"
         msg = f"{dataset.path}: the training executions have only {count} {what}"
         raise DatasetError(msg, cure="Log more executions, or let another --seed choose which are held out.")
     for rows, purpose in ((check, "for validation"), (held_out, "for the test")):

@@ -141,7 +141,9 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.0)
     parser.add_argument("--cases", type=int, nargs="*", default=range(1, len(CASES) + 1))
     asked = parser.parse_args()
-    shown = Table("hidden rule", "scene", "named", "explains", "thresholds off, m", "corners off, m", "s")
+    shown = Table(
+        "hidden rule", "scene", "named", "explains", "thresholds off, m", "corners off, m", "intervals that hold", "s"
+    )
     for number in asked.cases:
         case = CASES[number - 1]
         dataset = logged(case, asked.work / f"{number}-{asked.seed}-{asked.executions}-{asked.noise:g}", asked)
@@ -155,11 +157,11 @@ def _row(case: Case, dataset: Dataset) -> list[str]:
     took_s, rule = f"{time.perf_counter() - begin:.1f}", found.rule
     if rule is None:
         best = max(found.explained, key=lambda name: found.explained[name], default="")
-        return [case.kind, case.scene, f"none ({best})", f"{found.explained.get(best, 0.0):.2%}", "", "", took_s]
+        return [case.kind, case.scene, f"none ({best})", f"{found.explained.get(best, 0.0):.2%}", "", "", "", took_s]
     named = "yes" if kind_of(rule) == case.kind else kind_of(rule)
     worst = [threshold_off(case, rule), corner_off(case, rule)]
     off = ["none" if off == -np.inf else "missing" if off == np.inf else f"{off:.4f}" for off in worst]
-    return [case.kind, case.scene, named, f"{rule.explained:.2%}", *off, took_s]
+    return [case.kind, case.scene, named, f"{rule.explained:.2%}", *off, intervals(case, rule), took_s]
 
 
 def logged(case: Case, folder: Path, asked: argparse.Namespace) -> Dataset:
@@ -228,6 +230,27 @@ def corner_off(case: Case, rule: RuleCard) -> float:
                 for x, y in _corners(box, by_m):
                     worst = max(worst, min((float(np.hypot(x - a, y - b)) for a, b in found or ()), default=np.inf))
     return worst
+
+
+def intervals(case: Case, rule: RuleCard) -> str:
+    """Count the 95 % intervals of thresholds, and of edges along the axes, that hold the truth."""
+    margin_m, hold = case.options.get("hysteresis_m", 0.0), list[bool]()
+    for step in range(len(case.hidden.levels) - 1):
+        limit = _limit(case, rule, step)
+        for region, by_m in [] if limit is None else [(limit.within, 0.0), (limit.until, margin_m)]:
+            if region is None:
+                continue
+            pairs = [(near.metres, case.hidden.thresholds_m[step] + by_m) for near in region.nearer]
+            for rectangle in region.rectangles if case.hidden.boxes.get(step, (1.0,))[-1] == 0.0 else ():
+                grown = (-by_m, by_m, -by_m, by_m)
+                truth = [at + by for at, by in zip(case.hidden.boxes[step], grown, strict=False)]
+                pairs += [
+                    (edge, at)
+                    for edge, at in zip((*rectangle.along, *rectangle.across), truth, strict=True)
+                    if edge is not None
+                ]
+            hold += [(metres.low or -np.inf) <= at <= (metres.high or np.inf) for metres, at in pairs]
+    return f"{sum(hold)} of {len(hold)}" if hold else "none"
 
 
 def _limit(case: Case, rule: RuleCard, step: int) -> Any:  # noqa: ANN401

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.dataset.cards.rule import RuleCard
-from cyclekit.learning.rules.crossings import by_crossings, lags
+from cyclekit.learning.rules.crossings import LAG_M, by_crossings, lags
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.fitting import fit_limits
 from cyclekit.learning.rules.intervals import with_intervals
-from cyclekit.learning.rules.quantities import with_bounds
+from cyclekit.learning.rules.quantities import quantities, with_bounds
 from cyclekit.learning.rules.regions import followed
 
 if TYPE_CHECKING:
@@ -56,9 +56,9 @@ class RuleSearch:
     executions: int = 0
 
     @property
-    def best(self) -> float:
-        """Part that the best kind of rule explains; 0 where none was fitted."""
-        return max(self.explained.values(), default=0.0)
+    def clean(self) -> bool:
+        """Whether the rule explains the logs as one does whose positions have no noise."""
+        return self.rule is not None and self.rule.explained >= EXPLAINS
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,8 @@ def find_rule(
         return RuleSearch(None, rows=len(rows))
     rival = None if network is None else _by_execution(network[np.isin(rows.execution, judged)] == judge.level, judge)
     fits: list[_Fit] = []
-    best = next((fit for fit in _tried(learn, judge, levels, fits) if _part(fit.right, judge) >= EXPLAINS), None)
+    tried = _tried(learn, judge, levels, fits)
+    best = next((fit for fit in tried if _part(fit.right, judge) >= EXPLAINS and _is_wide(fit)), None)
     noisy = best is None
     if noisy:
         best = _simplest(fits, judge, learn, levels, rival)
@@ -124,6 +125,17 @@ def find_rule(
         executions=seen[1],
     )
     return RuleSearch(card, explained, part, *seen)
+
+
+def _is_wide(fit: _Fit) -> bool:
+    """Return whether a rule with hysteresis has any to speak of: a latency that is off looks like a little."""
+    values = quantities(fit.limits)
+    apart = [
+        abs(values[outer].value - at.value)
+        for place, at in values.items()
+        if (outer := place._replace(until=True)) in values and not place.until
+    ]
+    return not fit.lag or (bool(apart) and float(np.median(apart)) >= LAG_M)
 
 
 def _drawn(rows: RuleRows, seed: int) -> NDArray[np.int64]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from cyclekit.learning.out_of_core import rows_of as count_rows
 from cyclekit.learning.out_of_core import some_executions
-from cyclekit.learning.rules.ladder import EXPLAINS, RuleSearch, find_rule
+from cyclekit.learning.rules.ladder import RuleSearch, find_rule
 from cyclekit.learning.rules.rows import rows_of
 
 if TYPE_CHECKING:
@@ -63,9 +63,9 @@ def rule_of(
         unseen &= some
     latency_s = float(dataset.card.dynamics.latency_s or 0.0)
     found = _searched(dataset, names, unseen, levels, model, latency_s, judged_apart=judged_apart, seed=seed)
-    if latency_s and found.best < EXPLAINS:  # a latency read off the wrong distance hides the rule
+    if latency_s and not found.clean:  # a latency read off the wrong distance hides the rule
         other = _searched(dataset, names, unseen, levels, model, 0.0, judged_apart=judged_apart, seed=seed)
-        return other if other.best >= EXPLAINS else found
+        return other if other.clean else found
     return found
 
 

@@ -161,6 +161,12 @@ def test_noise_is_no_hysteresis_and_moves_no_threshold() -> None:
     assert thresholds(found) == pytest.approx([0.7, 1.2], abs=0.015)
 
 
+def test_a_hysteresis_of_a_centimetre_is_none() -> None:
+    found = find_rule(rows_by(by_distance, margin_m=0.01), LEVELS)
+    assert found.rule is not None
+    assert (found.rule.family, found.rule.hysteresis) == (TO_TCP, False)
+
+
 def test_what_no_rule_explains_is_left_to_the_network() -> None:
     rows = rows_by(lambda _robot, human, _margin: np.where(np.sin(4 * human[:, 0]) * np.sin(4 * human[:, 1]) > 0, 0, 2))
     found = find_rule(rows, LEVELS, network=rows.level)

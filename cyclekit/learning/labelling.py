@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.dataset.time_grid import stretches
-from cyclekit.scaling.commanded import commanded_levels
+from cyclekit.scaling.commanded import Response, commanded_levels
 from cyclekit.scaling.levels import Staircase, find_staircase
 
 if TYPE_CHECKING:
@@ -68,14 +68,24 @@ def with_commands(dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float]
     response = dataset.card.dynamics
     if not follows_late(response) or len(levels) < 2:
         return frame
+    commanded = commanded_in_time(dataset, frame, levels, response)
+    return frame.with_columns(scaling=pl.Series(np.append(levels, np.nan)[commanded]).fill_nan(None))
+
+
+def commanded_in_time(dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float], response: Response) -> Ints:
+    """Return the index of the level that is headed for at every row, shape (N,); -1 = unknown.
+
+    Args:
+        dataset: Whose rows.
+        frame: Rows of SAMPLES, those of one execution together and in order of time.
+        levels: Of the scaling, ascending.
+        response: What is undone.
+    """
     scaling, run = scaling_in_time(frame, dataset.rate_hz)
-    time, values = frame["t_s"].to_numpy(), np.append(levels, np.nan)
     ends = np.flatnonzero(np.diff(run)) + 1
-    parts = [
-        values[commanded_levels(t_s, s, levels, response).level]
-        for t_s, s in zip(np.split(time, ends), np.split(scaling, ends), strict=True)
-    ]
-    return frame.with_columns(scaling=pl.Series(np.concatenate(parts), dtype=pl.Float64).fill_nan(None))
+    stretches_of = zip(np.split(frame["t_s"].to_numpy(), ends), np.split(scaling, ends), strict=True)
+    found = [commanded_levels(t_s, s, levels, response).level for t_s, s in stretches_of]
+    return np.concatenate(found).astype(np.int64)
 
 
 def as_learned(card: TrainingCard, dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float]) -> pl.DataFrame:

@@ -111,7 +111,8 @@ def test_every_text_is_asked_for_and_every_text_asked_for_exists():
     folder = files("cyclekit.report")
     texts = tomllib.loads(folder.joinpath("texts.toml").read_text("utf-8"))
     texts.pop("language")
-    source = "".join(f.read_text("utf-8") for f in folder.iterdir() if f.name.endswith((".py", ".jinja")))
+    read = [*folder.iterdir(), *folder.joinpath("figures").iterdir()]
+    source = "".join(file.read_text("utf-8") for file in read if file.name.endswith((".py", ".jinja")))
     known = {f"{section}.{name}" for section, names in texts.items() for name in names}
     asked = set(re.findall(r"[\"']((?:page|answer|verdict|where|why|helps|trust|fleet)\.\w+)", source))
     assert asked - known == {"page.css", "page.html", "page.js", "page.pdf", "fleet.html"}  # files, no texts

@@ -25,7 +25,7 @@ _KNOWN: dict[bytes, Check] = {}
 def judged_once() -> Iterator[None]:
     """Let estimates of a module, and of other modules that ask for it, remember what they found."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cyclekit.estimate.validate.check_rollout", _remembered)
+        patch.setattr("cyclekit.estimate.limits.check_rollout", _remembered)
         yield
 
 

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from msgspec import structs
 
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE
-from cyclekit.learning.labelling import without_slider
+from cyclekit.learning.labelling import commanded_in_time, without_slider
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.links import to_nearest_link
 from cyclekit.learning.windows import nobody_there
@@ -112,7 +113,12 @@ def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]
     frame = dataset.samples(list(executions)).with_columns(human_z_m=HUMAN_Z_IN_PLANE)
     frame, _ = without_slider(dataset, frame)
     run = stretches(frame, dataset.rate_hz)
-    level = commanded(frame, levels, run, rate_hz=dataset.rate_hz)
+    response = dataset.card.dynamics
+    if response.ramp_down_per_s or response.ramp_up_per_s:
+        # the latency is undone by moving the positions, which hits the instant between two samples
+        level = commanded_in_time(dataset, frame, levels, structs.replace(response, latency_s=None))
+    else:
+        level = commanded(frame, levels, run, rate_hz=dataset.rate_hz)
     hidden = frame.select(pl.col("human_x_m").is_null() & ~nobody_there()).to_series().to_numpy()
     level[hidden | frame["robot_x_m"].is_null().to_numpy()] = -1
     places = frame.select(pl.col(_COLUMNS).fill_null(float("nan"))).to_numpy()

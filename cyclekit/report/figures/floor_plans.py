@@ -37,13 +37,15 @@ def _lost_time(page: PageInputs) -> Iterator[Chart]:
         return
     from cyclekit.report import maps
 
-    labels, alt, kind = maps.floor_labels(texts), texts("why.map_picture_none"), "_seen"
+    labels, alt = maps.floor_labels(texts), texts("why.map_picture_none")
+    caption, title = texts("why.map_caption_seen"), texts("why.map_title_seen")
     if len(plan.lost):
-        labels, kind = labels | {"speed": texts("why.map_speed")}, ""
+        labels = labels | {"speed": texts("why.map_speed")}
+        caption, title = texts("why.map_caption"), texts("why.map_title")
         x, y = plan.lost[int(plan.lost[:, 2].argmax()), :2].tolist()
         alt = texts("why.map_picture", x=fixed(x, 1), y=fixed(y, 1))
     picture = Picture("floor", alt, lambda width_in: maps.lost_map(width_in, plan, labels))
-    yield Chart(picture, texts(f"why.map_caption{kind}"), title=texts(f"why.map_title{kind}"))
+    yield Chart(picture, caption, title=title)
 
 
 LOST_TIME = Figure("lost_time", "why", _lost_time)

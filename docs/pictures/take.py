@@ -29,7 +29,7 @@ from cyclekit.replay import write_replay
 from cyclekit.replay.viewer import viewer_program
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parents[1] / "tests"))
+sys.path.insert(0, str(HERE.parents[1] / "tests" / "support"))
 from browser import Tab, open_browser  # noqa: E402
 
 PORT = 9977

@@ -106,4 +106,6 @@ def test_what_the_logs_moved_a_number_by_moves_it_after_a_change_too(
     (found,) = what_if(staircase, logged, [order], [nothing], check=replace(check, own_bias=0.0))
     assert found.before.combined is not None
     assert found.before.expected_s != found.before.combined.rollout_s
-    assert found.saves_s == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    saved, low, high = found.saves_s
+    assert saved == pytest.approx(0.0, abs=1e-9)
+    assert low <= 0.0 <= high  # the error of the learned safety function, which a written one does not have

@@ -12,9 +12,8 @@ import numpy as np
 import polars as pl
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from cyclekit.schema import Vector
 
-    Vector = NDArray[np.float64]
 
 GAP_PERIODS, GAP_S = 5.0, 0.25
 """A silence is a gap when it is longer than both: five usual steps, and a quarter of a second."""

@@ -16,13 +16,10 @@ from cyclekit.errors import ConfigError, UnknownName
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.dataset.cards import LogCard
+    from cyclekit.schema import Ints, Vector
     from cyclekit.storage.parquet import StoredTable
 
-    Vector = NDArray[np.float64]
-    Whole = NDArray[np.int64]
     Read = Callable[[str, str], pl.DataFrame | None]
     Stored = Callable[[str, Sequence[str]], StoredTable]
 
@@ -93,7 +90,7 @@ def every_change(entry: LogCard, read: Read, stored: Stored) -> dict[str, Vector
     return {name: times for name, times in found.items() if 0 < len(times) <= MOST_CHANGES}
 
 
-def _few(table: StoredTable, column: str) -> tuple[Vector, Vector, Whole, Whole] | None:
+def _few(table: StoredTable, column: str) -> tuple[Vector, Vector, Ints, Ints] | None:
     """Return the changes of a column, None if there are more than MOST_CHANGES."""
     kept, many = [], 0
     for changes in _changes(table, column):
@@ -137,7 +134,7 @@ def _of_robot(table: StoredTable, column: str, *, bit: int | None = None, wanted
     return _between(before, at)
 
 
-def _changes(table: StoredTable, column: str, bit: int | None = None) -> Iterator[tuple[Vector, Vector, Whole, Whole]]:
+def _changes(table: StoredTable, column: str, bit: int | None = None) -> Iterator[tuple[Vector, Vector, Ints, Ints]]:
     """Yield, part by part, the changes of whole numbers: times of the rows before and after, values before and after.
 
     Args:

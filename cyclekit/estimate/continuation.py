@@ -19,11 +19,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from cyclekit.schema import Ints, Points, Vector
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
-    Whole = NDArray[np.int64]
 
 NEAR_M = 0.4
 """One unit of difference between two states: so far apart,"""
@@ -72,17 +69,17 @@ class Stretch:
     """What was logged of one operator from the start of a cycle: x_h (and g_h), (T, 3 or 6), and activity, (T,)."""
 
     where: Points
-    activity: Whole
+    activity: Ints
 
 
 @dataclass(frozen=True)
 class _Piece:
     """What one splice appends to N tracks: to which, behind how many samples, from behind which instant, how many."""
 
-    track: Whole
-    behind: Whole
-    instant: Whole
-    count: Whole
+    track: Ints
+    behind: Ints
+    instant: Ints
+    count: Ints
 
 
 class Continuation:
@@ -147,7 +144,7 @@ class Continuation:
 
     def extend(
         self, begun: Sequence[Stretch], owners: Sequence[int], length: int, *, seed: int = 0
-    ) -> tuple[Points, Whole]:
+    ) -> tuple[Points, Ints]:
         """Continue tracks to `length` samples each.
 
         Args:
@@ -169,7 +166,7 @@ class Continuation:
             self._write(where, activity, self._pieces(begun, np.array(owners), length, seed))
         return where, activity
 
-    def _pieces(self, begun: Sequence[Stretch], owners: Whole, length: int, seed: int) -> list[_Piece]:
+    def _pieces(self, begun: Sequence[Stretch], owners: Ints, length: int, seed: int) -> list[_Piece]:
         """Return what is appended, splice by splice: each time to all tracks that are too short."""
         logs, rng, pieces = self._logs, np.random.default_rng(seed), []
         back = round(LONG_S / self._step_s)
@@ -195,13 +192,13 @@ class Continuation:
             filled[short] += count
         return pieces
 
-    def _times(self, spell: Whole, since: Whole) -> Points:
+    def _times(self, spell: Ints, since: Ints) -> Points:
         """Return the two times of states, in units (N, 2), from samples (N,): at it for so long, and into the cycle."""
         elapsed_s = np.clip(spell * self._step_s, 1.0, LONG_S)
         phase_s = np.minimum(since * self._step_s, self._latest_s)
         return np.stack([ELAPSED * np.log(elapsed_s), phase_s / PHASE_S], axis=1)
 
-    def nearest(self, states: Points, ends: Whole) -> tuple[Whole, Whole]:
+    def nearest(self, states: Points, ends: Ints) -> tuple[Ints, Ints]:
         """Return the instants of DRAWN tracks that come nearest to each state (N, features), and how many may be drawn.
 
         Args:
@@ -228,13 +225,13 @@ class Continuation:
             ]
         return np.array(found), np.concatenate(counts)
 
-    def weight_of(self, instants: Whole) -> Vector:
+    def weight_of(self, instants: Ints) -> Vector:
         """Return the weights of instants of any shape, in that shape."""
         if self._weight is None:
             self._weight = self._weights() if len(self._logs.last) <= MOST_WEIGHED else np.ones(len(self._at))
         return np.asarray(self._weight[instants])
 
-    def _write(self, where: Points, activity: Whole, pieces: Sequence[_Piece]) -> None:
+    def _write(self, where: Points, activity: Ints, pieces: Sequence[_Piece]) -> None:
         """Write the pieces into tracks, shape (K, length, 3 or 6) and (K, length), in place."""
         length = where.shape[1]
         flat, doing = where.reshape(-1, where.shape[2]), activity.reshape(-1)
@@ -258,10 +255,10 @@ class _Choices:
     def __init__(self, continuation: Continuation, ends: Points) -> None:
         self._continuation, self._ends = continuation, ends
         self._number: dict[tuple[int, ...], int] = {}
-        self._instants: list[Whole] = []
+        self._instants: list[Ints] = []
         self._counts: list[int] = []
 
-    def draw(self, end: Whole, times: Points, luck: Vector) -> Whole:
+    def draw(self, end: Ints, times: Points, luck: Vector) -> Ints:
         """Return the number of an instant for each of N tracks.
 
         Args:
@@ -313,7 +310,7 @@ class _Logs:
         index = np.arange(len(self.kind))
         self.spell = index - np.maximum.accumulate(np.where(changed, index, 0))
 
-    def states(self, at: Whole, kinds: int) -> Points:
+    def states(self, at: Ints, kinds: int) -> Points:
         """Return where he is, how he moves and what of `kinds` he does at these samples (N,); shape (N, features)."""
         xy, away = self.where[at, :2], self._away[at]
         back = np.maximum(at - max(1, round(0.5 / self._step_s)), self._begin[at])

@@ -15,7 +15,8 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
+    from cyclekit.schema import Vector
+
 
 WORSE = 2.0
 """Where the executions that the network never saw come out worse than the others, their median error beyond so many

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
     from cyclekit.adapter import ReadOptions, Recording
     from cyclekit.ingest.discover import Log
+    from cyclekit.schema import Vector
 
-    Vector = NDArray[np.float64]
 
 TABLES = {name: table for name, table in schema.OF_LOGS.items() if name != "stamps"}
 GAP_PERIODS, GAP_S = 5.0, 0.25

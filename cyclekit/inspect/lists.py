@@ -14,9 +14,8 @@ from cyclekit.inspect.facts import AgentFacts, ListedTask, SafetyFacts, Span, Ta
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from cyclekit.schema import Vector
 
-    Vector = NDArray[np.float64]
 
 _AGENT = ("agent_name", "agent", "tasks", "overlaps", "overlap_s")
 _DECIMALS = 4

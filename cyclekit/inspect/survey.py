@@ -13,9 +13,8 @@ from cyclekit.inspect.facts import Gap, TableFacts
 from cyclekit.scaling.levels import find_staircase
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from cyclekit.schema import Vector
 
-    Vector = NDArray[np.float64]
 
 _VALUES = 2_000_000  # scaling values that levels are looked for in
 

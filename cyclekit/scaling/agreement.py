@@ -19,9 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
-    Kinds = NDArray[np.int64]
+    from cyclekit.schema import Ints, Points, Vector
+
 
 LATEST_S, STEP_S = 1.0, 0.01
 """Reaction times up to this are tried, in such steps."""
@@ -55,13 +54,13 @@ class PlacesBefore:
         samples: How many distances were known in all.
     """
 
-    kind: Kinds
+    kind: Ints
     apart_m: NDArray[np.float64]
     floor_m: NDArray[np.float64]
     samples: int
 
     @classmethod
-    def before(cls, begin_s: Vector, kind: Kinds, t_s: Vector, robot_m: Points, human_m: Points) -> PlacesBefore:
+    def before(cls, begin_s: Vector, kind: Ints, t_s: Vector, robot_m: Points, human_m: Points) -> PlacesBefore:
         """Look up the places before changes that began at `begin_s` (N,), s, in samples at `t_s` (M,), s."""
         apart = np.linalg.norm(robot_m - in_plane(robot_m, human_m), axis=1) if len(t_s) else np.empty(0)
         known = np.isfinite(apart)
@@ -122,7 +121,7 @@ def _best(spreads: NDArray[np.float64]) -> float | None:
     return float(LATENCIES_S[best]) if spread[best] <= AGREE_M and best < len(LATENCIES_S) - 1 else None
 
 
-def _spreads(apart: NDArray[np.float64], kind: Kinds) -> NDArray[np.float64] | None:
+def _spreads(apart: NDArray[np.float64], kind: Ints) -> NDArray[np.float64] | None:
     """Return how far each change is from the others of its kind, shape (N, L); NaN of kinds that are too rare."""
     off = np.full(apart.shape, np.nan)
     for one in np.unique(kind):
@@ -132,7 +131,7 @@ def _spreads(apart: NDArray[np.float64], kind: Kinds) -> NDArray[np.float64] | N
     return None if np.isnan(off).all() else off
 
 
-def _by_lines(apart: NDArray[np.float64], floor: NDArray[np.float64], kind: Kinds, spread_m: float) -> Agreement:
+def _by_lines(apart: NDArray[np.float64], floor: NDArray[np.float64], kind: Ints, spread_m: float) -> Agreement:
     """Return at which reaction time places agree that share a line on the floor, or a distance that others have too."""
     every = [np.flatnonzero(kind == one) for one in np.unique(kind)]
     every = [mine[:: -(-len(mine) // _MOST_AROUND)] for mine in every if len(mine) > 2 * _AROUND]
@@ -171,7 +170,7 @@ def _off_shared(apart: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.abs(apart - middle))
 
 
-def _lag(apart: Vector, kind: Kinds) -> float | None:
+def _lag(apart: Vector, kind: Ints) -> float | None:
     """Return how much farther than it slows the robot speeds up again."""
     lag = [
         float(np.median(apart[kind == 2 * step + 1]) - np.median(apart[kind == 2 * step]))

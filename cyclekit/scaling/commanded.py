@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    Vector = NDArray[np.float64]
+    from cyclekit.schema import Vector
+
     Levels = NDArray[np.int32]
 
 UNKNOWN = -1

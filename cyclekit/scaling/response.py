@@ -20,12 +20,9 @@ from cyclekit.scaling.ways import RampRates, begin_of, fresh, holds_of, repeats,
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.scaling.ways import Way
+    from cyclekit.schema import Points, Vector
 
-    Vector = NDArray[np.float64]
-    Points = NDArray[np.float64]
 
 RAMP_ROWS = 3
 """A way of fewer rows between its levels has no slope; how many there are on average tells the rate."""

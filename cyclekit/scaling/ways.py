@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
+    from cyclekit.schema import Vector
+
 
 ON_LEVEL = 0.01
 """A scaling so near to a level is on it, even without noise."""

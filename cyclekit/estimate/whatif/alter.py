@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.whatif.change import Change
+    from cyclekit.schema import Vector
 
-    Vector = NDArray[np.float64]
 
 AWAY = 0.99
 """The operator is away where the robot may do this part of its best scaling wherever it is."""

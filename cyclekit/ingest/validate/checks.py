@@ -18,12 +18,9 @@ from cyclekit.ingest.validate.window import HERE, PLACE, judged_rows
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from cyclekit.ingest.validate.motion import Track
+    from cyclekit.schema import Bools, Vector
 
-    Vector = NDArray[np.float64]
-    Mask = NDArray[np.bool_]
 
 ANGLE_RAD = 26.0
 """Over four turns: no joint angle in radians."""
@@ -61,7 +58,7 @@ class Checks:
         aside, self._aside = self._aside, []
         return aside
 
-    def drop(self, frame: pl.DataFrame, bad: Mask, reason: str) -> pl.DataFrame:
+    def drop(self, frame: pl.DataFrame, bad: Bools, reason: str) -> pl.DataFrame:
         """Return the rows that are not bad; the bad ones to be judged here are set aside."""
         if not bad.any():
             return frame
@@ -221,7 +218,7 @@ class _Beyond:
     def __init__(self) -> None:
         self.rows, self.known, self.most = 0, 0, -np.inf
 
-    def look(self, frame: pl.DataFrame, name: str, value: Vector, wrong: Mask) -> pl.DataFrame:
+    def look(self, frame: pl.DataFrame, name: str, value: Vector, wrong: Bools) -> pl.DataFrame:
         here = is_here(frame)
         self.known += int((np.isfinite(value) & here).sum())
         if not wrong.any():
@@ -277,17 +274,17 @@ def _is_finite(values: pl.Series) -> bool:
     return bool(np.isfinite(float(total))) or bool(values.is_finite().all())
 
 
-def is_here(frame: pl.DataFrame) -> Mask:
+def is_here(frame: pl.DataFrame) -> Bools:
     """Tell which rows of a window are judged now."""
     return np.asarray(frame[PLACE].to_numpy() == HERE)
 
 
-def repeated(times: Vector) -> Mask:
+def repeated(times: Vector) -> Bools:
     """Tell which rows repeat the time of the row before."""
     return np.concatenate([[False], np.diff(times) == 0.0])[: len(times)]
 
 
-def stray_times(times: Vector) -> Mask:
+def stray_times(times: Vector) -> Bools:
     """Rows whose time lies outside that of their neighbours, which fit each other: a garbled number, no restart."""
     bad = np.zeros(len(times), bool)
     if len(times) < 3:

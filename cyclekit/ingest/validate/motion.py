@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
-    Mask = NDArray[np.bool_]
+    from cyclekit.schema import Bools, Vector
+
     Track = NDArray[np.int64] | slice
 
 STILL_ROWS = 100
@@ -59,7 +59,7 @@ class Places:
         self._still, self._seen = True, 0
         self._most_m = 0.0
 
-    def out_of_reach(self, xyz: Vector, here: Mask) -> Mask:
+    def out_of_reach(self, xyz: Vector, here: Bools) -> Bools:
         """Tell which positions, shape (3, N), are out of reach; none where most are, for then the unit is another.
 
         As a whole such a table is consistent, and only the user knows its unit.
@@ -74,7 +74,7 @@ class Places:
             return np.zeros(len(far), bool)
         return np.asarray(beyond)
 
-    def strays(self, times: Vector, xyz: Vector, groups: Sequence[Track], here: Mask) -> Mask:
+    def strays(self, times: Vector, xyz: Vector, groups: Sequence[Track], here: Bools) -> Bools:
         """Tell which positions are single strays of their track, and count the jumps that remain without them."""
         bad = np.zeros(len(times), bool)
         if self._scale_off:
@@ -86,7 +86,7 @@ class Places:
             self._jumps += jumps
         return bad
 
-    def _of_track(self, times: Vector, xyz: Vector, here: Mask) -> tuple[Mask, int]:
+    def _of_track(self, times: Vector, xyz: Vector, here: Bools) -> tuple[Bools, int]:
         bad = np.zeros(len(times), bool)
         seen = np.flatnonzero(np.isfinite(xyz[0]) & np.isfinite(xyz[1]))
         if len(seen) < 2:
@@ -107,7 +107,7 @@ class Places:
         kept = ~bad[seen]
         return bad, int((self._cannot(t[kept], p[:, kept]) & here[seen][kept][1:]).sum())
 
-    def _cannot(self, t: Vector, p: Vector, apart: int = 1) -> Mask:
+    def _cannot(self, t: Vector, p: Vector, apart: int = 1) -> Bools:
         """Tell of each row and the one `apart` rows later whether the way between them is impossible."""
         step = t[apart:] - t[:-apart]
         way = _length(p[:, apart:] - p[:, :-apart])

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
-    Mask = NDArray[np.bool_]
+    from cyclekit.schema import Bools, Vector
+
 
 AXES = ("x_m", "y_m", "z_m")
 WRITTEN = (0.0, -1.0, -99.0, *(sign * number for number in (999.0, 9999.0, 99999.0) for sign in (1.0, -1.0)))
@@ -63,7 +63,7 @@ class Nobody:
         known = pl.Series(~odd)
         return frame.with_columns(pl.when(known).then(pl.col(a)).alias(a) for a in AXES if a in frame.columns)
 
-    def _beside(self, frame: pl.DataFrame, x: Vector, y: Vector, odd: Mask) -> Mask:
+    def _beside(self, frame: pl.DataFrame, x: Vector, y: Vector, odd: Bools) -> Bools:
         """Tell which odd rows lie beside where their person was seen before, or is seen next."""
         beside, judged = np.zeros(len(x), bool), frame[PLACE].to_numpy() != BEFORE
         for person, rows in _rows_of(frame).items():
@@ -92,7 +92,7 @@ class Nobody:
         ]
 
 
-def _stands_for_nobody(values: Vector) -> Mask:
+def _stands_for_nobody(values: Vector) -> Bools:
     """Tell which values are one of STANDS_FOR_NOBODY, but for the rounding of a change of unit."""
     at = np.clip(np.searchsorted(STANDS_FOR_NOBODY, values), 1, len(STANDS_FOR_NOBODY) - 1)
     nearest = np.minimum(np.abs(values - STANDS_FOR_NOBODY[at]), np.abs(values - STANDS_FOR_NOBODY[at - 1]))
@@ -107,7 +107,7 @@ def _rows_of(frame: pl.DataFrame) -> Mapping[str | None, NDArray[np.int64]]:
     return {person: np.array(rows, np.int64) for person, rows in groups.iter_rows()}
 
 
-def _neighbours(odd: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _neighbours(odd: Bools) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return of each row the last one before it and the first one behind it that is not odd; -1 = none."""
     at = np.arange(len(odd))
     before = np.maximum.accumulate(np.where(odd, -1, at))

@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards.rule import LimitCard, RectangleCard, RegionCard
     from cyclekit.learning.rules.rows import RuleRows
+    from cyclekit.schema import Bools, Vector
 
-    Vector = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
 
 LEAST = 15
 """Fewer changes in one direction say nothing about where a threshold lies."""
@@ -90,7 +89,7 @@ def _crossed(
         yield place, (_mean(value, down & on, weight), _mean(value, up & on, weight))
 
 
-def _at(region: RegionCard, place: RulePlace, rows: RuleRows) -> tuple[Vector, Flags]:
+def _at(region: RegionCard, place: RulePlace, rows: RuleRows) -> tuple[Vector, Bools]:
     """Return the value (N,) half way from the row before, and which rows can tell of this threshold or edge."""
     floor = (rows.floor_m + rows.floor_m[rows.before]) / 2
     if place.kind == "nearer":
@@ -126,7 +125,7 @@ def _outside_m(rectangle: RectangleCard, floor_m: NDArray[np.float64]) -> Vector
     return found
 
 
-def _mean(value: Vector, on: Flags, weight: Vector | None) -> _Mean:
+def _mean(value: Vector, on: Bools, weight: Vector | None) -> _Mean:
     """Return the mean without what lies off by more than three deviations."""
     on = on & np.isfinite(value)
     at = value[on]

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
+    from cyclekit.schema import Bools, Vector
+
 
 _ROUNDS = 8
 _FEW = 3000
@@ -42,15 +42,15 @@ class LimitRows:
 
     apart_m: Mapping[str, Vector]
     floor_m: NDArray[np.float64]
-    slow: Flags
+    slow: Bools
     weight: Vector
 
-    def where(self, keep: Flags) -> LimitRows:
+    def where(self, keep: Bools) -> LimitRows:
         """Return some rows."""
         apart = {name: values[keep] for name, values in self.apart_m.items()}
         return LimitRows(apart, self.floor_m[keep], self.slow[keep], self.weight[keep])
 
-    def wrong(self, found: Flags) -> float:
+    def wrong(self, found: Bools) -> float:
         """Return how many rows are not as `found` says, shape (N,)."""
         return float(self.weight[found != self.slow].sum())
 
@@ -74,7 +74,7 @@ class Cut(NamedTuple):
         return MetresCard(value=sign * self.value, low=low, high=high)
 
 
-def best_cut(value: Vector, slow: Flags, weight: Vector) -> Cut:
+def best_cut(value: Vector, slow: Bools, weight: Vector) -> Cut:
     """Return the cut with the fewest rows on the wrong side, slow ones lying below it.
 
     Of several that are as good, the one in the widest gap.
@@ -151,7 +151,7 @@ def best_turned(rows: LimitRows, start: RectangleCard | None = None) -> Rectangl
     return best[1]
 
 
-def _about(rectangle: RectangleCard, floor_m: NDArray[np.float64]) -> Flags:
+def _about(rectangle: RectangleCard, floor_m: NDArray[np.float64]) -> Bools:
     """Return which points lie so near to an edge that a small turn decides whether they are inside."""
     large, small = (_grown(rectangle, by_m) for by_m in (_ABOUT_M, -_ABOUT_M))
     return within_rectangle(large, floor_m) & ~within_rectangle(small, floor_m)
@@ -209,5 +209,5 @@ def _improved(along: Vector, across: Vector, rows: LimitRows, angle_rad: float, 
     )
 
 
-def _edge(value: Vector, on: Flags, rows: LimitRows) -> Cut:
+def _edge(value: Vector, on: Bools, rows: LimitRows) -> Cut:
     return best_cut(value[on], rows.slow[on], rows.weight[on])

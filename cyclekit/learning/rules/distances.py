@@ -11,7 +11,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
+    from cyclekit.schema import Vector
+
 
 TO_TCP, TO_TCP_FLAT = "distance TCP to operator", "distance TCP to operator on the floor"
 TO_BASE, TO_LINK = "distance robot base to operator on the floor", "distance nearest link to operator"

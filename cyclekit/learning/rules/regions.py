@@ -13,9 +13,8 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards.rule import LimitCard, RectangleCard, RegionCard
     from cyclekit.learning.rules.rows import RuleRows
+    from cyclekit.schema import Bools, Vector
 
-    Vector = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
 
 NOWHERE = (-np.inf, np.inf)
 
@@ -48,7 +47,7 @@ def corners(rectangle: RectangleCard) -> list[tuple[float, float]] | None:
     return [(float(u * cos - v * sin), float(u * sin + v * cos)) for u, v in frame]
 
 
-def inside(region: RegionCard, rows: Positions) -> Flags:
+def inside(region: RegionCard, rows: Positions) -> Bools:
     """Return where the operator is in a region, shape (N,)."""
     found = np.isfinite(rows.floor_m[:, 0]) if region.anywhere else np.zeros(len(rows.floor_m), np.bool_)
     for near in region.nearer:
@@ -58,7 +57,7 @@ def inside(region: RegionCard, rows: Positions) -> Flags:
     return found
 
 
-def within_rectangle(rectangle: RectangleCard, floor_m: NDArray[np.float64]) -> Flags:
+def within_rectangle(rectangle: RectangleCard, floor_m: NDArray[np.float64]) -> Bools:
     """Return which points (N, 2), m, lie in a rectangle; edges never seen do not bound it."""
     found = np.isfinite(floor_m[:, 0])
     for edges, at in zip((rectangle.along, rectangle.across), turned(floor_m, rectangle.angle_rad), strict=True):

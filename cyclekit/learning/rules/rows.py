@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Bools, Vector
 
-    Vector = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
 
 _COLUMNS = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
 
@@ -55,7 +54,7 @@ class RuleRows:
         return len(self.level)
 
     @property
-    def present(self) -> Flags:
+    def present(self) -> Bools:
         """Where somebody is there, shape (N,)."""
         return np.isfinite(self.floor_m[:, 0])
 
@@ -155,7 +154,7 @@ def commanded(
 
 def _earlier(
     places: NDArray[np.float64], t_s: Vector, seen_s: Vector, run: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], Flags]:
+) -> tuple[NDArray[np.float64], Bools]:
     """Return the positions (N, 6) at `seen_s`, and where they lie before the stretch began."""
     first = np.flatnonzero(np.diff(run, prepend=-1))
     begin_s = np.repeat(t_s[first], np.diff(np.append(first, len(run))))

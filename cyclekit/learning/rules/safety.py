@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import TrainingCard
     from cyclekit.dataset.cards.rule import LimitCard, RuleCard
     from cyclekit.learning.networks.saved import TrainedModel
-
-    Vector = NDArray[np.float64]
+    from cyclekit.schema import Vector
 
 
 @dataclass(frozen=True)

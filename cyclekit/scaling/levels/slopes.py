@@ -18,9 +18,9 @@ from cyclekit.dataset.time_grid import samples_in
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Vector = NDArray[np.float64]
+    from cyclekit.schema import Bools, Vector
+
     Rows = NDArray[np.int64]
-    Flags = NDArray[np.bool_]
 
 _WINDOWS_S = (0.6, 1.0, 1.6, 2.5, 4.0, 6.0)
 _OFF = 0.006
@@ -47,8 +47,8 @@ class Slopes:
         varied: Which lie on slopes of no usual rate, shape (T,).
     """
 
-    on_ramp: Flags
-    varied: Flags
+    on_ramp: Bools
+    varied: Bools
 
 
 def find_slopes(values: Vector, begin: Rows, stop: Rows, rate_hz: float, noise: float) -> Slopes:
@@ -74,7 +74,7 @@ def find_slopes(values: Vector, begin: Rows, stop: Rows, rate_hz: float, noise: 
     return Slopes(on_ramp, varied & ~on_ramp)
 
 
-def _lines(values: Vector, begin: Rows, stop: Rows, half: int, noise: float) -> tuple[Vector, Flags]:
+def _lines(values: Vector, begin: Rows, stop: Rows, half: int, noise: float) -> tuple[Vector, Bools]:
     """Return the slope per sample of the window around each sample, and where it is a straight line that climbs."""
     count, at = 2 * half + 1, np.arange(values.size)
     whole = (at - half >= begin) & (at + half < stop)
@@ -108,13 +108,13 @@ def _usual(slopes: Vector, least: int) -> float | None:
     return float(np.median(ordered[first : first + most[first]]))
 
 
-def _is_alike(slopes: Vector, usual: float | None) -> Flags:
+def _is_alike(slopes: Vector, usual: float | None) -> Bools:
     if usual is None:
         return np.zeros(slopes.size, np.bool_)
     return np.asarray((slopes < usual * _ALIKE) & (slopes > usual / _ALIKE))
 
 
-def _spread(flags: Flags, half: int) -> Flags:
+def _spread(flags: Bools, half: int) -> Bools:
     """Return which samples lie in the window of a flagged one."""
     total = np.concatenate([[0], np.cumsum(flags)])
     at = np.arange(flags.size)

@@ -107,6 +107,7 @@ _KEYS = st.sampled_from(["frames", "bodies", "timestamp_usec", "joint_positions"
 _ANY = st.recursive(_LEAF, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(_KEYS, inner, max_size=4))
 
 
+@pytest.mark.slow  # many drawn files
 @given(frames=_ANY)
 def test_any_json_is_read_or_refused(tmp_path_factory, frames):
     path = tmp_path_factory.getbasetemp() / "any_azure.json"

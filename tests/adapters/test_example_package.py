@@ -49,6 +49,7 @@ def trace(path, seconds=8.0):
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
+@pytest.mark.slow  # a clean environment
 def test_the_adapter_is_listed_with_the_package_it_comes_from(installed, tmp_path):
     listed = json.loads(cyclekit(installed, "adapters", "--json").stdout)["adapters"]
     found = [entry for entry in listed if entry["name"] == "acme"]
@@ -58,6 +59,7 @@ def test_the_adapter_is_listed_with_the_package_it_comes_from(installed, tmp_pat
     assert "acme" not in {entry["name"] for entry in without}
 
 
+@pytest.mark.slow  # a clean environment; quick: test_broken_plugins
 def test_ingest_reads_a_log_of_it_and_refuses_the_log_without_it(installed, tmp_path):
     logs = tmp_path / "logs"
     logs.mkdir()

@@ -63,6 +63,7 @@ def test_a_library_call_without_its_extra_names_it_too(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow  # a process of its own
 def test_everything_else_works_without_any_extra(tmp_path: Path) -> None:
     packages = tuple(name for names in EXTRAS.values() for name in names)
     code = """

@@ -95,6 +95,7 @@ def test_a_replay_says_its_size_and_opens_where_it_is_told(cyclekit: Shell, cell
     assert "neither slowdown nor error" in failed.err
 
 
+@pytest.mark.slow  # a kill
 @pytest.mark.skipif(os.name == "nt", reason="sends SIGINT")
 def test_ctrl_c_ends_the_server_too(cell: Path, tmp_path: Path) -> None:
     for _ in range(20):

@@ -57,7 +57,7 @@ def in_shell(line: str, folder: Path, **variables: str) -> subprocess.CompletedP
 
 @ON_POSIX
 @pytest.mark.parametrize(
-    "closed", [*(pytest.param(one, marks=pytest.mark.slow) for one in ("2>&-", ">&-")), ">&- 2>&- <&-"]
+    "closed", [pytest.param(one, marks=pytest.mark.slow) for one in ("2>&-", ">&- 2>&- <&-")] + [">&-"]
 )
 def test_a_command_works_with_standard_streams_closed(small: Path, tmp_path: Path, closed: str) -> None:
     told = in_shell(f'"$0" "$@" replay "{small}" --execution 1 --out r.rrd {closed}', tmp_path)
@@ -81,6 +81,7 @@ def test_an_answer_that_cannot_be_written_is_a_message(small: Path, tmp_path: Pa
         )
 
 
+@pytest.mark.slow  # quick: names in test_hostile_names
 @ON_POSIX
 def test_names_with_umlauts_are_read_where_there_is_no_locale(tmp_path: Path) -> None:
     folder = tmp_path / "logs"

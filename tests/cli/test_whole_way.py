@@ -124,6 +124,7 @@ def test_an_execution_that_is_not_there_is_named_with_those_that_are(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow  # a kill; quick: test_failing_writes
 @pytest.mark.skipif(os.name == "nt", reason="kills with SIGKILL")
 def test_a_killed_ingest_leaves_the_old_dataset_whole(
     cyclekit: Shell, logs: Path, dataset: Path, tmp_path: Path

@@ -64,6 +64,7 @@ def test_of_a_shared_file_only_the_executions_asked_for_are_returned(
     assert shared.verify() == alone.verify() - 2
 
 
+@pytest.mark.slow  # quick: two jobs in test_ingest
 def test_workers_make_the_same_files(visits: SimulatedCell, tmp_path: Path, sharing_all: None):
     logs = tmp_path / "logs"
     for number in range(3):

@@ -52,6 +52,7 @@ def test_one_thread_or_four_the_same_is_stored_and_said(small_cell: Path, tmp_pa
     assert set(one) == set(four)
 
 
+@pytest.mark.slow  # quick: two jobs in test_ingest
 def test_a_dataset_does_not_depend_on_the_number_of_threads(small_cell: Path, tmp_path: Path) -> None:
     words = [sys.executable, "-m", "cyclekit", "ingest", str(small_cell / "logs"), "--out", "dataset", "--quiet"]
     subprocess.run(words, cwd=tmp_path, env={**os.environ, **dict.fromkeys(NAMES, "4")}, check=True)
@@ -75,7 +76,7 @@ def answer(capsys: pytest.CaptureFixture[str], *words: object) -> Any:
     return json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.slow  # quick: two jobs in test_ingest, and four threads above
+@pytest.mark.slow  # quick: two jobs in test_ingest
 def test_a_dataset_is_the_same_to_the_last_byte(
     small_cell: Path, elsewhere: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -128,6 +128,7 @@ def each_call_fails_once(
     return refused
 
 
+@pytest.mark.slow  # quick: the replay below
 def test_every_call_of_an_ingest_that_writes_fails_once(
     old_and_new: tuple[Path, list[str], list[str]], monkeypatch: pytest.MonkeyPatch, kill_nine: Any, capsys: Any
 ):

@@ -46,6 +46,7 @@ def test_logs_of_every_adapter_are_harmed(logs: list[OwnLog]):
     assert {log.adapter for log in logs} >= set(adapters()) - {"events"}  # is read by `csv` as well
 
 
+@pytest.mark.slow  # quick: the damage tests of each adapter
 def test_a_harmed_log_gives_one_of_our_tables_or_one_of_our_refusals(logs: list[OwnLog]):
     outcomes = set()
     for log in logs:

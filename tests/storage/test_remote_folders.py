@@ -176,6 +176,7 @@ def test_an_address_that_is_none_or_empty_says_so_without_its_secrets(bucket: st
         Dataset.open("nowhere")
 
 
+@pytest.mark.slow  # quick: the parts of it here
 def test_logs_in_a_bucket_become_a_dataset_and_a_model_in_it(
     bucket: str, small_cell: Path, elsewhere, capsys: pytest.CaptureFixture[str]
 ) -> None:

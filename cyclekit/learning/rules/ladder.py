@@ -12,7 +12,7 @@ from cyclekit.learning.rules.crossings import LAG_M, by_crossings, lags
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.fitting import fit_limits
 from cyclekit.learning.rules.intervals import with_intervals
-from cyclekit.learning.rules.quantities import quantities, with_bounds
+from cyclekit.learning.rules.quantities import quantities, with_bounds, without_doubtful
 from cyclekit.learning.rules.regions import followed
 
 if TYPE_CHECKING:
@@ -215,14 +215,14 @@ def _better(one: NDArray[np.float64], other: NDArray[np.float64], judge: RuleRow
 
 
 def _whole(fit: _Fit, rows: RuleRows, levels: Sequence[float], *, noisy: bool, seed: int) -> Limits | None:
-    """Return the chosen kind of rule fitted to all rows, with intervals."""
+    """Return the chosen kind of rule fitted to all rows, with intervals, and without what these make doubtful."""
     family = FAMILIES[fit.name]
     limits = fit_limits(rows, levels, family, lag=fit.lag)
     if not limits:
         return None
     if noisy:
         limits = by_crossings(limits, rows, {level: step for step, level in enumerate(levels)})
-    return with_intervals(limits, rows, levels, family, noisy=noisy, seed=seed)
+    return without_doubtful(with_intervals(limits, rows, levels, family, noisy=noisy, seed=seed))
 
 
 def _by_execution(right: NDArray[np.bool_], rows: RuleRows) -> NDArray[np.float64]:

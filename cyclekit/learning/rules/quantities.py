@@ -87,6 +87,32 @@ def with_bounds(limits: tuple[LimitCard, ...], *, larger: bool) -> tuple[LimitCa
     return changed(limits, moved)
 
 
+def without_doubtful(limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
+    """Return a rule without the rectangles that may have no extent, since the intervals of opposite edges meet.
+
+    Only where a distance limits the same level: with slow ramps or noise a strip beside the threshold explains a few
+    samples more.
+    """
+    return tuple(
+        structs.replace(limit, within=_sure(limit.within), until=None if limit.until is None else _sure(limit.until))
+        for limit in limits
+    )
+
+
+def _sure(region: RegionCard) -> RegionCard:
+    if not region.nearer:
+        return region
+    kept = tuple(one for one in region.rectangles if _apart(*one.along) and _apart(*one.across))
+    return structs.replace(region, rectangles=kept)
+
+
+def _apart(lower: MetresCard | None, upper: MetresCard | None) -> bool:
+    """Tell whether one edge lies below the other whatever their intervals; an edge never crossed lies far away."""
+    if lower is None or upper is None or lower.high is None or upper.low is None:
+        return True
+    return lower.high < upper.low
+
+
 def _region(
     region: RegionCard, level: float, change: Callable[[RulePlace, MetresCard], MetresCard], *, until: bool
 ) -> RegionCard:

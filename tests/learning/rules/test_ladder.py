@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, RectangleCard, RegionCard
 from cyclekit.learning.rules.distances import TO_LINK, TO_TCP, to_links
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.ladder import find_rule
-from cyclekit.learning.rules.quantities import quantities
+from cyclekit.learning.rules.quantities import quantities, without_doubtful
 from cyclekit.learning.rules.regions import corners
 from cyclekit.learning.rules.rows import RuleRows
 from cyclekit.learning.rules.words import sentences, verdict
@@ -151,6 +152,26 @@ def test_a_rectangle_and_a_distance_are_told_apart() -> None:
     assert np.array(corners(half.within.rectangles[0])) == pytest.approx(
         np.array([(0.1, -0.6), (1.3, -0.6), (1.3, 0.7), (0.1, 0.7)]), abs=0.03
     )
+
+
+def edges(from_m: tuple[float, float, float], to_m: tuple[float, float, float]) -> tuple[MetresCard, MetresCard]:
+    first, last = (MetresCard(value=value, low=low, high=high) for low, value, high in (from_m, to_m))
+    return first, last
+
+
+def test_a_rectangle_that_may_have_no_extent_is_none_beside_a_distance() -> None:
+    near = NearerCard(distance=TO_TCP, metres=MetresCard(value=0.8, low=0.79, high=0.81))
+    strip = RectangleCard(along=edges((0.24, 0.25, 0.52), (0.27, 0.3, 0.43)), across=(None, None))
+    zone = RectangleCard(
+        along=edges((0.9, 0.91, 0.95), (2.2, 2.3, 2.31)), across=edges((-0.7, -0.6, -0.6), (1, 1.1, 1.2))
+    )
+    beside, alone = RegionCard(nearer=(near,), rectangles=(strip, zone)), RegionCard(rectangles=(strip,))
+    limits = (LimitCard(scaling=0.0, within=beside, until=beside), LimitCard(scaling=0.5, within=alone))
+    first, second = without_doubtful(limits)
+    assert first.within.rectangles == (zone,)
+    assert first.until is not None
+    assert first.until.rectangles == (zone,)
+    assert second == limits[1]
 
 
 def test_noise_is_no_hysteresis_and_moves_no_threshold() -> None:

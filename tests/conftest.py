@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 settings.register_profile("cyclekit", deadline=None, print_blob=True)
-settings.register_profile("everyday", settings.get_profile("cyclekit"), max_examples=25)  # of `make test`
+settings.register_profile("everyday", settings.get_profile("cyclekit"), max_examples=12)  # of `make test`
 settings.load_profile("cyclekit")
 
 

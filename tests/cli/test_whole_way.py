@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .conftest import Shell
 
 
-@pytest.mark.slow  # quick: test_logs_on_disk
+@pytest.mark.slow  # of the simulator alone
 def test_the_same_simulation_twice_gives_the_same_bytes(cyclekit: Shell, tmp_path: Path) -> None:
     for name in ("a", "b"):
         done = cyclekit("simulate", "box-picking", "--out", tmp_path / name, "--executions", "1", "--seed", "7")

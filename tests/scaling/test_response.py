@@ -24,6 +24,7 @@ SAMPLES = Path(os.environ.get("CYCLEKIT_SAMPLES", "absent")) / "cnr-override"
 SLOW = {"latency_s": 0.2, "ramp_down_per_s": 2.5, "ramp_up_per_s": 1.0, "hysteresis_m": 0.1}
 
 
+@pytest.mark.slow  # quick: the series made by hand below
 def test_latency_ramps_and_hysteresis_are_read_from_the_logs(cells: Cells):
     found = cells("pick-and-package", 4, **SLOW).dataset.card.dynamics
     assert found.latency_s == pytest.approx(0.2, abs=0.02)

@@ -29,7 +29,7 @@ VARIANTS = [
     *((scene, {}) for scene in SCENES),
     pytest.param(("box-picking", {"robot_rate_hz": 500}), marks=pytest.mark.slow),
     pytest.param(("pick-and-package", {"robot_rate_hz": 500}), marks=pytest.mark.slow),
-    ("laser-zones", {"robot_rate_hz": 500}),
+    pytest.param(("laser-zones", {"robot_rate_hz": 500}), marks=pytest.mark.slow),
     ("box-picking", {"ramp_down_per_s": 2.0, "ramp_up_per_s": 1.0, "latency_s": 0.1, "hysteresis_m": 0.05}),
 ]
 SHORT = {"pick-and-package": 1, "box-picking": 2, "laser-zones": 3, "scanner-visits": 3}

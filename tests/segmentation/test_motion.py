@@ -156,7 +156,8 @@ def test_samples_do_not_depend_on_how_a_log_is_stored(tmp_path_factory, times: l
         np.testing.assert_allclose(getattr(found, name), getattr(same, name), atol=1e-12, err_msg=name)
 
 
-@pytest.mark.parametrize("override", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.slow  # quick: how a log is stored, above
+@pytest.mark.parametrize("override", [True, False])
 def test_a_dataset_does_not_depend_on_how_much_is_read_at_once(
     cells: Cells, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, override: bool
 ):

@@ -24,6 +24,7 @@ from cyclekit_sim import (
 if TYPE_CHECKING:
     from simulated_cells import SimulatedCell
 
+pytestmark = pytest.mark.slow  # of the simulator alone
 HUMAN, ROBOT = [f"human_{a}_m" for a in "xyz"], [f"robot_{a}_m" for a in "xyz"]
 
 

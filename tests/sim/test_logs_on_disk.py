@@ -20,6 +20,7 @@ from cyclekit_sim.arm import JOINT_NAMES, forward
 if TYPE_CHECKING:
     from simulated_cells import Cells
 
+pytestmark = pytest.mark.slow  # of the simulator alone; what reads its logs is quick
 POSE = [f"actual_TCP_pose_{i}" for i in range(3)]
 
 

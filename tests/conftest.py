@@ -27,6 +27,11 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(100_000, 50, 100)
 
 
+def pytest_sessionfinish() -> None:
+    """Let what was imported be freed at the end: some packages count what is left."""
+    gc.unfreeze()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _what_is_shared_stays_as_it_was(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Whoever changed a cell that other tests read is found out at the end of the run."""

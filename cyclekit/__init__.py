@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from cyclekit.api.trace import trace_sample as trace_sample
     from cyclekit.api.train import train_model as train_model
     from cyclekit.api.train import train_seeds as train_seeds
+    from cyclekit.api.train import train_task_times as train_task_times
     from cyclekit.api.whatif import what_if as what_if
     from cyclekit.api.zones import read_safety_function as read_safety_function
     from cyclekit.config.sequences import TaskSequence as TaskSequence
@@ -84,7 +85,7 @@ _NAMES = {
     "api.report": "write_report",
     "api.simulate": "simulate_logs",
     "api.trace": "trace_sample",
-    "api.train": "train_model train_seeds",
+    "api.train": "train_model train_seeds train_task_times",
     "api.whatif": "what_if",
     "api.zones": "read_safety_function",
     "config.sequences": "TaskSequence load_sequences",

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import Sequences, model_of, path_of, place_of, sequences_of
+from cyclekit.api.given import Sequences, estimator_model, path_of, place_of, sequences_of
+from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
+from cyclekit.errors import EstimateError
 from cyclekit.estimate.answers import CycleEstimates, Refusal, refusing, together
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.safety import SafetyModel
+from cyclekit.estimate.task_times import estimate_plans
+from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.storage.atomic import write_text
 from cyclekit.text.plain_json import json_text
@@ -22,7 +26,7 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 @checked
 def estimate_cycles(
-    model: SafetyModel | Place,
+    model: SafetyModel | TaskTimesModel | Place,
     dataset: Dataset | Place,
     sequences: Sequences,
     *,
@@ -41,7 +45,7 @@ def estimate_cycles(
     """Estimate the expected cycle time of each sequence: those of the same work together, shortest first.
 
     Args:
-        model: A model, its folder or its URL.
+        model: A model, its folder or its URL; one of task times answers plans for robot and operator.
         dataset: Logs that hold the tasks and the operator's tracks; a dataset, its folder or its URL.
         sequences: What is asked for: sequences, or the sequence file.
         out: Also write the result here, `.json` or `.csv`.
@@ -71,22 +75,32 @@ def estimate_cycles(
     check_output(file, "estimates-csv" if as_table else "estimates-json", inputs, endings=(".json", ".csv"))
     wanted = sequences_of(sequences)
     refused: list[Refusal] = []
-    found = estimate(
-        model_of(model),
-        Dataset.of(dataset),
-        wanted,
-        estimator=estimator,
-        quantiles=quantiles,
-        takt_s=takt_s,
-        seed=seed,
-        extrapolate=extrapolate,
-        validate=validate,
-        check=check,
-        other_cell=other_cell,
-        engine=engine,
-        refused=lambda sequence, error: refusing(refused, sequence.name, error),
-        progress=progress,
-    )
+    opened = estimator_model(model)
+
+    def refuse(sequence: TaskSequence, error: EstimateError) -> None:
+        refusing(refused, sequence.name, error)
+
+    if isinstance(opened, TaskTimesModel):
+        found = estimate_plans(
+            opened.card, wanted, quantiles=quantiles, takt_s=takt_s, seed=seed, refused=refuse, progress=progress
+        )
+    else:
+        found = estimate(
+            opened,
+            Dataset.of(dataset),
+            wanted,
+            estimator=estimator,
+            quantiles=quantiles,
+            takt_s=takt_s,
+            seed=seed,
+            extrapolate=extrapolate,
+            validate=validate,
+            check=check,
+            other_cell=other_cell,
+            engine=engine,
+            refused=refuse,
+            progress=progress,
+        )
     if not found and wanted:
         raise together(refused)
     answer = CycleEstimates(tuple(found), tuple(refused))

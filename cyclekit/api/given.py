@@ -13,6 +13,7 @@ from cyclekit.estimate.safety import SafetyModel
 from cyclekit.estimate.whatif.change import Change, load_changes
 from cyclekit.learning.networks.saved import TrainedModel, load_model
 from cyclekit.learning.rules.safety import answering
+from cyclekit.learning.task_times.saved import TaskTimesModel, holds_task_times, load_task_times
 
 Sequences = Place | TaskSequence | Sequence[TaskSequence]
 Changes = Place | Change | Sequence[Change]
@@ -22,6 +23,13 @@ def model_of(given: SafetyModel | Place) -> SafetyModel:
     """Return a safety function; of a trained model the rule beside it, if it has one, else its network."""
     opened = load_model(given) if isinstance(given, str | Path) else given
     return answering(opened) if isinstance(opened, TrainedModel) else opened
+
+
+def estimator_model(given: SafetyModel | TaskTimesModel | Place) -> SafetyModel | TaskTimesModel:
+    """Return what an estimate asks: a safety function, or task times learned from task lists."""
+    if isinstance(given, str | Path) and holds_task_times(given):
+        return load_task_times(given)
+    return given if isinstance(given, TaskTimesModel) else model_of(given)
 
 
 def trained_of(given: TrainedModel | Place) -> TrainedModel:

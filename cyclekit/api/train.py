@@ -1,4 +1,7 @@
-"""`train_model`: the safety function of the cell, learned from a dataset; `train_seeds`: one model for each seed."""
+"""`train_model`: the safety function of the cell, learned from a dataset; `train_seeds`: one model for each seed.
+
+`train_task_times` learns from task lists, without positions.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,8 @@ from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.learning.networks.saved import TrainedModel, check_model_output, load_model
 from cyclekit.learning.networks.spec import ModelSpec
+from cyclekit.learning.task_times.learn import learn_task_times
+from cyclekit.learning.task_times.saved import TaskTimesModel, save_task_times
 from cyclekit.learning.training import Training, need_torch, train, train_at
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.storage.remote.folders import join
@@ -79,6 +84,31 @@ def train_seeds(
         Training(_place(dataset), replace(wanted, seed=seed), join(str(out), f"seed-{seed}"), rules) for seed in seeds
     ]
     return dict(zip([each.out for each in todo], _put(todo, engine, progress), strict=True))
+
+
+@checked
+def train_task_times(
+    dataset: Dataset | Place, *, out: Place | None = None, seed: int = 0, progress: Progress | None = None
+) -> TaskTimesModel:
+    """Learn from task lists how long tasks take beside each other, and what each waits for.
+
+    Args:
+        dataset: Made of task lists of both agents; positions are not needed.
+        out: Also put it there: a folder or a URL.
+        seed: Of what is drawn.
+        progress: Told the fraction done.
+
+    Raises:
+        DatasetError: It holds too few complete executions.
+        OutputError: The model would replace what is no model, or lie in the dataset.
+    """
+    if out is not None:
+        check_output(str(out), "model", [_place(dataset)])
+        check_model_output(str(out))
+    found = TaskTimesModel(learn_task_times(Dataset.of(dataset), seed=seed, progress=progress))
+    if out is not None:
+        save_task_times(out, found)
+    return found
 
 
 def _place(dataset: Dataset | Place) -> str:

@@ -35,7 +35,13 @@ if TYPE_CHECKING:
 
 EXAMPLE = "cyclekit estimate model sequences.toml --dataset dataset"
 CAPTION = "seconds: motion at full speed + slow-down for safety + dwell + wait = expected"
+PLANNED = (
+    "seconds of the robot: its tasks as usual + what differs here, as other tasks go on beside them + wait = expected"
+)
 DOUBTED = "* "
+SPLIT_HEADS = ["motion", "safety", "dwell", "wait"]
+LEAST_WAIT_S = 0.2
+"""A shorter wait between two tasks has no cause worth a word."""
 _SPLIT = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
 
 
@@ -87,8 +93,9 @@ def estimate(
         )
     if out is not None:
         terminal.remark(f"written: {out}")
-    by_task = tasks_table(found[0]) if len(found) == 1 else ""
-    numbers = f"{estimates_table(found)}\n{bullet([CAPTION], mark='')}\n{doubted(found)}".rstrip()
+    by_task = "" if len(found) != 1 else plan_table(found[0]) if found[0].plan else tasks_table(found[0])
+    caption = PLANNED if any(entry.plan for entry in found) else CAPTION
+    numbers = f"{estimates_table(found)}\n{bullet([caption], mark='')}\n{doubted(found)}".rstrip()
     parts = [
         alarmed(found.alarms),
         numbers,
@@ -96,7 +103,7 @@ def estimate(
         ranking(found),
         takt_table(found),
         by_task,
-        loses_most(found),
+        "" if any(entry.plan for entry in found) else loses_most(found),
     ]
     terminal.answer(found.to_dict(), *parts, rests_on(found), judged(found.check) if found.check else "")
 
@@ -134,9 +141,10 @@ def estimates_table(found: Sequence[CycleEstimate]) -> str:
     from cyclekit.estimate.same_work import by_work
 
     low, high = _range(found)
-    heads = ["sequence ", "expected", f"{100 * (high - low):.0f}% of cycles", "motion", "safety", "dwell", "wait"]
+    parts = ["usual", "beside", "dwell", "wait"] if any(one.plan for one in found) else SPLIT_HEADS
+    heads = ["sequence ", "expected", f"{100 * (high - low):.0f}% of cycles", *parts]
     works = by_work(found)
-    parts = []
+    tables = []
     for work, entries in works.items():
         rows = [
             [
@@ -147,8 +155,8 @@ def estimates_table(found: Sequence[CycleEstimate]) -> str:
             ]
             for place, entry in enumerate(entries, start=1)
         ]
-        parts.append(table(heads, rows, title=bullet([str(work)], mark="") if len(works) > 1 else ""))
-    return "\n\n".join(parts)
+        tables.append(table(heads, rows, title=bullet([str(work)], mark="") if len(works) > 1 else ""))
+    return "\n\n".join(tables)
 
 
 def ranking(found: Sequence[CycleEstimate]) -> str:
@@ -237,6 +245,16 @@ def tasks_table(entry: CycleEstimate) -> str:
     return table(["task ", "expected, s", "motion", "safety", "dwell", "wait"], rows)
 
 
+def plan_table(entry: CycleEstimate) -> str:
+    """Return one row per task of a plan for both agents: when it starts and ends, and what it waited for."""
+    rows = []
+    for task in sorted(entry.plan, key=lambda one: one.start_s):
+        cause = max(task.decided, key=lambda name: task.decided[name])
+        waited = f"{cause} ({percent(task.decided[cause])})" if task.wait_s > LEAST_WAIT_S else "-"
+        rows.append([task.agent, task.task, f"{task.start_s:.1f}", f"{task.end_s:.1f}", f"{task.wait_s:.1f}", waited])
+    return table(["agent ", "task ", "start, s", "end, s", "wait, s", "waits for"], rows)
+
+
 def rests_on(found: Sequence[CycleEstimate]) -> str:
     """Return the basis of each number and what limits it, one line each."""
     lines: list[str] = []
@@ -254,6 +272,8 @@ def _support(entry: CycleEstimate) -> str:
     """Return how much of the cycle is supported by the logs, or that this was not counted."""
     from math import isnan
 
+    if entry.plan:
+        return "no positions"
     return (
         "support not counted" if isnan(entry.support) else f"{percent(entry.support)} of the time near logged positions"
     )

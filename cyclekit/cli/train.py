@@ -22,6 +22,7 @@ from cyclekit.cli.terminal import Terminal
 if TYPE_CHECKING:
     from cyclekit.dataset.cards import TrainingCard
     from cyclekit.dataset.cards.rule import RuleCard
+    from cyclekit.learning.task_times.saved import TaskTimesModel
 
 EXAMPLE = "cyclekit train dataset --out model"
 Problem = Literal["now", "ahead", "average"]
@@ -86,12 +87,17 @@ def train(
         msg = "--model auto goes with --problem now: a rule gives the present scaling"
         raise typer.BadParameter(msg)
     chosen = None if seeds is None else whole_numbers(seeds)
+    from cyclekit.dataset.dataset import Dataset
+
+    terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
+    if Dataset.open(dataset).holds_task_lists_alone:
+        _train_task_times(terminal, dataset, out, seed)
+        return
     from cyclekit.api.train import train_model, train_seeds
     from cyclekit.dataset.cards import texts
     from cyclekit.errors import command_line
     from cyclekit.learning.networks.spec import ModelSpec
 
-    terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     inputs: dict[str, Any] = {"features": features, "optimiser": optimiser, "balance": balance, "noise_m": noise}
     inputs["target"] = target
     spec = ModelSpec.of(problem, network, horizon_s, norm=norm, seed=seed, **inputs)
@@ -109,6 +115,37 @@ def train(
     if chosen is None and problem != "ahead":  # no estimator works with a forecast
         following = command_line("estimate", out, "SEQUENCES.toml", "--dataset", dataset)
     terminal.done(documents[0] if chosen is None else {"models": documents}, f"{told}\nnext: {following}")
+
+
+def _train_task_times(terminal: Terminal, dataset: str, out: str, seed: int) -> None:
+    """Learn from task lists, which need no network."""
+    from cyclekit.api.train import train_task_times
+    from cyclekit.errors import command_line
+
+    with terminal.progress("learning from task lists") as progress:
+        found = train_task_times(dataset, out=out, seed=seed, progress=progress)
+    following = command_line("estimate", out, "SEQUENCES.toml", "--dataset", dataset)
+    document = {"model": out, "card": found.to_dict()}
+    terminal.done(document, f"{out}: {task_times_summary(found)}\nnext: {following}")
+
+
+def task_times_summary(found: TaskTimesModel) -> str:
+    """Return what was learned from task lists: a row for each task, and how far held-out orders are off."""
+    from cyclekit.cli.terminal import table
+
+    rows = [
+        [task.agent, task.task, str(len(task.work_s)), f"{task.usual_s:.1f}", ", ".join(task.waits_for[1:]) or "-"]
+        for task in found.card.tasks
+    ]
+    heads = ["agent ", "task ", "times", "mean, s", "waits for"]
+    judged = found.card.held_out
+    held = "held out: too few executions to judge by"
+    if judged is not None:
+        held = (
+            f"held out: {judged.orders} orders, mean cycle time {judged.bias:+.1%} off (+-{judged.within:.1%}), "
+            f"spread over orders {judged.order_error:.1%}"
+        )
+    return f"task times from {found.card.executions} executions\n{table(heads, rows)}\n  {held}"
 
 
 def summary(card: TrainingCard) -> str:

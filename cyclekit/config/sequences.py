@@ -13,25 +13,57 @@ from cyclekit.config.toml_file import followed, list_at, read_toml, refuse_twice
 from cyclekit.errors import ConfigError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
 _EXAMPLE = """Add one:
   [[sequence]]
   name = "A"
   places = ["home", "conveyor", "left_1", "home"]"""
+MOST_S = 1e7
+"""No plan is longer, s."""
+
+
+@dataclass(frozen=True)
+class PlannedTask:
+    """One task of a plan for robot and operator.
+
+    Attributes:
+        agent: `robot`, `operator`, or the agent's name in the logs.
+        name: Of the task.
+        not_before_s: Earliest start, s after the start of the cycle; None = as soon as it can.
+        after: Tasks that must have ended before it, besides what was learned.
+    """
+
+    agent: str
+    name: str
+    not_before_s: float | None = None
+    after: tuple[str, ...] = ()
+
+    @property
+    def shown(self) -> str:
+        """How a message names it: `robot: pick`."""
+        return f"{self.agent}: {self.name}"
 
 
 @dataclass(frozen=True)
 class TaskSequence:
     """What the robot shall do: ordered places, the start first; optionally what the operator does meanwhile.
 
-    `file` is where it was read from, for messages.
+    `file` is where it was read from, for messages. `plan` holds the tasks of both agents where the sequence is a plan
+    for both, each agent's in order; `places` then names them.
     """
 
     name: str
     places: tuple[str, ...]
     operator: tuple[str, ...] | None = None
     file: Path | None = None
+    plan: tuple[PlannedTask, ...] = ()
+
+    @classmethod
+    def of_plan(cls, name: str, plan: Sequence[PlannedTask], file: Path | None = None) -> TaskSequence:
+        """Return a plan for robot and operator."""
+        return cls(name, ("plan", *(task.shown for task in plan)), file=file, plan=tuple(plan))
 
     @property
     def shown(self) -> str:
@@ -47,6 +79,8 @@ class TaskSequence:
 def load_sequences(path: Path) -> list[TaskSequence]:
     """Read a sequence file: `[[sequence]]` with `name` and `places` (or `tasks`), optionally `operator`.
 
+    A plan for robot and operator has `[[sequence.task]]` in their place: `agent`, `name`, `not_before_s`, `after`.
+
     Raises:
         ConfigError: The file cannot be read, holds no sequence, or a sequence is not one.
     """
@@ -61,6 +95,16 @@ def load_sequences(path: Path) -> list[TaskSequence]:
 
 
 @dataclass(frozen=True)
+class _Task:
+    """A task of a plan as the file says it."""
+
+    agent: str
+    name: str
+    not_before_s: float | None = None
+    after: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class _Entry:
     """A sequence as the file says it."""
 
@@ -68,6 +112,7 @@ class _Entry:
     places: tuple[str, ...] | None = None
     tasks: tuple[str, ...] | None = None
     operator: tuple[str, ...] | None = None
+    task: tuple[_Task, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -79,12 +124,31 @@ class _File:
 
 def _sequence(path: Path, entry: _Entry, index: int) -> TaskSequence:
     where = f"{path} sequence[{index}]"
+    if entry.task:
+        return _plan(where, entry, index, path)
     if (entry.places is None) == (entry.tasks is None):
         raise ConfigError(f"{where}: needs either places or tasks", cure='places = ["home", "conveyor", "left_1"]')
     places = entry.places if entry.places is not None else _joined(where, entry.tasks or ())
     if len(places) < 2:
         raise ConfigError(f"{where}: a sequence needs at least two places", cure="Name the start, then each goal.")
     return TaskSequence(entry.name or f"sequence {index + 1}", places, entry.operator, path)
+
+
+def _plan(where: str, entry: _Entry, index: int, path: Path) -> TaskSequence:
+    """Return a plan for robot and operator.
+
+    Raises:
+        ConfigError: It names places too, or an earliest start is no time.
+    """
+    if any(part is not None for part in (entry.places, entry.tasks, entry.operator)):
+        msg = f"{where}: [[sequence.task]] beside places, tasks or operator"
+        raise ConfigError(msg, cure="Write either: a plan names the tasks of both agents itself.")
+    for task in entry.task:
+        if task.not_before_s is not None and not 0.0 <= task.not_before_s < MOST_S:
+            msg = f"{where}: not_before_s = {task.not_before_s} of {task.name!r} is no time from the start of the cycle"
+            raise ConfigError(msg, cure="Give seconds after the start of the cycle, 0 or more.")
+    plan = [PlannedTask(task.agent, task.name, task.not_before_s, task.after) for task in entry.task]
+    return TaskSequence.of_plan(entry.name or f"sequence {index + 1}", plan, path)
 
 
 def _joined(where: str, tasks: tuple[str, ...]) -> tuple[str, ...]:

@@ -183,6 +183,12 @@ class Dataset:
         told = self.card.positions
         return tuple(told if told is not None else (whose for whose in ("robot", "people") if whose in tables))
 
+    @property
+    def holds_task_lists_alone(self) -> bool:
+        """Whether it was made of task lists without the robot's log."""
+        listed = any("task_list" in record.tables for record in self.recordings)
+        return listed and not self.positions and not self.card.rows.samples
+
     def require_positions(self) -> None:
         """Refuse a question about motion or places to a dataset that has neither.
 

@@ -126,7 +126,10 @@ class CycleEstimates(Answers[CycleEstimate]):
 
 def together(refused: Sequence[Refusal]) -> EstimateError:
     """Return one error for all that cannot be answered."""
-    return EstimateError("\n".join(dict.fromkeys(str(one.error) for one in refused)))
+    first, *others = {str(one.error): one.error for one in refused}.values()
+    if not others:
+        return first
+    return EstimateError(first.seen, cure="\n".join([first.cure or "", *map(str, others)]).strip())
 
 
 def refusing(refused: list[Refusal], name: str, error: EstimateError) -> None:

@@ -63,6 +63,9 @@ def lay_out(sequence: TaskSequence, nominal: Mapping[str, NominalTask], dataset:
         UnknownName: A place does not exist.
         EstimateError: A task was never logged.
     """
+    if sequence.plan:
+        msg = f"{sequence.shown}: a plan for robot and operator, and this model knows positions, not task lists"
+        raise EstimateError(msg, cure="Name the robot's places, or train on task lists of both agents.")
     places = dataset.places
     for place in sequence.places:
         if place not in places:

@@ -38,6 +38,28 @@ class TaskShare:
     wait_s: float
 
 
+@dataclass(frozen=True)
+class PlannedShare:
+    """One task of a plan for robot and operator: means over the cycles, seconds from the first start.
+
+    Attributes:
+        agent: Its name in the plan; `kind`: robot or operator.
+        task: Its name.
+        start_s, end_s: When it starts and ends.
+        wait_s: Time from the end of the agent's own task before it to its start.
+        decided: In which part of the cycles what decided the start: another task, the planned start, or the agent's own
+            task before it.
+    """
+
+    agent: str
+    kind: str
+    task: str
+    start_s: float
+    end_s: float
+    wait_s: float
+    decided: Mapping[str, float]
+
+
 @dataclass(frozen=True, repr=False)
 class CycleEstimate(Result):
     """Expected cycle time of one sequence.
@@ -71,6 +93,8 @@ class CycleEstimate(Result):
         check: The validation on logged executions that corrected it; None where there was none.
         combined: The rollout and the sum of logged task durations that it is the weighted mean of; None where it rests
             on one of them.
+        plan: Start, end and wait of each task of both agents, where it is a plan for both; the split is then that of
+            the robot: `nominal_s` its tasks as long as usual, `safety_loss_s` what differs as other tasks go on beside.
     """
 
     name: str
@@ -101,6 +125,7 @@ class CycleEstimate(Result):
     doubts: tuple[str, ...] = ()
     check: Check | None = field(default=None, repr=False)
     combined: Combined | None = None
+    plan: tuple[PlannedShare, ...] = ()
 
     @property
     def per_visit_s(self) -> float:
@@ -134,6 +159,7 @@ class CycleEstimate(Result):
             if name != "check"
         }
         out["tasks"] = [dict(vars(task)) for task in self.tasks]
+        out["plan"] = [dict(vars(task)) for task in self.plan]
         out["quantiles_s"] = {f"{level:g}": value for level, value in self.quantiles_s.items()}
         out["combined"] = None if self.combined is None else dict(vars(self.combined))
         return out | {"median_s": self.median_s, "per_visit_s": self.per_visit_s}

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from cyclekit_sim.task_lists import simulate_task_lists
+
 TASKS = [
     {"agent": "Operator", "task": "pick", "start": 0.5, "end": 2.5, "run": "a", "outcome": 1},
     {"agent": "Operator", "task": "pick", "start": 2.0, "end": 6.0, "run": "a", "outcome": 0},
@@ -78,13 +80,12 @@ def test_a_dataset_of_them_is_shown_as_what_it_is(cyclekit, tasks: Path, overrid
     assert "operator seen in" not in shown
 
 
-@pytest.mark.parametrize("command", ["train", "report", "levels", "replay", "trace"])
+@pytest.mark.parametrize("command", ["report", "levels", "replay", "trace"])
 def test_commands_that_need_positions_end_with_one_sentence(
     cyclekit, tasks: Path, tmp_path: Path, command: str
 ) -> None:
     cyclekit("ingest", tasks.parent, "--out", tmp_path / "dataset", "--quiet")
     more = {
-        "train": ["--out", tmp_path / "model"],
         "report": ["--out", tmp_path / "page.html"],
         "levels": [],
         "replay": ["--execution", "1", "--out", tmp_path / "a.rrd"],
@@ -122,3 +123,25 @@ def test_convert_writes_a_task_list(cyclekit, tasks: Path, tmp_path: Path) -> No
     first, *rows = (tmp_path / "tasks.csv").read_text(encoding="utf-8").splitlines()
     assert first.startswith("t_s,end_s,agent,agent_name,task")
     assert rows[0].startswith("0.5,2.5,operator,Operator,pick")
+
+
+def test_task_lists_go_from_logs_to_the_cycle_time_of_a_plan(cyclekit, tmp_path: Path) -> None:
+    simulate_task_lists(tmp_path / "logs", executions=20, seed=2)
+    dataset, model, file = tmp_path / "dataset", tmp_path / "model", tmp_path / "s.toml"
+    cyclekit("ingest", tmp_path / "logs" / "tasks.csv", "--out", dataset, "--quiet")
+    trained = cyclekit("train", dataset, "--out", model)
+    assert trained.code == 0, trained.err
+    assert "worker: mount" in trained.out
+    tasks = [("robot", "bring"), ("robot", "weld"), ("operator", "mount")]
+    told = [f'[[sequence.task]]\nagent = "{agent}"\nname = "{name}"' for agent, name in tasks]
+    file.write_text("\n".join(['[[sequence]]\nname = "a"', *told]), encoding="utf-8")
+    shown = cyclekit("estimate", model, file, "--dataset", dataset)
+    assert shown.code == 0, shown.err
+    assert "operator: mount" in shown.out
+    assert "hold no positions" in shown.out
+    (answer,) = cyclekit("estimate", model, file, "--dataset", dataset, "--json").document["sequences"]
+    assert 15.0 < answer["expected_s"] < 18.5
+    assert answer["wait_s"] > 4.0
+    refused = cyclekit("zones", model, dataset)
+    assert refused.code == 1
+    assert "It answers plans for robot and operator: cyclekit estimate" in refused.err

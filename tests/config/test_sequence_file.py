@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit.config.sequences import TaskSequence, load_sequences
+from cyclekit.config.sequences import PlannedTask, TaskSequence, load_sequences
 from cyclekit.errors import ConfigError, UnknownName
 
 
@@ -70,3 +70,37 @@ def test_the_tasks_of_a_sequence_lead_through_its_places_in_order(places: list[s
     tasks = TaskSequence("A", tuple(places)).tasks
     assert [task.partition("->")[0] for task in tasks] == places[:-1]
     assert [task.partition("->")[2] for task in tasks] == places[1:]
+
+
+PLAN = """
+[[sequence]]
+name = "both"
+[[sequence.task]]
+agent = "robot"
+name = "bring"
+not_before_s = 2.5
+[[sequence.task]]
+agent = "operator"
+name = "mount"
+after = ["bring"]
+"""
+
+
+def test_a_plan_for_robot_and_operator_is_read(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(PLAN, encoding="utf-8")
+    (found,) = load_sequences(tmp_path / "s.toml")
+    assert found.plan == (PlannedTask("robot", "bring", 2.5), PlannedTask("operator", "mount", None, ("bring",)))
+
+
+@pytest.mark.parametrize(
+    ("more", "seen"),
+    [
+        ('places = ["a", "b"]', "beside places"),
+        ("", "is no time from the start of the cycle"),
+    ],
+)
+def test_a_plan_that_cannot_be_followed_is_refused(tmp_path: Path, more: str, seen: str) -> None:
+    text = PLAN.replace('name = "both"', f'name = "both"\n{more}')
+    (tmp_path / "s.toml").write_text(text if more else text.replace("2.5", "-2.5"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=seen):
+        load_sequences(tmp_path / "s.toml")

@@ -20,6 +20,7 @@ import numpy as np
 
 from cyclekit import schema
 from cyclekit.dataset.cards import BadCard, TrainingCard, model_card, plain, read_json
+from cyclekit.dataset.cards.task_model import FORMAT as TASK_TIMES
 from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.learning.networks.kinds import names_levels
@@ -249,6 +250,9 @@ def load_model(place: Path | str) -> TrainedModel:
         weights = parse_weights(file, card)
     except (BadCard, NotAModel) as cause:
         msg = f"{file}: {cause}"
+        if isinstance(cause, TaskTimesInstead):
+            plans = command_line("estimate", place, "SEQUENCES.toml", "--dataset", "DATASET")
+            raise ModelError(msg, cure=f"It answers plans for robot and operator: {plans}") from cause
         again = command_line("train", "DATASET", "--out", place)
         raise ModelError(msg, cure=f"Train it again: {again}") from cause
     except (FileNotFoundError, NotADirectoryError) as cause:
@@ -285,7 +289,14 @@ def models_in(place: str) -> list[str]:
     return sorted(str(file.parent) for file in path.glob(f"*/{CARD}")) or [place]
 
 
+class TaskTimesInstead(NotAModel):
+    """The model was learned from task lists."""
+
+
 def _check_versions(about: dict[str, Any]) -> None:
+    if about.get("format") == TASK_TIMES:
+        msg = "a model of task times: it was learned without positions and knows no safety function"
+        raise TaskTimesInstead(msg)
     if about.get("format") != FORMAT:
         raise NotAModel("not the card of a cyclekit model")
     expected = {"model_version": MODEL_VERSION, "schema_version": schema.SCHEMA_VERSION}

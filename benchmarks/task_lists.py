@@ -1,0 +1,151 @@
+"""Plans for robot and operator from task lists: expected cycle times of orders never logged, and who waits for whom.
+
+Simulated: sets of logs with and without waits and rates, orders never logged, each against fresh executions. Recorded:
+a task list whose orders are left out one after the other; beside the estimate stand the plan's own times and the sum of
+the mean durations of the agent that takes longer.
+
+    python benchmarks/task_lists.py --work DIR [--executions 60 200] [--seeds 1 2 3]
+    python benchmarks/task_lists.py --work DIR --list tasks.json
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from cyclekit.config.sequences import PlannedTask, TaskSequence
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.estimate.task_times import estimate_plans
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.task_times import learn
+from cyclekit.learning.task_times.runs import Run, logged_runs
+from cyclekit_sim.task_lists import ListOptions, fresh_durations, random_order, simulate_task_lists
+
+OUT = Console(width=160)
+CELLS = {
+    "waits and rates": ListOptions(),
+    "waits": ListOptions(beside=False),
+    "rates": ListOptions(coupled=False),
+    "neither": ListOptions(coupled=False, beside=False),
+}
+WAITS = {("mount", "bring", 0), ("weld", "mount", 0)}
+
+
+def refuse(sequence: TaskSequence, error: Exception) -> None:
+    """Print what could not be answered."""
+    OUT.print(f"{sequence.name}: {error}")
+
+
+def simulated(asked: argparse.Namespace) -> None:
+    """Print a row for each cell and number of executions."""
+    table = Table("cell", "executions", "sets", "mean |error|, %", "worst, %", "history, %", "CI holds", "90 % holds",
+                  "waits missed", "waits invented")  # fmt: skip
+    for name, options in CELLS.items():
+        for executions in asked.executions:
+            rows, missed, invented = [], 0, 0
+            for seed in asked.seeds:
+                folder = asked.work / f"{name}-{executions}-{seed}"
+                if not (folder / "dataset").is_dir():
+                    simulate_task_lists(folder / "logs", executions=executions, seed=seed, options=options)
+                    ingest([folder / "logs" / "tasks.csv"], folder / "dataset")
+                model = learn.learn_task_times(Dataset.open(folder / "dataset"))
+                found = {(task.task, need.task, need.back) for task in model.tasks for need in task.needs}
+                there = WAITS if options.coupled else set()
+                missed, invented = missed + len(there - found), invented + len(found - there)
+                usual = {(task.agent, task.task): task.usual_s for task in model.tasks}
+                rng = np.random.default_rng([seed, 99])
+                for number in range(asked.orders):
+                    order = random_order(rng)
+                    true_s = np.array(fresh_durations(order, cycles=asked.fresh, seed=number, options=options))
+                    plan = [PlannedTask(agent, task) for agent, tasks in order.items() for task in tasks]
+                    sequence = TaskSequence.of_plan(str(number), plan)
+                    (answer,) = estimate_plans(model, [sequence], refused=refuse)
+                    mean = true_s.mean()
+                    sums = [sum(usual[agent, task] for task in order[kind]) for kind, agent in
+                            (("robot", "arm"), ("operator", "worker"))]  # fmt: skip
+                    low, high = answer.quantiles_s[0.05], answer.quantiles_s[0.95]
+                    rows.append(
+                        (
+                            answer.expected_s / mean - 1,
+                            max(sums) / mean - 1,
+                            answer.expected_low_s <= mean <= answer.expected_high_s,
+                            ((true_s >= low) & (true_s <= high)).mean(),
+                        )
+                    )
+            error, history, held, inside = np.array(rows, dtype=float).T
+            table.add_row(name, str(executions), str(len(asked.seeds)), f"{100 * np.abs(error).mean():.2f}",
+                          f"{100 * error[np.abs(error).argmax()]:+.2f}", f"{100 * np.abs(history).mean():.2f}",
+                          f"{held.mean():.0%}", f"{inside.mean():.0%}", str(missed), str(invented))  # fmt: skip
+    OUT.print(table)
+
+
+def recorded(asked: argparse.Namespace) -> None:
+    """Leave out each order of a task list in turn, and compare the estimate of it with what it took."""
+    folder = asked.work / asked.list.stem
+    if not folder.is_dir():
+        ingest([asked.list], folder)
+    runs, agents = logged_runs(Dataset.open(folder))
+    orders: dict[tuple[tuple[str, ...], ...], list[Run]] = {}
+    for run in runs:
+        orders.setdefault(run.order, []).append(run)
+    rows, inside = [], []
+    for order, some in orders.items():
+        rest = [run for run in runs if run.order != order]
+        model = learn.learn_runs(rest, agents, folds=asked.folds)
+        usual = {(task.agent, task.task): task.usual_s for task in model.tasks}
+        if any((agent, task) not in usual for agent, *tasks in order for task in tasks):
+            continue
+        answers = [
+            estimate_plans(model, [TaskSequence.of_plan(run.name, learn.plan_of(run))], refused=refuse)[0]
+            for run in some
+        ]
+        true_s = np.array([run.duration_s for run in some])
+        planned = [_planned_end_s(run, usual) for run in some]
+        sums = max(sum(usual[agent, task] for task in tasks) for agent, *tasks in order)
+        inside += [a.quantiles_s[0.05] <= took <= a.quantiles_s[0.95] for a, took in zip(answers, true_s, strict=True)]
+        mean = true_s.mean()
+        expected = np.mean([answer.expected_s for answer in answers])
+        spread = true_s.std(ddof=1) / mean if len(some) > 1 else np.nan
+        rows.append((expected / mean - 1, np.mean(planned) / mean - 1, sums / mean - 1, spread, len(some)))
+    error, plan, history, spread, count = np.array(rows).T
+    pooled = np.sqrt(np.nanmean(spread**2))
+    OUT.print(
+        f"{asked.list.name}: {len(rows)} orders, {int(count.sum())} executions: mean |error| "
+        f"{100 * np.abs(error).mean():.2f} %, plan {100 * np.abs(plan).mean():.2f} %, sums "
+        f"{100 * np.abs(history).mean():.2f} %, chance {100 * np.mean(0.798 * pooled / np.sqrt(count)):.2f} % "
+        f"(median spread {100 * np.nanmedian(spread):.1f} %), 90 % intervals hold {np.mean(inside):.0%}",
+        soft_wrap=True,
+    )
+
+
+def _planned_end_s(run: Run, usual: dict[tuple[str, str], float]) -> float:
+    """Return the end of the plan: the last planned start with the usual duration of that task, s."""
+    ends = [
+        done.planned_s + usual[agent, done.task]
+        for agent, some in run.tasks.items()
+        for done in some
+        if np.isfinite(done.planned_s)
+    ]
+    return max(ends, default=float("nan"))
+
+
+def main() -> None:
+    """Measure what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--list", type=Path)
+    parser.add_argument("--executions", type=int, nargs="+", default=[60, 200])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2])
+    parser.add_argument("--orders", type=int, default=5)
+    parser.add_argument("--fresh", type=int, default=500)
+    parser.add_argument("--folds", type=int, default=5)
+    asked = parser.parse_args()
+    recorded(asked) if asked.list else simulated(asked)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,197 @@
+"""Cycle times of plans for robot and operator from learned task times: no positions, no safety function."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.errors import CyclekitError, EstimateError
+from cyclekit.estimate.conformal import conformal
+from cyclekit.estimate.result import CycleEstimate, PlannedShare, TaskShare
+from cyclekit.estimate.same_work import by_work
+from cyclekit.learning.task_times.roll import RolledPlan, agent_of, roll_plan
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.cards.task_model import HeldOutCard, TaskModelCard
+    from cyclekit.schema import Progress, Vector
+
+CYCLES = 2000
+"""Cycles rolled out for each plan."""
+WHY = "tasks of both agents rolled out side by side from logged task lists"
+NOT_KNOWN = "task lists hold no positions: nothing is known of zones, distances or what the safety system did"
+NOT_JUDGED = "too few executions to judge it on orders that were held out: the intervals are those of the rollout alone"
+SURE = 1.96
+
+
+def estimate_plans(
+    model: TaskModelCard,
+    sequences: Sequence[TaskSequence],
+    *,
+    quantiles: Sequence[float] = (0.05, 0.5, 0.95),
+    takt_s: float | None = None,
+    seed: int = 0,
+    refused: Callable[[TaskSequence, EstimateError], None],
+    progress: Progress | None = None,
+) -> list[CycleEstimate]:
+    """Return the expected cycle time of each plan: those of the same work together, shortest first.
+
+    Args:
+        model: What was learned from task lists.
+        sequences: Plans for both agents.
+        quantiles: Levels in (0, 1) of single cycles.
+        takt_s: Also tell the probability that a cycle takes no longer, s.
+        seed: Of what is drawn.
+        refused: Told what cannot be answered, and why.
+        progress: Told the fraction done.
+    """
+    found = []
+    for number, sequence in enumerate(sequences):
+        try:
+            found.append(_estimated(model, sequence, quantiles, takt_s, seed))
+        except EstimateError as error:
+            refused(sequence, error)
+        except CyclekitError as error:
+            refused(sequence, EstimateError(error.seen, cure=error.cure))
+        if progress:
+            progress((number + 1) / len(sequences), sequence.name)
+    groups = (sorted(some, key=lambda each: each.expected_s) for some in by_work(found).values())
+    return [each for some in groups for each in _compared(some)]
+
+
+def _estimated(
+    model: TaskModelCard, sequence: TaskSequence, quantiles: Sequence[float], takt_s: float | None, seed: int
+) -> CycleEstimate:
+    if not sequence.plan:
+        msg = f"{sequence.shown}: names places, and this model knows the tasks of task lists"
+        raise EstimateError(msg, cure="Name the tasks of both agents: [[sequence.task]] agent = ..., name = ...")
+    rolled = roll_plan(model, sequence.plan, cycles=CYCLES, seed=seed, where=sequence.shown)
+    judged = model.held_out
+    durations = rolled.duration_s
+    expected, low, high = _mean(durations, judged, model.executions)
+    durations = durations * (expected / float(durations.mean()))
+    single = _single(durations, judged)
+    shares, planned = _shares(model, rolled, sequence)
+    robot = [share for share, task in zip(shares, sequence.plan, strict=True) if _is_robot(model, task, sequence)]
+    nominal, beside = (sum(getattr(share, part) for share in robot) for part in ("nominal_s", "safety_loss_s"))
+    within = None if takt_s is None else _within(single, takt_s, (high - low) / (2 * SURE))
+    return CycleEstimate(
+        name=sequence.name,
+        places=sequence.places,
+        expected_s=expected,
+        expected_low_s=low,
+        expected_high_s=high,
+        quantiles_s={level: float(np.quantile(single, level)) for level in quantiles},
+        nominal_s=nominal,
+        safety_loss_s=beside,
+        dwell_s=0.0,
+        wait_s=expected - nominal - beside,
+        support=float("nan"),
+        tracks=0,
+        warnings=(NOT_KNOWN, *(() if judged else (NOT_JUDGED,))),
+        tasks=shares,
+        safety_by_activity_s={},
+        durations_s=tuple(single.tolist()),
+        estimator="task times",
+        why=WHY,
+        executions=model.executions,
+        calibrated=judged is not None,
+        takt_s=takt_s,
+        takt_probability=within,
+        plan=planned,
+    )
+
+
+def _is_robot(model: TaskModelCard, task: object, sequence: TaskSequence) -> bool:
+    return model.agents[agent_of(model, task, sequence.shown)] == "robot"  # type: ignore[arg-type]
+
+
+def _mean(durations: Vector, judged: HeldOutCard | None, executions: int) -> tuple[float, float, float]:
+    """Return the expected duration and its 95 % interval, s.
+
+    A bias on held-out orders is taken out where it is beyond chance. The interval holds what is left of the error on
+    held-out orders, and the chance of finite logs.
+    """
+    mean = float(durations.mean())
+    chance = float(durations.std(ddof=1)) / mean / np.sqrt(executions)
+    if judged is None:
+        return mean, mean * (1 - SURE * chance), mean * (1 + SURE * chance)
+    biased = abs(judged.bias) > SURE * judged.within
+    mean /= 1.0 + judged.bias if biased else 1.0
+    error = np.sqrt(max(judged.order_error**2 - (judged.bias**2 if biased else 0.0), 0.0) + chance**2)
+    return mean, mean * (1 - SURE * error), mean * (1 + SURE * error)
+
+
+def _single(durations: Vector, judged: HeldOutCard | None) -> Vector:
+    """Return single cycles whose quantiles hold what they say on held-out executions, shape (cycles,), s."""
+    if judged is None or len(judged.deviations) < len(_LEVELS):
+        return durations
+    mean, sd = float(durations.mean()), float(durations.std(ddof=1))
+    deviations = np.array(judged.deviations)
+    spread = np.array([conformal(deviations, level) for level in _LEVELS])
+    return np.asarray(mean + sd * np.interp(np.linspace(0.0, 1.0, len(durations)), _LEVELS, spread))
+
+
+_LEVELS = np.linspace(0.0, 1.0, 41)
+
+
+def _within(single: Vector, takt_s: float, error_s: float) -> tuple[float, float, float]:
+    """Return the part of the cycles within a takt time, and its 95 % interval."""
+    parts = [float((single + shift * error_s <= takt_s).mean()) for shift in (0.0, SURE, -SURE)]
+    return parts[0], parts[1], parts[2]
+
+
+def _shares(
+    model: TaskModelCard, rolled: RolledPlan, sequence: TaskSequence
+) -> tuple[tuple[TaskShare, ...], tuple[PlannedShare, ...]]:
+    """Return for each task where its time goes, and when it starts and ends and what decided its start."""
+    took = (rolled.end_s - rolled.start_s).mean(axis=0).tolist()
+    usual, wait = rolled.usual_s.tolist(), rolled.wait_s.mean(axis=0).tolist()
+    begin = rolled.start_s.min(axis=1)[:, None]
+    start, end = (rolled.start_s - begin).mean(axis=0).tolist(), (rolled.end_s - begin).mean(axis=0).tolist()
+    shares, planned = [], []
+    for number, task in enumerate(rolled.tasks):
+        shares.append(
+            TaskShare(
+                task.shown,
+                took[number] + wait[number],
+                usual[number],
+                took[number] - usual[number],
+                0.0,
+                wait[number],
+            )
+        )
+        kind = "robot" if _is_robot(model, task, sequence) else "operator"
+        decided = _decided(rolled, number)
+        planned.append(PlannedShare(task.agent, kind, task.name, start[number], end[number], wait[number], decided))
+    return tuple(shares), tuple(planned)
+
+
+def _decided(rolled: RolledPlan, number: int) -> dict[str, float]:
+    """Return in which part of the cycles what decided the start of a task."""
+    names = {-2: "planned start", -1: "own task before"}
+    which, count = np.unique(rolled.decides[:, number], return_counts=True)
+    told = zip(which.tolist(), (count / len(rolled.decides)).tolist(), strict=True)
+    return {names.get(key) or rolled.tasks[key].shown: part for key, part in told}
+
+
+def _compared(some: Sequence[CycleEstimate]) -> list[CycleEstimate]:
+    """Return estimates of the same work with the probability that the mean of one is below that of another."""
+    from scipy.special import ndtr
+
+    error = {each.name: (each.expected_high_s - each.expected_low_s) / (2 * SURE) for each in some}
+    found = []
+    for each in some:
+        others = {
+            other.name: float(
+                ndtr((other.expected_s - each.expected_s) / np.hypot(error[each.name], error[other.name]))
+            )
+            for other in some
+            if other.name != each.name
+        }
+        found.append(replace(each, beats=others))
+    return found

@@ -1,0 +1,163 @@
+"""Learn task times from the task lists of a dataset, and judge them on orders that were held out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from msgspec import structs
+
+from cyclekit.config.sequences import PlannedTask
+from cyclekit.dataset.cards.task_model import PAST, HeldOutCard, TaskModelCard, TaskTimesCard
+from cyclekit.errors import DatasetError, EstimateError, UnknownName, command_line
+from cyclekit.learning.task_times.rates import fit_rates
+from cyclekit.learning.task_times.roll import roll_plan
+from cyclekit.learning.task_times.runs import Run, logged_runs
+from cyclekit.learning.task_times.starts import learn_starts
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Progress, Vector
+
+LEAST_EXECUTIONS = 5
+LEAST_ORDERS = 5
+"""With fewer orders executions are held out in place of orders."""
+FOLDS = 5
+CYCLES = 200
+"""Rolled out for each execution that is held out."""
+
+
+def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | None = None) -> TaskModelCard:
+    """Return what the task lists of a dataset tell of cycle times.
+
+    Args:
+        dataset: With task lists.
+        seed: Of what is drawn.
+        progress: Told the fraction done.
+
+    Raises:
+        DatasetError: It holds too few complete executions.
+    """
+    runs, agents = logged_runs(dataset)
+    if len(runs) < LEAST_EXECUTIONS:
+        msg = f"{dataset.place}: {len(runs)} executions whose tasks all have an end, and {LEAST_EXECUTIONS} are needed"
+        raise DatasetError(msg, cure=f"Ingest more logs. What is known: {command_line('inspect', dataset.place)}")
+    return structs.replace(learn_runs(runs, agents, seed=seed, progress=progress), dataset=dataset.path.name)
+
+
+def learn_runs(
+    runs: Sequence[Run],
+    agents: Mapping[str, str],
+    *,
+    seed: int = 0,
+    folds: int = FOLDS,
+    progress: Progress | None = None,
+) -> TaskModelCard:
+    """Return what executions tell of cycle times.
+
+    Args:
+        runs: At least LEAST_EXECUTIONS.
+        agents: `robot` or `operator` by the agent's name.
+        seed: Of what is drawn.
+        folds: Parts of the orders of which each is held out once.
+        progress: Told the fraction done.
+    """
+    tell = progress or (lambda _fraction, _text: None)
+    model = _learned(runs, agents)
+    tell(1.0 / (folds + 1), "task times")
+    judged = _judged(runs, agents, seed, folds, lambda done: tell((1.0 + done) / (folds + 1), "held-out orders"))
+    return structs.replace(model, held_out=judged)
+
+
+def plan_of(run: Run) -> list[PlannedTask]:
+    """Return what was done in an execution as a plan: the order of each agent, and the planned starts."""
+    return [
+        PlannedTask(agent, done.task, None if np.isnan(done.planned_s) else max(done.planned_s, 0.0))
+        for agent, some in run.tasks.items()
+        for done in some
+    ]
+
+
+def _learned(runs: Sequence[Run], agents: Mapping[str, str]) -> TaskModelCard:
+    pairs = sorted({(agent, done.task) for run in runs for agent, some in run.tasks.items() for done in some})
+    tasks = [_task(runs, agent, task) for agent, task in pairs]
+    kinds = {agent: "robot" if kind == "robot" else "operator" for agent, kind in agents.items()}
+    return TaskModelCard(agents=kinds, tasks=tuple(tasks), executions=len(runs))  # type: ignore[arg-type]  # of these two
+
+
+def _task(runs: Sequence[Run], agent: str, task: str) -> TaskTimesCard:
+    rates, starts = fit_rates(runs, agent, task), learn_starts(runs, agent, task)
+    return TaskTimesCard(
+        agent=agent,
+        task=task,
+        usual_s=rates.usual_s,
+        work_s=_kept(rates.work),
+        rates=dict(rates.rates),
+        after=dict(rates.after),
+        needs=starts.needs,
+        planned=starts.planned,
+        lags_s=_kept(starts.lags_s),
+    )
+
+
+def _kept(values: Vector) -> tuple[float, ...]:
+    """Return at most PAST of the values, spread over all."""
+    step = -(-len(values) // PAST)
+    return tuple(round(float(value), 6) for value in values[::step])
+
+
+@dataclass(frozen=True)
+class _HeldOut:
+    """One execution that was not learned from."""
+
+    order: tuple[tuple[str, ...], ...]
+    mean_s: float
+    sd_s: float
+    true_s: float
+
+
+def _judged(
+    runs: Sequence[Run], agents: Mapping[str, str], seed: int, folds: int, tell: Callable[[float], None]
+) -> HeldOutCard | None:
+    orders = sorted({run.order for run in runs})
+    rng = np.random.default_rng(seed)
+    if len(orders) >= LEAST_ORDERS:
+        number = dict(zip(orders, rng.permutation(len(orders)) % folds, strict=True))
+        fold_of = np.array([number[run.order] for run in runs])
+    else:
+        fold_of = rng.permutation(len(runs)) % folds
+    found: list[_HeldOut] = []
+    for fold in range(folds):
+        held = [run for run, of in zip(runs, fold_of, strict=True) if of == fold]
+        rest = [run for run, of in zip(runs, fold_of, strict=True) if of != fold]
+        model = _learned(rest, agents)
+        for run in held:
+            try:
+                took_s = roll_plan(model, plan_of(run), cycles=CYCLES, seed=seed).duration_s
+            except (UnknownName, EstimateError):  # a task of it is in no other order
+                continue
+            found.append(_HeldOut(run.order, float(took_s.mean()), float(took_s.std(ddof=1)), run.duration_s))
+        tell(float(fold + 1))
+    return _summed_up(found) if len(found) >= LEAST_EXECUTIONS else None
+
+
+def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:
+    """Return the errors by order, and the deviations of single executions."""
+    by_order: dict[tuple[tuple[str, ...], ...], list[_HeldOut]] = {}
+    for each in found:
+        by_order.setdefault(each.order, []).append(each)
+    errors = np.array(
+        [sum(each.mean_s for each in some) / sum(each.true_s for each in some) - 1.0 for some in by_order.values()]
+    )
+    spread = np.array([each.sd_s / each.mean_s for each in found])
+    chance = float(np.mean(spread**2) * np.mean([1.0 / len(some) for some in by_order.values()]))
+    error = float(np.sqrt(max(np.mean(errors**2) - chance, 0.0)))
+    within = float(errors.std(ddof=1) / np.sqrt(len(errors))) if len(errors) > 1 else error
+    deviations = [(each.true_s - each.mean_s) / max(each.sd_s, 1e-3 * each.mean_s) for each in found]
+    kept = _kept(np.clip(deviations, -1e3, 1e3))
+    return HeldOutCard(
+        orders=len(by_order), bias=float(errors.mean()), within=within, order_error=error, deviations=kept
+    )

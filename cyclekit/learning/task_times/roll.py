@@ -1,0 +1,224 @@
+"""Many cycles of one plan at once, from event to event: a task starts, or ends, and the rates of all others change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cyclekit.errors import EstimateError, UnknownName
+from cyclekit.learning.task_times.rates import ALONE, beside
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.config.sequences import PlannedTask
+    from cyclekit.dataset.cards.task_model import TaskModelCard, TaskTimesCard
+    from cyclekit.schema import Bools, Floats, Vector
+
+
+@dataclass(frozen=True)
+class RolledPlan:
+    """Cycles of one plan.
+
+    Attributes:
+        tasks: Of all agents, each agent's in order.
+        start_s, end_s: When each task starts and ends, shape (cycles, tasks).
+        usual_s: Mean logged duration of each, shape (tasks,), s.
+        decides: What the start waited for last, shape (cycles, tasks): -1 = the agent's own task before it, -2 = its
+            planned start, else the number of a task.
+    """
+
+    tasks: tuple[PlannedTask, ...]
+    start_s: Floats
+    end_s: Floats
+    usual_s: Vector
+    decides: Floats
+
+    @property
+    def duration_s(self) -> Vector:
+        """From the first start to the last end, shape (cycles,), s."""
+        return np.asarray(self.end_s.max(axis=1) - self.start_s.min(axis=1))
+
+    @property
+    def before(self) -> list[int]:
+        """Number of the agent's own task before each task; -1 = it is the first."""
+        return _before(self.tasks)
+
+    @property
+    def wait_s(self) -> Floats:
+        """Time between a task and the agent's own one before it, shape (cycles, tasks), s."""
+        ends = np.concatenate([self.end_s, np.zeros((len(self.end_s), 1))], axis=1)
+        return np.asarray(self.start_s - ends[:, self.before])
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """A plan laid out: for each task what it needs, what goes on at which rate beside what.
+
+    Attributes:
+        cards: What is known of each task.
+        before: Number of the agent's own task before it; -1 = none.
+        needs: Numbers of the other tasks that must have ended.
+        not_before_s: Earliest start, s.
+        log_rate: Logarithm of the rate of a task beside another, shape (tasks, tasks); `alone` beside none.
+    """
+
+    cards: list[TaskTimesCard]
+    before: list[int]
+    needs: list[list[int]]
+    not_before_s: Vector
+    log_rate: Floats
+    alone: Vector
+
+
+def roll_plan(
+    model: TaskModelCard, tasks: Sequence[PlannedTask], *, cycles: int = 1000, seed: int = 0, where: str = ""
+) -> RolledPlan:
+    """Return cycles of a plan.
+
+    Args:
+        model: What was learned.
+        tasks: Of all agents, each agent's in order.
+        cycles: How many.
+        seed: Of what is drawn: work and lag of each task, from its logged repetitions.
+        where: How a message names the plan.
+
+    Raises:
+        UnknownName: A task or an agent was never logged.
+        EstimateError: Tasks wait for each other and none can start.
+    """
+    plan = _laid_out(model, tasks, where)
+    work, lag = _drawn(plan, cycles, np.random.default_rng(seed))
+    start, end = np.full(work.shape, np.inf), np.full(work.shape, np.inf)
+    t = np.zeros(cycles)
+    for _ in range(2 * len(tasks) + 2):
+        running = np.isfinite(start) & (start <= t[:, None]) & np.isinf(end)
+        rate = np.exp(_rates(plan, running))
+        ready = _ready(plan, end)
+        due = np.where(np.isinf(start), ready + lag, start) - t[:, None]
+        due = np.where(running, work / rate, np.where(np.isinf(end), np.maximum(due, 0.0), np.inf))
+        step = due.min(axis=1)
+        if np.isinf(step).all():
+            break
+        live = np.isfinite(step)
+        t = np.where(live, t + np.where(live, step, 0.0), t)
+        now = live[:, None] & (due <= step[:, None] + 1e-9)
+        work = np.where(running & live[:, None], work - rate * np.where(live, step, 0.0)[:, None], work)
+        end = np.where(now & running, t[:, None], end)
+        start = np.where(now & ~running & np.isinf(start), t[:, None], start)
+    usual = np.array([card.usual_s for card in plan.cards])
+    if np.isinf(end).any():
+        stuck = tasks[int(np.isinf(end).any(axis=0).argmax())]
+        msg = f"{where}: {stuck.shown} never starts: it waits for a task that waits for it"
+        raise EstimateError(msg, cure="Change the order, or what is told by 'after'.")
+    return RolledPlan(tuple(tasks), start, end, usual, _decides(plan, end))
+
+
+def _laid_out(model: TaskModelCard, tasks: Sequence[PlannedTask], where: str) -> _Plan:
+    known = {(card.agent, card.task): card for card in model.tasks}
+    names = [agent_of(model, task, where) for task in tasks]
+    for name, task in zip(names, tasks, strict=True):
+        if (name, task.name) not in known:
+            there = sorted(each for agent, each in known if agent == name)
+            raise UnknownName(where, f"task of {name}", task.name, there)
+    cards = [known[name, task.name] for name, task in zip(names, tasks, strict=True)]
+    rate = np.array([[_log(card.rates, beside(other.agent, other.task)) for other in cards] for card in cards])
+    alone = np.array([_log(card.rates, ALONE) for card in cards])
+    not_before = np.array([task.not_before_s or 0.0 for task in tasks])
+    return _Plan(cards, _before(tasks), _needs(cards, tasks, names, where), not_before, rate, alone)
+
+
+def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
+    """Return the name in the logs of the agent that a plan names, by that name or as `robot` or `operator`.
+
+    Raises:
+        UnknownName: There is no such agent, or several.
+    """
+    if task.agent in model.agents:
+        return task.agent
+    able = [name for name, kind in model.agents.items() if kind == task.agent]
+    if len(able) != 1:
+        raise UnknownName(where, "agent", task.agent, model.agents)
+    return able[0]
+
+
+def _log(rates: Mapping[str, float], name: str) -> float:
+    return float(np.log(rates.get(name, 1.0)))
+
+
+def _before(tasks: Sequence[PlannedTask]) -> list[int]:
+    last: dict[str, int] = {}
+    found = []
+    for number, task in enumerate(tasks):
+        found.append(last.get(task.agent, -1))
+        last[task.agent] = number
+    return found
+
+
+def _needs(
+    cards: Sequence[TaskTimesCard], tasks: Sequence[PlannedTask], names: Sequence[str], where: str
+) -> list[list[int]]:
+    """Return the numbers of other tasks that each task waits for: learned ones, and those that the plan tells."""
+    turns: dict[tuple[str, str], list[int]] = {}
+    for number, (name, task) in enumerate(zip(names, tasks, strict=True)):
+        turns.setdefault((name, task.name), []).append(number)
+    found = []
+    for number, (name, task, card) in enumerate(zip(names, tasks, cards, strict=True)):
+        nth = turns[name, task.name].index(number)
+        mine = [
+            turns[need.agent, need.task][nth - need.back]
+            for need in card.needs
+            if 0 <= nth - need.back < len(turns.get((need.agent, need.task), ()))
+        ]
+        for told in task.after:
+            able = [each for (_, other), some in turns.items() if other == told for each in some if each != number]
+            if not able:
+                raise UnknownName(f"{where}: {task.shown}", "task", told, {each.name for each in tasks})
+            mine.append(able[min(nth, len(able) - 1)])
+        found.append(mine)
+    return found
+
+
+def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Return work at rate 1 and lag of each task in each cycle, shape (cycles, tasks), s."""
+    work, lag = [], []
+    for card, before in zip(plan.cards, plan.before, strict=True):
+        factor = card.after.get("" if before < 0 else plan.cards[before].task, 1.0)
+        work.append(factor * rng.choice(card.work_s, cycles))
+        lag.append(np.maximum(rng.choice(card.lags_s, cycles), 0.0))
+    return np.stack(work, axis=1), np.stack(lag, axis=1)
+
+
+def _rates(plan: _Plan, running: Bools) -> Floats:
+    """Return the logarithm of the rate of each task, shape (cycles, tasks), with those that are running beside it."""
+    others = running @ plan.log_rate.T
+    own = running * np.diag(plan.log_rate)
+    beside_any = running.sum(axis=1, keepdims=True) > running
+    return np.asarray(np.where(beside_any, others - own, plan.alone))
+
+
+def _ready(plan: _Plan, end: Floats) -> Floats:
+    """Return when each task may start, shape (cycles, tasks), s; infinite while something it needs has not ended."""
+    ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
+    ready = np.maximum(ends[:, plan.before], plan.not_before_s)
+    for number, needs in enumerate(plan.needs):
+        if needs:
+            ready[:, number] = np.maximum(ready[:, number], end[:, needs].max(axis=1))
+    return np.asarray(ready)
+
+
+def _decides(plan: _Plan, end: Floats) -> Floats:
+    ends = np.concatenate([end, np.zeros((len(end), 1))], axis=1)
+    latest = ends[:, plan.before].copy()
+    found = np.full(end.shape, -1)
+    later = plan.not_before_s > latest
+    found[later] = -2
+    latest = np.maximum(latest, plan.not_before_s)
+    for number, needs in enumerate(plan.needs):
+        for need in needs:
+            later_here = end[:, need] > latest[:, number]
+            found[later_here, number] = need
+            latest[later_here, number] = end[later_here, need]
+    return found

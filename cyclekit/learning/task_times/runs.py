@@ -1,0 +1,64 @@
+"""The logged executions of a task list: who did which task from when to when."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from cyclekit.dataset.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class DoneTask:
+    """A task that was done. Times from the start of the execution, s; `planned_s` is NaN where no plan was logged."""
+
+    task: str
+    start_s: float
+    end_s: float
+    planned_s: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One execution: the tasks of each agent, by its name, in order of their start."""
+
+    name: str
+    tasks: Mapping[str, tuple[DoneTask, ...]]
+
+    @property
+    def order(self) -> tuple[tuple[str, ...], ...]:
+        """The tasks of each agent in order, agents by name: what an order of both agents is."""
+        return tuple((agent, *(done.task for done in self.tasks[agent])) for agent in sorted(self.tasks))
+
+    @property
+    def duration_s(self) -> float:
+        """From the first start to the last end, s."""
+        ends = [done.end_s for some in self.tasks.values() for done in some]
+        return max(ends) - min(done.start_s for some in self.tasks.values() for done in some)
+
+
+def logged_runs(dataset: Dataset) -> tuple[list[Run], dict[str, str]]:
+    """Return the executions whose tasks all have an end, and `robot` or `operator` by the agent's name."""
+    rows = dataset.every_task().with_columns(agent_name=pl.coalesce("agent_name", "agent")).sort("start_s")
+    named = rows.select("agent_name", "agent").unique().sort("agent_name")
+    agents = {str(name): str(agent) for name, agent in named.iter_rows()}
+    found = []
+    for (name,), mine in rows.group_by(["execution"], maintain_order=True):
+        if mine["end_s"].null_count():
+            continue
+        begin = float(mine["start_s"].min())  # type: ignore[arg-type]  # a number
+        times = mine.select(
+            "agent_name", "task", *(pl.col(at) - begin for at in ("start_s", "end_s", "planned_start_s"))
+        )
+        tasks: dict[str, list[DoneTask]] = {}
+        for agent, task, start_s, end_s, planned_s in times.iter_rows():
+            planned = np.nan if planned_s is None else planned_s
+            tasks.setdefault(agent, []).append(DoneTask(task, start_s, end_s, planned))
+        found.append(Run(str(name), {agent: tuple(some) for agent, some in tasks.items()}))
+    return found, agents

@@ -1,0 +1,163 @@
+"""Task lists of a cell where robot and operator wait for each other: starts and ends, no positions, truth beside them.
+
+The robot brings a part, the operator mounts it, the robot welds it; between these each has work of his own. The k-th
+mount waits for the k-th bring, the k-th weld for the k-th mount. Some tasks go on slower beside others.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Order = dict[str, list[str]]
+"""Tasks of each agent, in order."""
+AGENTS = {"robot": "arm", "operator": "worker"}
+MEAN_S = {"bring": 6.0, "weld": 5.0, "polish": 4.0, "mount": 5.0, "inspect": 7.0, "pack": 4.0}
+WAITS = {"mount": "bring", "weld": "mount"}
+BESIDE = {("weld", "inspect"): 0.6, ("inspect", "weld"): 0.8, ("pack", "polish"): 1.3}
+"""Rate of the first task beside the second; 1 for all other pairs."""
+LAG_S = 0.2
+EPOCH_S = 1_700_000_000.0
+TIMES = 3
+"""How often each task is done in one execution."""
+
+
+@dataclass(frozen=True)
+class ListOptions:
+    """What is simulated.
+
+    Attributes:
+        coupled: The operator and the robot wait for each other.
+        beside: Tasks go on slower or faster beside others.
+        spread: Standard deviation of the logarithm of a duration.
+    """
+
+    coupled: bool = True
+    beside: bool = True
+    spread: float = 0.1
+
+
+@dataclass
+class _Agent:
+    order: list[str]
+    at: int = 0
+    left_s: float = 0.0
+    began_s: float = float("nan")
+    ready_s: float = 0.0
+    ended_s: dict[tuple[str, int], float] = field(default_factory=dict)
+
+
+def random_order(rng: np.random.Generator) -> Order:
+    """Return an order of all tasks; the n-th bring comes before the n-th weld."""
+    robot = list(rng.permutation(["bring"] * TIMES + ["weld"] * TIMES + ["polish"] * TIMES))
+    ahead = 0
+    for at, name in enumerate(robot):
+        if name == "bring":
+            ahead += 1
+        elif name == "weld" and ahead == 0:
+            later = next(i for i in range(at, len(robot)) if robot[i] == "bring")
+            robot[at], robot[later] = "bring", "weld"
+            ahead += 1
+        elif name == "weld":
+            ahead -= 1
+    operator = rng.permutation(["mount"] * TIMES + ["inspect"] * TIMES + ["pack"] * TIMES)
+    return {"robot": [str(name) for name in robot], "operator": [str(name) for name in operator]}
+
+
+def one_cycle(order: Order, rng: np.random.Generator, options: ListOptions) -> list[tuple[str, str, float, float]]:
+    """Return agent, task, start and end, s, of every task of one execution."""
+    agents = {name: _Agent(tasks) for name, tasks in order.items()}
+    done: list[tuple[str, str, float, float]] = []
+    t = 0.0
+    while any(agent.at < len(agent.order) for agent in agents.values()):
+        steps = []
+        for name, agent in agents.items():
+            if agent.at < len(agent.order):
+                steps.append(_until_next(agents, name, t, options))
+        step = min(steps)
+        if not np.isfinite(step):
+            msg = "the order cannot be done: each waits for the other"
+            raise ValueError(msg)
+        for name, agent in agents.items():
+            if np.isfinite(agent.began_s):
+                agent.left_s -= _rate(agents, name, options) * step
+        t += step
+        for name, agent in agents.items():
+            if agent.at >= len(agent.order):
+                continue
+            task = agent.order[agent.at]
+            if np.isfinite(agent.began_s) and agent.left_s <= 1e-9:
+                done.append((name, task, agent.began_s, t))
+                agent.ended_s[task, agent.order[: agent.at].count(task)] = t
+                agent.at, agent.began_s, agent.ready_s = agent.at + 1, float("nan"), t
+            elif not np.isfinite(agent.began_s) and _starts(agents, name, options) <= t + 1e-9:
+                agent.began_s = t
+                agent.left_s = MEAN_S[task] * float(np.exp(options.spread * rng.standard_normal()))
+    return done
+
+
+def _until_next(agents: dict[str, _Agent], name: str, t: float, options: ListOptions) -> float:
+    agent = agents[name]
+    if np.isfinite(agent.began_s):
+        return agent.left_s / _rate(agents, name, options)
+    return max(_starts(agents, name, options) - t, 0.0)
+
+
+def _starts(agents: dict[str, _Agent], name: str, options: ListOptions) -> float:
+    """Return when the next task of an agent starts, s; infinite while what it waits for has not ended."""
+    agent = agents[name]
+    task = agent.order[agent.at]
+    ready = agent.ready_s
+    if options.coupled and (needed := WAITS.get(task)):
+        nth = agent.order[: agent.at].count(task)
+        ended = [other.ended_s for other in agents.values() if needed in other.order]
+        ready = max([ready, *(ends.get((needed, nth), float("inf")) for ends in ended)])
+    return ready + LAG_S
+
+
+def _rate(agents: dict[str, _Agent], name: str, options: ListOptions) -> float:
+    agent = agents[name]
+    beside = [other.order[other.at] for other in agents.values() if other is not agent and np.isfinite(other.began_s)]
+    rates = [BESIDE.get((agent.order[agent.at], task), 1.0) for task in beside] if options.beside else []
+    return float(np.prod(rates))
+
+
+def simulate_task_lists(
+    folder: Path, *, executions: int = 60, seed: int = 0, options: ListOptions | None = None
+) -> list[Order]:
+    """Write `tasks.csv` and `truth/truth.json` into a folder; return the order of each execution."""
+    wanted = options or ListOptions()
+    rng = np.random.default_rng(seed)
+    orders = [random_order(rng) for _ in range(executions)]
+    lines, at_s = ["run,agent,task,t_start,t_end"], EPOCH_S
+    for number, order in enumerate(orders):
+        cycle = one_cycle(order, rng, wanted)
+        for agent, task, start_s, end_s in sorted(cycle, key=lambda each: each[2]):
+            lines.append(f"{number:04d},{AGENTS[agent]},{task},{at_s + start_s:.3f},{at_s + end_s:.3f}")
+        at_s += max(end_s for *_, end_s in cycle) + 30.0
+    (folder / "truth").mkdir(parents=True, exist_ok=True)
+    (folder / "tasks.csv").write_text("\n".join([*lines, ""]), encoding="utf-8", newline="\n")
+    truth = {
+        "agents": {AGENTS[kind]: kind for kind in AGENTS},
+        "waits": WAITS if wanted.coupled else {},
+        "rates": [[*pair, rate] for pair, rate in BESIDE.items()] if wanted.beside else [],
+        "lag_s": LAG_S,
+    }
+    (folder / "truth" / "truth.json").write_text(json.dumps(truth, indent=2) + "\n", encoding="utf-8", newline="\n")
+    return orders
+
+
+def fresh_durations(order: Order, *, cycles: int, seed: int, options: ListOptions | None = None) -> list[float]:
+    """Return durations of fresh executions of one order, s, from the first start to the last end."""
+    rng = np.random.default_rng([seed, cycles])
+    found = []
+    for _ in range(cycles):
+        cycle = one_cycle(order, rng, options or ListOptions())
+        found.append(max(end for *_, end in cycle) - min(start for _, _, start, _ in cycle))
+    return found

@@ -1,0 +1,177 @@
+"""Task times learned from task lists: rates beside other tasks, what each start waits for, plans rolled out."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cyclekit import TaskSequence, estimate_cycles, train_model, train_task_times
+from cyclekit.config.sequences import PlannedTask
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.errors import DatasetError, EstimateError, ModelError
+from cyclekit.ingest.ingest import ingest
+from cyclekit.learning.task_times.learn import learn_task_times
+from cyclekit.learning.task_times.rates import fit_rates
+from cyclekit.learning.task_times.roll import roll_plan
+from cyclekit.learning.task_times.runs import DoneTask, Run
+from cyclekit.learning.task_times.saved import TaskTimesModel, load_task_times
+from cyclekit.learning.task_times.starts import learn_starts
+from cyclekit_sim.task_lists import ListOptions, Order, fresh_durations, random_order, simulate_task_lists
+
+
+def learned(folder: Path, seed: int, options: ListOptions) -> TaskTimesModel:
+    simulate_task_lists(folder / "logs", executions=40, seed=seed, options=options)
+    ingest([folder / "logs" / "tasks.csv"], folder / "dataset")
+    return train_task_times(folder / "dataset", out=folder / "model")
+
+
+@pytest.fixture(scope="module")
+def coupled(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TaskTimesModel]:
+    folder = tmp_path_factory.mktemp("coupled")
+    return folder, learned(folder, 1, ListOptions())
+
+
+def plan_of(order: Order, name: str = "plan") -> TaskSequence:
+    return TaskSequence.of_plan(name, [PlannedTask(agent, task) for agent, tasks in order.items() for task in tasks])
+
+
+def test_who_waits_for_whom_is_found_and_nothing_else(coupled) -> None:
+    needs = {(task.task, need.task, need.back) for task in coupled[1].card.tasks for need in task.needs}
+    assert needs == {("mount", "bring", 0), ("weld", "mount", 0)}
+    assert not any(task.planned for task in coupled[1].card.tasks)
+
+
+def test_nothing_is_found_where_nobody_waits(tmp_path) -> None:
+    card = learned(tmp_path, 3, ListOptions(coupled=False)).card
+    assert not any(task.needs for task in card.tasks)
+
+
+def test_a_task_that_another_slows_has_a_lower_rate_beside_it(coupled) -> None:
+    (weld,) = (task for task in coupled[1].card.tasks if task.task == "weld")
+    assert weld.rates["worker: inspect"] / weld.rates["worker: pack"] == pytest.approx(0.6, abs=0.08)
+
+
+def test_a_plan_never_logged_takes_what_fresh_executions_take(coupled) -> None:
+    folder, _ = coupled
+    rng = np.random.default_rng(99)
+    orders = [random_order(rng) for _ in range(3)]
+    answers = estimate_cycles(
+        folder / "model", folder / "dataset", [plan_of(order, str(n)) for n, order in enumerate(orders)]
+    )
+    for answer in answers:
+        true_s = np.array(fresh_durations(orders[int(answer.name)], cycles=200, seed=int(answer.name)))
+        assert answer.expected_s == pytest.approx(true_s.mean(), rel=0.02)
+        assert answer.expected_low_s < true_s.mean() < answer.expected_high_s
+        inside = (true_s >= answer.quantiles_s[0.05]) & (true_s <= answer.quantiles_s[0.95])
+        assert 0.8 <= inside.mean() <= 1.0
+        assert answer.nominal_s + answer.safety_loss_s + answer.wait_s == pytest.approx(answer.expected_s)
+
+
+def test_waits_appear_with_what_ended_them(coupled) -> None:
+    folder, _ = coupled
+    order = {"robot": ["bring", "weld"], "operator": ["inspect", "mount", "pack"]}
+    (answer,) = estimate_cycles(folder / "model", folder / "dataset", plan_of(order))
+    (weld,) = (task for task in answer.plan if task.task == "weld")
+    (mount,) = (task for task in answer.plan if task.task == "mount")
+    assert weld.wait_s > 4.0
+    assert weld.start_s > mount.end_s
+    assert max(weld.decided, key=lambda name: weld.decided[name]) == "operator: mount"
+    assert json.loads(json.dumps(answer.to_dict()))["plan"][1]["wait_s"] == pytest.approx(weld.wait_s)
+
+
+def test_an_earliest_start_and_a_told_precedence_are_kept(coupled) -> None:
+    model = coupled[1].card
+    plan = [
+        PlannedTask("robot", "polish", not_before_s=30.0),
+        PlannedTask("worker", "pack", after=("polish",)),
+    ]
+    rolled = roll_plan(model, plan, cycles=20)
+    assert (rolled.start_s[:, 0] >= 30.0).all()
+    assert (rolled.start_s[:, 1] >= rolled.end_s[:, 0]).all()
+
+
+def test_tasks_that_wait_for_each_other_are_refused(coupled) -> None:
+    folder, _ = coupled
+    stuck = TaskSequence.of_plan(
+        "stuck",
+        [PlannedTask("robot", "weld"), PlannedTask("robot", "bring"), PlannedTask("operator", "mount")],
+    )
+    with pytest.raises(EstimateError, match="robot: weld never starts"):
+        estimate_cycles(folder / "model", folder / "dataset", stuck)
+
+
+def test_what_was_never_logged_is_named_with_what_was(coupled) -> None:
+    folder, _ = coupled
+    unknown = TaskSequence.of_plan("x", [PlannedTask("robot", "drill")])
+    with pytest.raises(EstimateError, match=r"unknown task of arm 'drill'\n.*bring, polish, weld"):
+        estimate_cycles(folder / "model", folder / "dataset", unknown)
+    with pytest.raises(EstimateError, match="names places"):
+        estimate_cycles(folder / "model", folder / "dataset", TaskSequence("a", ("home", "left")))
+
+
+def test_a_model_is_read_as_it_was_written_and_a_damaged_one_is_refused(coupled, tmp_path) -> None:
+    folder, model = coupled
+    assert load_task_times(folder / "model").card == model.card
+    (tmp_path / "model.json").write_text('{"format": "cyclekit-task-times", "model_version": 9}', encoding="utf-8")
+    with pytest.raises(ModelError, match="model_version"):
+        load_task_times(tmp_path)
+
+
+def test_a_network_on_task_lists_is_refused_with_what_works(coupled) -> None:
+    with pytest.raises(DatasetError, match="positions of robot and people"):
+        train_model(coupled[0] / "dataset")
+
+
+def test_planned_starts_are_waited_for_only_where_they_decide() -> None:
+    rng = np.random.default_rng(5)
+    runs = []
+    for number in range(30):
+        planned = np.cumsum(rng.uniform(3.0, 9.0, 4))
+        at, tasks = 0.0, []
+        for start in planned:
+            begin = max(at, start) + 0.05
+            at = begin + rng.uniform(3.0, 6.0)
+            tasks.append(DoneTask("pick", begin, at, start))
+        runs.append(Run(str(number), {"arm": tuple(tasks)}))
+    starts = learn_starts(runs, "arm", "pick")
+    assert starts.planned
+    assert starts.lags_s.max() < 0.06
+    without = [
+        Run(run.name, {"arm": tuple(DoneTask(t.task, t.start_s, t.end_s) for t in run.tasks["arm"])}) for run in runs
+    ]
+    assert not learn_starts(without, "arm", "pick").planned
+
+
+@given(st.floats(0.3, 2.5), st.integers(0, 10_000))
+def test_a_rate_is_found_whatever_it_is(rate: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    runs = []
+    for number in range(120):
+        work, since = 5.0 * np.exp(0.05 * rng.standard_normal()), rng.uniform(-8.0, 4.0)
+        until = since + rng.uniform(2.0, 10.0)
+        runs.append(Run(str(number), {"arm": (DoneTask("weld", 0.0, _end(work, since, until, rate)),),
+                                      "worker": (DoneTask("pack", since, until),)}))  # fmt: skip
+    found = fit_rates(runs, "arm", "weld")
+    assert found.rates["worker: pack"] / found.rates[""] == pytest.approx(rate, rel=0.12)
+
+
+def _end(work: float, since: float, until: float, rate: float) -> float:
+    """Return when work that begins at 0 is done, at `rate` from `since` to `until` and at 1 else."""
+    t, left = 0.0, work
+    for edge, speed in ((max(since, 0.0), 1.0), (max(until, 0.0), rate)):
+        if left <= (edge - t) * speed:
+            return t + left / speed
+        left, t = left - max(edge - t, 0.0) * speed, max(edge, t)
+    return t + left
+
+
+def test_few_executions_are_refused(tmp_path) -> None:
+    simulate_task_lists(tmp_path / "logs", executions=3, seed=1)
+    ingest([tmp_path / "logs" / "tasks.csv"], tmp_path / "dataset")
+    with pytest.raises(DatasetError, match="3 executions whose tasks all have an end"):
+        learn_task_times(Dataset.open(tmp_path / "dataset"))

@@ -12,11 +12,13 @@ from cyclekit.dataset.guard import check_output
 from cyclekit.errors import EstimateError
 from cyclekit.estimate.answers import CycleEstimates, Refusal, refusing, together
 from cyclekit.estimate.check import Check
+from cyclekit.estimate.gantt import write_gantt
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.safety import SafetyModel
 from cyclekit.estimate.task_times import estimate_plans
 from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.parallel.engine import LOCAL, Engine
+from cyclekit.plots.canvas import KINDS
 from cyclekit.storage.atomic import write_text
 from cyclekit.text.plain_json import json_text
 
@@ -31,6 +33,7 @@ def estimate_cycles(
     sequences: Sequences,
     *,
     out: Place | None = None,
+    gantt: Place | None = None,
     estimator: str | None = None,
     quantiles: Sequence[float] = QUANTILES,
     takt_s: float | None = None,
@@ -49,6 +52,7 @@ def estimate_cycles(
         dataset: Logs that hold the tasks and the operator's tracks; a dataset, its folder or its URL.
         sequences: What is asked for: sequences, or the sequence file.
         out: Also write the result here, `.json` or `.csv`.
+        gantt: Also draw a time chart here, `.svg`, `.png` or `.pdf`.
         estimator: `rollout`, `average`, `history` or `nominal`; None: what suits the model.
         quantiles: Levels in (0, 1) of single cycles.
         takt_s: Also tell the probability that a cycle takes no longer, s.
@@ -73,6 +77,8 @@ def estimate_cycles(
     as_table = file is not None and file.suffix.lower() == ".csv"
     inputs = [place_of(model), place_of(sequences), place_of(dataset)]
     check_output(file, "estimates-csv" if as_table else "estimates-json", inputs, endings=(".json", ".csv"))
+    chart = path_of(gantt)
+    check_output(chart, "picture", inputs, option="--gantt", endings=KINDS)
     wanted = sequences_of(sequences)
     refused: list[Refusal] = []
     opened = estimator_model(model)
@@ -106,4 +112,6 @@ def estimate_cycles(
     answer = CycleEstimates(tuple(found), tuple(refused))
     if file is not None:
         write_text(file, answer.to_csv() if as_table else json_text(answer.to_dict(), ascii_only=True) + "\n")
+    if chart is not None:
+        write_gantt(chart, answer)
     return answer

@@ -50,6 +50,7 @@ def estimate(
     sequences: SequenceFile,
     dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the result here: JSON, or CSV for x.csv.")] = None,
+    gantt: Annotated[Path | None, typer.Option(help="Also draw a time chart here: SVG, PNG or PDF.")] = None,
     estimator: Annotated[
         str | None, typer.Option(help="rollout, average, history or nominal; by default what suits the model.")
     ] = None,
@@ -81,6 +82,7 @@ def estimate(
             dataset,
             sequences,
             out=out,
+            gantt=gantt,
             estimator=estimator,
             quantiles=asked,
             takt_s=takt_s,
@@ -91,8 +93,9 @@ def estimate(
             engine=work,
             progress=progress,
         )
-    if out is not None:
-        terminal.remark(f"written: {out}")
+    for file in (out, gantt):
+        if file is not None:
+            terminal.remark(f"written: {file}")
     by_task = "" if len(found) != 1 else plan_table(found[0]) if found[0].plan else tasks_table(found[0])
     caption = PLANNED if any(entry.plan for entry in found) else CAPTION
     numbers = f"{estimates_table(found)}\n{bullet([caption], mark='')}\n{doubted(found)}".rstrip()

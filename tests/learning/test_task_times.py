@@ -14,6 +14,7 @@ from cyclekit import TaskSequence, estimate_cycles, train_model, train_task_time
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError, EstimateError, ModelError
+from cyclekit.estimate.gantt import chart_of
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.task_times.learn import learn_task_times
 from cyclekit.learning.task_times.rates import fit_rates
@@ -82,6 +83,22 @@ def test_waits_appear_with_what_ended_them(coupled) -> None:
     assert weld.start_s > mount.end_s
     assert max(weld.decided, key=lambda name: weld.decided[name]) == "operator: mount"
     assert json.loads(json.dumps(answer.to_dict()))["plan"][1]["wait_s"] == pytest.approx(weld.wait_s)
+
+
+def test_the_time_chart_shows_waits_with_an_arrow_from_what_ended_them(coupled, tmp_path) -> None:
+    folder, _ = coupled
+    order = {"robot": ["bring", "weld"], "operator": ["inspect", "mount", "pack"]}
+    file = tmp_path / "chart.svg"
+    found = estimate_cycles(folder / "model", folder / "dataset", plan_of(order), gantt=file)
+    assert "written by cyclekit" in file.read_text(encoding="utf-8")
+    lanes, bars, arrows = chart_of(found)
+    assert lanes == ["plan: robot", "plan: operator"]
+    by_text = {bar.text: bar for bar in bars if bar.text}
+    assert set(by_text) == {"bring", "weld", "inspect", "mount", "pack"}
+    (wait,) = (bar for bar in bars if bar.waits and bar.lane == 0)
+    assert (wait.start_s, wait.end_s) == pytest.approx((by_text["bring"].end_s, by_text["weld"].start_s))
+    (arrow,) = (arrow for arrow in arrows if arrow.to_lane == 0)
+    assert (arrow.from_s, arrow.to_s) == pytest.approx((by_text["mount"].end_s, by_text["weld"].start_s))
 
 
 def test_an_earliest_start_and_a_told_precedence_are_kept(coupled) -> None:

@@ -22,6 +22,7 @@ from cyclekit.estimate.result import CycleEstimate, TaskShare
 from cyclekit.fleet.run import FleetRun
 from cyclekit.fleet.stages import StageResult
 from cyclekit.text.results import Result
+from cyclekit_sim.task_lists import simulate_task_lists
 
 if TYPE_CHECKING:
     from .conftest import Shell
@@ -43,6 +44,8 @@ def cell(tmp_path_factory: pytest.TempPathFactory, logs: Path, dataset: Path, mo
         shutil.copytree(made, folder / made.name)
     shutil.copyfile(sequences, folder / "sequences.toml")
     shutil.copyfile(next(logs.glob("**/*robot*.csv")), folder / "robot.csv")
+    simulate_task_lists(folder / "lists", executions=6, seed=1)
+    shutil.move(folder / "lists" / "tasks.csv", folder / "tasks.csv")
     (folder / "points.csv").write_text(POINTS, encoding="utf-8")
     (folder / "changes.toml").write_text(CHANGE, encoding="utf-8")
     (folder / "fleet.toml").write_text(FLEET, encoding="utf-8")

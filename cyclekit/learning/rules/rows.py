@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Vector
 
 
+SURE_S = 0.01
+"""The reaction time is read to this: so near to a change it is open which level was commanded."""
 _COLUMNS = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
 
 
@@ -37,7 +39,7 @@ class RuleRows:
         apart_m: Distances by name, shape (N,) each; infinite where nobody is there.
         floor_m: The operator on the floor, x and y, shape (N, 2), m; NaN where nobody is there.
         level: Index of the commanded level, shape (N,).
-        before: Row of the sample before in the same unbroken stretch, shape (N,); -1 = there is none.
+        before: Row of the sample before in the same unbroken stretch, shape (N,); -1 = its level is not known.
         execution: Number of the execution, shape (N,).
         at_m: TCP and operator, shape (N, 6), m; NaN where nobody is there.
     """
@@ -95,7 +97,8 @@ class RuleRows:
         apart |= {} if to_link_m is None else {TO_LINK: to_link_m[known]}
         apart = {name: np.where(np.isnan(each), np.inf, each) for name, each in apart.items()}
         at = np.arange(len(level))
-        before = np.where(np.diff(of, prepend=-1) == 0, at - 1, -1)
+        next_to = (np.diff(of, prepend=-1) == 0) & (np.diff(np.flatnonzero(known), prepend=-2) == 1)
+        before = np.where(next_to, at - 1, -1)
         inputs = np.concatenate([robot_m, human_m], axis=1).astype(np.float32)
         return cls(apart, human_m[:, :2], level.astype(np.int64), before, execution, inputs)
 
@@ -115,7 +118,7 @@ def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]
     response = dataset.card.dynamics
     if response.ramp_down_per_s or response.ramp_up_per_s:
         # the latency is undone by moving the positions, which hits the instant between two samples
-        level = commanded_in_time(dataset, frame, levels, structs.replace(response, latency_s=None))
+        level = commanded_in_time(dataset, frame, levels, structs.replace(response, latency_s=None), sure_s=SURE_S)
     else:
         level = commanded(frame, levels, run, rate_hz=dataset.rate_hz)
     hidden = frame.select(pl.col("human_x_m").is_null() & ~nobody_there()).to_series().to_numpy()

@@ -49,6 +49,12 @@ def rows_by(step: Any, *, margin_m: float = 0.0, noise_m: float = 0.0, away: boo
     return RuleRows.made(robot, human + noise, level, execution)
 
 
+def test_no_change_of_level_is_seen_across_samples_whose_level_is_unknown():
+    level = np.array([1, 1, -1, -1, 2, 2, 2, 1])
+    made = RuleRows.made(np.zeros((8, 3)), np.ones((8, 3)), level, np.zeros(8, np.int64))
+    assert made.before.tolist() == [-1, 0, -1, 2, 3, 4]
+
+
 def apart(robot: np.ndarray, human: np.ndarray) -> np.ndarray:
     return np.asarray(np.nan_to_num(np.linalg.norm(robot - human, axis=1), nan=np.inf))
 

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 SURE_S = 0.01
 """The reaction time is read to this: so near to a change it is open which level was commanded."""
+HIDDEN_S = 1.0
+"""After a level that a ramp hid for longer, nothing tells where the operator was when it changed."""
 _COLUMNS = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
 
 
@@ -39,7 +41,7 @@ class RuleRows:
         apart_m: Distances by name, shape (N,) each; infinite where nobody is there.
         floor_m: The operator on the floor, x and y, shape (N, 2), m; NaN where nobody is there.
         level: Index of the commanded level, shape (N,).
-        before: Row of the sample before in the same unbroken stretch, shape (N,); -1 = its level is not known.
+        before: Row of the sample before in the same unbroken stretch, shape (N,); -1 = there is none.
         execution: Number of the execution, shape (N,).
         at_m: TCP and operator, shape (N, 6), m; NaN where nobody is there.
     """
@@ -97,8 +99,7 @@ class RuleRows:
         apart |= {} if to_link_m is None else {TO_LINK: to_link_m[known]}
         apart = {name: np.where(np.isnan(each), np.inf, each) for name, each in apart.items()}
         at = np.arange(len(level))
-        next_to = (np.diff(of, prepend=-1) == 0) & (np.diff(np.flatnonzero(known), prepend=-2) == 1)
-        before = np.where(next_to, at - 1, -1)
+        before = np.where(np.diff(of, prepend=-1) == 0, at - 1, -1)
         inputs = np.concatenate([robot_m, human_m], axis=1).astype(np.float32)
         return cls(apart, human_m[:, :2], level.astype(np.int64), before, execution, inputs)
 
@@ -133,7 +134,16 @@ def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]
     order = {name: number for number, name in enumerate(executions)}
     number = frame["execution"].replace_strict(order, return_dtype=pl.Int64).to_numpy()
     to_link = to_nearest_link(dataset, names, seen_s, places[:, :3], places[:, 3:])
-    return RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=run, to_link_m=to_link)
+    known = run + hidden_for_long(level >= 0, t_s)
+    return RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=known, to_link_m=to_link)
+
+
+def hidden_for_long(known: Bools, t_s: Vector) -> NDArray[np.int64]:
+    """Return how often the level was unknown for longer than HIDDEN_S before each row, shape (N,)."""
+    at = np.flatnonzero(known)
+    after = np.zeros(len(known), np.int64)
+    after[at[1:][np.diff(t_s[at]) > HIDDEN_S]] = 1
+    return np.cumsum(after)
 
 
 def commanded(

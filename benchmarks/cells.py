@@ -48,16 +48,33 @@ class Logged:
     model: TrainedModel
 
 
-def logged(
+def dataset_of(
     work: Path, scene: str, executions: int, *, seed: int = 1, options: SimulationOptions = PLAIN, kind: str = "plain"
-) -> Logged:
-    """Return a logged cell with its `now` model; made once per folder `work`."""
+) -> Dataset:
+    """Return the dataset of a logged cell; made once per folder `work`."""
     folder = work / f"{scene}-{executions}-{seed}-{kind}"
-    if not (folder / "model" / "model.json").is_file():
+    if not (folder / "dataset").is_dir():
         simulate(scene, folder / "logs", executions=executions, seed=seed, options=options)
-        dataset = ingest([folder / "logs"], folder / "dataset").dataset
-        save_model(folder / "model", train(Dataset.open(dataset), ModelSpec.of(problem="now", seed=0)))
-    return Logged(scene, Dataset.open(folder / "dataset"), load_model(folder / "model"))
+        ingest([folder / "logs"], folder / "dataset")
+    return Dataset.open(folder / "dataset")
+
+
+def logged(
+    work: Path,
+    scene: str,
+    executions: int,
+    *,
+    seed: int = 1,
+    options: SimulationOptions = PLAIN,
+    kind: str = "plain",
+    rules: bool = False,
+) -> Logged:
+    """Return a logged cell with its `now` model, with `rules` a rule beside it; made once per folder `work`."""
+    dataset = dataset_of(work, scene, executions, seed=seed, options=options, kind=kind)
+    folder = dataset.path.parent / ("model-and-rule" if rules else "model")
+    if not (folder / "model.json").is_file():
+        save_model(folder, train(dataset, ModelSpec.of(problem="now", seed=0), rules=rules))
+    return Logged(scene, dataset, load_model(folder))
 
 
 def newer_logs(work: Path, scene: str, kind: str, *, executions: int = 20, seed: int = 77) -> Dataset:

@@ -7,26 +7,41 @@ read at the log's own rate, of which `--rates` keeps so many rows a second, or w
     python benchmarks/response.py [--executions 30] [--scenes box-picking,...] [--recovery 0.1,...] [--rates 10,30]
     python benchmarks/response.py --cycles --recovery 0.1 --latency 0.3 --executions 100
 
-With `--cycles` the expected cycle times of sequences that were never logged are compared with fresh executions.
+With `--cycles` the expected cycle times of sequences that were never logged are compared with fresh executions: by the
+network, by `auto` (the rule of the same training where there is one), and by history. `chance` is the mean error of who
+knows only the mean of as many cycles as were logged. `--rule-alone` trains no network; `--recovery 0` has no response.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
+from itertools import product
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
-from cells import durations_of, fresh, logged, unseen_sequences
+from cells import dataset_of, durations_of, fresh, logged, unseen_sequences
 
+from cyclekit.dataset.cards import TrainingCard
 from cyclekit.estimate.rollout import estimate
+from cyclekit.learning.labelling import staircase_of, with_commands
+from cyclekit.learning.rules.of_dataset import rule_of
+from cyclekit.learning.rules.safety import RuleSafety, answering
+from cyclekit.learning.windows import scaling_without_operator
 from cyclekit.scaling.levels import find_staircase
 from cyclekit.scaling.response import Changes, SafetyResponse, changes_of, read_response
 from cyclekit_sim import SimulationOptions, simulate
 
+if TYPE_CHECKING:
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.safety import SafetyModel
+
 BRAKING = 1.0
 GAP_S = 1.0
+MEAN_OF_SIZE = (2 / np.pi) ** 0.5
+"""Mean size of what is normally distributed, in standard deviations."""
 XYZ = {who: [f"{who}_{axis}_m" for axis in "xyz"] for who in ("robot", "human")}
 
 
@@ -104,28 +119,55 @@ def responses(asked: argparse.Namespace, work: Path) -> None:
                     )
 
 
+def models_of(
+    asked: argparse.Namespace, work: Path, scene: str, given: SimulationOptions, kind: str, seed: int
+) -> tuple[Dataset, dict[str, SafetyModel]]:
+    """Return the dataset of a cell and what is asked of it: network and rule of one training, or the rule alone."""
+    of_cell: dict[str, Any] = {"seed": seed, "options": given, "kind": kind}
+    if not asked.rule_alone:
+        cell = logged(work, scene, asked.executions, rules=True, **of_cell)
+        return cell.dataset, {"network": cell.model, "auto": answering(cell.model)}
+    dataset = dataset_of(work, scene, asked.executions, **of_cell)
+    frame = dataset.samples()
+    levels = tuple(round(float(level), 6) for level in staircase_of(dataset, frame).levels)
+    rule = rule_of(dataset, levels, judged_apart=True).rule
+    card = TrainingCard(scaling_without_operator=scaling_without_operator(with_commands(dataset, frame, levels)))
+    return dataset, {} if rule is None else {"auto": RuleSafety(rule, card)}
+
+
 def cycles(asked: argparse.Namespace, work: Path) -> None:
     """Print the errors of expected cycle times."""
-    print("| cell | executions | recovery | reaction time, s | mean error, % | worst, % | in the 90 % intervals, % |")
-    print("|---|---|---|---|---|---|---|")
-    for scene in asked.scenes:
-        for recovery in asked.recovery:
-            for latency_s in asked.latency:
-                given, kind = options(recovery, latency_s), f"{recovery}-{latency_s}"
-                cell = logged(work, scene, asked.executions, seed=asked.seed, options=given, kind=kind)
-                errors, inside = [], []
-                for result in estimate(cell.model, cell.dataset, unseen_sequences(cell.dataset, scene, 5)):
-                    rows = fresh(work, scene, result.places, asked.fresh, kind=kind, options=given)
-                    took_s = durations_of(rows)
-                    errors.append(100 * (result.expected_s / took_s.mean() - 1))
-                    low, high = result.quantiles_s[0.05], result.quantiles_s[0.95]
-                    inside.append(100 * float(((took_s >= low) & (took_s <= high)).mean()))
-                worst = max(errors, key=abs)
-                print(
-                    f"| {scene} | {asked.executions} | {recovery} | {latency_s} | {np.abs(errors).mean():.2f} | "
-                    f"{worst:+.2f} | {np.mean(inside):.0f} |",
-                    flush=True,
-                )
+    print(
+        "| cell | executions | seed | recovery | reaction time, s | model | answers | mean error, % | bias, % "
+        "| worst, % | in the 90 % intervals, % | chance, % |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|")
+    for scene, recovery, latency_s, seed in product(asked.scenes, asked.recovery, asked.latency, asked.seeds):
+        given = options(recovery, latency_s) if recovery else SimulationOptions()
+        kind = f"{recovery}-{latency_s}" if recovery else "plain"
+        dataset, models = models_of(asked, work, scene, given, kind, seed)
+        wanted = unseen_sequences(dataset, scene, asked.sequences)
+        took = {
+            one.places: durations_of(fresh(work, scene, one.places, asked.fresh, kind=kind, options=given))
+            for one in wanted
+        }
+        part = np.mean([each.std(ddof=1) / each.mean() for each in took.values()])
+        chance = 100 * MEAN_OF_SIZE * part / asked.executions**0.5
+        for name, model in {**models, "history": next(iter(models.values()))}.items():
+            found = estimate(model, dataset, wanted, estimator="history" if name == "history" else None)
+            errors = [100 * (one.expected_s / took[one.places].mean() - 1) for one in found]
+            inside = [
+                np.mean((took[one.places] >= one.quantiles_s[0.05]) & (took[one.places] <= one.quantiles_s[0.95]))
+                for one in found
+            ]
+            answers = model.rule.family if isinstance(model, RuleSafety) else "network"
+            answers = "history" if name == "history" else answers
+            print(
+                f"| {scene} | {asked.executions} | {seed} | {recovery or 'none'} | {latency_s} | {name} | "
+                f"{answers} | {np.abs(errors).mean():.2f} | {np.mean(errors):+.2f} | "
+                f"{max(errors, key=abs):+.2f} | {100 * np.mean(inside):.0f} | {chance:.2f} |",
+                flush=True,
+            )
 
 
 def numbers(text: str) -> list[float]:
@@ -146,7 +188,10 @@ def main() -> None:
     parser.add_argument("--executions", type=int, default=30)
     parser.add_argument("--fresh", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[1], help="of the logs, with --cycles")
+    parser.add_argument("--sequences", type=int, default=5, help="never logged, with --cycles")
     parser.add_argument("--cycles", action="store_true")
+    parser.add_argument("--rule-alone", action="store_true", help="with --cycles: find the rule, train no network")
     parser.add_argument("--work", type=Path, help="folder in which cells are kept")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:

@@ -26,7 +26,7 @@ def train_model(
     dataset: Dataset | Place,
     spec: ModelSpec | None = None,
     *,
-    rules: bool = False,
+    rules: bool = True,
     out: Place | None = None,
     engine: Engine = LOCAL,
     progress: Progress | None = None,
@@ -36,7 +36,8 @@ def train_model(
     Args:
         dataset: With a speed scaling, logged or inferred, and positions of robot and operator.
         spec: What to train; None: `ModelSpec.of()`.
-        rules: Also look for a rule that explains the commanded level; estimates then ask it in place of the network.
+        rules: Also look for the simplest rule that explains the commanded level, for the problem now; where there is
+            one, estimates ask it in place of the network.
         out: Also put it there: a folder or a URL.
         engine: Where it is trained, if `out` is given; else in this process.
         progress: Told the fraction done and the validation error after every epoch.
@@ -61,7 +62,7 @@ def train_seeds(
     out: Place,
     spec: ModelSpec | None = None,
     *,
-    rules: bool = False,
+    rules: bool = True,
     engine: Engine = LOCAL,
     progress: Progress | None = None,
 ) -> dict[str, TrainedModel]:

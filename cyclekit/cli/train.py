@@ -41,7 +41,7 @@ def train(
     model: Annotated[
         Literal["auto", "network"],
         typer.Option(help="auto: a rule answers where a simple one explains the commanded level; else the network."),
-    ] = "network",
+    ] = "auto",
     horizon: Annotated[str | None, typer.Option(help="How far ahead, such as 14s (ahead and average).")] = None,
     norm: Annotated[
         Literal["batch", "none"], typer.Option(help="Batch normalisation as in the literature, or none.")
@@ -82,9 +82,6 @@ def train(
     horizon_s = None if horizon is None else seconds(horizon)
     if problem == "now" and horizon_s is not None:
         msg = "--horizon goes with --problem ahead or average"
-        raise typer.BadParameter(msg)
-    if problem != "now" and model == "auto":
-        msg = "--model auto goes with --problem now: a rule gives the present scaling"
         raise typer.BadParameter(msg)
     chosen = None if seeds is None else whole_numbers(seeds)
     from cyclekit.dataset.dataset import Dataset

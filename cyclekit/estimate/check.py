@@ -21,12 +21,18 @@ from cyclekit.errors import EstimateError
 from cyclekit.estimate.conformal import conformal, holds
 from cyclekit.estimate.history import TaskTimes, order_error
 from cyclekit.estimate.judges import judge, within
-from cyclekit.estimate.logged import beginnings, beside_own, logged_durations, logged_sequences, only_tracks
+from cyclekit.estimate.logged import (
+    beginnings,
+    beside_others,
+    beside_own,
+    logged_durations,
+    logged_sequences,
+    only_tracks,
+)
 from cyclekit.estimate.nominal import nominal_tasks
 from cyclekit.estimate.operator_model import OperatorModel, operator_model
-from cyclekit.estimate.safety import Dynamics, SafetyModel, at_once
+from cyclekit.estimate.safety import SafetyModel
 from cyclekit.estimate.tracks import operator_tracks
-from cyclekit.estimate.transit import transit_table
 from cyclekit.learning.out_of_core import in_memory
 from cyclekit.parallel.one_thread import one_thread
 
@@ -216,20 +222,14 @@ def check_rollout(
         phases = range(len(entries.executions) // len(tracks.executions))
         beside = beside_own(model, dataset, sequences, nominal, entries, phases=phases)
         own = beside[0]
-        asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
-        table = transit_table(model, asked, tracks)
-        crossed = table.durations([sequence.tasks for sequence in sequences], seed=seed)
-        if np.isfinite(own).all() and np.isfinite(crossed).all():
+        crossed = beside_others(model, dataset, sequences, nominal, tracks, seed=seed)
+        if np.isfinite(own).all() and not np.isinf(crossed).any():
             break
     logged = logged_durations(dataset, sequences)
-    column = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
-    if not at_once(model, Dynamics.of(dataset.card.dynamics)):
-        crossed *= _late(own, crossed[np.arange(len(sequences)), column])
-    crossed[np.arange(len(sequences)), column] = np.nan  # its own operator is left out
     _enough(dataset, int((np.isfinite(own) & np.isfinite(crossed).any(axis=1)).sum()))
     unseen = set(model.card.held_out)
     held_out = np.array([sequence.name in unseen for sequence in sequences])
-    crossed[~np.isfinite(crossed)] = np.nan
+    crossed[np.isinf(crossed)] = np.nan
     found = compare(logged, own, crossed, held_out, levels)
     some = np.isfinite(crossed).any(axis=1)
     means = np.full(len(sequences), np.nan)
@@ -239,15 +239,6 @@ def check_rollout(
         order_error=order_error(TaskTimes(dataset), sequences, means),
         operator=operator_model([sequence.name for sequence in sequences], beside, entries),
     )
-
-
-def _late(own_s: Vector, at_once_s: Vector) -> float:
-    """Return what cycles of the table of arrivals, in which s answers at once, are to be multiplied by.
-
-    The executions beside their own operators tell: walked with latency, ramps and hysteresis, and by the table.
-    """
-    both = np.isfinite(own_s) & np.isfinite(at_once_s)
-    return float(own_s[both].sum() / at_once_s[both].sum()) if both.any() else 1.0
 
 
 def _some(sequences: list[TaskSequence], most: int | None) -> list[TaskSequence]:

@@ -9,8 +9,9 @@ import numpy as np
 
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.estimate.nominal import NominalTask, slider_losses
-from cyclekit.estimate.program import lay_out
-from cyclekit.estimate.safety import Dynamics, SafetyModel
+from cyclekit.estimate.program import draw_stands, lay_out
+from cyclekit.estimate.safety import Dynamics, SafetyModel, at_once
+from cyclekit.estimate.transit import transit_table
 from cyclekit.estimate.walk import walk
 
 if TYPE_CHECKING:
@@ -18,9 +19,11 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.tracks import OperatorTracks
-    from cyclekit.schema import Vector
+    from cyclekit.schema import Floats, Vector
 
 
+OTHERS = 40
+"""Beside so many other operators each execution is walked; twenty tell a 90 % interval."""
 SLIDER_LOSS = 0.002
 """An execution that lost more than this part of its time to the speed slider judges no rollout at full speed."""
 
@@ -88,3 +91,38 @@ def beside_own(
     dynamics = Dynamics.of(dataset.card.dynamics)
     walked = walk(model, programs, which, track, own, tracks, dynamics=dynamics, fine=True)
     return walked.duration_s.reshape(len(programs), len(phases)).T
+
+
+def beside_others(
+    model: SafetyModel,
+    dataset: Dataset,
+    sequences: Sequence[TaskSequence],
+    nominal: Mapping[str, NominalTask],
+    tracks: OperatorTracks,
+    *,
+    seed: int = 0,
+) -> Floats:
+    """Roll out each execution beside the operators of the others, shape (E, K), s.
+
+    Where s follows the safety function late no table of arrivals holds, and each is walked beside OTHERS of them.
+
+    Returns:
+        NaN beside its own operator and where it was not walked; inf where it does not end within the track.
+    """
+    own = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
+    dynamics = Dynamics.of(dataset.card.dynamics)
+    if at_once(model, dynamics):
+        asked = {task: nominal[task] for sequence in sequences for task in sequence.tasks}
+        crossed = transit_table(model, asked, tracks).durations([sequence.tasks for sequence in sequences], seed=seed)
+        crossed[np.arange(len(sequences)), own] = np.nan
+        return crossed
+    count = len(tracks.executions)
+    apart = np.unique(np.linspace(1, count - 1, min(OTHERS, count - 1)).astype(np.int64))
+    programs = [lay_out(sequence, nominal, dataset) for sequence in sequences]
+    track = (own[:, None] + apart) % count
+    stands = [draw_stands(program, count, seed)[mine] for program, mine in zip(programs, track, strict=True)]
+    which = np.repeat(np.arange(len(programs)), len(apart))
+    walked = walk(model, programs, which, track.ravel(), stands, tracks, dynamics=dynamics)
+    crossed = np.full((len(programs), count), np.nan)
+    np.put_along_axis(crossed, track, walked.duration_s.reshape(track.shape), axis=1)
+    return crossed

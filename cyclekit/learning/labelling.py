@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit.dataset.time_grid import stretches
-from cyclekit.scaling.commanded import Response, commanded_levels
+from cyclekit.scaling.commanded import UNKNOWN, Response, commanded_levels
 from cyclekit.scaling.levels import Staircase, find_staircase
 
 if TYPE_CHECKING:
@@ -72,7 +72,9 @@ def with_commands(dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float]
     return frame.with_columns(scaling=pl.Series(np.append(levels, np.nan)[commanded]).fill_nan(None))
 
 
-def commanded_in_time(dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float], response: Response) -> Ints:
+def commanded_in_time(
+    dataset: Dataset, frame: pl.DataFrame, levels: Sequence[float], response: Response, *, sure_s: float = 0.0
+) -> Ints:
     """Return the index of the level that is headed for at every row, shape (N,); -1 = unknown.
 
     Args:
@@ -80,11 +82,16 @@ def commanded_in_time(dataset: Dataset, frame: pl.DataFrame, levels: Sequence[fl
         frame: Rows of SAMPLES, those of one execution together and in order of time.
         levels: Of the scaling, ascending.
         response: What is undone.
+        sure_s: The level is also unknown where it changes so shortly before or after.
     """
     scaling, run = scaling_in_time(frame, dataset.rate_hz)
     ends = np.flatnonzero(np.diff(run)) + 1
     stretches_of = zip(np.split(frame["t_s"].to_numpy(), ends), np.split(scaling, ends), strict=True)
-    found = [commanded_levels(t_s, s, levels, response).level for t_s, s in stretches_of]
+    found = []
+    for t_s, s in stretches_of:
+        at_s = np.concatenate([t_s - sure_s, t_s + sure_s])
+        early, late = np.split(commanded_levels(t_s, s, levels, response, at_s).level, 2)
+        found.append(np.where(early == late, early, UNKNOWN))
     return np.concatenate(found).astype(np.int64)
 
 

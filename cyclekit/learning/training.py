@@ -89,6 +89,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
         dataset: With a speed scaling, logged or inferred, and positions of robot and operator.
         spec: What to train.
         rules: Also look for a rule that explains the commanded level; one that does answers in place of the network.
+            None is looked for where the network forecasts, or learns the scaling as it was logged on request.
         progress: Told the fraction done and the validation error after every epoch.
 
     Returns:
@@ -104,6 +105,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
     from cyclekit.learning.networks.fitting import fit  # here, so that this module can be imported without torch
 
     spec = spec.at_rate(dataset.rate_hz).with_features()
+    rules = rules and spec.problem == "now" and spec.target != "logged"
     with Scratch() as scratch:
         if rows_of(dataset) <= memory_rows():
             found = _in_memory(dataset, spec)
@@ -118,7 +120,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
         beaten = [note("model-beaten", text=better.said(dataset.place, "MODEL"))] if better else []
         card = _card(dataset, found, fitted, measure(model, found.held_out), beaten)
     model = replace(model, card=card)
-    return with_rule(model, dataset, seed=spec.seed) if rules else model
+    return with_rule(model, dataset, seed=spec.seed) if rules and len(model.levels) > 1 else model
 
 
 def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> TrainedModel:
@@ -131,7 +133,7 @@ def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> Traine
     """
     if model.problem != "now":
         msg = f"a rule gives the present scaling, and the model is for problem {model.problem!r}"
-        raise ModelError(msg, cure="Leave --model auto out.")
+        raise ModelError(msg, cure="Give a model of --problem now.")
     found = rule_of(dataset, model.levels, model=model, judged_apart=True, seed=seed)
     if found.rule is not None and answering(replace(model, card=structs.replace(model.card, rule=found.rule))) is model:
         found = replace(found, rule=None)

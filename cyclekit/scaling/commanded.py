@@ -28,8 +28,8 @@ _SLOWER = 1.5
 """A way that takes so many times as long as its ramp, and _STALLS_S more, heads for nothing that is known."""
 _STALLS_S = 0.3
 _SURE_S = 0.3
-"""So soon after a ramp to the next level has begun, and so shortly before it ends there, that level is the command; in
-between a slow ramp may have headed for a farther one."""
+"""So soon after a ramp to the next level has begun that level is the command; later a slow ramp may have headed for a
+farther one until it is there."""
 
 
 class Response(Protocol):
@@ -109,7 +109,8 @@ def _commands(t_s: Vector, scaling: Vector, levels: Vector, rates: RampRates) ->
     both: list[Hold | Way] = [*holds, *ways]
     for what in sorted(both, key=lambda one: (one.first, isinstance(one, Hold))):
         if isinstance(what, Hold):
-            found += [_Command(float(t_s[what.first]), *(what.level,) * 3)] if found[-1].level != what.level else []
+            if found[-1].level != what.level:
+                found.append(_Command(_reached(what, t_s, scaling, near, rates), *(what.level,) * 3))
             after = what.last + 1
             if after < len(t_s) and after not in leads_on:
                 found.append(_Command(float(t_s[what.last]) + 1e-9, *anything))
@@ -132,7 +133,9 @@ def _on_the_way(
 ) -> list[_Command]:
     """Return what a way tells: of each level that it passes, that the command lies beyond."""
     rate, top = rates.of(rises=way.rises), len(levels) - 1
-    begins_s = begin_of(way, t_s, scaling, levels, rate)
+    begins_s = (
+        begin_of(way, t_s, scaling, levels, rate) if way.before is not None else _turn_of(way, t_s, scaling, rates)
+    )
     if rate is None and way.after is not None and way.before is not None:
         return [_Command(begins_s, *(way.after,) * 3)]
     rows = slice(way.first, way.last + 1)
@@ -141,9 +144,9 @@ def _on_the_way(
     if len(values) and times[-1] - times[0] > _SLOWER * (change / rate if rate else 0.0) + _STALLS_S:
         return [_Command(begins_s, UNKNOWN, 0, top)]
     if way.rises:
-        next_one = np.searchsorted(levels, np.maximum.accumulate(values) + near)
+        next_one = np.searchsorted(levels, np.maximum.accumulate(values) - near)
     else:
-        next_one = np.searchsorted(levels, np.minimum.accumulate(values) - near, side="right") - 1
+        next_one = np.searchsorted(levels, np.minimum.accumulate(values) + near, side="right") - 1
     next_one = next_one.clip(0, top)
     if way.before is not None:  # where the scaling still is near the level that it left
         first = way.before + (1 if way.rises else -1)
@@ -172,12 +175,27 @@ def _on_the_way(
     ]
 
 
+def _reached(hold: Hold, t_s: Vector, scaling: Vector, near: float, rates: RampRates) -> float:
+    """Return when a level is reached for certain, s: a slow ramp that passes it is near it for a while."""
+    rate = rates.of(rises=bool(scaling[hold.first] > scaling[hold.first - 1])) if hold.first else None
+    return min(float(t_s[hold.first]) + (near / rate if rate else 0.0), float(t_s[hold.last]))
+
+
+def _turn_of(way: Way, t_s: Vector, scaling: Vector, rates: RampRates) -> float:
+    """Return when a way begins that left no level, s: where the ramp before it and its own ramp meet."""
+    before, first, after = max(way.first - 1, 0), way.first, min(way.first + 1, len(t_s) - 1)
+    sign = 1.0 if way.rises else -1.0
+    came, goes = rates.of(rises=not way.rises), rates.of(rises=way.rises)
+    if not sign * scaling[before] > sign * scaling[first] or came is None or goes is None:  # no turn was seen
+        return float(t_s[before])
+    gone = sign * (scaling[after] - scaling[before]) - goes * (t_s[after] - t_s[before])
+    return float(np.clip(t_s[before] - gone / (came + goes), t_s[before], t_s[after]))
+
+
 def _last_part(last: _Command, top: int, *, rises: bool, whole: bool, reached_s: float) -> list[_Command]:
     """Return what the last part of a way to a level tells: if it takes long, the command may have lain farther on."""
     if reached_s - last.since_s <= 2 * _SURE_S:
         return [last]
     level = last.level
     hidden = _Command(last.since_s, UNKNOWN, level if rises else 0, top if rises else level)
-    if not whole:
-        return [hidden, last._replace(since_s=reached_s - _SURE_S)]
-    return [last, hidden._replace(since_s=last.since_s + _SURE_S), last._replace(since_s=reached_s - _SURE_S)]
+    return [last, hidden._replace(since_s=last.since_s + _SURE_S)] if whole else [hidden]

@@ -229,5 +229,6 @@ def begin_of(way: Way, t_s: Vector, scaling: Vector, levels: Vector, rate: float
         return 0.5 * (left_s + max(left_s, reached_s - step))
     rows = slice(way.first, way.last + 1)
     gone = np.abs(scaling[rows] - levels[way.before])
-    soon = gone <= max(0.5, float(gone[0]) + 1e-9)
+    next_one = way.before + (1 if way.rises else -1)  # where the command may have paused
+    soon = gone < max(abs(levels[next_one] - levels[way.before]) - ON_LEVEL, float(gone[0]) + 1e-9)
     return float(np.median(t_s[rows][soon] - gone[soon] / rate))

@@ -206,6 +206,7 @@ def test_what_comes_next_can_be_typed_where_the_path_has_blanks(cyclekit: Shell,
 def test_what_comes_next_after_a_training_works(problem: str, cyclekit: Shell, typed: Any, dataset: Path):
     done = cyclekit("train", dataset, "--problem", problem, "--out", "my model")
     assert done.code == 0, done.err
+    assert ("answers: the rule" in done.out or "the network answers" in done.err) == (problem == "now")
     (following,) = commands_of(done.out)
     typed(following)
 

@@ -10,7 +10,12 @@ from msgspec import structs
 
 from cyclekit.dataset.cards import DynamicsCard, TrainingCard
 from cyclekit.estimate.check import check_rollout
+from cyclekit.estimate.logged import beginnings, beside_others, logged_sequences
+from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.program import lay_out
 from cyclekit.estimate.safety import Dynamics, Follower
+from cyclekit.estimate.tracks import operator_tracks
+from cyclekit.estimate.walk import roll_out
 
 if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
@@ -62,3 +67,18 @@ def test_beside_other_operators_s_follows_as_late_as_beside_their_own(
     slow = check_rollout(staircase, logged)
     assert slow.own_bias > at_once.own_bias + 0.02
     assert slow.crossed_bias - slow.own_bias == pytest.approx(at_once.crossed_bias - at_once.own_bias, abs=0.01)
+
+
+def test_beside_other_operators_cycles_are_walked_where_the_robot_recovers_slowly(
+    logged: Dataset, staircase: Any, monkeypatch: Any
+):
+    slow = DynamicsCard(ramp_up_per_s=0.1, ramp_down_per_s=1.0)
+    monkeypatch.setattr(logged, "card", structs.replace(logged.card, dynamics=slow))
+    nominal = nominal_tasks(logged)
+    sequence = logged_sequences(logged, nominal)[3]
+    tracks = beginnings(operator_tracks(logged, horizon_s=300.0))
+    (crossed,) = beside_others(staircase, logged, [sequence], nominal, tracks)
+    program = lay_out(sequence, nominal, logged)
+    walked = roll_out(staircase, program, tracks, None, dynamics=Dynamics.of(logged.card.dynamics)).duration_s
+    assert np.flatnonzero(np.isnan(crossed)).tolist() == [tracks.executions.index(sequence.name)]
+    assert crossed[np.isfinite(crossed)] == pytest.approx(walked[np.isfinite(crossed)])

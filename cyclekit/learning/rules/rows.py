@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from cyclekit.schema import Bools, Vector
 
 
+SURE_S = 0.01
+"""The reaction time is read to this: so near to a change it is open which level was commanded."""
+HIDDEN_S = 1.0
+"""After a level that a ramp hid for longer, nothing tells where the operator was when it changed."""
 _COLUMNS = [f"{who}_{axis}_m" for who in ("robot", "human") for axis in "xyz"]
 
 
@@ -115,7 +119,7 @@ def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]
     response = dataset.card.dynamics
     if response.ramp_down_per_s or response.ramp_up_per_s:
         # the latency is undone by moving the positions, which hits the instant between two samples
-        level = commanded_in_time(dataset, frame, levels, structs.replace(response, latency_s=None))
+        level = commanded_in_time(dataset, frame, levels, structs.replace(response, latency_s=None), sure_s=SURE_S)
     else:
         level = commanded(frame, levels, run, rate_hz=dataset.rate_hz)
     hidden = frame.select(pl.col("human_x_m").is_null() & ~nobody_there()).to_series().to_numpy()
@@ -130,7 +134,16 @@ def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]
     order = {name: number for number, name in enumerate(executions)}
     number = frame["execution"].replace_strict(order, return_dtype=pl.Int64).to_numpy()
     to_link = to_nearest_link(dataset, names, seen_s, places[:, :3], places[:, 3:])
-    return RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=run, to_link_m=to_link)
+    known = run + hidden_for_long(level >= 0, t_s)
+    return RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=known, to_link_m=to_link)
+
+
+def hidden_for_long(known: Bools, t_s: Vector) -> NDArray[np.int64]:
+    """Return how often the level was unknown for longer than HIDDEN_S before each row, shape (N,)."""
+    at = np.flatnonzero(known)
+    after = np.zeros(len(known), np.int64)
+    after[at[1:][np.diff(t_s[at]) > HIDDEN_S]] = 1
+    return np.cumsum(after)
 
 
 def commanded(

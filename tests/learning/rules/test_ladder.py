@@ -14,7 +14,7 @@ from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.ladder import find_rule
 from cyclekit.learning.rules.quantities import quantities, without_doubtful
 from cyclekit.learning.rules.regions import corners
-from cyclekit.learning.rules.rows import RuleRows
+from cyclekit.learning.rules.rows import RuleRows, hidden_for_long
 from cyclekit.learning.rules.words import sentences, verdict
 
 LEVELS = (0.0, 0.5, 1.0)
@@ -47,6 +47,14 @@ def rows_by(step: Any, *, margin_m: float = 0.0, noise_m: float = 0.0, away: boo
             level[row] = np.clip(level[row - 1], outer[row], level[row])
     noise = np.random.default_rng(1).normal(0.0, noise_m, human.shape)
     return RuleRows.made(robot, human + noise, level, execution)
+
+
+def test_no_change_of_level_is_seen_across_a_ramp_that_hid_it_for_long():
+    level = np.array([1, 1, -1, 2, 2, -1, -1, 1])
+    t_s = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 1.5, 1.6])
+    run = hidden_for_long(level >= 0, t_s)
+    made = RuleRows.made(np.zeros((8, 3)), np.ones((8, 3)), level, np.zeros(8, np.int64), stretch=run)
+    assert made.before.tolist() == [-1, 0, 1, 2, -1]
 
 
 def apart(robot: np.ndarray, human: np.ndarray) -> np.ndarray:

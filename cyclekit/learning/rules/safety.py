@@ -70,6 +70,10 @@ class RuleSafety:
         limits = tuple(_widened(limit, margin_m) for limit in self.rule.limits)
         return replace(self, rule=structs.replace(self.rule, limits=limits, hysteresis=margin_m > 0.0))
 
+    def with_limits(self, limits: tuple[LimitCard, ...]) -> RuleSafety:
+        """Return it with other limits, the slowest first."""
+        return replace(self, rule=structs.replace(self.rule, limits=limits))
+
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
         """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
         robot_m, human_m = X[:, :3].astype(np.float64), X[:, 3:6].astype(np.float64)

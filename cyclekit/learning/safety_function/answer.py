@@ -143,10 +143,7 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
         ModelError: The model predicts something else than the present scaling, knows no levels, or is of another cell.
         DatasetError: Too few samples have positions and a scaling.
     """
-    if model.problem != "now" or len(model.levels) < 2:
-        msg = f"the model (problem {model.problem!r}, {len(model.levels)} levels) shows no staircase"
-        cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
-        raise ModelError(msg, cure=cure)
+    refuse_without_levels(model, dataset)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)
     rows, told = _rows(dataset)
     if len(rows.scaling) < LEAST_ROWS:
@@ -183,6 +180,18 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
         notes=(*told, *_notes(rule, is_distance=is_distance or found.rule is not None, parts=parts)),
         commanded=found,
     )
+
+
+def refuse_without_levels(model: TrainedModel, dataset: Dataset) -> None:
+    """Refuse a model of another problem, or one that knows no levels.
+
+    Raises:
+        ModelError: It is one.
+    """
+    if model.problem != "now" or len(model.levels) < 2:
+        msg = f"the model (problem {model.problem!r}, {len(model.levels)} levels) shows no staircase"
+        cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
+        raise ModelError(msg, cure=cure)
 
 
 def _rows(dataset: Dataset) -> tuple[ScalingSamples, list[str]]:

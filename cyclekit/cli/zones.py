@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import DatasetPlace, Json, ModelPlace, OtherCell, Quiet
+from cyclekit.cli.options import DatasetPlace, Extrapolate, Json, ModelPlace, OtherCell, Quiet
 from cyclekit.cli.terminal import Terminal, bullet, percent, table
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def zones(
         Path | None, typer.Option(help="Sequence file: also tell what each centimetre costs.", metavar="SEQUENCES.toml")
     ] = None,
     reaction_time_s: Annotated[
-        float | None, typer.Option(help="T_r, for the separation distance S_p (with --cost and the seven below).")
+        float | None, typer.Option(help="T_r, for the separation distance S_p (with --cost; give all below).")
     ] = None,
     stopping_time_s: Annotated[
         str | None, typer.Option(help="T_s of the robot; one, or one for each threshold: 0.1,0.3.", metavar="SECONDS")
@@ -46,6 +46,7 @@ def zones(
     robot_uncertainty_m: Annotated[float | None, typer.Option(help="Z_r, of the robot's position.")] = None,
     approach_speed_m_s: Annotated[float | None, typer.Option(help="K of the person; default: 1.6.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling for the intervals.")] = 0,
+    extrapolate: Extrapolate = False,
     other_cell: OtherCell = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -83,6 +84,7 @@ def zones(
                 found=found.commanded,
                 separation=separation,
                 seed=seed,
+                extrapolate=extrapolate,
                 other_cell=other_cell,
                 progress=progress,
             )
@@ -125,7 +127,8 @@ def _written(found: SafetyFunction) -> str:
     from cyclekit.learning.rules.words import verdict
 
     first = bullet([verdict(found.commanded)], mark="")
-    return f"{first}\n{bullet(found.rule_sentences)}\n{_levels(found)}\n{_from(found)}"
+    last = bullet([_levels(found), _from(found)], mark="")
+    return f"{first}\n{bullet(found.rule_sentences)}\n{last}"
 
 
 def _why(found: SafetyFunction) -> list[str]:

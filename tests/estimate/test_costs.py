@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
+from ruled import box, near, ruled
 
 from cyclekit.config.sequences import TaskSequence
-from cyclekit.dataset.cards import DynamicsCard, TrainingCard
-from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, RectangleCard, RegionCard, RuleCard
+from cyclekit.dataset.cards import DynamicsCard
 from cyclekit.errors import ConfigError, EstimateError
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.whatif import Change, LimitChange, load_changes, what_if
@@ -21,27 +21,11 @@ from cyclekit.estimate.whatif.costs import SafetyCosts, costs_of, named, step
 from cyclekit.estimate.whatif.separation import Separation, margins_of, refuse_other_thresholds
 from cyclekit.learning.rules.distances import TO_BASE, TO_TCP
 from cyclekit.learning.rules.quantities import quantities
-from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.dataset.dataset import Dataset
-
-
-def near(metres: float, distance: str = TO_TCP) -> RegionCard:
-    return RegionCard(nearer=(NearerCard(distance=distance, metres=MetresCard(value=metres)),))
-
-
-def box(*edges: float) -> RegionCard:
-    left, right, low, high = (MetresCard(value=edge) for edge in edges)
-    return RegionCard(rectangles=(RectangleCard(along=(left, right), across=(low, high)),))
-
-
-def ruled(*limits: tuple[float, RegionCard, RegionCard | None]) -> RuleSafety:
-    made = tuple(LimitCard(scaling=level, within=within, until=until) for level, within, until in limits)
-    levels = (*(limit.scaling for limit in made), 1.0)
-    return RuleSafety(RuleCard(family=TO_TCP, levels=levels, limits=made, explained=1.0), TrainingCard())
 
 
 HELD = ruled((0.0, near(0.8), near(0.9)), (0.5, box(1.0, 2.0, -1.0, 1.0), box(0.9, 2.1, -1.1, 1.1)))

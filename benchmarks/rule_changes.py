@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -106,7 +107,10 @@ def cell_of(work: Path, scene: str, executions: int, seed: int) -> tuple[Dataset
 
 
 def of_cell(work: Path, asked: argparse.Namespace, scene: str, seed: int) -> dict[str, np.ndarray]:
-    """Return by change what it saves as part of the cycle: told, beside logged operators, fresh; (3, sequences)."""
+    """Return by change what it saves as part of the cycle: told, beside logged operators, fresh; (3, sequences).
+
+    What was simulated is kept in the folder.
+    """
     dataset, rule = cell_of(work, scene, asked.executions, seed)
     wanted = unseen_sequences(dataset, scene, asked.sequences, first=JUDGED_SEED)
     cases = [case for case in CASES if case.scene == scene]
@@ -117,14 +121,19 @@ def of_cell(work: Path, asked: argparse.Namespace, scene: str, seed: int) -> dic
     instants_s = tuple(within_s * phase / phases for phase in range(phases))
     sides = [Operators(seed, LOGGED, len(took_s), instants_s), Operators(JUDGED_SEED, FRESH, asked.fresh)]
     true = dataclasses.replace(TRUE, silent_when_empty=False)
-    now = _simulated(wanted, Case(scene, Change("now", frequency=1.0)), true, sides)
-    rows = {}
+    key = f"truth-{scene}-{seed}-{asked.executions}-{asked.sequences}-{asked.fresh}.json"
+    kept = json.loads((work / key).read_text("utf-8")) if (work / key).is_file() else {}
+    now, rows = None, {}
     for case in cases:
         mine = {entry.before.name: entry for entry in found if entry.change == case.change.name}
         told = [mine[each.name].saves_s[0] / mine[each.name].before.expected_s for each in wanted]
-        then = _simulated(wanted, case, dataclasses.replace(true, **case.response), sides)  # type: ignore[arg-type]
-        saved = [1 - after_s / before_s for after_s, before_s in zip(then, now, strict=True)]
-        rows[case.change.name] = np.array([told, *saved])
+        if case.change.name not in kept:
+            now = now or _simulated(wanted, Case(scene, Change("now", frequency=1.0)), true, sides)
+            then = _simulated(wanted, case, dataclasses.replace(true, **case.response), sides)  # type: ignore[arg-type]
+            saved = [1 - after_s / before_s for after_s, before_s in zip(then, now, strict=True)]
+            kept[case.change.name] = np.round(saved, 5).tolist()
+            (work / key).write_text(json.dumps(kept), "utf-8")
+        rows[case.change.name] = np.array([told, *kept[case.change.name]])
         OUT.print(scene, seed, case.change.name, rows[case.change.name].round(5).tolist(), soft_wrap=True)
     return rows
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.safety import Classifier, Dynamics, SafetyModel, around, likeliest_of, scaling_of
+from cyclekit.estimate.safety import Classifier, Dynamics, SafetyModel, around, asked_often, likeliest_of, scaling_of
 from cyclekit.learning.networks.kinds import names_levels
 from cyclekit.learning.rules.quantities import RulePlace, quantities, shifted
 from cyclekit.learning.rules.safety import RuleSafety
@@ -42,7 +42,8 @@ LOOKED_AT = 60
 class WrittenSafety:
     """A safety function written down: a staircase over ||x_r - x_h||, zones on the floor, or the slower of both.
 
-    Thresholds and zones are those at which the robot slows; `margin_m` moves them outwards.
+    Thresholds and zones are those at which the robot slows; `margin_m` moves them outwards. `often` is that of the
+    model that it is compared with: both are rolled out in the same steps.
     """
 
     change: Change
@@ -50,6 +51,7 @@ class WrittenSafety:
     problem: str = "now"
     card: TrainingCard = field(default_factory=TrainingCard)
     known_everywhere: bool = True
+    often: bool = False
 
     @property
     def levels(self) -> tuple[float, ...]:
@@ -119,7 +121,7 @@ def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> Safe
         EstimateError: The change is of a rule, and the model has none, or not this threshold or edge.
     """
     if change.levels:
-        return WrittenSafety(change)
+        return WrittenSafety(change, often=asked_often(model))
     if change.limits:
         model = _with_other_limits(change, model)
     if "hysteresis_m" not in change.dynamics:

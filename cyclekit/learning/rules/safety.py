@@ -57,6 +57,11 @@ class RuleSafety:
         return "rule"
 
     @property
+    def often(self) -> bool:
+        """That it answers fast: a rollout asks it in every step."""
+        return True
+
+    @property
     def lags(self) -> bool:
         """Whether it has hysteresis of its own."""
         return any(limit.until is not None for limit in self.rule.limits)

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from cyclekit.estimate.whatif.separation import Margins, Separation
     from cyclekit.learning.safety_function import SafetyFunction
 
-EXAMPLE = (
-    "cyclekit zones model dataset --out zones.svg\n"
-    "  cyclekit zones model dataset --cost sequences.toml\n"
-    "  cyclekit zones model dataset --cost sequences.toml --reaction-time-s 0.1 \\\n"
-    "    --stopping-time-s 0.3 --stopping-distance-m 0.2 --robot-speed-m-s 1 \\\n"
-    "    --intrusion-m 0.2 --operator-uncertainty-m 0.05 --robot-uncertainty-m 0.01"
-)
+EXAMPLE = """cyclekit zones model dataset --out zones.svg
+
+\b
+And what each centimetre costs, with the margin to S_p:
+  --cost sequences.toml --reaction-time-s 0.1 --stopping-time-s 0.3
+  --stopping-distance-m 0.2 --robot-speed-m-s 1 --intrusion-m 0.2
+  --operator-uncertainty-m 0.05 --robot-uncertainty-m 0.01"""
 
 
 def zones(

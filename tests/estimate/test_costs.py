@@ -77,10 +77,10 @@ def test_what_is_no_threshold_or_edge_is_refused_in_the_file(text: str, said: st
         (LimitChange(0.0, x_m=(0.0, 1.0)), "not exactly one x_m at level 0"),
     ],
 )
-def test_a_number_that_the_rule_has_not_is_refused_with_the_rule(limit: LimitChange, said: str):
+def test_a_number_that_the_rule_has_not_is_refused_with_those_it_has(limit: LimitChange, said: str):
     with pytest.raises(EstimateError, match=said) as raised:
         altered_safety(Change("c", limits=(limit,)), HELD, Dynamics())
-    assert "stop (speed 0 %) when the operator is nearer than 0.800 m" in str(raised.value)
+    assert "level 0: threshold_m; level 0.5: x_m, y_m." in str(raised.value)
 
 
 def test_limits_are_of_a_rule_and_exclude_a_whole_function(staircase: Any):

@@ -19,7 +19,6 @@ from cyclekit.estimate.safety import Classifier, Dynamics, SafetyModel, around, 
 from cyclekit.learning.networks.kinds import names_levels
 from cyclekit.learning.rules.quantities import RulePlace, quantities, shifted
 from cyclekit.learning.rules.safety import RuleSafety
-from cyclekit.learning.rules.words import sentences
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -144,9 +143,18 @@ def _with_other_limits(change: Change, model: SafetyModel) -> RuleSafety:
             place = RulePlace(level, until=False, kind=kind, item=0, edge=edge)
             if place not in known or place._replace(item=1) in known:
                 seen = f"change {change.name!r}: the rule has not exactly one {name} at level {wanted.level:g}"
-                raise EstimateError(seen, cure=f"It says: {'; '.join(sentences(model.rule))}.")
+                raise EstimateError(seen, cure=f"Change one of these: {_has(known)}.")
             limits = shifted(limits, place, metres - known[place].value)
     return model.with_limits(limits)
+
+
+def _has(known: Mapping[RulePlace, object]) -> str:
+    """Return the numbers of a rule as a change names them: `level 0.3: threshold_m, x_m, y_m`."""
+    names: dict[float, dict[str, None]] = {}
+    for place in known:
+        axis = f"{'xy'[place.edge // 2]}_m" if place.kind == "rectangle" else "threshold_m"
+        names.setdefault(place.level, {})[axis] = None
+    return "; ".join(f"level {level:g}: {', '.join(each)}" for level, each in names.items())
 
 
 def _numbers(wanted: LimitChange) -> Iterator[tuple[str, int, str, float]]:

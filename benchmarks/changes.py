@@ -99,7 +99,9 @@ def simulated(
 def operator_of(scene: Scene, side: Operators, index: int, after_s: float) -> WalkedTrack:
     """Return the operator of an execution as `plan` draws him, so long after its beginning."""
     rng = stream(side.seed, scene, OPERATOR, index, domain=side.domain)
-    return WalkedTrack(operator_legs(scene, rng), skip_s=float(rng.uniform(60.0, 120.0)) + after_s)
+    at_any_time = scene.operator == "visit" or (scene.continuous and side.domain == FRESH)
+    skip_s = float(rng.uniform(60.0, 120.0)) if at_any_time else 0.0
+    return WalkedTrack(operator_legs(scene, rng), skip_s=skip_s + after_s)
 
 
 def of_set(work: Path, asked: argparse.Namespace, seed: int) -> list[np.ndarray]:

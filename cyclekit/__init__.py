@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from cyclekit.api.train import train_seeds as train_seeds
     from cyclekit.api.train import train_task_times as train_task_times
     from cyclekit.api.whatif import what_if as what_if
+    from cyclekit.api.zones import cost_of_safety_function as cost_of_safety_function
     from cyclekit.api.zones import read_safety_function as read_safety_function
     from cyclekit.config.sequences import TaskSequence as TaskSequence
     from cyclekit.config.sequences import load_sequences as load_sequences
@@ -54,7 +55,10 @@ if TYPE_CHECKING:
     from cyclekit.estimate.whatif.answer import WhatIf as WhatIf
     from cyclekit.estimate.whatif.answers import WhatIfAnswers as WhatIfAnswers
     from cyclekit.estimate.whatif.change import Change as Change
+    from cyclekit.estimate.whatif.change import LimitChange as LimitChange
     from cyclekit.estimate.whatif.change import load_changes as load_changes
+    from cyclekit.estimate.whatif.costs import SafetyCosts as SafetyCosts
+    from cyclekit.estimate.whatif.separation import Separation as Separation
     from cyclekit.fleet.run import FleetRun as FleetRun
     from cyclekit.fleet.run import run_fleet as run_fleet
     from cyclekit.ingest.ingest import IngestReport as IngestReport
@@ -87,7 +91,7 @@ _NAMES = {
     "api.trace": "trace_sample",
     "api.train": "train_model train_seeds train_task_times",
     "api.whatif": "what_if",
-    "api.zones": "read_safety_function",
+    "api.zones": "cost_of_safety_function read_safety_function",
     "config.sequences": "TaskSequence load_sequences",
     "dataset.dataset": "Dataset",
     "errors": "CyclekitError",
@@ -97,7 +101,9 @@ _NAMES = {
     "estimate.result": "CycleEstimate",
     "estimate.whatif.answer": "WhatIf",
     "estimate.whatif.answers": "WhatIfAnswers",
-    "estimate.whatif.change": "Change load_changes",
+    "estimate.whatif.change": "Change LimitChange load_changes",
+    "estimate.whatif.costs": "SafetyCosts",
+    "estimate.whatif.separation": "Separation",
     "fleet.run": "FleetRun run_fleet",
     "ingest.ingest": "IngestReport",
     "learning.evaluation.evaluate": "Evaluation",

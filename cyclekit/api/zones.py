@@ -1,13 +1,23 @@
-"""`read_safety_function`: levels, thresholds and zones, read back from logs and network."""
+"""`read_safety_function`: levels, thresholds and zones, read back; `cost_of_safety_function`: what each costs."""
 
 from __future__ import annotations
 
-from cyclekit.api.arguments import Place, checked
-from cyclekit.api.given import path_of, place_of, trained_of
+from dataclasses import replace
+
+from msgspec import structs
+
+from cyclekit.api.arguments import Place, Progress, checked
+from cyclekit.api.given import Sequences, path_of, place_of, sequences_of, trained_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
+from cyclekit.errors import ModelError
+from cyclekit.estimate.whatif.costs import SafetyCosts, costs_of
+from cyclekit.estimate.whatif.separation import Separation
 from cyclekit.learning.networks.saved import TrainedModel
-from cyclekit.learning.safety_function.answer import SafetyFunction, read_zones
+from cyclekit.learning.rules.ladder import RuleSearch
+from cyclekit.learning.rules.of_dataset import rule_of
+from cyclekit.learning.rules.safety import RuleSafety, answering
+from cyclekit.learning.safety_function.answer import SafetyFunction, read_zones, refuse_without_levels
 from cyclekit.learning.safety_function.picture import zones_svg
 from cyclekit.storage.atomic import write_text
 
@@ -40,3 +50,54 @@ def read_safety_function(
     if file is not None:
         write_text(file, zones_svg(found))
     return found
+
+
+@checked
+def cost_of_safety_function(
+    model: TrainedModel | Place,
+    dataset: Dataset | Place,
+    sequences: Sequences,
+    *,
+    found: RuleSearch | None = None,
+    separation: Separation | None = None,
+    seed: int = 0,
+    extrapolate: bool = False,
+    other_cell: bool = False,
+    progress: Progress | None = None,
+) -> SafetyCosts:
+    """Return what each centimetre, each 10 ms and each 10 %/s of the safety function costs. No safety proof.
+
+    Args:
+        model: A model of problem `now` with levels, its folder or its URL.
+        dataset: Logs with positions and scaling.
+        sequences: What is produced: sequences, or the sequence file.
+        found: The rule, where `read_safety_function` has read it (`SafetyFunction.commanded`); else it is read.
+        separation: Also compare the thresholds with the protective separation distance computed from this.
+        seed: As of `estimate_cycles`; so are `extrapolate` and `other_cell`.
+        extrapolate: Answer although most of it was never logged.
+        other_cell: Ask a model of another cell too.
+        progress: Told fraction and text.
+
+    Raises:
+        ModelError: No rule explains the logs, or its distance is not known in an estimate.
+        ConfigError: The separation distance does not fit the rule.
+        EstimateError: As of `estimate_cycles`.
+    """
+    asked, logs = trained_of(model), Dataset.of(dataset)
+    refuse_without_levels(asked, logs)
+    rule = (found or rule_of(logs, asked.levels, model=asked, seed=seed)).rule
+    safety = answering(replace(asked, card=structs.replace(asked.card, rule=rule)))
+    if not isinstance(safety, RuleSafety):
+        why = "no simple rule explains these logs" if rule is None else f"no estimate knows the {rule.family}"
+        cure = "Write the function and its changes down, levels with thresholds_m or zones, for cyclekit whatif."
+        raise ModelError(f"{why}: there is no threshold to move", cure=cure)
+    return costs_of(
+        safety,
+        logs,
+        sequences_of(sequences),
+        separation=separation,
+        seed=seed,
+        extrapolate=extrapolate,
+        other_cell=other_cell,
+        progress=progress,
+    )

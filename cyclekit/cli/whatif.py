@@ -16,7 +16,16 @@ if TYPE_CHECKING:
 
     from cyclekit.estimate.whatif import WhatIf
 
-EXAMPLE = "cyclekit whatif model sequences.toml changes.toml --dataset dataset"
+EXAMPLE = """cyclekit whatif model sequences.toml changes.toml --dataset dataset
+
+\b
+changes.toml, more in docs/commands.md:
+  [[change]]
+  name = "other thresholds"     # of the rule in the model
+  limits = [{ level = 0.5, threshold_m = 1.3 }, { level = 0, threshold_m = 0.7 }]
+  [[change]]
+  name = "quicker recovery"     # also ramp_down_per_s, latency_s, hysteresis_m
+  ramp_up_per_s = 2.0"""
 
 
 def whatif(
@@ -34,8 +43,9 @@ def whatif(
 ) -> None:
     """Estimate cycle times in a changed cell. No safety proof.
 
-    Another staircase or zones, a moved base or place, an operator who comes more or less often. A change that cannot be
-    answered from these logs is named with the reason, and the others are answered; if none can be, that is an error.
+    Single thresholds and edges of the model's rule, another staircase or zones, reaction time, ramps and hysteresis, a
+    moved base or place, an operator who comes more or less often. A change that cannot be answered from these logs is
+    named with the reason, and the others are answered; if none can be, that is an error.
     """
     from cyclekit.api.whatif import what_if
 

@@ -3,24 +3,50 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cyclekit.cli.options import DatasetPlace, Json, ModelPlace, OtherCell, Quiet
+from cyclekit.cli.options import DatasetPlace, Extrapolate, Json, ModelPlace, OtherCell, Quiet
 from cyclekit.cli.terminal import Terminal, bullet, percent, table
 
 if TYPE_CHECKING:
+    from cyclekit.estimate.whatif.costs import SafetyCosts
+    from cyclekit.estimate.whatif.separation import Margins, Separation
     from cyclekit.learning.safety_function import SafetyFunction
 
-EXAMPLE = "cyclekit zones model dataset --out zones.svg"
+EXAMPLE = """cyclekit zones model dataset --out zones.svg
+
+\b
+And what each centimetre costs, with the margin to S_p:
+  --cost sequences.toml --reaction-time-s 0.1 --stopping-time-s 0.3
+  --stopping-distance-m 0.2 --robot-speed-m-s 1 --intrusion-m 0.2
+  --operator-uncertainty-m 0.05 --robot-uncertainty-m 0.01"""
 
 
 def zones(
     model: ModelPlace,
     dataset: DatasetPlace,
     out: Annotated[Path | None, typer.Option(help="Also draw it here, as SVG.")] = None,
+    cost: Annotated[
+        Path | None, typer.Option(help="Sequence file: also tell what each centimetre costs.", metavar="SEQUENCES.toml")
+    ] = None,
+    reaction_time_s: Annotated[
+        float | None, typer.Option(help="T_r, for the separation distance S_p (with --cost; give all below).")
+    ] = None,
+    stopping_time_s: Annotated[
+        str | None, typer.Option(help="T_s of the robot; one, or one for each threshold: 0.1,0.3.", metavar="SECONDS")
+    ] = None,
+    stopping_distance_m: Annotated[
+        str | None, typer.Option(help="S_s, as the stopping time.", metavar="METRES")
+    ] = None,
+    robot_speed_m_s: Annotated[float | None, typer.Option(help="Robot towards the person at 100 %.")] = None,
+    intrusion_m: Annotated[float | None, typer.Option(help="C, intrusion distance.")] = None,
+    operator_uncertainty_m: Annotated[float | None, typer.Option(help="Z_d, of the person's position.")] = None,
+    robot_uncertainty_m: Annotated[float | None, typer.Option(help="Z_r, of the robot's position.")] = None,
+    approach_speed_m_s: Annotated[float | None, typer.Option(help="K of the person; default: 1.6.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling for the intervals.")] = 0,
+    extrapolate: Extrapolate = False,
     other_cell: OtherCell = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -28,17 +54,72 @@ def zones(
     """Read the safety function back: levels, thresholds, zones.
 
     The rule in words where a simple one explains the commanded level; else the best thresholds on a distance and a map
-    of the floor. No safety proof.
+    of the floor. --cost: what each number of the rule costs. No safety proof.
     """
-    from cyclekit.api.zones import read_safety_function
+    from cyclekit.api.zones import cost_of_safety_function, read_safety_function
 
+    separation = _separation(
+        cost,
+        reaction_time_s=reaction_time_s,
+        stopping_time_s=stopping_time_s,
+        stopping_distance_m=stopping_distance_m,
+        robot_speed_m_s=robot_speed_m_s,
+        intrusion_m=intrusion_m,
+        operator_uncertainty_m=operator_uncertainty_m,
+        robot_uncertainty_m=robot_uncertainty_m,
+        approach_speed_m_s=approach_speed_m_s,
+    )
     terminal = Terminal(json=json, quiet=quiet)
     with terminal.progress("reading zones"):
         found = read_safety_function(model, dataset, out=out, seed=seed, other_cell=other_cell)
     if out is not None:
         terminal.remark(f"written: {out}")
+    costs = None
+    if cost is not None:
+        with terminal.progress("rolling out") as progress:
+            costs = cost_of_safety_function(
+                model,
+                dataset,
+                cost,
+                found=found.commanded,
+                separation=separation,
+                seed=seed,
+                extrapolate=extrapolate,
+                other_cell=other_cell,
+                progress=progress,
+            )
     shown = (_written(found),) if found.rule_sentences else (_rule(found), _thresholds(found), _explained(found))
-    terminal.answer(found.to_dict(), *shown, bullet([*_why(found), *found.notes]))
+    document = found.to_dict() | ({"costs": costs.to_dict()} if costs else {})
+    priced = (_costs(costs), _margins(costs.margins)) if costs else ()
+    terminal.answer(document, *shown, bullet([*_why(found), *found.notes]), *priced)
+
+
+def _separation(cost: Path | None, **given: Any) -> Separation | None:  # noqa: ANN401
+    """Return what S_p is computed from; None where no option of it was given."""
+    from cyclekit.estimate.whatif.separation import Separation
+
+    told = {name: value for name, value in given.items() if value is not None}
+    if not told:
+        return None
+    lacking = [_option(name) for name in given if name not in told and name != "approach_speed_m_s"]
+    if cost is None:
+        lacking.append("--cost")
+    if lacking:
+        raise typer.BadParameter(f"also give {', '.join(lacking)}", param_hint=_option(next(iter(told))))
+    for name in ("stopping_time_s", "stopping_distance_m"):
+        told[name] = _numbers(name, told[name])
+    return Separation(**told)
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _numbers(name: str, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError as error:
+        raise typer.BadParameter(f"{text!r}: give numbers such as 0.1,0.3", param_hint=_option(name)) from error
 
 
 def _written(found: SafetyFunction) -> str:
@@ -46,7 +127,8 @@ def _written(found: SafetyFunction) -> str:
     from cyclekit.learning.rules.words import verdict
 
     first = bullet([verdict(found.commanded)], mark="")
-    return f"{first}\n{bullet(found.rule_sentences)}\n{_levels(found)}\n{_from(found)}"
+    last = bullet([_levels(found), _from(found)], mark="")
+    return f"{first}\n{bullet(found.rule_sentences)}\n{last}"
 
 
 def _why(found: SafetyFunction) -> list[str]:
@@ -87,3 +169,35 @@ def _thresholds(found: SafetyFunction) -> str:
 def _explained(found: SafetyFunction) -> str:
     best = sorted(found.explained.items(), key=lambda entry: -entry[1])
     return table(["explained by ", "of the variance"], [[name, f"{share:.1%}"] for name, share in best])
+
+
+def _costs(costs: SafetyCosts) -> str:
+    from cyclekit.estimate.whatif.costs import named, step
+
+    tables = []
+    for each in costs.sequences:
+        rows = [
+            [named(one), f"{one.value:.3g} {one.unit}", step(one), f"{one.costs_s:+.3f}", f"{one.standard_error_s:.3f}"]
+            for one in each.parameters
+        ]
+        title = f"What a change costs, {each.sequence!r}: {each.expected_s:.1f} s by the rule"
+        tables.append(table(["number ", "now", "change", "costs, s", "SE"], rows, title=title))
+    return "\n\n".join([*tables, bullet([*costs.notes, costs.safety])])
+
+
+def _margins(found: Margins | None) -> str:
+    if found is None:
+        return ""
+    rows = [
+        [
+            f"{100 * row.speed:.4g} % beyond",
+            *(f"{metres:.3f}" for metres in (row.threshold_m, row.separation_m)),
+            "-" if row.margin_m is None else f"{row.margin_m:+.3f}",
+            f"{row.costs_s_per_cm:+.3f}",
+        ]
+        for row in found.thresholds
+    ]
+    title = f"Thresholds beside the protective separation distance S_p. {found.safety}"
+    text = table(["speed ", "threshold, m", "S_p, m", "margin, m", "costs, s/cm"], rows)
+    late = f"where every threshold follows S_p, 10 ms of reaction time cost {found.reaction_costs_s_per_10_ms:+.3f} s"
+    return "\n".join([bullet([title], mark=""), text, bullet([late, *found.notes])])

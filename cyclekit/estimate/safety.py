@@ -68,6 +68,20 @@ def holds_everywhere(model: SafetyModel) -> bool:
 
 
 @runtime_checkable
+class Fast(SafetyModel, Protocol):
+    """A safety function that may answer so fast that a rollout asks it in every step."""
+
+    @property
+    def often(self) -> bool:
+        """Whether it does, and what it is compared with does too."""
+
+
+def asked_often(model: SafetyModel) -> bool:
+    """Return whether a rollout asks the safety function in every step; a network takes too long."""
+    return isinstance(model, Fast) and model.often
+
+
+@runtime_checkable
 class Classifier(SafetyModel, Protocol):
     """A network that may tell how likely each level is, if `network` says that it is a classifier."""
 

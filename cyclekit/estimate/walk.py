@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.estimate.program import Program, draw_stands
-from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, at_once, scaling_of
+from cyclekit.estimate.safety import Dynamics, Follower, SafetyModel, asked_often, at_once, scaling_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 TIME_STEP_S, FINE_STEP_S = 0.2, 0.1
 """Step of the walk, and of one in which s follows the safety function late, in ramps or with hysteresis, or in which
 single cycles count more than their mean. The safety function is asked once per TIME_STEP_S, where single cycles count
-once per step, at the positions in the middle."""
+and where it is a rule, which answers fast, once per step, at the positions in the middle."""
 SUPPORT_EVERY_S = 0.4
 """Support is looked up this often."""
 ROWS = 4096
@@ -161,7 +161,8 @@ def walk(
     duration, activity_s = np.full(count, np.inf), np.zeros(count * kinds)
     known, looked, spliced, own_loss = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
     follower = None if jumps else Follower(model, dynamics, step_s)
-    looks_after, asks_after = round(SUPPORT_EVERY_S / step_s), 1 if fine else round(TIME_STEP_S / step_s)
+    often = fine or asked_often(model)
+    looks_after, asks_after = round(SUPPORT_EVERY_S / step_s), 1 if often else round(TIME_STEP_S / step_s)
     rows, mine, scaling = np.arange(count), track, np.ones(count)  # of the rows that are not at their end
     for number in range(int((samples - 2) * tracks.step_s / step_s) - asks_after + 1):
         if number % asks_after == 0:

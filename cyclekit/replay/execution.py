@@ -15,7 +15,7 @@ import polars as pl
 from cyclekit.alignment.clocks import ASSUMED
 from cyclekit.dataset.unknown_height import in_plane, said_of_height
 from cyclekit.replay.crowd import Skeletons, other_people, skeletons
-from cyclekit.replay.floor import FloorZones, learned_zones
+from cyclekit.replay.floor import FloorZones, learned_zones, rule_shapes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from cyclekit.config import Furniture
     from cyclekit.dataset.dataset import Dataset, Place
+    from cyclekit.learning.rules.shapes import RuleShape
     from cyclekit.replay.floor import PredictsNow
 
 GAP_SAMPLES = 3.5
@@ -75,6 +76,7 @@ class ReplayedExecution:
         others: Everybody but the operator, per instant (N, 3).
         skeletons: Limbs, where they were kept.
         zones: Where the model slows the robot, along the execution; None without a model.
+        shapes: Rectangles on the floor and distances to the robot's base of its rule, if it has one.
         epoch_s: Seconds since 1970 at session time 0; None where no log knows the time of day.
         notes: What is missing or doubtful, one sentence each.
     """
@@ -107,6 +109,7 @@ class ReplayedExecution:
     others: tuple[NDArray[np.float64], ...]
     skeletons: Skeletons | None
     zones: FloorZones | None
+    shapes: tuple[RuleShape, ...]
     epoch_s: float | None
     notes: tuple[str, ...]
 
@@ -161,6 +164,7 @@ def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None
         others=other_people(dataset, session, t_s + start_s, human_m, robot_m),
         skeletons=skeletons(dataset, session, t_s + start_s, human_m),
         zones=learned_zones(dataset, usable, t_s, robot_m, human_m) if usable else None,
+        shapes=rule_shapes(usable, human_m),
         epoch_s=_epoch(dataset, session),
         notes=_notes(rows, joints, model),
     )

@@ -14,6 +14,8 @@ import numpy as np
 import polars as pl
 
 from cyclekit.dataset.unknown_height import inputs_in_plane
+from cyclekit.learning.rules.safety import RuleSafety
+from cyclekit.learning.rules.shapes import RuleShape, shapes_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -82,6 +84,19 @@ def learned_zones(
     x = inputs_in_plane(x)
     scaling = np.asarray(model.predict(x), dtype=np.float64).reshape(len(rows), len(centre))
     return FloorZones(centre, t_s[rows], np.round(scaling, 2))
+
+
+def rule_shapes(model: PredictsNow | None, human_m: NDArray[np.float64]) -> tuple[RuleShape, ...]:
+    """Return what of the model's rule lies still on the floor; distances to the TCP move with it and are not among it.
+
+    Args:
+        model: What answers for the model; shapes has only a rule.
+        human_m: x_h, shape (T, 3), NaN = unknown: as far as he went edges that were never crossed are drawn.
+    """
+    seen = human_m[np.isfinite(human_m[:, 0]), :2]
+    if not isinstance(model, RuleSafety) or not len(seen):
+        return ()
+    return tuple(shapes_of(model.rule, np.empty((0, 2)), within_m=float(np.abs(seen).max())))
 
 
 def walked_squares(dataset: Dataset) -> NDArray[np.float64]:

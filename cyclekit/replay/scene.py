@@ -41,6 +41,7 @@ def log_scene(sink: Sink) -> None:
     _places(sink, "scene/operator_places", sink.run.human_places, colours.OPERATOR)
     _furniture(sink)
     _zones(sink)
+    _rule(sink)
     _robot(sink)
     log_people(sink)
     _link(sink)
@@ -91,6 +92,18 @@ def _zones(sink: Sink) -> None:
     rgb = colours.scaling_rgb(zones.scaling.ravel()) * ZONE_TINT + np.array(PAPER) * (1 - ZONE_TINT)
     columns = rr.Boxes3D.columns(colors=pack(np.rint(rgb).astype(np.uint8)))
     sink.columns("scene/zones", zones.t_s, columns.partition([len(centres)] * len(zones.t_s)))
+
+
+def _rule(sink: Sink) -> None:
+    """The rule's shapes on the floor, in the colour of the speed that holds inside."""
+    shapes = [shape for shape in sink.run.shapes if not shape.leaving]
+    if not shapes:
+        return
+    height = floor_m(sink.run) + 0.004
+    strips = [[(x, y, height) for x, y in (*shape.outline_m, shape.outline_m[0])] for shape in shapes]
+    paint = [colours.to_rgb(colours.scaling_hex(shape.level)) for shape in shapes]
+    words = [f"{100 * shape.level:.4g} %" for shape in shapes]
+    sink.static("scene/rule", rr.LineStrips3D(strips, radii=0.012, colors=paint, labels=words, show_labels=True))
 
 
 def _robot(sink: Sink) -> None:

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
+from cyclekit.learning.rules.safety import RuleSafety
+from cyclekit.learning.rules.shapes import RuleShape, shapes_of
 from cyclekit.report.findings import FULL, sample_s
 
 if TYPE_CHECKING:
@@ -44,6 +46,7 @@ class FloorPlan:
         places: Named places of the robot.
         human_places: Named places of the operator.
         furniture: Boxes of the cell file (tables, machines), by name.
+        shapes: The model's rule as outlines, if it has one.
         cell_m: Side of a square.
     """
 
@@ -56,6 +59,7 @@ class FloorPlan:
     places: Mapping[str, Place]
     human_places: Mapping[str, Place]
     furniture: Mapping[str, Furniture]
+    shapes: tuple[RuleShape, ...] = ()
     cell_m: float = CELL_M
 
 
@@ -76,17 +80,26 @@ def floor_plan(dataset: Dataset, samples: pl.DataFrame, model: Predicts | None =
     lost = seen.filter(pl.col("robot_moving") & (pl.col("scaling") < FULL))
     usable = model if model is not None and model.problem == "now" else None
     first = samples.filter(pl.col("execution") == samples["execution"][0])
+    robot_m = first.sort("t_s").select("robot_x_m", "robot_y_m").to_numpy().astype(np.float64)
+    squares = _squares(seen, (pl.len() * per).alias("s"))
     return FloorPlan(
-        seen=_squares(seen, (pl.len() * per).alias("s")),
+        seen=squares,
         lost=_squares(lost, ((1 - pl.col("scaling")).sum() * per).alias("s"), pl.mean("scaling")),
         zones=_of_model(usable, seen) if usable else _of_log(seen),
         zones_of_model=usable is not None,
-        robot_m=first.sort("t_s").select("robot_x_m", "robot_y_m").to_numpy().astype(np.float64),
+        robot_m=robot_m,
         robot_known=has_robot(samples),
         places=dataset.places,
         human_places=dataset.human_places,
         furniture=dataset.furniture,
+        shapes=_shapes(usable, robot_m, squares),
     )
+
+
+def _shapes(model: Predicts | None, robot_m: NDArray[np.float64], seen: NDArray[np.float64]) -> tuple[RuleShape, ...]:
+    if not isinstance(model, RuleSafety):
+        return ()
+    return tuple(shapes_of(model.rule, robot_m, within_m=float(np.abs(seen[:, :2]).max())))
 
 
 def has_robot(samples: pl.DataFrame) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Polygon, Rectangle
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from cyclekit.plots import colours
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
+    from cyclekit.learning.rules.shapes import RuleShape
     from cyclekit.report.findings import LoggedResponse
     from cyclekit.report.floor import FloorPlan
     from cyclekit.report.judged import PredictionBins
@@ -76,7 +77,7 @@ def staircase(width_in: float, found: LoggedResponse, levels: Sequence[float], l
 def floor_labels(texts: ReportTexts) -> dict[str, str]:
     """Return the words of a floor plan."""
     words = texts.section("why")
-    return {key: words[key] for key in ("base", "x", "y", "tip_seen", "tip_lost", "tip_zone")}
+    return {key: words[key] for key in ("base", "x", "y", "tip_seen", "tip_lost", "tip_zone", "tip_rule")}
 
 
 def lost_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Figure:
@@ -105,6 +106,8 @@ def zone_map(width_in: float, plan: FloorPlan, labels: Mapping[str, str]) -> Fig
     for x, y, scaling in plan.zones.tolist():
         square = _square(axes, x, y, plan.cell_m, colours.scaling_hex(scaling), alpha=0.85)
         tip(figure, square, labels["tip_zone"].format(x=f"{x:.1f}", y=f"{y:.1f}", speed=f"{100 * scaling:.0f}"))
+    for shape in plan.shapes:
+        _outline(axes, shape, labels["tip_rule"])
     _furniture(axes, plan, labels)
     return figure
 
@@ -171,6 +174,19 @@ def _square(axes: Axes, x: float, y: float, side: float, colour: str, alpha: flo
     square = Rectangle((x - side / 2, y - side / 2), side, side, color=colour, alpha=alpha, linewidth=0, zorder=2)
     axes.add_artist(square)
     return square
+
+
+def _outline(axes: Axes, shape: RuleShape, text: str) -> None:
+    """A limit of the rule: solid where the robot slows down, dashed what lets it speed up again."""
+    line = Polygon(shape.outline_m, closed=True, fill=False, edgecolor=colours.scaling_hex(shape.level), zorder=4)
+    line.set(linewidth=1.0 if shape.leaving else 2.0, linestyle=(0, (4, 3)) if shape.leaving else "-")
+    axes.add_artist(line)
+    speed = f"{100 * shape.level:.4g}"
+    tip(cast("Figure", axes.figure), line, text.format(speed=speed))
+    if not shape.leaving:
+        note = axes.annotate(f"{speed} %", shape.outline_m[0], xytext=(3, 3), textcoords="offset points")
+        note.set(fontsize=8.5, color=INK, zorder=7, clip_on=True, annotation_clip=True)
+        note.set_bbox({"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8})
 
 
 def _furniture(axes: Axes, plan: FloorPlan, labels: Mapping[str, str]) -> None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from cyclekit.learning.rules.safety import RuleSafety
+from cyclekit.learning.rules.words import kind_of
+from cyclekit.learning.rules.words import sentences as in_words
 from cyclekit.report.figures import charts_of
 from cyclekit.report.floor import has_robot
 from cyclekit.report.numbers import count, percent
@@ -32,6 +35,10 @@ def section(page: PageInputs) -> dict[str, Any]:
         sentences.append(texts("why.lead", samples=count(found.samples)))
         key = "why.distance_good" if found.explained >= EXPLAINS else "why.distance_bad"
         sentences.append(texts(key, percent=percent(found.explained)))
+    if isinstance(page.answers, RuleSafety):
+        rule = page.answers.rule
+        explained = f"{kind_of(rule)}, {rule.explained:.1%} of held-out samples"
+        sentences.append(texts("why.rule", verdict=explained, sentences="; ".join(in_words(rule))))
     return {"sentences": sentences + missing, "charts": charts_of("why", page), "missing": missing}
 
 

@@ -113,6 +113,56 @@ def test_zones_are_a_table_and_a_picture(model: Path, dataset: Path, tmp_path: P
     assert "no safety proof" in shown
 
 
+SEPARATION = (
+    *("--reaction-time-s", "0.1", "--stopping-time-s", "0.1,0.2,0.3,0.4", "--stopping-distance-m", "0.2"),
+    *("--robot-speed-m-s", "1", "--intrusion-m", "0.1", "--operator-uncertainty-m", "0.05"),
+    *("--robot-uncertainty-m", "0.01"),
+)
+
+
+@pytest.mark.slow  # quick: tests/estimate/test_costs.py
+def test_zones_tell_what_a_centimetre_costs_and_the_margin(
+    model: Path, dataset: Path, sequences: Path, cyclekit: Shell
+):
+    words = ("zones", model, dataset, "--cost", sequences, *SEPARATION, "--extrapolate", "--quiet")
+    typed = cyclekit(*words, "--json")
+    assert typed.code == 0, typed.err
+    costs = typed.document["costs"]
+    rows = costs["sequences"][0]["parameters"]
+    assert [row["parameter"] for row in rows] == ["threshold"] * 4 + ["hysteresis", "reaction time"]
+    assert all(row["costs_s"] > -3 * row["standard_error_s"] for row in rows[:4])
+    assert [row["speed"] for row in costs["margins"]["thresholds"]] == [0.25, 0.5, 0.75, 1.0]
+    shown = cyclekit(*words).out
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "No safety validation" in shown
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--reaction-time-s", "0.1"), "also give --stopping-time-s, --stopping-distance-m"),
+        (SEPARATION, "also give --cost"),
+        (("--cost", "s.toml", *SEPARATION, "--stopping-time-s", "fast"), "'fast': give numbers such as 0.1,0.3"),
+    ],
+)
+def test_a_separation_distance_needs_all_its_terms(words: tuple[str, ...], said: str, cyclekit: Shell):
+    typed = cyclekit("zones", "model", "dataset", *words)
+    assert typed.code == 2
+    assert said in typed.err
+
+
+def test_where_no_rule_explains_the_logs_there_is_no_threshold_to_price(
+    model: Path, dataset: Path, sequences: Path, cyclekit: Shell, monkeypatch: pytest.MonkeyPatch
+):
+    from cyclekit.learning.rules.ladder import RuleSearch
+
+    monkeypatch.setattr("cyclekit.learning.safety_function.answer.rule_of", lambda *_, **__: RuleSearch(None))
+    typed = cyclekit("zones", model, dataset, "--cost", sequences)
+    assert typed.code == 1
+    assert "no simple rule explains these logs: there is no threshold to move" in typed.err
+    assert "cyclekit whatif" in typed.err
+
+
 def test_what_if_says_that_it_is_no_safety_proof(
     model: Path, dataset: Path, sequences: Path, tmp_path: Path, cyclekit: Shell
 ):

@@ -11,9 +11,12 @@ import polars as pl
 import pytest
 from known_cells import LEVELS, THRESHOLDS_M
 from msgspec import structs
+from ruled import box, near, ruled
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError, ModelError
+from cyclekit.learning.rules.distances import TO_BASE
+from cyclekit.learning.rules.shapes import around, shapes_of
 from cyclekit.learning.safety_function import read_zones, zones_svg
 from cyclekit.learning.safety_function.fit import (
     ScalingSamples,
@@ -23,10 +26,12 @@ from cyclekit.learning.safety_function.fit import (
     hysteresis,
     thresholds,
 )
+from cyclekit.plots.colours import scaling_hex
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+HELD = ruled((0.0, near(0.8, TO_BASE), None), (0.5, box(1.0, 2.0, None, 1.0), box(0.9, 2.1, None, 1.1)))
 NAME = "distance TCP to operator"
 
 
@@ -133,8 +138,31 @@ def test_the_cell_of_the_paper_is_read_back_and_drawn(logged: Dataset, staircase
     assert sum(found.shares) == pytest.approx(1.0)
     assert any("no safety proof" in note for note in found.notes)
     page = ElementTree.fromstring(zones_svg(found))
-    drawn = [element for element in page.iter() if element.tag.endswith("rect")]
-    assert len(drawn) == len(found.thresholds) + len(found.floor_m)
+    drawn = {kind: [one for one in page.iter() if one.tag.endswith(kind)] for kind in ("rect", "polygon", "title")}
+    assert len([one for one in drawn["rect"] if one.get("fill-opacity")]) == len(found.floor_m)
+    # the rule as shapes: a line around the tool's path for each threshold, in the colour of its speed
+    assert [one.get("stroke") for one in drawn["polygon"]] == [scaling_hex(level) for level in reversed(LEVELS[:-1])]
+    assert "50 %: distance TCP to operator" in [one.text for one in drawn["title"]]
+    texts = " ".join(one.text or "" for one in page.iter() if one.tag.endswith("text"))
+    assert "stop (speed 0 %) when the operator is nearer than" in texts
+
+
+def test_an_outline_around_a_path_is_where_its_nearest_point_is_as_far_as_the_threshold():
+    path = np.random.default_rng(0).uniform((-0.5, -0.3), (0.6, 0.4), (50, 2))
+    outline = np.array(around(path, 1.2))
+    nearest = np.linalg.norm(outline[:, None] - path, axis=2).min(axis=1)
+    np.testing.assert_allclose(nearest, 1.2, atol=1e-9)
+
+
+def test_a_rule_has_shapes_in_the_order_in_which_they_are_drawn():
+    found = shapes_of(HELD.rule, np.empty((0, 2)), within_m=3.0)
+    assert [(one.level, one.leaving, one.name) for one in found] == [
+        (0.5, False, "rectangle"),
+        (0.5, True, "rectangle"),
+        (0.0, False, TO_BASE),
+    ]
+    assert found[0].outline_m == ((1.0, -3.0), (2.0, -3.0), (2.0, 1.0), (1.0, 1.0))  # an edge that nobody crossed
+    np.testing.assert_allclose(np.linalg.norm(found[2].outline_m, axis=1), 0.8)
 
 
 def test_what_shows_no_staircase_is_refused(logged: Dataset, staircase: Any, tmp_path: Path):

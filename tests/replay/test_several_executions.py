@@ -15,6 +15,7 @@ import polars as pl
 import pytest
 from fabricated import THRESHOLDS_M, fabricate_dataset
 from rerun.chunk import RrdReader
+from ruled import box, ruled
 
 from cyclekit import schema
 from cyclekit.alignment.clocks import ClockStart, fit_clock
@@ -182,6 +183,19 @@ def test_the_floor_has_the_colour_of_the_speed_that_the_model_expects_there(data
     shown = rows_of(facts.path, "/scene/zones")
     assert [len(colours) for colours in shown["Boxes3D:colors"]] == [len(zones.centre_m)] * len(zones.t_s)
     assert "/scene/zones" not in entities(write_replay(dataset, "1", tmp_path / "y.rrd").path)
+
+
+def test_the_rules_rectangle_lies_on_the_floor_with_its_speed(dataset, tmp_path):
+    facts = write_replay(dataset, "1", tmp_path / "x.rrd", model=ruled((0.5, box(0.8, 1.6, -0.5, 0.5), None)))
+    (drawn,) = [
+        chunk.to_record_batch() for chunk in RrdReader(facts.path).stream() if str(chunk.entity_path) == "/scene/rule"
+    ]
+    row = pl.DataFrame(drawn)
+    ((line,),) = row["LineStrips3D:strips"].to_list()
+    corners = [(0.8, -0.5), (1.6, -0.5), (1.6, 0.5), (0.8, 0.5), (0.8, -0.5)]
+    np.testing.assert_allclose([point[:2] for point in line], corners, atol=1e-6)
+    assert row["LineStrips3D:labels"].to_list() == [["50 %"]]
+    assert "/scene/rule" not in entities(write_replay(dataset, "1", tmp_path / "y.rrd", model=Staircase()).path)
 
 
 def second_person(path, offset_m):

@@ -7,11 +7,15 @@ import numpy as np
 import polars as pl
 import pytest
 from fabricated import LEVELS, THRESHOLDS_M
+from matplotlib.colors import to_hex
+from matplotlib.patches import Polygon
 from msgspec import structs
 from report_pages import DistanceModel
+from ruled import box, near, ruled
 
 from cyclekit.config import Cell, Furniture
 from cyclekit.dataset.dataset import Dataset
+from cyclekit.plots.colours import scaling_hex
 from cyclekit.report import findings
 from cyclekit.report.floor import floor_plan
 from cyclekit.report.judged import calibration
@@ -69,6 +73,17 @@ def test_the_zone_map_is_the_models_mean_over_the_robots_ways(dataset):
     far = plan.zones[np.argmax(np.linalg.norm(plan.zones[:, :2], axis=1))]
     assert near[2] < far[2]
     assert not floor_plan(dataset, samples).zones_of_model
+
+
+def test_the_zone_map_draws_the_rule_of_the_model(dataset):
+    rule = ruled((0.0, near(0.9), near(1.0)), (0.5, box(0.8, 1.6, -0.5, 0.5), None))
+    plan = floor_plan(dataset, dataset.samples(), rule)
+    figure = zone_map(6.0, plan, defaultdict(str))
+    lines = [one for one in figure.axes[0].patches if isinstance(one, Polygon)]
+    assert [to_hex(line.get_edgecolor()) for line in lines] == [scaling_hex(level) for level in (0.5, 0.0, 0.0)]
+    np.testing.assert_allclose(lines[0].get_xy()[:4], [(0.8, -0.5), (1.6, -0.5), (1.6, 0.5), (0.8, 0.5)])
+    assert [text.get_text() for text in figure.axes[0].texts][:2] == ["50 %", "0 %"]
+    assert floor_plan(dataset, dataset.samples(), DistanceModel()).shapes == ()
 
 
 def test_a_calibrated_model_lies_on_the_line_and_a_biased_one_does_not(dataset):

@@ -6,6 +6,6 @@ answer  cycle times before and after
 """
 
 from cyclekit.estimate.whatif.answer import NO_PROOF, WhatIf, what_if
-from cyclekit.estimate.whatif.change import Change, load_changes
+from cyclekit.estimate.whatif.change import Change, LimitChange, load_changes
 
-__all__ = ["NO_PROOF", "Change", "WhatIf", "load_changes", "what_if"]
+__all__ = ["NO_PROOF", "Change", "LimitChange", "WhatIf", "load_changes", "what_if"]

@@ -7,7 +7,7 @@ time away is cut or stretched; his visits stay as they were.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +15,9 @@ import numpy as np
 
 from cyclekit.dataset.cards import TrainingCard
 from cyclekit.errors import EstimateError, UnknownName
-from cyclekit.estimate.safety import Classifier, Dynamics, SafetyModel, around, likeliest_of, scaling_of
+from cyclekit.estimate.safety import Classifier, Dynamics, SafetyModel, around, asked_often, likeliest_of, scaling_of
 from cyclekit.learning.networks.kinds import names_levels
+from cyclekit.learning.rules.quantities import RulePlace, quantities, shifted
 from cyclekit.learning.rules.safety import RuleSafety
 
 if TYPE_CHECKING:
@@ -25,12 +26,13 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.estimate.tracks import OperatorTracks
-    from cyclekit.estimate.whatif.change import Change
+    from cyclekit.estimate.whatif.change import Change, LimitChange
     from cyclekit.schema import Vector
-
 
 AWAY = 0.99
 """The operator is away where the robot may do this part of its best scaling wherever it is."""
+SAME_LEVEL = 0.005
+"""A level of the rule is named within this: levels found in logs have more digits than people write."""
 LOOKED_AT = 60
 """Points of the robot's motions at which it is asked whether the operator slows it."""
 
@@ -39,7 +41,8 @@ LOOKED_AT = 60
 class WrittenSafety:
     """A safety function written down: a staircase over ||x_r - x_h||, zones on the floor, or the slower of both.
 
-    Thresholds and zones are those at which the robot slows; `margin_m` moves them outwards.
+    Thresholds and zones are those at which the robot slows; `margin_m` moves them outwards. `often` is that of the
+    model that it is compared with: both are rolled out in the same steps.
     """
 
     change: Change
@@ -47,6 +50,7 @@ class WrittenSafety:
     problem: str = "now"
     card: TrainingCard = field(default_factory=TrainingCard)
     known_everywhere: bool = True
+    often: bool = False
 
     @property
     def levels(self) -> tuple[float, ...]:
@@ -110,14 +114,56 @@ class LearnedSafety:
 
 
 def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> SafetyModel:
-    """Return the safety function that holds after the change; `logged` is how s followed it before."""
+    """Return the safety function that holds after the change; `logged` is how s followed it before.
+
+    Raises:
+        EstimateError: The change is of a rule, and the model has none, or not this threshold or edge.
+    """
     if change.levels:
-        return WrittenSafety(change)
+        return WrittenSafety(change, often=asked_often(model))
+    if change.limits:
+        model = _with_other_limits(change, model)
     if "hysteresis_m" not in change.dynamics:
         return model
     if isinstance(model, RuleSafety):
         return model.with_hysteresis(change.dynamics["hysteresis_m"] or 0.0)
     return LearnedSafety(model, logged.hysteresis_m or 0.0)
+
+
+def _with_other_limits(change: Change, model: SafetyModel) -> RuleSafety:
+    if not isinstance(model, RuleSafety):
+        seen = f"change {change.name!r}: limits are of a rule, and the model has none"
+        cure = "Train with --model auto, which keeps the rule, or write the whole function: levels with thresholds_m."
+        raise EstimateError(seen, cure=cure)
+    limits, known = model.rule.limits, quantities(model.rule.limits)
+    for wanted in change.limits:
+        same = (limit.scaling for limit in limits if abs(limit.scaling - wanted.level) < SAME_LEVEL)
+        level = next(same, wanted.level)
+        for kind, edge, name, metres in _numbers(wanted):
+            place = RulePlace(level, until=False, kind=kind, item=0, edge=edge)
+            if place not in known or place._replace(item=1) in known:
+                seen = f"change {change.name!r}: the rule has not exactly one {name} at level {wanted.level:g}"
+                raise EstimateError(seen, cure=f"Change one of these: {_has(known)}.")
+            limits = shifted(limits, place, metres - known[place].value)
+    return model.with_limits(limits)
+
+
+def _has(known: Mapping[RulePlace, object]) -> str:
+    """Return the numbers of a rule as a change names them: `level 0.3: threshold_m, x_m, y_m`."""
+    names: dict[float, dict[str, None]] = {}
+    for place in known:
+        axis = f"{'xy'[place.edge // 2]}_m" if place.kind == "rectangle" else "threshold_m"
+        names.setdefault(place.level, {})[axis] = None
+    return "; ".join(f"level {level:g}: {', '.join(each)}" for level, each in names.items())
+
+
+def _numbers(wanted: LimitChange) -> Iterator[tuple[str, int, str, float]]:
+    """Yield kind and edge of each number that is wanted, its name in the file, and its new value, m."""
+    if wanted.threshold_m is not None:
+        yield "nearer", 0, "threshold_m", wanted.threshold_m
+    for first, name, edges in ((0, "x_m", wanted.x_m), (2, "y_m", wanted.y_m)):
+        for number, metres in enumerate(edges or ()):
+            yield "rectangle", first + number, name, metres
 
 
 def altered_tasks(change: Change, tasks: Mapping[str, NominalTask], dataset: Dataset) -> dict[str, NominalTask]:

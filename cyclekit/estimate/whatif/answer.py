@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.safety import SafetyModel
     from cyclekit.estimate.tracks import OperatorTracks
     from cyclekit.estimate.whatif.change import Change
+    from cyclekit.schema import Vector
 
 NO_PROOF = "This is a forecast of cycle times from logs. It is no safety proof."
 
@@ -131,8 +132,8 @@ def what_if(
     logged, answers = Dynamics.of(dataset.card.dynamics), []
     for number, change in enumerate(changes):
         tell(number / len(changes), change.name)
-        safety = altered_safety(change, model, logged)
         try:
+            safety = altered_safety(change, model, logged)
             altered = replace(_altered(change, safety, dataset, logged), moved=moved)
             after = estimates(safety, altered, check=_check_of(change, check))
         except EstimateError as error:
@@ -186,10 +187,8 @@ def _in_time(change: Change, logged: Dynamics) -> str:
 
 
 def _compared(change: Change, before: CycleEstimate, after: CycleEstimate, seed: int) -> WhatIf:
-    saved = np.array(before.durations_s) - np.array(after.durations_s)
-    entries = len(saved) // max(before.executions, 1)
-    weights = resampled([str(k % max(before.executions, 1)) for k in range(len(saved))], seed, together=min(entries, 3))
-    low, high = np.quantile(weights @ saved, (0.025, 0.975)).tolist()
+    saved, means = saved_of(before, after, seed)
+    low, high = np.quantile(means, (0.025, 0.975)).tolist()
     mean, off_s = float(saved.mean()), _network_error_s(change, before)
     return WhatIf(
         change.name,
@@ -197,6 +196,14 @@ def _compared(change: Change, before: CycleEstimate, after: CycleEstimate, seed:
         after,
         (mean, mean - float(np.hypot(mean - low, off_s)), mean + float(np.hypot(high - mean, off_s))),
     )
+
+
+def saved_of(before: CycleEstimate, after: CycleEstimate, seed: int) -> tuple[Vector, Vector]:
+    """Return what each cycle saves beside the same operator (K,), and the mean in resamples of the logs, s."""
+    saved = np.array(before.durations_s) - np.array(after.durations_s)
+    entries = len(saved) // max(before.executions, 1)
+    names = [str(k % max(before.executions, 1)) for k in range(len(saved))]
+    return saved, np.asarray(resampled(names, seed, together=min(entries, 3)) @ saved)
 
 
 def _network_error_s(change: Change, before: CycleEstimate) -> float:

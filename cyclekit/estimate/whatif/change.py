@@ -17,6 +17,10 @@ thresholds_m = [0.8, 1.5]
 zones = [{ x_m = [1.0, 2.5], y_m = [-1.0, 1.0], level = 0.5 }]
 
 [[change]]
+name = "single numbers of the rule in the model"                  # the others stay; so does the hysteresis
+limits = [{ level = 0.5, threshold_m = 1.3 }, { level = 0.0, x_m = [0.9, 2.0] }]
+
+[[change]]
 name = "robot half a metre back, fewer visits"
 base = { xyz_m = [-0.5, 0.0, 0.0], yaw_deg = 0.0 }   # where the base shall stand, in the present base frame
 places = { conveyor = [0.7, 0.0, 0.1] }              # places of the robot that move, in the frame of its base
@@ -70,6 +74,37 @@ class Zone:
 
 
 @dataclass(frozen=True)
+class LimitChange:
+    """Other numbers of one limit of the model's rule, m: where the robot slows down to `level`.
+
+    What is None stays, and so does how much farther out the robot speeds up again. Edges of a turned rectangle are
+    those along its own axes.
+    """
+
+    level: float
+    threshold_m: Number | None = None
+    x_m: tuple[Number, Number] | None = None
+    y_m: tuple[Number, Number] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what changes nothing or is no threshold or rectangle.
+
+        Raises:
+            ValueError: It is none.
+        """
+        if self.threshold_m is None and self.x_m is None and self.y_m is None:
+            msg = f"limit of level {self.level:g}: give threshold_m, x_m or y_m"
+            raise ValueError(msg)
+        if self.threshold_m is not None and self.threshold_m < 0:
+            msg = f"limit of level {self.level:g}: threshold_m {self.threshold_m} must be 0 or more"
+            raise ValueError(msg)
+        for name, edges in (("x_m", self.x_m), ("y_m", self.y_m)):
+            if edges is not None and edges[0] >= edges[1]:
+                msg = f"limit of level {self.level:g}: {name} {edges}: the first must be less than the second"
+                raise ValueError(msg)
+
+
+@dataclass(frozen=True)
 class Change:
     """One change of the cell; what is None or empty stays as it was.
 
@@ -78,6 +113,7 @@ class Change:
         levels: Levels of another safety function, ascending.
         thresholds_m: Its thresholds on ||x_r - x_h||, one fewer than levels.
         zones: Its zones on the floor; with thresholds as well, the slower of both holds.
+        limits: Single thresholds and edges of the rule in the model, in place of `levels`.
         base_m, base_yaw_deg: Where the robot's base shall stand, in the present base frame.
         places: Robot places that move: name -> TCP, m, in the frame of the robot's base.
         frequency: The operator's visits per hour, as a multiple of the logged ones.
@@ -88,6 +124,7 @@ class Change:
     levels: tuple[float, ...] = ()
     thresholds_m: tuple[float, ...] = ()
     zones: tuple[Zone, ...] = ()
+    limits: tuple[LimitChange, ...] = ()
     base_m: Point | None = None
     base_yaw_deg: float = 0.0
     places: Mapping[str, Point] = field(default_factory=dict)
@@ -114,12 +151,14 @@ class Change:
                 self._refuse(f"thresholds_m {list(self.thresholds_m)}", "Give them ascending, in metres.")
             if strange := [zone.level for zone in self.zones if zone.level not in self.levels]:
                 self._refuse(f"a zone has level {strange[0]}, which is not among levels", _CURE)
+            if self.limits:
+                self._refuse("both levels and limits", "Write the whole function, or change the rule.")
         elif self.thresholds_m or self.zones:
             self._refuse("thresholds_m or zones without levels", _CURE)
         if self.frequency is not None and not 0 < self.frequency < math.inf:
             self._refuse(f"frequency {self.frequency}", "0.5 means half as many visits per hour as were logged.")
         self._refuse_dynamics()
-        if not (self.levels or self.base_m or self.places or self.frequency or self.dynamics):
+        if not (self.levels or self.limits or self.base_m or self.places or self.frequency or self.dynamics):
             self._refuse("nothing is changed", _CURE)
 
     def _refuse_dynamics(self) -> None:
@@ -161,6 +200,7 @@ class _Entry:
     levels: Levels = ()
     thresholds_m: tuple[Number, ...] = ()
     zones: tuple[Zone, ...] = ()
+    limits: tuple[LimitChange, ...] = ()
     base: _Base | None = None
     places: Mapping[str, Point] = field(default_factory=dict)
     frequency: float | None = None
@@ -183,6 +223,7 @@ def _change(entry: _Entry, number: int) -> Change:
         levels=entry.levels,
         thresholds_m=entry.thresholds_m,
         zones=entry.zones,
+        limits=entry.limits,
         base_m=entry.base.xyz_m if entry.base else None,
         base_yaw_deg=entry.base.yaw_deg if entry.base else 0.0,
         places=entry.places,

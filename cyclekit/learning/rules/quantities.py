@@ -59,12 +59,34 @@ def put(limits: tuple[LimitCard, ...], values: Mapping[RulePlace, MetresCard]) -
     return changed(limits, lambda place, metres: values.get(place, metres))
 
 
+def outwards(place: RulePlace) -> int:
+    """Return 1 where a region becomes larger as this number grows, -1 where it becomes smaller."""
+    return -1 if place.kind == "rectangle" and place.edge % 2 == 0 else 1
+
+
 def grown(limits: tuple[LimitCard, ...], by_m: float) -> tuple[LimitCard, ...]:
     """Return a rule with all its regions larger by `by_m` on every side, smaller where that is negative."""
 
     def moved(place: RulePlace, metres: MetresCard) -> MetresCard:
-        lower = place.kind == "rectangle" and place.edge % 2 == 0
-        return structs.replace(metres, value=metres.value - by_m if lower else metres.value + by_m)
+        return structs.replace(metres, value=metres.value + outwards(place) * by_m)
+
+    return changed(limits, moved)
+
+
+def shifted(limits: tuple[LimitCard, ...], place: RulePlace, by_m: float) -> tuple[LimitCard, ...]:
+    """Return a rule with one threshold or edge moved by `by_m`; that of the region to leave moves with it."""
+
+    def moved(at: RulePlace, metres: MetresCard) -> MetresCard:
+        return structs.replace(metres, value=metres.value + by_m) if at._replace(until=False) == place else metres
+
+    return changed(limits, moved)
+
+
+def released(limits: tuple[LimitCard, ...], by_m: float) -> tuple[LimitCard, ...]:
+    """Return a rule with its regions to leave larger by `by_m`; those to enter stay."""
+
+    def moved(place: RulePlace, metres: MetresCard) -> MetresCard:
+        return structs.replace(metres, value=metres.value + outwards(place) * by_m) if place.until else metres
 
     return changed(limits, moved)
 
@@ -78,7 +100,7 @@ def with_bounds(limits: tuple[LimitCard, ...], *, larger: bool) -> tuple[LimitCa
     least_m = {limit.scaling: 0.0 if limit.until is None else BETWEEN_M for limit in limits}
 
     def moved(place: RulePlace, metres: MetresCard) -> MetresCard:
-        upper = larger != (place.kind == "rectangle" and place.edge % 2 == 0)
+        upper = larger == (outwards(place) > 0)
         bound = metres.high if upper else metres.low
         way = 0.0 if bound is None else min(abs(bound - metres.value), MOST_M)
         way = max(way, least_m[place.level])

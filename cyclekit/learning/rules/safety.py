@@ -57,6 +57,11 @@ class RuleSafety:
         return "rule"
 
     @property
+    def often(self) -> bool:
+        """That it answers fast: a rollout asks it in every step."""
+        return True
+
+    @property
     def lags(self) -> bool:
         """Whether it has hysteresis of its own."""
         return any(limit.until is not None for limit in self.rule.limits)
@@ -69,6 +74,10 @@ class RuleSafety:
         """Return it with regions to leave that lie `margin_m` outside of those to enter, m; 0 = none."""
         limits = tuple(_widened(limit, margin_m) for limit in self.rule.limits)
         return replace(self, rule=structs.replace(self.rule, limits=limits, hysteresis=margin_m > 0.0))
+
+    def with_limits(self, limits: tuple[LimitCard, ...]) -> RuleSafety:
+        """Return it with other limits, the slowest first."""
+        return replace(self, rule=structs.replace(self.rule, limits=limits))
 
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
         """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""

@@ -15,6 +15,7 @@ from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.learning.rules.distances import DISTANCES
 from cyclekit.learning.rules.ladder import RuleSearch
 from cyclekit.learning.rules.of_dataset import rule_of
+from cyclekit.learning.rules.shapes import RuleShape, shapes_of
 from cyclekit.learning.rules.words import sentences, verdict
 from cyclekit.learning.safety_function.fit import (
     FLOOR_M,
@@ -33,6 +34,7 @@ from cyclekit.text.results import Result
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from cyclekit.dataset.cards.rule import RuleCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.schema import Floats
@@ -67,6 +69,7 @@ class SafetyFunction(Result):
         notes: What limits the answer.
         commanded: The rule that explains the commanded level, if there is one. Where there is, it is the answer: its
             thresholds are those to enter and to leave, and `thresholds` lie between them.
+        shapes: That rule as outlines on the floor; empty without one.
     """
 
     levels: tuple[float, ...]
@@ -84,6 +87,7 @@ class SafetyFunction(Result):
     executions: int
     notes: tuple[str, ...]
     commanded: RuleSearch
+    shapes: tuple[RuleShape, ...] = ()
 
     @property
     def rule_sentences(self) -> tuple[str, ...]:
@@ -97,6 +101,7 @@ class SafetyFunction(Result):
         out["thresholds"] = [dict(vars(entry)) for entry in self.thresholds]
         out["floor_m"], out["floor_scaling"] = self.floor_m.tolist(), self.floor_scaling.tolist()
         out["floor_cell_m"] = FLOOR_M
+        out["shapes"] = [dict(vars(entry)) for entry in self.shapes]
         found = self.commanded
         out["commanded"] = {
             "rule": None if found.rule is None else plain(found.rule, nulls=True),
@@ -143,10 +148,7 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
         ModelError: The model predicts something else than the present scaling, knows no levels, or is of another cell.
         DatasetError: Too few samples have positions and a scaling.
     """
-    if model.problem != "now" or len(model.levels) < 2:
-        msg = f"the model (problem {model.problem!r}, {len(model.levels)} levels) shows no staircase"
-        cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
-        raise ModelError(msg, cure=cure)
+    refuse_without_levels(model, dataset)
     refuse_other_cell(model.card, dataset, other_cell=other_cell)
     rows, told = _rows(dataset)
     if len(rows.scaling) < LEAST_ROWS:
@@ -182,7 +184,24 @@ def read_zones(model: TrainedModel, dataset: Dataset, *, seed: int = 0, other_ce
         executions=len(np.unique(rows.execution)),
         notes=(*told, *_notes(rule, is_distance=is_distance or found.rule is not None, parts=parts)),
         commanded=found,
+        shapes=() if found.rule is None else tuple(_shapes(found.rule, rows)),
     )
+
+
+def _shapes(rule: RuleCard, rows: ScalingSamples) -> list[RuleShape]:
+    return shapes_of(rule, rows.robot_m[:, :2], within_m=float(np.abs(rows.human_m[:, :2]).max()))
+
+
+def refuse_without_levels(model: TrainedModel, dataset: Dataset) -> None:
+    """Refuse a model of another problem, or one that knows no levels.
+
+    Raises:
+        ModelError: It is one.
+    """
+    if model.problem != "now" or len(model.levels) < 2:
+        msg = f"the model (problem {model.problem!r}, {len(model.levels)} levels) shows no staircase"
+        cure = f"Train one: {command_line('train', dataset.place, '--problem', 'now', '--out', 'MODEL')}"
+        raise ModelError(msg, cure=cure)
 
 
 def _rows(dataset: Dataset) -> tuple[ScalingSamples, list[str]]:

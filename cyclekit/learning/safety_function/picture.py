@@ -1,45 +1,63 @@
-"""The safety function as a picture: the staircase over the distance, and the floor seen from above; plain SVG."""
+"""The safety function as a picture: the staircase over the distance, and the floor seen from above; plain SVG.
+
+Where a rule explains the logs its shapes lie on the floor: solid where the robot slows down, dashed what the operator
+must leave for it to speed up again. Colours are those of the speed everywhere.
+"""
 
 from __future__ import annotations
 
+import textwrap
 from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cyclekit.learning.safety_function.fit import FLOOR_M
+from cyclekit.learning.safety_function.fit import FLOOR_M, Threshold
+from cyclekit.plots.colours import ROBOT, scaling_hex
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
+    from cyclekit.dataset.cards.rule import RuleCard
+    from cyclekit.learning.rules.shapes import RuleShape
     from cyclekit.learning.safety_function.answer import SafetyFunction
 
-WIDTH, HEIGHT, EDGE = 420, 320, 44
-_SLOW, _FAST = (178, 24, 43), (247, 247, 247)
+WIDTH, HEIGHT, EDGE = 480, 480, 44
+LINE, LETTERS = 16, 150
+"""Height of a line of text, and how many letters it has at most."""
+_HALO = 'paint-order="stroke" stroke="white" stroke-width="3"'
 
 
 def zones_svg(zones: SafetyFunction) -> str:
     """Return an SVG document: left the staircase with the intervals of its thresholds, right the floor."""
-    body = [*_staircase(zones), *_floor(zones)]
-    size = f'width="{2 * WIDTH}" height="{HEIGHT + 40}" viewBox="0 0 {2 * WIDTH} {HEIGHT + 40}"'
-    style = "<style>text{font:12px sans-serif;fill:#222}</style>"
-    title = f"<title>{escape(zones.rule)}</title>"
-    note = f'<text x="{EDGE}" y="{HEIGHT + 30}">Read back from logs. No safety proof.</text>'
+    texts = [line for one in zones.rule_sentences for line in textwrap.wrap(f"- {one}", LETTERS)]
+    texts.append("Read back from logs. No safety proof.")
+    height = HEIGHT + LINE * (len(texts) + 1)
+    size = f'width="{2 * WIDTH}" height="{height}" viewBox="0 0 {2 * WIDTH} {height}"'
+    notes = [f'<text x="{EDGE}" y="{HEIGHT + LINE * (n + 1)}">{escape(text)}</text>' for n, text in enumerate(texts)]
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" {size}>',
         "<!-- written by cyclekit -->",
-        title,
-        style,
-        *body,
-        note,
+        f"<title>{escape(zones.rule)}</title>",
+        "<style>text{font:12px sans-serif;fill:#222}</style>",
+        *_staircase(zones),
+        *_floor(zones),
+        *notes,
         "</svg>",
     ]
     return "\n".join(parts) + "\n"
 
 
 def _staircase(zones: SafetyFunction) -> Iterator[str]:
-    known = [entry for entry in zones.thresholds if np.isfinite(entry.metres)]
-    far = 1.25 * max([entry.metres for entry in known], default=1.0)
+    rule, title = zones.commanded.rule, "speed scaling over the distance, m"
+    known = [] if rule is None else _of_rule(rule, leaving=False)
+    leaving = [] if rule is None else _of_rule(rule, leaving=True)
+    if leaving:
+        title += "; dashed: to speed up again"
+    elif not known:
+        known = [entry for entry in zones.thresholds if np.isfinite(entry.metres)]
+        title = title if zones.is_distance else "distance, m: does not explain it alone"
+    far = 1.25 * max([entry.metres for entry in (*known, *leaving)], default=1.0)
 
     def x(metres: float) -> float:
         return EDGE + metres / far * (WIDTH - 2 * EDGE)
@@ -52,34 +70,77 @@ def _staircase(zones: SafetyFunction) -> Iterator[str]:
         wide = max(x(high) - x(low), 1.0)
         yield f'<rect x="{x(low):.1f}" y="{EDGE}" width="{wide:.1f}" height="{HEIGHT - 2 * EDGE}" fill="#cde"/>'
         yield f'<text x="{x(entry.metres):.1f}" y="{HEIGHT - EDGE + 16}" text-anchor="middle">{entry.metres:.2f}</text>'
-    points = [(0.0, known[0].slower if known else zones.levels[-1])]
-    for entry in known:
-        points += [(entry.metres, entry.slower), (entry.metres, entry.faster)]
-    points.append((far, points[-1][1]))
-    line = " ".join(f"{x(m):.1f},{y(s):.1f}" for m, s in points)
-    yield f'<polyline points="{line}" fill="none" stroke="#036" stroke-width="2"/>'
+    for steps, drawn in ((leaving, 'stroke-width="1.2" stroke-dasharray="5 4"'), (known, 'stroke-width="2"')):
+        points = [(0.0, steps[0].slower if steps else zones.levels[-1])]
+        for entry in steps:
+            points += [(entry.metres, entry.slower), (entry.metres, entry.faster)]
+        points.append((far, points[-1][1]))
+        line = " ".join(f"{x(m):.1f},{y(s):.1f}" for m, s in points)
+        if steps or steps is known:
+            yield f'<polyline points="{line}" fill="none" stroke="{ROBOT}" {drawn}/>'
     for level in zones.levels:
+        box = f'x="{EDGE - 44}" y="{y(level) - 4:.1f}" width="8" height="8"'
+        yield f'<rect {box} fill="{scaling_hex(level)}"/>'
         yield f'<text x="{EDGE - 6}" y="{y(level) + 4:.1f}" text-anchor="end">{level:.2f}</text>'
-    title = "speed scaling over the distance, m" if zones.is_distance else "distance, m: does not explain it alone"
     yield f'<text x="{EDGE}" y="{EDGE - 16}">{escape(title)}</text>'
+
+
+def _of_rule(rule: RuleCard, *, leaving: bool) -> list[Threshold]:
+    """Return the thresholds of a rule on its first distance: those to slow down at, or to speed up again."""
+    regions = [(limit.scaling, limit.until if leaving else limit.within) for limit in rule.limits]
+    near = [(level, region.nearer[0].metres) for level, region in regions if region is not None and region.nearer]
+    faster = [*(level for level, _ in near[1:]), rule.levels[-1]]
+    return [
+        Threshold(level, then, at.value, *(np.nan if bound is None else bound for bound in (at.low, at.high)))
+        for (level, at), then in zip(near, faster, strict=False)
+    ]
 
 
 def _floor(zones: SafetyFunction) -> Iterator[str]:
     corner = zones.floor_m
     if not len(corner):
         return
-    low = corner.min(axis=0)
-    scale = (min(WIDTH, HEIGHT) - 2 * EDGE) / float(max((corner.max(axis=0) - low).max() + FLOOR_M, 1e-9))
-    side = FLOOR_M * scale
+    low, high = corner.min(axis=0), corner.max(axis=0) + FLOOR_M
+    wide = (min(WIDTH, HEIGHT) - 2 * EDGE) / float(max((high - low).max(), 1e-9))
+    side = FLOOR_M * wide
 
     def at(x_m: float, y_m: float) -> tuple[float, float]:  # x to the right, y upwards
-        return WIDTH + EDGE + (x_m - low[0]) * scale, HEIGHT - EDGE - (y_m - low[1]) * scale
+        return WIDTH + EDGE + (x_m - low[0]) * wide, HEIGHT - EDGE - (y_m - low[1]) * wide
 
     for (x_m, y_m), scaling in zip(corner.tolist(), zones.floor_scaling.tolist(), strict=True):
         x, y = at(x_m, y_m + FLOOR_M)
-        colour = ",".join(str(round(a + (b - a) * scaling)) for a, b in zip(_SLOW, _FAST, strict=True))
         box = f'x="{x:.1f}" y="{y:.1f}" width="{side:.1f}" height="{side:.1f}"'
-        yield f'<rect {box} fill="rgb({colour})" stroke="#ccc" stroke-width="0.5"><title>{scaling:.2f}</title></rect>'
+        colour = f'fill="{scaling_hex(scaling)}" fill-opacity="0.55"'
+        yield f"<rect {box} {colour}><title>{scaling:.2f}</title></rect>"
+    box = f'x="{WIDTH + EDGE / 2}" y="{EDGE - 6}" width="{WIDTH - EDGE}" height="{HEIGHT - 1.5 * EDGE}"'
+    yield f'<clipPath id="floor"><rect {box}/></clipPath><g clip-path="url(#floor)">'
+    for shape in zones.shapes:
+        yield from _shape(shape, at)
     x, y = at(0.0, 0.0)
-    yield f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="#036"><title>robot base</title></circle>'
-    yield f'<text x="{WIDTH + EDGE}" y="{EDGE - 16}">median scaling by the operator\'s place; dot: robot base</text>'
+    yield f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{ROBOT}"><title>robot base</title></circle></g>'
+    lines = "; lines: the rule" if zones.shapes else ""
+    title = f"median scaling where the operator is; dot: base{lines}"
+    yield f'<text x="{WIDTH + EDGE / 2}" y="{EDGE - 16}">{title}</text>'
+    yield from _scale()
+
+
+def _shape(shape: RuleShape, at: Callable[[float, float], tuple[float, float]]) -> Iterator[str]:
+    corners = [at(*corner) for corner in shape.outline_m]
+    line = " ".join(f"{x:.1f},{y:.1f}" for x, y in corners)
+    dashes = ' stroke-dasharray="5 4" stroke-width="1.2"' if shape.leaving else ' stroke-width="2.5"'
+    speed = f"{100 * shape.level:.4g} %"
+    title = f"<title>{speed}: {escape(shape.name)}</title>"
+    yield f'<polygon points="{line}" fill="none" stroke="{scaling_hex(shape.level)}"{dashes}>{title}</polygon>'
+    if not shape.leaving:
+        x, y = corners[0]
+        yield f'<text x="{x + 4:.1f}" y="{y - 4:.1f}" {_HALO}>{speed}</text>'
+
+
+def _scale() -> Iterator[str]:
+    """The colour scale of the speed."""
+    left, wide = WIDTH + EDGE, 8.0
+    for number in range(21):
+        box = f'x="{left + wide * number:.0f}" y="{HEIGHT - 26}" width="{wide:.0f}" height="8"'
+        yield f'<rect {box} fill="{scaling_hex(number / 20)}"/>'
+    for number, text in ((0, "0"), (10, "50"), (20, "100 %")):
+        yield f'<text x="{left + wide * number:.0f}" y="{HEIGHT - 6}">{text}</text>'

@@ -25,6 +25,8 @@ def _zones(page: PageInputs) -> Iterator[Chart]:
     alt = texts("why.zone_picture", x=fixed(x, 1), y=fixed(y, 1), speed=speed(slowest))
     picture = Picture("zones", alt, lambda width_in: maps.zone_map(width_in, plan, labels))
     caption = texts("why.zone_model" if plan.zones_of_model else "why.zone_log")
+    if plan.shapes:
+        caption += " " + texts("why.zone_rule")
     yield Chart(picture, caption, title=texts("why.zone_title"))
 
 

@@ -1,0 +1,240 @@
+"""What each number of the safety function costs: the change of the expected cycle time beside the same operators.
+
+Each number is moved to either side and the cycles are rolled out again; the difference is that of the same cycles.
+Steps are wider than the unit that is told: a threshold that moves by 1 cm is crossed by few operators.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cyclekit.estimate.question import Altered
+from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.safety import Dynamics
+from cyclekit.estimate.walk import FINE_STEP_S
+from cyclekit.estimate.whatif.answer import NO_PROOF, saved_of
+from cyclekit.estimate.whatif.separation import margins_of, refuse_other_thresholds
+from cyclekit.learning.rules.quantities import outwards, quantities, released, shifted
+from cyclekit.text.results import Result
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from cyclekit.config.sequences import TaskSequence
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.result import CycleEstimate
+    from cyclekit.estimate.whatif.separation import Margins, Separation
+    from cyclekit.learning.rules.quantities import RulePlace
+    from cyclekit.learning.rules.safety import RuleSafety
+    from cyclekit.schema import Progress
+
+BY_M = 0.05
+"""Thresholds, edges and the hysteresis are moved by this to either side, m."""
+BY_RATE = 0.1
+"""Ramps are taken so much steeper per second, or by this part of their rate."""
+RAMPS = {"recovery": "ramp_up_per_s", "braking": "ramp_down_per_s"}
+EDGES = ("x from", "x to", "y from", "y to")
+
+
+@dataclass(frozen=True)
+class ParameterCost:
+    """What one number of the safety function costs.
+
+    Attributes:
+        parameter: threshold, edge, hysteresis, reaction time, recovery (ramp up) or braking (ramp down).
+        level: Of the limit that it belongs to, 0 to 1; None where it is of all.
+        where: By which distance, or which edge.
+        value: In the logs, in `unit`.
+        unit: m, s, or 1/s of the scaling.
+        step: The change that costs so much: a region larger by 0.01 m, or so much more of the number.
+        costs_s: Seconds that it adds to the cycle.
+        standard_error_s: Of it, from which operators were logged.
+    """
+
+    parameter: str
+    level: float | None
+    where: str
+    value: float
+    unit: str
+    step: float
+    costs_s: float
+    standard_error_s: float
+
+
+@dataclass(frozen=True)
+class SequenceCosts:
+    """One sequence: its expected cycle time by the rule, not corrected by logged executions, and what costs what."""
+
+    sequence: str
+    expected_s: float
+    parameters: tuple[ParameterCost, ...]
+
+
+@dataclass(frozen=True, repr=False)
+class SafetyCosts(Result):
+    """What each number of the safety function costs, and its margin to the protective separation distance.
+
+    Attributes:
+        sequences: One for each sequence.
+        margins: None where the separation distance was not asked for.
+        notes: What is not among them, and why.
+        safety: That this is no safety proof.
+    """
+
+    sequences: tuple[SequenceCosts, ...]
+    margins: Margins | None = None
+    notes: tuple[str, ...] = ()
+    safety: str = NO_PROOF
+
+    def _frame_rows(self) -> list[dict[str, object]]:
+        return [{"sequence": each.sequence} | vars(one) for each in self.sequences for one in each.parameters]
+
+    def _said(self) -> list[str]:
+        rows = [(each.sequence, one) for each in self.sequences for one in each.parameters]
+        told = [f"{name!r}, {named(one)}, {step(one)}: {one.costs_s:+.3f} s" for name, one in rows]
+        return [self.safety, *told]
+
+
+def named(cost: ParameterCost) -> str:
+    """Return a number of the rule as a row of a table names it."""
+    if cost.level is None:
+        return cost.parameter
+    return f"{'stop' if cost.level == 0.0 else f'{100 * cost.level:.4g} %'}, {cost.where}"
+
+
+def step(cost: ParameterCost) -> str:
+    """Return a step with its sign and unit: `+1 cm`, `+10 ms`, `+10 %/s`."""
+    size, unit = {"m": (100, "cm"), "s": (1000, "ms"), "1/s": (100, "%/s")}[cost.unit]
+    return f"{size * cost.step:+.0f} {unit}"
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """A number moved to either side: how the cell is then, and by how much both sides are apart."""
+
+    cost: ParameterCost
+    less: tuple[RuleSafety, Dynamics]
+    more: tuple[RuleSafety, Dynamics]
+    apart: float
+
+
+def costs_of(
+    safety: RuleSafety,
+    dataset: Dataset,
+    sequences: Sequence[TaskSequence],
+    *,
+    separation: Separation | None = None,
+    seed: int = 0,
+    extrapolate: bool = False,
+    other_cell: bool = False,
+    progress: Progress | None = None,
+) -> SafetyCosts:
+    """Roll every sequence out with each number of the rule moved to either side.
+
+    Args:
+        safety: The rule.
+        dataset: The logs.
+        sequences: What is produced.
+        separation: Also compare the thresholds with the protective separation distance computed from this.
+        seed: As of `estimate`; so are `extrapolate` and `other_cell`.
+        extrapolate: As of `estimate`.
+        other_cell: As of `estimate`.
+        progress: Told fraction and text.
+
+    Raises:
+        ConfigError: The separation distance does not fit the rule.
+        EstimateError: As of `estimate`.
+        ModelError: As of `estimate`.
+        UnknownName: A place does not exist.
+    """
+    if separation is not None:
+        refuse_other_thresholds(safety.rule, separation)
+    tell = progress or (lambda fraction, text: None)
+    asked: dict[str, Any] = {"seed": seed, "extrapolate": extrapolate, "other_cell": other_cell, "validate": False}
+
+    def rolled(cell: tuple[RuleSafety, Dynamics]) -> dict[str, CycleEstimate]:
+        altered = Altered(lambda tasks: tasks, lambda tracks, _: tracks, cell[1])
+        return {one.name: one for one in estimate(cell[0], dataset, sequences, altered=altered, **asked)}
+
+    now = safety, Dynamics.of(dataset.card.dynamics)
+    before = rolled(now)
+    found: dict[str, list[ParameterCost]] = {name: [] for name in before}
+    every = list(_moved(*now))
+    for number, moved in enumerate(every):
+        tell(number / len(every), named(moved.cost))
+        less, more = (before if cell == now else rolled(cell) for cell in (moved.less, moved.more))
+        per = moved.cost.step / moved.apart
+        for name, costs in found.items():
+            adds, means = saved_of(more[name], less[name], seed)
+            error_s = float(means.std()) * abs(per)
+            costs.append(replace(moved.cost, costs_s=float(adds.mean()) * per, standard_error_s=error_s))
+    told = tuple(SequenceCosts(one.name, before[one.name].expected_s, tuple(found[one.name])) for one in sequences)
+    notes = [f"{name}: the logs show no ramp" for name, key in RAMPS.items() if not getattr(now[1], key)]
+    margins = None if separation is None else _margins(safety, separation, told, now[1].latency_s)
+    return SafetyCosts(told, margins, tuple(notes))
+
+
+def _margins(
+    safety: RuleSafety, separation: Separation, found: Sequence[SequenceCosts], latency_s: float | None
+) -> Margins:
+    """Return the margins, each with what a centimetre costs in the mean of the sequences."""
+    rows = [one for each in found for one in each.parameters if one.parameter == "threshold"]
+    costs_s: dict[tuple[float | None, str], float] = {}
+    for row in rows:
+        key = row.level, row.where
+        costs_s[key] = costs_s.get(key, 0.0) + row.costs_s / len(found)
+    return margins_of(safety.rule, separation, costs_s, latency_s)
+
+
+def _moved(safety: RuleSafety, dynamics: Dynamics) -> Iterator[_Moved]:
+    """Yield every number of the rule and of the response, moved; ramps that the logs do not show are left out."""
+    limits = safety.rule.limits
+    for place, metres in quantities(limits).items():
+        if not place.until:
+            side = outwards(place)
+            less, more = (safety.with_limits(shifted(limits, place, by * side)) for by in (-BY_M, BY_M))
+            cost = _unknown(*_place(safety, place), metres.value, "m", 0.01 * side)
+            yield _Moved(cost, (less, dynamics), (more, dynamics), 2 * BY_M * side)
+    yield from _hysteresis(safety, dynamics)
+    late_s = dynamics.latency_s or 0.0
+    first = max(0.0, late_s - FINE_STEP_S)  # a rollout answers in whole steps
+    less_late, later = (replace(dynamics, latency_s=first + by) for by in (0.0, 2 * FINE_STEP_S))
+    cost = _unknown("reaction time", None, "", late_s, "s", 0.01)
+    yield _Moved(cost, (safety, less_late), (safety, later), 2 * FINE_STEP_S)
+    for name, key in RAMPS.items():
+        if rate := getattr(dynamics, key):
+            by = max(BY_RATE, BY_RATE * rate)
+            steeper = replace(dynamics, **{key: rate + by})
+            cost = _unknown(name, None, "", rate, "1/s", 0.1)
+            yield _Moved(cost, (safety, dynamics), (safety, steeper), by)
+
+
+def _hysteresis(safety: RuleSafety, dynamics: Dynamics) -> Iterator[_Moved]:
+    """Yield the hysteresis of all limits at once; that of a rule with none is only made larger."""
+    inner = quantities(safety.rule.limits)
+    if not inner:
+        return
+    both = [(at, at._replace(until=False)) for at in inner if at.until and at._replace(until=False) in inner]
+    margins = [outwards(at) * (inner[at].value - inner[entered].value) for at, entered in both]
+    held_m = float(np.median(margins)) if margins else 0.0
+    by = min(BY_M, max(held_m, 0.0))
+    if margins:
+        less, more = (safety.with_limits(released(safety.rule.limits, way)) for way in (-by, BY_M))
+    else:
+        less, more = safety, safety.with_hysteresis(BY_M)
+    cost = _unknown("hysteresis", None, "", held_m, "m", 0.01)
+    yield _Moved(cost, (less, dynamics), (more, dynamics), by + BY_M)
+
+
+def _place(safety: RuleSafety, place: RulePlace) -> tuple[str, float, str]:
+    limit = next(limit for limit in safety.rule.limits if limit.scaling == place.level)
+    if place.kind == "nearer":
+        return "threshold", place.level, limit.within.nearer[place.item].distance
+    return "edge", place.level, EDGES[place.edge] if place.kind == "rectangle" else f"{place.kind} {place.edge + 1}"
+
+
+def _unknown(parameter: str, level: float | None, where: str, value: float, unit: str, per: float) -> ParameterCost:
+    return ParameterCost(parameter, level, where, value, unit, per, 0.0, 0.0)

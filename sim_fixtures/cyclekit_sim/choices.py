@@ -15,7 +15,7 @@ from cyclekit_sim.program import HOME, Execution
 from cyclekit_sim.scenes import GOAL_SD_M, MIDDLE_SD_M, SCENES, Scene
 from cyclekit_sim.walking import Leg, Press, away, stand, walk
 
-ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER = range(6)
+ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER, SLOWING = range(7)
 LOGGED, FRESH = range(2)
 
 
@@ -35,10 +35,12 @@ def draw_places(scene: Scene, rng: np.random.Generator) -> tuple[str, ...]:
     return (HOME, *(name for slot in chosen for name in ("conveyor", str(slot))), HOME)
 
 
-def draw_execution(scene: Scene, index: int, places: tuple[str, ...], rng: np.random.Generator) -> Execution:
-    """Add to `places` the waits for boxes that are late, and the idle stay that follows."""
-    goals = places[1:]
-    late = rng.exponential(scene.wait_s, len(goals)) if scene.wait_s > 0 else np.zeros(len(goals))
+def draw_execution(
+    scene: Scene, index: int, places: tuple[str, ...], rng: np.random.Generator, wait_s: float | None = None
+) -> Execution:
+    """Add to `places` the waits for boxes that are late (mean `wait_s`, else the scene's), and the idle stay after."""
+    goals, wait_s = places[1:], scene.wait_s if wait_s is None else wait_s
+    late = rng.exponential(wait_s, len(goals)) if wait_s > 0 else np.zeros(len(goals))
     waits = tuple(float(w) if goal == "conveyor" else 0.0 for w, goal in zip(late, goals, strict=True))
     return Execution(index, places, waits, float(rng.uniform(2.0, 4.0)) if scene.continuous else 0.0)
 

@@ -1,4 +1,4 @@
-"""What slows or stops a robot besides a person: slider, reduced mode, limits of the path, waits, pauses, protective stops.
+"""What slows or stops a robot besides a person: slider, reduced mode, limits, waits, pauses, protective stops.
 
 Each cause is a cap of the speed scaling or a standstill, known to the cycle. A lost second is shared out in the order
 nominal motion, slider, limits, input, person, protective stop: each cause has what it adds to those before it, so a
@@ -34,7 +34,7 @@ class MixedCauses:
         reduced_per_hour, reduced_s: How often that is, and for how long.
         limit: Cap of the scaling on one stretch of every move away from the conveyor, in (0, 1).
         limit_from, limit_to: Where that is, shares of the move's nominal time.
-        wait_s: Mean wait for a part at the conveyor.
+        wait_share, wait_s: For which share of the parts it waits at the conveyor, and how long.
         part_signal: Digital input 3 tells when the part is there.
         pauses_per_hour, pause_s: Pauses of the program.
         stops_per_hour, stop_s: Protective stops: the speed is 0 while the program plays.
@@ -48,7 +48,8 @@ class MixedCauses:
     limit: float | None = 0.55
     limit_from: float = 0.4
     limit_to: float = 0.7
-    wait_s: float = 0.5
+    wait_share: float = 0.15
+    wait_s: tuple[float, float] = (1.0, 6.0)
     part_signal: bool = True
     pauses_per_hour: float = 15.0
     pause_s: tuple[float, float] = (3.0, 12.0)
@@ -58,9 +59,7 @@ class MixedCauses:
 
 @dataclass(frozen=True)
 class Why:
-    """The caps of K cycles of one run, shape (K,) each: of the person, the reduced mode and the limits; the slider;
-    whether a protective stop held and whether the program was paused.
-    """
+    """The caps of K cycles of one run, shape (K,) each; the slider; protective stops and pauses of the program."""
 
     person: Array
     reduced: Array

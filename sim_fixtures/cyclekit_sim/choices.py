@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cyclekit_sim.arm import Array
+from cyclekit_sim.causes import MixedCauses
 from cyclekit_sim.program import HOME, Execution
 from cyclekit_sim.scenes import GOAL_SD_M, MIDDLE_SD_M, SCENES, Scene
 from cyclekit_sim.walking import Leg, Press, away, stand, walk
@@ -36,11 +37,13 @@ def draw_places(scene: Scene, rng: np.random.Generator) -> tuple[str, ...]:
 
 
 def draw_execution(
-    scene: Scene, index: int, places: tuple[str, ...], rng: np.random.Generator, wait_s: float | None = None
+    scene: Scene, index: int, places: tuple[str, ...], rng: np.random.Generator, causes: MixedCauses | None = None
 ) -> Execution:
-    """Add to `places` the waits for boxes that are late (mean `wait_s`, else the scene's), and the idle stay after."""
-    goals, wait_s = places[1:], scene.wait_s if wait_s is None else wait_s
-    late = rng.exponential(wait_s, len(goals)) if wait_s > 0 else np.zeros(len(goals))
+    """Add to `places` the waits for boxes that are late, as `causes` or the scene has them, and the idle stay after."""
+    goals = places[1:]
+    late = rng.exponential(scene.wait_s, len(goals)) if scene.wait_s > 0 else np.zeros(len(goals))
+    if causes is not None:
+        late = np.where(rng.random(len(goals)) < causes.wait_share, rng.uniform(*causes.wait_s, len(goals)), 0.0)
     waits = tuple(float(w) if goal == "conveyor" else 0.0 for w, goal in zip(late, goals, strict=True))
     return Execution(index, places, waits, float(rng.uniform(2.0, 4.0)) if scene.continuous else 0.0)
 

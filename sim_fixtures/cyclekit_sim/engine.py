@@ -142,7 +142,8 @@ class _Cells:
         dt, u, segment = self._cycle_s, self._nominal_s, self._segment
         row, way = table_rows(self._row, u, self._rows_per_s)
         s = self._scaling.advance(self._tcp[row] + way[:, None] * self._tcp_step[row], person_m)
-        pace, standing = s, 1.0
+        pace: Array = s
+        standing: Array | float = 1.0
         if slowing is not None and now is not None:
             slider, limit = slowing.of_segment(segment, u)
             reduced, stopped, paused = now
@@ -208,7 +209,7 @@ def run(
 
 def _with_causes(trace: Trace, slowing: Slowing, b: int, options: SimulationOptions) -> Trace:
     """Return run `b` with all its causes; until here its s is the person's."""
-    times = np.arange(len(trace.scaling)) * trace.cycle_s
+    times = np.asarray(np.arange(len(trace.scaling)) * trace.cycle_s, dtype=np.float64)
     why = slowing.why(b, times, trace.scaling, trace.segment, trace.nominal_s)
     there = part_there(trace.program, trace.segment) & bool(options.causes and options.causes.part_signal)
     inputs = (slowing.switched_on(b, times).astype(np.int64) << REDUCED_BIT) | (there.astype(np.int64) << PART_BIT)

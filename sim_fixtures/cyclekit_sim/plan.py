@@ -68,8 +68,8 @@ def prepare(
     drawn = []
     for index in range(executions):
         rng = stream(seed, scene, ROBOT, index, domain=domain)
-        wait_s = options.causes.wait_s if options.causes else None
-        drawn.append(draw_execution(scene, index, tuple(places or draw_places(scene, rng)), rng, wait_s))
+        visited = tuple(places or draw_places(scene, rng))
+        drawn.append(draw_execution(scene, index, visited, rng, options.causes))
     pairs = {pair for e in drawn for pair in zip(e.places[:-1], e.places[1:], strict=True)}
     recording = read_recording(options.operator_log, options) if options.operator_log else None
     return Work(scene, seed, options, plan_moves(scene.places, pairs), tuple(drawn), domain, recording)

@@ -3,9 +3,10 @@
 Each cell mixes all causes: people, the speed slider, reduced mode by an input, a limit on a stretch of the path, waits
 for parts, pauses and protective stops; what each cost every task is in `truth/tasks.parquet`. The logs are ingested as
 any logs. A second is named rightly where the table of tasks gives it to its cause within the same task. With inferred
-scaling a limit shows in no log, since every pass is slow there: the last column leaves those seconds out.
+scaling a limit shows in no log, since every pass is slow there, and some motions are never seen at full speed: their
+lost seconds stay unknown, and `right of what shows` leaves them out.
 
-The method was chosen on box-picking with seed 3.
+The method was chosen on box-picking with seed 3 and laser-zones with seed 5.
 
     python benchmarks/causes.py --work DIR --executions 40 --seeds 11 12
 """
@@ -15,6 +16,7 @@ from __future__ import annotations
 import argparse
 import shutil
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 from rich.console import Console
@@ -22,12 +24,16 @@ from rich.table import Table
 
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
-from cyclekit.schema import LOST_CAUSES
+from cyclekit.schema import LOST_CAUSES, SCALING_CAUSES
 from cyclekit_sim import MixedCauses, SimulationOptions, simulate
 
 SCENES = ("box-picking", "laser-zones", "scanner-visits")
 COLUMNS = [f"lost_{cause}_s" for cause in LOST_CAUSES]
-RESPONSES = {"at once": {}, "ramps": {"ramp_up_per_s": 0.25, "ramp_down_per_s": 1.0, "latency_s": 0.1}}
+SCALED = [f"lost_{cause}_s" for cause in (*SCALING_CAUSES, "slider")]
+RESPONSES: dict[str, dict[str, Any]] = {
+    "at once": {},
+    "ramps": {"ramp_up_per_s": 0.25, "ramp_down_per_s": 1.0, "latency_s": 0.1},
+}
 
 
 def compared(dataset: Dataset, logs: Path) -> pl.DataFrame:
@@ -45,7 +51,12 @@ def judged(both: pl.DataFrame) -> dict[str, float]:
     right = {name: float(both.select(pl.min_horizontal(name, f"true_{name}")).sum().item()) for name in COLUMNS}
     true = {name: float(both[f"true_{name}"].sum()) for name in COLUMNS}
     blamed = both.select((pl.col("lost_person_s") - pl.col("true_lost_person_s")).clip(0.0)).sum().item()
-    total, seen = sum(true.values()), sum(true.values()) - true["lost_limits_s"] + right["lost_limits_s"]
+    total = sum(true.values())
+    hidden = pl.col("safety_loss_s").is_null()
+    unseen = float(both.filter(hidden).select(pl.sum_horizontal(*(f"true_{name}" for name in SCALED)).sum()).item())
+    seen = total - unseen
+    if (both["lost_limits_s"].sum()) == 0.0:
+        seen -= float(both.filter(~hidden)["true_lost_limits_s"].sum())
     found = {name: float(both[name].sum()) for name in COLUMNS}
     return {
         "lost": total,
@@ -70,7 +81,7 @@ def main() -> None:
     for scene in asked.scenes:
         for seed in asked.seeds:
             for logged in (True, False):
-                for response, options in RESPONSES.items():
+                for response, options in list(RESPONSES.items())[: 2 if logged else 1]:
                     row = _row(asked.work, scene, seed, asked.executions, logged=logged, options=options)
                     told = ["logged" if logged else "inferred", response, f"{row['lost']:.0f}", f"{row['right']:.1%}"]
                     told += [f"{row['blamed']:.2%}", f"{row['shown']:.1%}"]
@@ -81,7 +92,7 @@ def main() -> None:
 
 
 def _row(
-    work: Path, scene: str, seed: int, executions: int, *, logged: bool, options: dict[str, float]
+    work: Path, scene: str, seed: int, executions: int, *, logged: bool, options: dict[str, Any]
 ) -> dict[str, float]:
     logs, out = work / "logs", work / "dataset"
     settings = SimulationOptions(

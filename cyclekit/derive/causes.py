@@ -31,7 +31,7 @@ BACK, AHEAD = 5, 2
 """Samples before and after in which an operator must have been where people slow the robot."""
 STAYS = 10
 """Samples that a level may be held after its cause is gone, before the scaling rises."""
-SELDOM = 0.1
+SELDOM = 0.35
 """A level with a lower share among the samples where an operator is usually has another cause."""
 STEP_M, POOL_M = 0.05, 0.12
 """Places of a path are told apart by STEP_M; whether a limit holds without people is asked within POOL_M."""

@@ -19,6 +19,8 @@ BINS = 256
 MOST_LEAVES, LEAST_ROWS = 96, 12
 GAIN = 1e-4
 """A cut lowers the impurity of all rows by at least this, or is not made."""
+LIKELIER = 10.0
+"""By how much a cut must raise the log-likelihood of rows that it was not found in."""
 
 
 class _Cut(NamedTuple):
@@ -109,20 +111,24 @@ def _looked_at(binned: Ints, label: Ints, classes: int, every: Ints, learn: Bool
             gain[np.minimum(low.sum(axis=1), high.sum(axis=1)) < LEAST_ROWS] = 0.0
             if gain.max() > best[0]:
                 best = (float(gain.max()), feature, int(gain.argmax()))
-    if best[0] > 0.0 and not _helps(binned[best[1]] <= best[2], label, every, learn):
+    if best[0] > 0.0 and not _helps(binned[best[1]] <= best[2], label, every, learn, classes):
         best = (0.0, 0, 0)
     return _Node(every, *best)
 
 
-def _helps(low: Bools, label: Ints, every: Ints, learn: Bools) -> bool:
-    """Tell whether the commonest class on each side of a cut names more of the rows that it was not found in."""
+def _helps(low: Bools, label: Ints, every: Ints, learn: Bools, classes: int) -> bool:
+    """Tell whether the shares on each side of a cut make the other rows likelier, which it was not found in."""
     found, others = every[learn[every]], every[~learn[every]]
     if not len(others):
         return bool(learn.all())
-    before = (label[others] == np.bincount(label[found]).argmax()).sum()
-    sides = ((others[side[others]], found[side[found]]) for side in (low, ~low))
-    after = sum((label[mine] == np.bincount(label[theirs]).argmax()).sum() for mine, theirs in sides)
-    return bool(after > before)
+    sides = [(found[side[found]], others[side[others]]) for side in (low, ~low)]
+    after, before = sum(_predicted(label, *side, classes) for side in sides), _predicted(label, found, others, classes)
+    return after > before + LIKELIER
+
+
+def _predicted(label: Ints, found: Ints, others: Ints, classes: int) -> float:
+    counts = np.bincount(label[found], minlength=classes) + 0.5
+    return float(np.log(counts / counts.sum())[label[others]].sum())
 
 
 def _purity(counts: Floats) -> Vector:

@@ -1,8 +1,8 @@
 """What slows or stops a robot besides a person: slider, reduced mode, limits, waits, pauses, protective stops.
 
 Each cause is a cap of the speed scaling or a standstill, known to the cycle. A lost second is shared out in the order
-nominal motion, slider, limits, input, person, protective stop: each cause has what it adds to those before it, so a
-person has what would be saved without them.
+nominal motion, slider, limits, input, person, protective stop: each cause has what it adds to those before it. So a
+protective stop costs nothing while a person stops the robot anyway.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def lost_parts(why: Why, kind: Ints) -> dict[str, Array]:
     """
     s, c1 = scaling_of(why), why.limit
     c2 = np.minimum(c1, why.reduced)
-    free = np.where(why.stopped, 0.0, 1.0)
+    free = np.where(why.stopped & (why.person > 0.0), 0.0, 1.0)
     moving = ((kind == MOVE) & ~why.paused).astype(np.float64)
     return {
         "person": moving * (free - s / c2),

@@ -125,7 +125,7 @@ def lost_shares(rows: Rows, evidence: Evidence) -> Floats:
     same = np.maximum(SAME, np.minimum(3.0 * np.nan_to_num(rows.deviation), 0.1))
     top, limit = np.maximum(evidence.top, s), _limit_at(rows, evidence)
     top = np.where(top >= 1.0 - same, 1.0, top)
-    limit = np.minimum(np.where(known, limit, 1.0), top)
+    limit = np.minimum(np.where(known & (s <= limit + same), limit, 1.0), top)
     cap = np.minimum(_input_cap(rows, evidence), limit)
     told = (s >= cap - same) & (cap < top - same)
     limit = np.maximum(np.where(told & (limit <= cap), s, limit), s)

@@ -34,6 +34,7 @@ RESPONSES: dict[str, dict[str, Any]] = {
     "at once": {},
     "ramps": {"ramp_up_per_s": 0.25, "ramp_down_per_s": 1.0, "latency_s": 0.1},
 }
+CASES = ((True, "at once"), (False, "at once"), (True, "ramps"))
 
 
 def compared(dataset: Dataset, logs: Path) -> pl.DataFrame:

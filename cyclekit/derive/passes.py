@@ -16,6 +16,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
+from cyclekit.dataset.cards import note
 from cyclekit.dataset.signals import switches
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
@@ -167,7 +168,7 @@ def _finished(
         levels=levels,
         origin=" and ".join(sorted({name for one in some for name in one.origins}, reverse=True)) or None,
         dynamics=read_response([one.changes for one in finished]),
-        warnings=[*robot.warnings, *(staircase.warnings if some or not made else [])],
+        warnings=[*robot.warnings, *(staircase.warnings if some or not made else []), *_inputs(evidence)],
     )
 
 
@@ -187,6 +188,14 @@ def _tasks(made: Sequence[Made], lost: Sequence[Floats]) -> pl.DataFrame:
     seconds[mine] = parts * tasks["safety_loss_s"].fill_null(np.nan).to_numpy()[mine, None]
     named = zip(schema.SCALING_CAUSES, seconds.T, strict=True)
     return tasks.with_columns(pl.Series(f"lost_{cause}_s", column, nan_to_null=True) for cause, column in named)
+
+
+def _inputs(evidence: Evidence) -> list[Note]:
+    """Say which inputs slow the robot."""
+    return [
+        note("input-slows", signal=name, state="on" if how.on else "off", percent=round(100 * how.cap))
+        for name, how in evidence.inputs.items()
+    ]
 
 
 def _times_of(legs: Sequence[Leg]) -> Floats:

@@ -112,7 +112,10 @@ def joined(parts: Sequence[Rows]) -> Rows:
     for part in parts:
         shift, number = shift_s - float(part.t_s[0]), np.array([names.index(name) for name in part.tasks] + [-1])
         for name, switch in part.switches.items():
-            told.setdefault(name, []).append(Switches(switch.t_s + shift, switch.on))
+            first_s = min(float(switch.t_s[0]), float(part.t_s[0])) - 1.0  # before it, it was in the other state
+            told.setdefault(name, []).append(
+                Switches(np.append(first_s, switch.t_s) + shift, np.append(~switch.on[0], switch.on))
+            )
         execution, t_s = part.execution + executions, part.t_s + shift
         shifted.append(replace(part, t_s=t_s, execution=execution, task=number[part.task]))
         shift_s, executions = float(t_s[-1]) + _APART_S, int(execution[-1])

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     """Told how far a computation is, 0 to 1, and what it does."""
 
 _AS_IT_IS = pl.QueryOptFlags.none()
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 """Version of the dataset layout; a dataset of another version is refused, never half-read."""
 
 
@@ -163,6 +163,7 @@ SAMPLES: Mapping[str, Column] = {
     "human_gap": Column(
         TEXT, "", "why x_h is null: absent, occluded, or outside the tracker's log; null where it is not"
     ),
+    "lost_to": Column(TEXT, "", "what takes most of the time lost here, one of LOST_CAUSES; null = nothing is lost"),
 }
 """10 Hz samples in one clock and one base frame."""
 
@@ -176,18 +177,33 @@ TASKS: Mapping[str, Column] = {
     "arrival_s": Column(F64, "s", "end of the motion, session time; null = of a task list"),
     "end_s": Column(F64, "s", "end of dwell and wait, or of a listed task, session time; null = not logged"),
     "nominal_s": Column(F64, "s", "duration of the motion at full speed; null = scaling unknown"),
-    "slider_loss_s": Column(F64, "s", "time lost to the operator's speed slider: integral of s (1 - slider)"),
-    "safety_loss_s": Column(F64, "s", "time lost to the safety system: integral of (1 - s) over the motion"),
+    "safety_loss_s": Column(F64, "s", "time lost to speed scaling s below 1: integral of (1 - s) over the motion"),
     "dwell_s": Column(F64, "s", "process time at the goal"),
-    "wait_s": Column(F64, "s", "standstill beyond dwell, or with the program paused, not explained by safety"),
+    "wait_s": Column(F64, "s", "standstill beyond dwell, or with the program paused, not explained by speed scaling"),
     "agent": Column(TEXT, "", "who did it: robot or operator"),
     "agent_name": Column(TEXT, "", "the agent's name in a task list; null = found in the robot's motion"),
     "planned_start_s": Column(F64, "s", "planned start, session time; null = not logged"),
     "planned_end_s": Column(F64, "s", "planned end, session time; null = not logged"),
     "outcome": Column(TEXT, "", "done, failed, or the log's own word; null = not logged"),
+    "lost_person_s": Column(F64, "s", "time lost since a person was near"),
+    "lost_slider_s": Column(F64, "s", "time lost to the operator's speed slider: integral of s (1 - slider)"),
+    "lost_input_s": Column(F64, "s", "time lost to an input that slows the robot, such as reduced mode"),
+    "lost_limits_s": Column(F64, "s", "time lost where the robot is slow in every pass: stopping or joint limits"),
+    "lost_wait_s": Column(F64, "s", "standstill for a part or signal"),
+    "lost_pause_s": Column(F64, "s", "time in which the program was paused or stopped"),
+    "lost_stop_s": Column(F64, "s", "standstill midway without a person near: protective stop"),
+    "lost_unknown_s": Column(F64, "s", "time lost to speed scaling of unknown cause"),
 }
-"""One row per executed task. Where it was found in the robot's motion, nominal + slider loss + safety loss + dwell +
-wait = end - start. Of a task list only start, end and plan are known: no places, no motion, no split of the time."""
+"""One row per executed task. Where it was found in the robot's motion, nominal + lost slider + safety loss + dwell +
+wait = end - start. Safety loss is the sum of lost person, input, limits, stop and unknown; wait that of lost wait and
+pause; so the eight `lost_` columns add up to all lost seconds. A cause has what would be saved without it but with
+those before it: slider, limits, input, person, protective stop. Of a task list only start, end and plan are known: no
+places, no motion, no split of the time."""
+
+SCALING_CAUSES = ("person", "input", "limits", "stop", "unknown")
+"""Causes of a speed scaling below 1, in which `safety_loss_s` is split."""
+LOST_CAUSES = ("person", "slider", "input", "limits", "wait", "pause", "stop", "unknown")
+"""All causes of lost time; `lost_CAUSE_s` in table TASKS."""
 
 ADDED_TO_TASKS: Mapping[str, str | None] = {
     "agent": "robot",
@@ -195,6 +211,7 @@ ADDED_TO_TASKS: Mapping[str, str | None] = {
     "planned_start_s": None,
     "planned_end_s": None,
     "outcome": None,
+    **{f"lost_{cause}_s": None for cause in LOST_CAUSES},
 }
 """Columns that datasets of earlier versions lack, and what they would hold there."""
 

@@ -48,7 +48,8 @@ def simulate_logs(
         out: Folder for the logs.
         executions: How many times the process runs.
         seed: Of everything that is drawn.
-        settings: Fields of `cyclekit_sim.SimulationOptions`, such as `delta_m` (tracker noise) or `robot_rate_hz`.
+        settings: Fields of `cyclekit_sim.SimulationOptions`, such as `delta_m` (tracker noise) or `robot_rate_hz`;
+            `causes`: True for all causes of lost time beside the operator.
         progress: Told fraction and text.
 
     Raises:
@@ -57,12 +58,14 @@ def simulate_logs(
         OutputError: The folder holds what is no simulation.
     """
     need("the simulator", "simulate")
-    from cyclekit_sim import SimulationOptions, simulate
+    from cyclekit_sim import MixedCauses, SimulationOptions, simulate
     from cyclekit_sim.errors import SimulationError
 
     asked, folder = dict(settings or {}), Path(out)
     check_output(folder, "logs", [asked.get("operator_log")])
     try:
+        if isinstance(asked.get("causes"), bool):
+            asked["causes"] = MixedCauses() if asked["causes"] else None
         options = SimulationOptions(**asked)
         logs = simulate(scene, folder, executions=executions, seed=seed, options=options, progress=progress)
     except SimulationError as error:

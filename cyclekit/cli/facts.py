@@ -7,7 +7,7 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from cyclekit.cli.groups import grouped
-from cyclekit.cli.lists import safety_lines, task_list_tables
+from cyclekit.cli.lists import lost_table, safety_lines, task_list_tables
 from cyclekit.cli.terminal import bullet, duration, percent, table
 from cyclekit.dataset.cards import plain, texts
 from cyclekit.text.plain_text import one_line
@@ -165,6 +165,7 @@ def _dataset(found: DatasetDescription) -> str:
     parts += [_places("robot place ", found.places), _places("operator place ", found.human_places)]
     if found.samples:
         parts.append(_tasks(found.tasks))
+        parts.append(lost_table(found.lost))
     parts.append(task_list_tables(found.task_list) if found.task_list else "")
     parts += [_clocks(found.clocks), _operator(found.operator)]
     silences = [f"gaps in {name}: {_gaps(gaps)}" for name, gaps in found.gaps.items()]

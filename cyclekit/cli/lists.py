@@ -1,12 +1,14 @@
-"""Task lists and safety systems' logs as lines and tables for people."""
+"""Task lists, safety systems' logs and lost time as lines and tables for people."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from cyclekit.cli.terminal import bullet, duration, percent, table
+from cyclekit.dataset.lost_time import CAUSE_NAMES
 
 if TYPE_CHECKING:
+    from cyclekit.dataset.lost_time import LostTime, PersonLoss
     from cyclekit.inspect.facts import SafetyFacts, TaskListFacts
 
 SHOWN_AGENTS, SHOWN_TASKS, SHOWN_VALUES = 12, 24, 6
@@ -52,6 +54,30 @@ def _said(found: TaskListFacts) -> list[str]:
 
 def _seconds(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.2f}"
+
+
+def lost_table(found: LostTime | None) -> str:
+    """Return the seconds lost to each cause, how often the robot stopped midway, and how often its speed changed."""
+    if found is None:
+        return ""
+    causes = sorted((cause for cause in found.seconds if found.seconds[cause] > 0.0), key=lambda c: -found.seconds[c])
+    rows = []
+    for cause in causes:
+        stops = found.stops_per_hour.get(cause, 0.0)
+        rows.append(
+            [CAUSE_NAMES[cause], f"{found.seconds[cause]:.1f}", f"{100 * found.share(cause):.1f}", f"{stops:.1f}"]
+        )
+        rows += [_level(one) for one in found.person if cause == "person"]
+    total = sum(found.seconds.values())
+    stops = sum(found.stops_per_hour.values())
+    rows.append(["all lost time", f"{total:.1f}", f"{100 * total / found.duration_s:.1f}", f"{stops:.1f}"])
+    shown = table(["time lost to ", "s", "% of executions", "stops midway per hour"], rows)
+    return f"{shown}\nspeed changes per hour: {found.changes_per_hour:.1f}"
+
+
+def _level(one: PersonLoss) -> list[str]:
+    where = "" if one.nearest_m is None else f", operator {one.nearest_m:.2f} to {one.farthest_m:.2f} m away"
+    return [f"  at {percent(one.level)} speed{where}", f"{one.lost_s:.1f}", "", ""]
 
 
 def safety_lines(found: SafetyFacts) -> list[str]:

@@ -47,6 +47,10 @@ def simulate(
     ] = 0.0,
     pick: Annotated[float | None, typer.Option(help="Process time of picking, s, instead of the scene's.")] = None,
     place: Annotated[float | None, typer.Option(help="Process time of placing, s, instead of the scene's.")] = None,
+    causes: Annotated[
+        bool,
+        typer.Option("--causes", help="Also slider, reduced mode, limits, waits, pauses and protective stops (CSV)."),
+    ] = False,
     without_operator: Annotated[
         bool, typer.Option("--without-operator", help="Reference run without an operator.")
     ] = False,
@@ -81,6 +85,7 @@ def simulate(
         "encoder_noise_rad": encoder_noise,
         "pick_s": pick,
         "place_s": place,
+        "causes": causes,
     }
     if operator_xyz is not None:
         settings["operator_xyz_m"] = vector(operator_xyz)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from cyclekit.dataset.cards import LogCard
-    from cyclekit.schema import Ints, Vector
+    from cyclekit.schema import Bools, Ints, Vector
     from cyclekit.storage.parquet import StoredTable
 
     Read = Callable[[str, str], pl.DataFrame | None]
@@ -88,6 +88,22 @@ def every_change(entry: LogCard, read: Read, stored: Stored) -> dict[str, Vector
         changed = (mine["value"] != mine["value"].shift(1)).fill_null(value=True)
         found[str(name)] = mine["t_s"].filter(changed).to_numpy()
     return {name: times for name, times in found.items() if 0 < len(times) <= MOST_CHANGES}
+
+
+def switches(entry: LogCard, read: Read) -> dict[str, tuple[Vector, Bools]]:
+    """Return the events of a recording that have two states: when each is told, its own clock, s, and whether it is on.
+
+    Args:
+        entry: The recording.
+        read: Returns a native table of a recording (id, table), None if it has none.
+    """
+    events = read(entry.id, "events") if "events" in entry.tables else None
+    found = {}
+    for (name,), mine in () if events is None else events.sort("t_s").group_by("signal", maintain_order=True):
+        values = mine["value"].str.to_lowercase()
+        if values.null_count() == 0 and set(values.unique().to_list()) <= _ON | _OFF:
+            found[str(name)] = mine["t_s"].to_numpy(), values.is_in(list(_ON)).to_numpy()
+    return found
 
 
 def _few(table: StoredTable, column: str) -> tuple[Vector, Vector, Ints, Ints] | None:

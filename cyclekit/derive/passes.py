@@ -16,8 +16,12 @@ import numpy as np
 import polars as pl
 
 from cyclekit import schema
+from cyclekit.dataset.cards import note
+from cyclekit.dataset.signals import switches
 from cyclekit.dataset.time_grid import stretches
+from cyclekit.derive.causes import NOTHING, Evidence, find_evidence
 from cyclekit.derive.sample_file import in_order, shared_files
+from cyclekit.derive.seen_slow import Switches, joined, rows_of
 from cyclekit.derive.session_end import Left, finish
 from cyclekit.derive.session_look import Look, look_at
 from cyclekit.derive.session_samples import Made, SessionToSample, samples_of
@@ -42,9 +46,10 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import LogGroup, Session
     from cyclekit.dataset.signals import Read, Stored
-    from cyclekit.schema import Progress
+    from cyclekit.schema import Floats, Progress
     from cyclekit.segmentation.standstills import Stop
     from cyclekit.segmentation.stored_run import Run
+    from cyclekit.segmentation.time_account import Leg
 
 
 __all__ = ["Derived", "derive"]
@@ -58,6 +63,8 @@ SHARED_ROWS = 2_000_000
 """Of the robot, below which a pass takes less time than workers need to start."""
 SESSION_ROWS = 1000
 """What a session costs besides its rows, in rows."""
+EVIDENCE_SAMPLES = 200_000
+"""Causes of lost time are told by so many samples, of executions evenly spread."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +130,7 @@ def derive(
     if _is_much(groups) or any(run.is_inferred for run in robot.runs):
         forget()  # samples and scaling of many hours take that memory
     runs = {work.session.name: list(work.runs.values()) for work in works}
-    return _finished(passes, made, files, runs, robot, cell, folder)
+    return _finished(passes, made, files, runs, robot, cell, folder, read)
 
 
 def _finished(
@@ -134,6 +141,7 @@ def _finished(
     robot: _Robot,
     cell: Cell,
     folder: Path,
+    read: Read,
 ) -> Derived:
     """Find the levels and the operator's places, and have the samples completed."""
     some = [one for one in made if one.samples]
@@ -143,25 +151,91 @@ def _finished(
     levels = tuple(round(float(level), 6) for level in staircase.levels)
     gone = absences([one.silences for one in made])
     left = [
-        Left(one.part, runs[one.session], label, one.stays, absence)
+        Left(one.part, runs[one.session], label, one.stays, absence, _switches(one, read), _times_of(one.legs))
         for one, label, absence in zip(made, labels, gone, strict=True)
     ]
+    evidence = _evidence(left, made, files, levels, folder)
     most = max(20, MOST // max(len(some), 1))
-    rest = partial(finish, spots=spots, levels=levels, most_changes=most, folder=folder)
-    changes = passes.over_files(rest, left, files, 0.85, 1.0, "levels")
-    rows = [row for one in made for row in one.tasks]
+    rest = partial(finish, spots=spots, levels=levels, evidence=evidence, most_changes=most, folder=folder)
+    finished = passes.over_files(rest, left, files, 0.85, 1.0, "levels")
     return Derived(
         recordings=[recording for one in made for recording in one.recordings],
         samples=sum(one.samples for one in some),
-        tasks=pl.DataFrame(rows, schema={name: column.dtype for name, column in schema.TASKS.items()}, orient="row"),
+        tasks=_tasks(made, [one.lost_s for one in finished]),
         executions=[card for one in made for card in one.cards],
         places=robot.places,
         human_places=spots,
         levels=levels,
         origin=" and ".join(sorted({name for one in some for name in one.origins}, reverse=True)) or None,
-        dynamics=read_response(changes),
-        warnings=[*robot.warnings, *(staircase.warnings if some or not made else [])],
+        dynamics=read_response([one.changes for one in finished]),
+        warnings=[*robot.warnings, *(staircase.warnings if some or not made else []), *_inputs(evidence)],
     )
+
+
+def _tasks(made: Sequence[Made], lost: Sequence[Floats]) -> pl.DataFrame:
+    """Return table TASKS with the seconds that each cause of a speed scaling below 1 took.
+
+    Samples tell the shares, and the account of time, at the log's own rate, how much there is to be shared.
+    """
+    columns = {name: column.dtype for name, column in schema.TASKS.items()}
+    tasks = pl.DataFrame([row for one in made for row in one.tasks], schema=columns, orient="row")
+    mine = np.flatnonzero(tasks["start_place"].is_not_null().to_numpy())
+    parts = np.concatenate([*lost, np.empty((0, len(schema.SCALING_CAUSES)))])
+    total = parts.sum(axis=1, keepdims=True)
+    parts = np.divide(parts, total, out=np.zeros_like(parts), where=total > 0.0)
+    parts[total[:, 0] <= 0.0, -1] = 1.0
+    seconds = np.full((tasks.height, parts.shape[1]), np.nan)
+    seconds[mine] = parts * tasks["safety_loss_s"].fill_null(np.nan).to_numpy()[mine, None]
+    named = zip(schema.SCALING_CAUSES, seconds.T, strict=True)
+    return tasks.with_columns(pl.Series(f"lost_{cause}_s", column, nan_to_null=True) for cause, column in named)
+
+
+def _inputs(evidence: Evidence) -> list[Note]:
+    """Say which inputs slow the robot."""
+    return [
+        note("input-slows", signal=name, state="on" if how.on else "off", percent=round(100 * how.cap))
+        for name, how in evidence.inputs.items()
+    ]
+
+
+def _times_of(legs: Sequence[Leg]) -> Floats:
+    return np.array([(leg.start_s, leg.arrival_s, leg.arrival_s + leg.dwell_s, leg.end_s) for leg in legs]).reshape(
+        -1, 4
+    )
+
+
+def _switches(made: Made, read: Read) -> dict[str, Switches]:
+    """Return the signals of two states of a session, session time."""
+    return {
+        name: Switches(times * entry.clock.rate + entry.clock.offset_s, on)
+        for entry in made.recordings
+        for name, (times, on) in switches(entry, read).items()
+    }
+
+
+def _evidence(
+    left: Sequence[Left], made: Sequence[Made], files: Sequence[Sequence[int]], levels: Sequence[float], folder: Path
+) -> Evidence:
+    """Return what tells the causes of lost time, from every k-th execution of long logs."""
+    every = max(1, round(sum(one.samples for one in made) / EVIDENCE_SAMPLES))
+    chosen = [card.execution for one in made for card in one.cards][::every]
+    found = []
+    for numbers in files:
+        if not any(made[number].samples for number in numbers):
+            continue
+        file = folder / f"{made[numbers[0]].part}.parquet"
+        rows = pl.scan_parquet(file, glob=False).with_row_index("row").filter(pl.col("execution").is_in(chosen))
+        samples = rows.collect(engine="streaming")
+        label = pl.Series(np.concatenate([left[number].label for number in numbers]))
+        samples = samples.with_columns(step=label[samples["row"]])
+        ends = np.cumsum([made[number].samples for number in numbers])
+        which = np.searchsorted(ends, samples["row"].to_numpy(), side="right")
+        found += [
+            rows_of(samples.filter(pl.Series(which == i)), left[number].switches)
+            for i, number in enumerate(numbers)
+            if (which == i).any()
+        ]
+    return find_evidence(joined(found), levels) if found else NOTHING
 
 
 def _numbered(looks: Sequence[Look]) -> list[Session]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import polars as pl
 
 from cyclekit import schema
+from cyclekit.derive.causes import Evidence, lost_shares
 from cyclekit.derive.sample_file import AT_ONCE, write_samples
+from cyclekit.derive.seen_slow import Switches, rows_of
 from cyclekit.people.activity import Stays, with_goals
 from cyclekit.people.tracks import goals_from_stays
 from cyclekit.scaling.response import Changes, LevelChange, changes_of
@@ -24,7 +26,10 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.dataset import Place
     from cyclekit.people.silence import Absence
-    from cyclekit.schema import Vector
+    from cyclekit.schema import Floats, Vector
+
+_LEAST = 0.03
+"""Part of its time that a sample loses at least where a cause is named."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,8 @@ class Left:
         label: Index of the level in force at each sample, shape (N,), -1 = none.
         stays: Where the operator stayed, of each execution.
         absence: When a silent tracker says that nobody was there.
+        switches: Signals of two states, session time.
+        legs: Start, arrival, end of the dwell and end of each of the robot's tasks, shape (L, 4), session seconds.
     """
 
     part: str
@@ -44,6 +51,8 @@ class Left:
     label: NDArray[np.int32]
     stays: Sequence[Stays]
     absence: Absence
+    switches: Mapping[str, Switches]
+    legs: Floats
 
     @property
     def told(self) -> bool:
@@ -51,29 +60,83 @@ class Left:
         return any(mine.told for mine in self.stays)
 
 
+class Finished(NamedTuple):
+    """How the level of a session changed at the log's own rate; what each task lost to SCALING_CAUSES, (L, 5), s."""
+
+    changes: Changes
+    lost_s: Floats
+
+
 def finish(
-    left: Sequence[Left], *, spots: Mapping[str, Place], levels: Sequence[float], most_changes: int, folder: Path
-) -> list[Changes]:
-    """Complete the samples of sessions that share a file; return how the level of each changed at the log's own rate.
+    left: Sequence[Left],
+    *,
+    spots: Mapping[str, Place],
+    levels: Sequence[float],
+    evidence: Evidence,
+    most_changes: int,
+    folder: Path,
+) -> list[Finished]:
+    """Complete the samples of sessions that share a file; return what the changes and the causes in each were.
 
     Args:
         left: The sessions.
         spots: Places of the operator.
         levels: Of the scaling, ascending.
+        evidence: What tells the causes of lost time.
         most_changes: Of so many changes of one session the distances are told at most.
         folder: Where the files of samples lie.
     """
     times: list[Vector] = [np.empty(0)]
     places: list[Vector] = [np.empty((0, 6))]
+    lost = [np.zeros((len(one.legs), len(schema.SCALING_CAUSES))) for one in left]
     counts = [len(one.label) for one in left]
     if sum(counts):
         file = folder / f"{left[0].part}.parquet"
         made = file.with_suffix(".part")
-        write_samples(_completed(file, left, spots, times, places), made)
+        write_samples(_with_causes(_completed(file, left, spots, times, places), left, evidence, lost), made)
         made.replace(file)  # whoever does this again finds the one or the other
     ends = np.cumsum(counts)[:-1]
-    each = zip(left, np.split(np.concatenate(times), ends), np.split(np.concatenate(places), ends), strict=True)
-    return [Changes.of(_changes(one, levels), t_s, at[:, :3], at[:, 3:], most_changes) for one, t_s, at in each]
+    each = zip(left, np.split(np.concatenate(times), ends), np.split(np.concatenate(places), ends), lost, strict=True)
+    return [
+        Finished(Changes.of(_changes(one, levels), t_s, at[:, :3], at[:, 3:], most_changes), mine)
+        for one, t_s, at, mine in each
+    ]
+
+
+def _with_causes(
+    frames: Iterator[pl.DataFrame], left: Sequence[Left], evidence: Evidence, lost: Sequence[Floats]
+) -> Iterator[pl.DataFrame]:
+    """Yield the samples with the cause of what is lost there; add what each task lost, in samples, to `lost`."""
+    ends = np.cumsum([len(one.label) for one in left])
+    first = 0
+    for frame in frames:
+        told, begin = [], first
+        while begin < first + frame.height:
+            number = int(np.searchsorted(ends, begin, side="right"))
+            end = min(int(ends[number]), first + frame.height)
+            told.append(_told(frame[begin - first : end - first], left[number], evidence, lost[number]))
+            begin = end
+        first += frame.height
+        yield frame.with_columns(lost_to=pl.concat(told))
+
+
+def _told(samples: pl.DataFrame, left: Left, evidence: Evidence, lost: Floats) -> pl.Series:
+    """Return the cause that takes most of each sample of one session; add what each task lost."""
+    shares = lost_shares(rows_of(samples, left.switches), evidence)
+    t_s, moving = samples["t_s"].to_numpy(), samples["robot_moving"].fill_null(value=False).to_numpy()
+    slider = (samples["slider"].fill_null(1.0) * -1 + 1) * samples["scaling"].fill_null(0.0)
+    paused = samples["scaling_gap"].is_in(["paused", "stopped"]).fill_null(value=False).to_numpy()
+    every = dict(zip(schema.SCALING_CAUSES, shares.T, strict=True))
+    every |= {"slider": slider.to_numpy() * moving, "pause": paused * 1.0, "wait": np.zeros(len(t_s))}
+    if len(left.legs):
+        leg = np.clip(np.searchsorted(left.legs[:, 0], t_s + 1e-9, side="right") - 1, 0, None)
+        within = (t_s >= left.legs[leg, 0] - 1e-9) & (t_s < left.legs[leg, 3])
+        np.add.at(lost, leg[within], shares[within])
+        every["wait"] = (within & (t_s >= left.legs[leg, 2]) & ~moving & ~paused) * 1.0
+    parts = np.column_stack([every[name] for name in schema.LOST_CAUSES])
+    most = parts.argmax(axis=1)
+    names = pl.Series(schema.LOST_CAUSES)[most]
+    return pl.select(pl.when(pl.Series(parts.max(axis=1) > _LEAST)).then(names)).to_series().alias("lost_to")
 
 
 def _changes(left: Left, levels: Sequence[float]) -> list[LevelChange]:

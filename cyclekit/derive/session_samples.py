@@ -72,6 +72,7 @@ class Made:
         stays: Where the operator stayed, of each execution.
         origins: Whence the scaling comes: `logged`, `inferred`.
         silences: How each of its logs of people begins, ends and pauses.
+        legs: The robot's tasks, in the order of time.
     """
 
     session: str
@@ -83,6 +84,7 @@ class Made:
     stays: list[Stays] = field(default_factory=list)
     origins: set[str] = field(default_factory=set)
     silences: list[Silence] = field(default_factory=list)
+    legs: list[Leg] = field(default_factory=list)
 
 
 def samples_of(
@@ -150,6 +152,7 @@ def _rows(session: Session, courses: Iterable[_Course], watch: Watch, made: Made
             made.origins.add("inferred" if course.inferred else "logged")
         made.samples += len(course.t_s)
         made.tasks.extend(_task_rows(course.name, course.legs))
+        made.legs.extend(course.legs)
         made.cards.append(_card(session, course, made.part))
         made.stays.append(seen.stays)
 
@@ -250,8 +253,9 @@ def _task_rows(name: str, legs: Sequence[Leg]) -> list[tuple[object, ...]]:
     return [
         (
             name, index, f"{leg.start_place}->{leg.goal_place}", leg.start_place, leg.goal_place, leg.start_s,
-            leg.arrival_s, leg.end_s, leg.nominal_s, leg.slider_loss_s, leg.safety_loss_s, leg.dwell_s, leg.wait_s,
+            leg.arrival_s, leg.end_s, leg.nominal_s, leg.safety_loss_s, leg.dwell_s, leg.wait_s,
             "robot", None, None, None, None,
+            None, leg.slider_loss_s, None, None, leg.wait_s - leg.pause_s, leg.pause_s, None, None,
         )
         for index, leg in enumerate(legs)
     ]  # fmt: skip

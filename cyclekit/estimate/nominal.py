@@ -95,7 +95,7 @@ def _execution_track(dataset: Dataset, execution: str) -> tuple[Vector, Floats, 
 
 def _slider_loss(tasks: pl.DataFrame) -> pl.Expr:
     """Time lost to the operator's speed slider, where the dataset tells it apart from the scaling: else 0, s."""
-    return pl.col("slider_loss_s").fill_null(0.0)
+    return pl.col("lost_slider_s").fill_null(0.0)
 
 
 def slider_losses(dataset: Dataset) -> dict[str, float]:

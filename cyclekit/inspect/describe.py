@@ -13,6 +13,7 @@ import polars as pl
 
 from cyclekit import schema
 from cyclekit.adapter import Recording
+from cyclekit.dataset import lost_time
 from cyclekit.dataset.cards import plain, texts
 from cyclekit.dataset.dataset import CARD, Dataset
 from cyclekit.errors import LogError
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 
     Progress = Callable[[float, str], None]
 
-_OF_SAMPLES = ("scaling", "scaling_sd", "scaling_gap", "scaling_origin", "step", "robot_moving", "human_x_m")
+_OF_SAMPLES = (*lost_time.COLUMNS, "scaling_sd", "scaling_gap", "scaling_origin")
 
 
 def describe(
@@ -138,6 +139,7 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
     rows = max(1, samples.height)
     inferred = (samples["scaling_origin"] == "inferred").sum()
     records, every = dataset.recordings, dataset.every_task()
+    found, duration_s = every.filter(pl.col("start_place").is_not_null()), float(executions["duration_s"].sum())
     return DatasetDescription(
         path=dataset.path,
         schema_version=dataset.card.schema_version,
@@ -146,7 +148,7 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
         set_aside=_set_aside(records),
         executions=executions.height,
         executions_complete=int(executions["complete"].sum()),
-        duration_s=float(executions["duration_s"].sum()),
+        duration_s=duration_s,
         samples=samples.height,
         rate_hz=dataset.rate_hz,
         places={
@@ -157,7 +159,8 @@ def _describe_dataset(dataset: Dataset, progress: Progress | None) -> DatasetDes
             name: {"xyz_m": p.xyz_m, "radius_m": p.radius_m, "inferred": p.inferred}
             for name, p in dataset.human_places.items()
         },
-        tasks=tuple(_task_rows(every.filter(pl.col("start_place").is_not_null()))),
+        tasks=tuple(_task_rows(found)),
+        lost=lost_time.lost_time(found, samples, dataset.levels, dataset.rate_hz, duration_s),
         task_list=_listed(dataset, every),
         safety=_safety(dataset),
         positions=dataset.positions,

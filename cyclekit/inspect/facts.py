@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.dataset.cards import TrainingCard
+    from cyclekit.dataset.lost_time import LostTime
 
 
 @dataclass(frozen=True)
@@ -195,6 +196,7 @@ class DatasetDescription(Result):
         robot_place: Centre and radius per robot place, metres; `human_place` likewise.
         task_list: What the task lists in it say; None without any.
         safety: What each recording of a safety system's log says, by recording.
+        lost: Lost time by cause; None where nothing of it is known.
         positions: Of whom places are known.
         tasks: Per task found in the robot's motion: how often, mean seconds of motion at full speed, of safety loss, of
             dwell and wait.
@@ -238,6 +240,7 @@ class DatasetDescription(Result):
     on_level: float = 0.0
     task_list: TaskListFacts | None = None
     safety: Mapping[str, SafetyFacts] = field(default_factory=dict)
+    lost: LostTime | None = None
     positions: tuple[str, ...] = ()
     kind: str = "dataset"
     verified: int | None = None

@@ -29,6 +29,17 @@ OPERATOR = "#0f7b6c"
 PREDICTED = "#7a3fa0"
 NOMINAL, SAFETY, DWELL, WAIT = "#1f5a9d", "#e2643b", "#9aa5b1", "#d7dce1"
 """The four parts of a cycle; safety loss wears the colour of a slowed robot."""
+CAUSES = {
+    "person": "#e2643b",
+    "slider": "#7a3fa0",
+    "input": "#b8860b",
+    "limits": "#1c9a86",
+    "wait": "#9aa5b1",
+    "pause": "#5b6673",
+    "stop": "#a3123a",
+    "unknown": "#8b929a",
+}
+"""What time was lost to."""
 
 
 def to_rgb(colour: str) -> tuple[int, int, int]:

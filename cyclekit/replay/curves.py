@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import rerun as rr
 
+from cyclekit.dataset.lost_time import CAUSE_NAMES
 from cyclekit.plots import colours
 from cyclekit.replay.ledger import ACCOUNTS, ledger
 from cyclekit.replay.phase import TASK
@@ -138,6 +139,8 @@ def _lanes(sink: Sink) -> None:
     names = sorted({text for text in human if text})
     tints = ("#0f7b6c", "#1c9a86", "#0b5f58", "#3aa38f")
     _lane(sink, "lanes/3_operator", human, {name: tints[index % len(tints)] for index, name in enumerate(names)})
+    lost = [None if cause is None else CAUSE_NAMES[cause] for cause in run.lost_to]
+    _lane(sink, "lanes/4_lost_to", lost, {CAUSE_NAMES[cause]: colour for cause, colour in colours.CAUSES.items()})
 
 
 GAP = "gap in the log"

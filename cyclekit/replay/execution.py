@@ -71,6 +71,7 @@ class ReplayedExecution:
         speed_m_s: Speed of the tool centre point, shape (T,).
         step: Index of the level, shape (T,), NaN where unknown.
         moving: True, False, or None where unknown, length T; likewise the tasks.
+        lost_to: What takes most of the time lost at each sample, one of LOST_CAUSES; None = nothing is lost.
         gaps: Start and end of each gap, seconds of the execution.
         tasks: Rows of TASKS of this execution.
         others: Everybody but the operator, per instant (N, 3).
@@ -99,6 +100,7 @@ class ReplayedExecution:
     moving: tuple[bool | None, ...]
     robot_task: tuple[str | None, ...]
     human_task: tuple[str | None, ...]
+    lost_to: tuple[str | None, ...]
     gaps: tuple[tuple[float, float], ...]
     tasks: pl.DataFrame
     places: Mapping[str, Place]
@@ -154,6 +156,7 @@ def load_execution(dataset: Dataset, name: str, model: PredictsNow | None = None
         moving=tuple(rows["robot_moving"].to_list()),
         robot_task=tuple(rows["robot_task"].to_list()),
         human_task=tuple(rows["human_task"].to_list()),
+        lost_to=tuple(rows["lost_to"].to_list()),
         gaps=gaps,
         tasks=tasks.with_columns(pl.col("start_s", "arrival_s", "end_s") - start_s),
         places=dataset.places,

@@ -105,6 +105,22 @@ def shares(width_in: float, rows: Sequence[Share], labels: Mapping[str, str], lo
     return figure
 
 
+def causes(width_in: float, rows: Sequence[tuple[str, float, str]], labels: Mapping[str, str]) -> Figure:
+    """One bar per cause of lost time: name, seconds and colour."""
+    figure, axes = _rows(width_in, len(rows), bottom_in=0.6)
+    most = max((value for _, value, _ in rows), default=1.0)
+    for number, (name, value, colour) in enumerate(rows):
+        bar = axes.barh(number, value, height=0.62, color=colour)
+        tip(figure, bar.patches[0], f"{name}: {value:.1f} s", name)
+        axes.text(value + 0.01 * most, number, f"{value:.1f}", va="center", color=INK, fontsize=8.5)
+    _name_rows(axes, [name for name, _, _ in rows], width_in)
+    axes.set_xlim(0, most * 1.12)
+    axes.set_xlabel(labels["seconds"])
+    axes.grid(axis="x")
+    axes.set_axisbelow(True)
+    return figure
+
+
 def _rows(width_in: float, count: int, *, bottom_in: float) -> tuple[Figure, Axes]:
     """A figure with room for `count` horizontal rows, the first on top."""
     crowded = count > MANY_ROWS and width_in == WIDE_IN  # on a phone a name takes two lines

@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Leg:
-    """One executed task, all times in session seconds; see table TASKS of `schema` for the split."""
+    """One executed task, all times in session seconds; see table TASKS of `schema` for the split.
+
+    `wait_s` holds `pause_s`, the time in which the program was paused or stopped.
+    """
 
     start_place: str
     goal_place: str
@@ -40,6 +43,7 @@ class Leg:
     safety_loss_s: float | None
     dwell_s: float
     wait_s: float
+    pause_s: float
 
 
 def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str, Dwell]) -> list[Leg]:
@@ -72,10 +76,17 @@ def account(run: Run, execution: Execution, stands: Stands, dwells: Mapping[str,
                 safety_loss_s=motion.safety_loss_s,
                 dwell_s=dwell,
                 wait_s=wait + motion.paused_s,
+                pause_s=motion.paused_s + min(wait, paused_time(run, arrival, arrival + stood)),
             )
         )
         departure = arrival + dwell + wait
     return legs
+
+
+def paused_time(run: Run, start_s: float, end_s: float) -> float:
+    """Return how much of a time the program was paused or stopped, seconds."""
+    spans = ((run.time_at(halt.first), run.time_at(halt.last) + run.period_s) for halt in run.halts)
+    return sum(max(0.0, min(last, end_s) - max(first, start_s)) for first, last in spans)
 
 
 @dataclass(frozen=True)

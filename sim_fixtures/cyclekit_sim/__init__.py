@@ -3,6 +3,7 @@
 It imports nothing of cyclekit: what tests a computation may not share it.
 """
 
+from cyclekit_sim.causes import MixedCauses
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.scenes import SCENES
@@ -10,6 +11,7 @@ from cyclekit_sim.simulate import random_sequence, scene_places, simulate, simul
 
 __all__ = [
     "SCENES",
+    "MixedCauses",
     "SimulationError",
     "SimulationOptions",
     "random_sequence",

@@ -37,6 +37,7 @@ def _csv_sources(options: SimulationOptions) -> list[str]:
     names = 'time = "time", time_unit = "s", signal = "signal", value = "value"'
     return [
         *("", "[[sources]]", 'path = "session_*/robot.csv"', 'role = "robot"'),
+        *(['map = { inputs = "events" }'] if options.causes else []),
         *("", "[[sources]]", 'path = "session_*/operator.csv"', 'role = "people"', offset, frame),
         *("", "[[sources]]", 'path = "session_*/events.csv"', 'role = "events"', 'adapter = "csv"', offset),
         f'map = {{ delimiter = ",", {names} }}',

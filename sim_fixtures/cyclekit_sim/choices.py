@@ -11,11 +11,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from cyclekit_sim.arm import Array
+from cyclekit_sim.causes import MixedCauses
 from cyclekit_sim.program import HOME, Execution
 from cyclekit_sim.scenes import GOAL_SD_M, MIDDLE_SD_M, SCENES, Scene
 from cyclekit_sim.walking import Leg, Press, away, stand, walk
 
-ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER = range(6)
+ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER, SLOWING = range(7)
 LOGGED, FRESH = range(2)
 
 
@@ -35,10 +36,14 @@ def draw_places(scene: Scene, rng: np.random.Generator) -> tuple[str, ...]:
     return (HOME, *(name for slot in chosen for name in ("conveyor", str(slot))), HOME)
 
 
-def draw_execution(scene: Scene, index: int, places: tuple[str, ...], rng: np.random.Generator) -> Execution:
-    """Add to `places` the waits for boxes that are late, and the idle stay that follows."""
+def draw_execution(
+    scene: Scene, index: int, places: tuple[str, ...], rng: np.random.Generator, causes: MixedCauses | None = None
+) -> Execution:
+    """Add to `places` the waits for boxes that are late, as `causes` or the scene has them, and the idle stay after."""
     goals = places[1:]
     late = rng.exponential(scene.wait_s, len(goals)) if scene.wait_s > 0 else np.zeros(len(goals))
+    if causes is not None:
+        late = np.where(rng.random(len(goals)) < causes.wait_share, rng.uniform(*causes.wait_s, len(goals)), 0.0)
     waits = tuple(float(w) if goal == "conveyor" else 0.0 for w, goal in zip(late, goals, strict=True))
     return Execution(index, places, waits, float(rng.uniform(2.0, 4.0)) if scene.continuous else 0.0)
 

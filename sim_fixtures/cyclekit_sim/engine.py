@@ -8,12 +8,13 @@ per cycle, and when each segment ended); turning it into logs and truth is the b
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cyclekit_sim.arm import Array
+from cyclekit_sim.causes import PART_BIT, REDUCED_BIT, Slowing, Why, part_there, scaling_of
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.motion import MotionTable
 from cyclekit_sim.options import SimulationOptions
@@ -21,6 +22,7 @@ from cyclekit_sim.program import MOVE, Ints, Program
 from cyclekit_sim.safety import SafetyFunction, SpeedScaling
 from cyclekit_sim.walking import Track
 
+_Now = tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]
 _CHUNK = 1024  # cycles between two looks at whether all are done
 _SLOWEST = 20.0  # a run this many times longer than its nominal time is stuck
 _FAR_M = 1e6  # where nobody stands
@@ -34,10 +36,12 @@ class Trace:
         program: What was run.
         track: Who walked.
         nominal_s: Nominal time since the start of the running segment, at the start of each cycle (K,).
-        scaling: s, held over the cycle (K,).
+        scaling: s, held over the cycle (K,), all its causes together.
         segment: Running segment (K,).
         ends_s: Real time since the start of the run when each segment ended (S,).
         cycle_s: Length of a cycle.
+        why: What caused s, slider and pauses; None: the person alone.
+        inputs: Digital inputs as a bit field (K,); None: there are none.
     """
 
     program: Program
@@ -47,11 +51,20 @@ class Trace:
     segment: Ints
     ends_s: Array
     cycle_s: float
+    why: Why | None = None
+    inputs: Ints | None = None
 
     @property
     def duration_s(self) -> float:
         """How long the run took."""
         return float(self.ends_s[-1])
+
+    @property
+    def pace(self) -> Array:
+        """By how much the nominal time of a move advances (K,): s and slider, 0 in a pause."""
+        if self.why is None:
+            return self.scaling
+        return np.where(self.why.paused, 0.0, self.scaling * self.why.slider)
 
     @property
     def begins_s(self) -> Array:
@@ -121,12 +134,22 @@ class _Cells:
         """Fraction of all segments done."""
         return float(np.mean(self._segment / self._line.last))
 
-    def step(self, t_s: float, person_m: Array) -> tuple[Array, Array, Ints]:
-        """Go on by one cycle from `t_s`; return nominal time, s and segment (B,) as they were at its start."""
+    def step(self, t_s: float, person_m: Array, slowing: Slowing | None, now: _Now | None) -> tuple[Array, Array, Ints]:
+        """Go on by one cycle from `t_s`; return nominal time, s and segment (B,) as they were at its start.
+
+        s is that of the safety function alone; `slowing` has the other causes, `now` those of them at this time.
+        """
         dt, u, segment = self._cycle_s, self._nominal_s, self._segment
         row, way = table_rows(self._row, u, self._rows_per_s)
         s = self._scaling.advance(self._tcp[row] + way[:, None] * self._tcp_step[row], person_m)
-        rate = np.where(self._moving, s, 1.0)
+        pace: Array = s
+        standing: Array | float = 1.0
+        if slowing is not None and now is not None:
+            slider, limit = slowing.of_segment(segment, u)
+            reduced, stopped, paused = now
+            pace = np.where(stopped | paused, 0.0, np.minimum(np.minimum(s, reduced), limit) * slider)
+            standing = np.where(paused, 0.0, 1.0)
+        rate = np.where(self._moving, pace, standing)
         left = self._length_s - u
         self._nominal_s = u + rate * dt
         ending = rate * dt >= left
@@ -136,7 +159,7 @@ class _Cells:
             for b in np.flatnonzero(ending).tolist():
                 used = left[b] / rate[b]
                 self.ends_s[b][segment[b]] = t_s + used
-                self._nominal_s[b] = (dt - used) * (s[b] if self._moving[b] else 1.0)
+                self._nominal_s[b] = (dt - used) * (pace[b] if self._moving[b] else 1.0)
         return u, s, segment
 
 
@@ -147,9 +170,10 @@ def run(
     table: MotionTable,
     safety: SafetyFunction,
     options: SimulationOptions,
+    streams: Sequence[np.random.Generator] = (),
     progress: Callable[[float], None] | None = None,
 ) -> list[Trace]:
-    """Step B programs against B tracks until the last one is done.
+    """Step B programs against B tracks until the last one is done; `streams` draw their other causes.
 
     Raises:
         SimulationError: A robot never gets done, because the person never leaves its way.
@@ -157,13 +181,18 @@ def run(
     cells = _Cells(programs, table, SpeedScaling(safety, options), options.cycle_s)
     records: list[tuple[Array, Array, Ints]] = []
     limit_s = _SLOWEST * max(float(program.length_s.sum()) for program in programs)
+    slowing = None if options.causes is None else Slowing(programs, options.causes, streams, limit_s)
     while cells.running.any():
         times = np.asarray((len(records) * _CHUNK + np.arange(_CHUNK)) * options.cycle_s, dtype=np.float64)
         if times[0] > limit_s:
             raise SimulationError(_stuck(programs[int(np.flatnonzero(cells.running)[0])], limit_s))
         people = np.stack([track.at(times) for track in tracks], axis=1)
         people = np.where(np.isnan(people), _FAR_M, people)
-        steps = [cells.step(t_s, person) for t_s, person in zip(times.tolist(), people, strict=True)]
+        now = [None] * _CHUNK if slowing is None else zip(*slowing.during(times), strict=True)
+        steps = [
+            cells.step(t_s, person, slowing, these)
+            for t_s, person, these in zip(times.tolist(), people, now, strict=True)
+        ]
         records.append((_stack(steps, 0), _stack(steps, 1), np.stack([step[2] for step in steps])))
         if progress is not None:
             progress(cells.share_done)
@@ -173,8 +202,18 @@ def run(
     for b, (program, track, ends_s) in enumerate(zip(programs, tracks, cells.ends_s, strict=True)):
         n = int(np.ceil(ends_s[-1] / options.cycle_s - 1e-9))
         parts = nominal_s[:n, b].copy(), scaling[:n, b].copy(), segment[:n, b].copy()
-        traces.append(Trace(program, track, *parts, ends_s, options.cycle_s))
+        trace = Trace(program, track, *parts, ends_s, options.cycle_s)
+        traces.append(trace if slowing is None else _with_causes(trace, slowing, b, options))
     return traces
+
+
+def _with_causes(trace: Trace, slowing: Slowing, b: int, options: SimulationOptions) -> Trace:
+    """Return run `b` with all its causes; until here its s is the person's."""
+    times = np.asarray(np.arange(len(trace.scaling)) * trace.cycle_s, dtype=np.float64)
+    why = slowing.why(b, times, trace.scaling, trace.segment, trace.nominal_s)
+    there = part_there(trace.program, trace.segment) & bool(options.causes and options.causes.part_signal)
+    inputs = (slowing.switched_on(b, times).astype(np.int64) << REDUCED_BIT) | (there.astype(np.int64) << PART_BIT)
+    return replace(trace, scaling=scaling_of(why), why=why, inputs=inputs)
 
 
 def _stack(steps: list[tuple[Array, Array, Ints]], column: int) -> Array:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from cyclekit_sim.causes import MixedCauses
 from cyclekit_sim.errors import SimulationError
 
 
@@ -45,6 +46,7 @@ class SimulationOptions:
             much); 2e-5 is what a real UR5 shows.
         pick_s: Process time of picking instead of the scene's.
         place_s: Process time of placing instead of the scene's.
+        causes: What slows or stops the robot besides the person (CSV); None: nothing does.
     """
 
     logs: Literal["csv", "mcap"] = "csv"
@@ -72,6 +74,7 @@ class SimulationOptions:
     encoder_noise_rad: float = 0.0
     pick_s: float | None = None
     place_s: float | None = None
+    causes: MixedCauses | None = None
 
     def __post_init__(self) -> None:
         """Refuse values no cell can have, all at once."""
@@ -92,6 +95,7 @@ class SimulationOptions:
                 (self.encoder_noise_rad < 0, f"encoder_noise_rad is {self.encoder_noise_rad}: use 0 or more"),
                 (min(self.pick_s or 1.0, self.place_s or 1.0) < 0, "pick_s and place_s are times: use 0 or more"),
                 (self.executions_per_session < 1, "executions_per_session must be 1 or more"),
+                (self.causes is not None and self.logs == "mcap", "causes are written to CSV logs only"),
             )
             if wrong
         ]

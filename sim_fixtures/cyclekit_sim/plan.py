@@ -18,6 +18,7 @@ from cyclekit_sim.choices import (
     OPERATOR,
     PAUSE,
     ROBOT,
+    SLOWING,
     draw_execution,
     draw_places,
     operator_legs,
@@ -67,7 +68,8 @@ def prepare(
     drawn = []
     for index in range(executions):
         rng = stream(seed, scene, ROBOT, index, domain=domain)
-        drawn.append(draw_execution(scene, index, tuple(places or draw_places(scene, rng)), rng))
+        visited = tuple(places or draw_places(scene, rng))
+        drawn.append(draw_execution(scene, index, visited, rng, options.causes))
     pairs = {pair for e in drawn for pair in zip(e.places[:-1], e.places[1:], strict=True)}
     recording = read_recording(options.operator_log, options) if options.operator_log else None
     return Work(scene, seed, options, plan_moves(scene.places, pairs), tuple(drawn), domain, recording)
@@ -103,7 +105,16 @@ def _run(work: Work, groups: list[list[Execution]], progress: Callable[[float], 
     pick_s, place_s = process_times(work)
     programs = [compile_program(group, work.table, pick_s=pick_s, place_s=place_s) for group in groups]
     tracks = [_track(work, group[0].index) for group in groups]
-    return run(programs, tracks, table=work.table, safety=scene.safety, options=work.options, progress=progress)
+    streams = [stream(work.seed, scene, SLOWING, group[0].index, domain=work.domain) for group in groups]
+    return run(
+        programs,
+        tracks,
+        table=work.table,
+        safety=scene.safety,
+        options=work.options,
+        streams=streams,
+        progress=progress,
+    )
 
 
 def process_times(work: Work) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cyclekit_sim.arm import Array, rotation_vector
 from cyclekit_sim.engine import Trace
@@ -32,6 +33,9 @@ class RobotStates:
         scaling: s (N,).
         closed: Gripper closed, 0 or 1 (N,).
         execution: Execution number; on an idle stay that of the execution before (N,).
+        slider: The operator's speed slider (N,).
+        paused: Whether the program is paused (N,).
+        inputs: Digital inputs as a bit field (N,).
     """
 
     t_s: Array
@@ -43,6 +47,9 @@ class RobotStates:
     scaling: Array
     closed: Ints
     execution: Ints
+    slider: Array
+    paused: NDArray[np.bool_]
+    inputs: Ints
 
     @property
     def rotation_vector(self) -> Array:
@@ -111,7 +118,7 @@ def robot_states(trace: Trace, table: MotionTable, *, begin_s: float, cycles: In
     def read(column: Array) -> Array:
         return np.asarray(column[below] + share * (column[above] - column[below]))
 
-    speed = np.where(program.kind[of] == MOVE, trace.scaling[k], 0.0)[:, None]
+    speed = np.where(program.kind[of] == MOVE, trace.pace[k], 0.0)[:, None]
     turned = read(table.quaternion)
     late = trace.nominal_s[k] >= 0.5 * program.length_s[of]
     running = np.where(program.execution < 0, np.roll(program.execution, 1), program.execution)
@@ -125,4 +132,7 @@ def robot_states(trace: Trace, table: MotionTable, *, begin_s: float, cycles: In
         scaling=trace.scaling[k],
         closed=np.where(late, program.closed_after[of], program.closed_before[of]),
         execution=running[of],
+        slider=np.ones(len(k)) if trace.why is None else trace.why.slider[k],
+        paused=np.zeros(len(k), dtype=bool) if trace.why is None else trace.why.paused[k],
+        inputs=np.zeros(len(k), dtype=np.int64) if trace.inputs is None else trace.inputs[k],
     )

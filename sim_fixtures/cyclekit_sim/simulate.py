@@ -173,6 +173,8 @@ def _write_session(folder: Path, session: Session, work: Work) -> None:
 
 def _facts(work: Work) -> str:
     options = dataclasses.asdict(work.options)
+    if work.options.causes is None:
+        del options["causes"]
     options["operator_log"] = work.options.operator_log.name if work.options.operator_log else None
     scene = work.scene
     facts = {

@@ -1,7 +1,8 @@
 """Ground truth: what really happened, beside the logs, in the clock of the robot's log and in the base frame.
 
 Times add up exactly: duration = nominal motion + safety loss + dwell + wait, for a task as for an execution. A task is
-the move to its goal with the wait and dwell there, so tasks follow each other without holes.
+the move to its goal with the wait and dwell there, so tasks follow each other without holes. Where a simulation mixes
+causes, `lost_CAUSE_s` tell them apart, and `safety_loss_s` is all that the move lost to anything but slider and pause.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 import polars as pl
 
 from cyclekit_sim.arm import Array
+from cyclekit_sim.causes import lost_parts
 from cyclekit_sim.engine import Trace
 from cyclekit_sim.program import DWELL, MOVE, WAIT, Execution
 from cyclekit_sim.scenes import Scene
@@ -25,11 +27,18 @@ def task_rows(trace: Trace, clock_s: float) -> Iterator[dict[str, object]]:
     """Yield a run's tasks in order; `clock_s` is what the log's clock shows when the run begins."""
     program = trace.program
     begins, lengths = trace.begins_s, trace.ends_s - trace.begins_s
+    lost = {} if trace.why is None else lost_parts(trace.why, program.kind[trace.segment])
     for execution in program.executions:
         for index, (start, goal) in enumerate(zip(execution.places[:-1], execution.places[1:], strict=True)):
             mine = np.flatnonzero((program.execution == execution.index) & (program.task == index))
             kind = program.kind[mine]
             nominal = float(program.length_s[mine][kind == MOVE].sum())
+            moved = float(lengths[mine][kind == MOVE].sum())
+            here = np.isin(trace.segment, mine) if lost else np.empty(0, dtype=bool)
+            causes = {f"lost_{name}_s": float(part[here].sum()) * trace.cycle_s for name, part in lost.items()}
+            if lost:
+                at = np.isin(trace.segment, mine[kind == MOVE])
+                moved -= float((lost["slider"] + lost["pause"])[at].sum()) * trace.cycle_s
             yield {
                 "execution": execution.index,
                 "index": index,
@@ -38,9 +47,10 @@ def task_rows(trace: Trace, clock_s: float) -> Iterator[dict[str, object]]:
                 "start_s": clock_s + float(begins[mine[0]]),
                 "end_s": clock_s + float(trace.ends_s[mine[-1]]),
                 "nominal_s": nominal,
-                "safety_loss_s": max(0.0, float(lengths[mine][kind == MOVE].sum()) - nominal),
+                "safety_loss_s": max(0.0, moved - nominal),
                 "dwell_s": float(program.length_s[mine][kind == DWELL].sum()),
                 "wait_s": float(program.length_s[mine][kind == WAIT].sum()),
+                **causes,
             }
 
 
@@ -100,6 +110,9 @@ def _samples(session: Session, trace: Trace, begin_s: float, scene: Scene, clock
     table |= _xyz("robot_goal", goals[of]) | _xyz("human_goal", human_goals[task])
     table["robot_task"] = pl.Series([robot_tasks[i] for i in of], dtype=pl.String)
     table["human_task"] = pl.Series([human_tasks[i] if human_tasks else None for i in task], dtype=pl.String)
+    if trace.why is not None:
+        parts = lost_parts(trace.why, program.kind[trace.segment])
+        table |= {f"lost_{name}": pl.Series(part[cycles]) for name, part in parts.items()}
     return pl.DataFrame(table)
 
 

@@ -31,12 +31,15 @@ def write_robot(path: Path, robot: RobotStates, options: SimulationOptions) -> N
     columns |= {f"{name}_{i}": pl.Series(values[:, i]) for name, values in groups for i in range(6)}
     if options.log_outputs:
         columns["actual_digital_output_bits"] = pl.Series(robot.closed)
+    if options.causes is not None:
+        columns["actual_digital_input_bits"] = pl.Series(robot.inputs)
     columns["robot_mode"] = pl.repeat(7, count, eager=True)
     columns["safety_status"] = pl.repeat(1, count, eager=True)
     if options.log_override:
-        columns["speed_scaling"] = pl.Series(robot.scaling)
-        columns["target_speed_fraction"] = pl.repeat(1.0, count, eager=True)
-    columns["runtime_state"] = pl.repeat(2, count, eager=True)
+        columns["speed_scaling"] = pl.Series(np.where(robot.paused, 0.0, robot.scaling))
+    if options.log_override or options.causes is not None:
+        columns["target_speed_fraction"] = pl.Series(robot.slider)
+    columns["runtime_state"] = pl.Series(np.where(robot.paused, 4, 2))
     if options.log_outputs:
         columns["output_int_register_0"] = pl.Series(robot.execution)
     pl.DataFrame(columns).write_csv(path, separator=" ", line_terminator="\r\n", float_precision=7, quote_style="never")

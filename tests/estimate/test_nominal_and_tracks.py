@@ -75,7 +75,7 @@ def test_a_speed_slider_is_undone_like_the_scaling_where_the_dataset_tells_it_ap
     """1 m in 2 s as logged, the half below 0.5 m at a quarter of the speed: 1.25 s, half of which lead to 0.6875 m."""
     found = hand_made({"a": ([0.0, 0.0], {0.0: (3.0, 0.0), 15.0: (3.0, 0.0)})})
     found = Dataset.open(without_checksums(found.path))
-    told = found.tasks().with_columns(nominal_s=pl.lit(1.25), slider_loss_s=pl.lit(0.75))
+    told = found.tasks().with_columns(nominal_s=pl.lit(1.25), lost_slider_s=pl.lit(0.75))
     told.write_parquet(found.path / "tasks.parquet")
     file = next((found.path / "recordings").glob("*/robot.parquet"))
     slider = pl.when(pl.col("tcp_x_m") < 0.5).then(0.25).otherwise(1.0)

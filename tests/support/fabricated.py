@@ -121,16 +121,14 @@ def _execute(name: str, start_s: float, rounds: int, operator: _Operator | None)
         motion_s = (arrival - begin) * dt_s
         loss_s = sum(1 - row[13] for row in rows[begin:arrival]) * dt_s
         edges = [start_s + t * dt_s for t in (begin, arrival, tick)]
-        tasks.append(
-            [name, index, f"{start}->{goal}", start, goal, *edges, motion_s - loss_s, 0.0, loss_s, DWELL_S, 0.0]
-        )
+        tasks.append([name, index, f"{start}->{goal}", start, goal, *edges, motion_s - loss_s, loss_s, DWELL_S, 0.0])
     done = pl.DataFrame(
         tasks, schema=[name for name in schema.TASKS if name not in schema.ADDED_TO_TASKS], orient="row"
     )
     return _native(name, start_s, rows), done
 
 
-NOT_ROLLED = {"execution", "t_s", "scaling_origin", "scaling_sd", "scaling_gap", "slider", "step"}
+NOT_ROLLED = {"execution", "t_s", "scaling_origin", "scaling_sd", "scaling_gap", "slider", "step", "lost_to"}
 
 
 def _native(name: str, start_s: float, rows: list[list[Any]]) -> pl.DataFrame:

@@ -177,6 +177,7 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     # the speed scaling
     "scaling-unknown": lambda values: f"{_scaling(values)}; it cannot be inferred either, because no motion repeats",
     "scaling-inferred": _scaling_inferred,
+    "input-slows": "while {signal} is {state}, the robot runs at {percent} % speed at most, wherever the operator is",
     "scaling-nowhere": "the scaling is unknown everywhere",
     "levels-none": (
         "no value of the scaling is held long enough to be a level: a continuous function, or none at all; "

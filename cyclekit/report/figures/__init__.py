@@ -12,6 +12,7 @@ from cyclekit.report.figures.cycle_times import CYCLE_TIMES
 from cyclekit.report.figures.figure import Chart as Chart
 from cyclekit.report.figures.figure import Figure as Figure
 from cyclekit.report.figures.floor_plans import LOST_TIME, ZONES
+from cyclekit.report.figures.lost_causes import LOST_CAUSES
 from cyclekit.report.figures.predictions import CALIBRATION, CONFUSION
 from cyclekit.report.figures.staircase import STAIRCASE
 from cyclekit.report.figures.time_shares import TIME_SHARES
@@ -19,7 +20,16 @@ from cyclekit.report.figures.time_shares import TIME_SHARES
 if TYPE_CHECKING:
     from cyclekit.report.inputs import PageInputs
 
-FIGURES: tuple[Figure, ...] = (CYCLE_TIMES, TIME_SHARES, STAIRCASE, ZONES, LOST_TIME, CONFUSION, CALIBRATION)
+FIGURES: tuple[Figure, ...] = (
+    CYCLE_TIMES,
+    TIME_SHARES,
+    LOST_CAUSES,
+    STAIRCASE,
+    ZONES,
+    LOST_TIME,
+    CONFUSION,
+    CALIBRATION,
+)
 """Every figure, in the order of the page."""
 
 

@@ -1,0 +1,302 @@
+"""Which cause each lost second has, by evidence: inputs, limits of the path, people, protective stops; else unknown.
+
+What the log itself tells comes first (slider, program state: `segmentation.time_account`). Of what is left, slow motion
+while an input is on is the input's; slow motion at the same place of a path in every pass, also while nobody is near,
+is a limit's; slow motion where people usually cause it is the person's; a standstill midway where they do not is a
+protective stop. A cause has what it adds to those before it in this order, so a person has what would be saved without
+them, and no second counts twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cyclekit.derive.seen_slow import HALTED, HELD, Rows, Switches, features_of
+from cyclekit.derive.usual_levels import UsualLevels, usual_levels
+from cyclekit.schema import SCALING_CAUSES
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.schema import Bools, Floats, Ints, Points, Vector
+
+SAME = 0.03
+"""Scalings that differ by less are the same; of inferred ones by less than three standard deviations."""
+REACTION_S = 0.5
+"""A controller carries out an input, and lets go of it, within this time (UR reduced mode: up to 500 ms)."""
+BACK, AHEAD = 5, 2
+"""Samples before and after in which an operator must have been where people slow the robot."""
+STAYS = 10
+"""Samples that a level may be held after its cause is gone, before the scaling rises."""
+SELDOM = 0.35
+"""A level with a lower share among the samples where an operator is usually has another cause."""
+STEP_M, POOL_M = 0.05, 0.12
+"""Places of a path are told apart by STEP_M; whether a limit holds without people is asked within POOL_M."""
+PASSES, FREE_PASSES = 5, 3
+ALWAYS = 0.9
+LEAST_ON = 50
+"""Samples in motion while a signal is on or off, below which it is not judged."""
+FOLLOWS = 0.9
+"""A signal that the operator's position predicts so well (balanced accuracy) watches the operator."""
+MOST_ROWS = 60_000
+
+
+class Input(NamedTuple):
+    """While a signal is `on` (or off) the scaling is at most `cap`."""
+
+    on: bool
+    cap: float
+
+
+class Limit(NamedTuple):
+    """Places of a path, shape (K, 3), m, at which the scaling is at most `cap`, shape (K,)."""
+
+    at_m: Points
+    cap: Vector
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What all sessions together tell.
+
+    Attributes:
+        top: Highest scaling there is.
+        levels: Scaling of each class of `usual`.
+        usual: Which scalings are usual where the operator is; None: nothing tells.
+        inputs: Signals that slow the robot and do not watch the operator.
+        watching: Signals that watch the operator.
+        limits: By task.
+    """
+
+    top: float
+    levels: Vector
+    usual: UsualLevels | None
+    inputs: Mapping[str, Input]
+    watching: tuple[str, ...]
+    limits: Mapping[str, Limit]
+
+
+NOTHING = Evidence(1.0, np.ones(1), None, {}, (), {})
+
+
+def find_evidence(rows: Rows, levels: Sequence[float]) -> Evidence:
+    """Return what some executions tell.
+
+    Args:
+        rows: Their samples.
+        levels: Of the scaling, ascending; fewer than two: classes are tenths.
+    """
+    moving = rows.moving & np.isfinite(rows.scaling)
+    if not moving.any():
+        return NOTHING
+    top = float(np.quantile(rows.scaling[moving], 0.99))
+    held = moving & rows.held
+    by_level = len(levels) >= 2
+    values = np.array(levels) if by_level else np.linspace(0.0, 1.0, 11)
+    label = rows.step if by_level else np.rint(np.nan_to_num(rows.scaling) * 10).astype(np.int64)
+    held &= label >= 0
+    features, seen = features_of(rows, ())
+    capping = _capping(rows, moving, top)
+    watching = tuple(name for name in capping if _follows(rows.switches[name].at(rows.t_s), features, seen, rows))
+    inputs = {name: how for name, how in capping.items() if name not in watching}
+    free = moving & ~_active(rows, inputs)
+    slow = _always_slow(rows, free & (rows.scaling > HALTED), top)
+    features, seen = features_of(rows, watching)
+    usual = None
+    if (learnt := held & free & seen & ~slow).any():
+        chosen = _apart(rows, np.flatnonzero(learnt), label)
+        chosen = chosen[:: 1 + len(chosen) // MOST_ROWS]
+        usual = usual_levels(features[chosen], label[chosen], len(values), rows.execution[chosen])
+    evidence = Evidence(top, values, usual, inputs, watching, {})
+    alone = free if usual is None and not seen.any() else free & seen & (_lowest(rows, evidence) >= top - SAME)
+    return Evidence(top, values, usual, inputs, watching, _limits(rows, slow, alone, top))
+
+
+def lost_shares(rows: Rows, evidence: Evidence) -> Floats:
+    """Return which part of the time each cause took, shape (N, 5), in the order of SCALING_CAUSES.
+
+    Of a sample in motion of known scaling s they add up to 1 - s; of any other to 0.
+    """
+    known = rows.moving & np.isfinite(rows.scaling)
+    s = np.where(known, rows.scaling, 1.0)
+    same = np.maximum(SAME, np.minimum(3.0 * np.nan_to_num(rows.deviation), 0.1))
+    top, limit = np.maximum(evidence.top, s), _limit_at(rows, evidence)
+    top = np.where(top >= 1.0 - same, 1.0, top)
+    limit = np.minimum(np.where(known & (s <= limit + same), limit, 1.0), top)
+    cap = np.minimum(_input_cap(rows, evidence), limit)
+    told = (s >= cap - same) & (cap < top - same)
+    limit = np.maximum(np.where(told & (limit <= cap), s, limit), s)
+    cap = np.maximum(np.where(told, s, cap), s)
+    shares = np.zeros((len(s), len(SCALING_CAUSES)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        at = [np.where(c > HALTED, s / c, np.where(c >= s, told, 1.0)) for c in (top, limit, cap)]
+    shares[:, UNKNOWN], shares[:, LIMITS], shares[:, INPUT] = at[0] - s, at[1] - at[0], at[2] - at[1]
+    rest = 1.0 - at[2]
+    which = _whose(rows, s, known & (rest > 0) & (s < cap - same), same, evidence)
+    shares[np.arange(len(s)), which] += rest
+    shares[~known] = 0.0
+    return shares
+
+
+PERSON, INPUT, LIMITS, STOP, UNKNOWN = range(len(SCALING_CAUSES))
+
+
+def _whose(rows: Rows, s: Vector, slow: Bools, same: Vector, evidence: Evidence) -> Ints:
+    """Return the cause of what neither inputs nor limits explain, shape (N,)."""
+    lowest = _around(_lowest(rows, evidence))
+    known = np.isfinite(lowest)
+    person = slow & known & (lowest <= s + same) & (lowest < evidence.top - same)
+    stopped = slow & known & ~person & (s <= HALTED)
+    which = np.full(len(s), UNKNOWN)
+    which[person], which[stopped] = PERSON, STOP
+    open_ = slow & ~person & ~stopped
+    capped = _active(rows, evidence.inputs)
+    after = np.where(capped, INPUT, np.where(_limit_at(rows, evidence) < 1.0, LIMITS, UNKNOWN))
+    held = 0
+    for i in np.flatnonzero(open_).tolist():  # a level ends late, and slowly
+        if i == 0 or rows.breaks[i] or s[i] < s[i - 1] - same[i]:
+            continue
+        before = which[i - 1] if slow[i - 1] else after[i - 1]
+        held = held + 1 if open_[i - 1] and s[i] <= s[i - 1] + HELD else 0
+        if before != UNKNOWN and held < STAYS:
+            which[i] = before
+    for i in np.flatnonzero(open_)[::-1].tolist():  # and falls before it is at the next one
+        if which[i] == UNKNOWN and i + 1 < len(s) and not rows.breaks[i + 1] and slow[i + 1] and s[i] >= s[i + 1]:
+            which[i] = which[i + 1]
+    return which
+
+
+def _lowest(rows: Rows, evidence: Evidence) -> Vector:
+    """Return the lowest scaling that is usual where the operator is, shape (N,); NaN where that is unknown."""
+    features, seen = features_of(rows, evidence.watching)
+    if evidence.usual is None:
+        return np.full(len(features), np.nan)
+    return np.where(seen, evidence.levels[evidence.usual.lowest(features, SELDOM)], np.nan)
+
+
+def _around(values: Vector) -> Vector:
+    """Return the lowest value from BACK samples before to AHEAD samples after each; NaN counts where all are."""
+    padded = np.concatenate([np.full(BACK, np.nan), values, np.full(AHEAD, np.nan)])
+    windows = np.lib.stride_tricks.sliding_window_view(np.where(np.isnan(padded), np.inf, padded), BACK + AHEAD + 1)
+    lowest = windows.min(axis=1)
+    return np.where(np.isinf(lowest), np.nan, lowest)
+
+
+def _capping(rows: Rows, moving: Bools, top: float) -> dict[str, Input]:
+    """Return the signals in one state of which the robot is never at full speed, while in the other it is."""
+    found = {}
+    for name, switch in rows.switches.items():
+        on = switch.at(rows.t_s)
+        for state in (True, False):
+            here, other = rows.scaling[moving & (on == state)], rows.scaling[moving & (on != state)]
+            if min(len(here), len(other)) < LEAST_ON:
+                continue
+            if float(np.quantile(here, ALWAYS)) < top - SAME <= float(np.quantile(other, ALWAYS)):
+                tenths = np.bincount(np.rint(here[here > HALTED] * 100).astype(np.int64))
+                found[name] = Input(state, float(tenths.argmax()) / 100)
+    return found
+
+
+def _active(rows: Rows, inputs: Mapping[str, Input]) -> Bools:
+    """Tell where any of the inputs slows the robot, or has just let go of it."""
+    active = np.zeros(len(rows.t_s), np.bool_)
+    for name, how in inputs.items():
+        active |= rows.switches[name].within(rows.t_s, REACTION_S, on=how.on) if name in rows.switches else False
+    return active
+
+
+def _input_cap(rows: Rows, evidence: Evidence) -> Vector:
+    cap = np.ones(len(rows.t_s))
+    for name, how in evidence.inputs.items():
+        on = _active(rows, {name: how})
+        cap[on] = np.minimum(cap[on], how.cap)
+    return cap
+
+
+def _follows(on: Bools, features: Floats, seen: Bools, rows: Rows) -> bool:
+    """Tell whether the operator's position predicts a signal, in executions other than those it was learnt from."""
+    even = rows.execution % 2 == 0
+    learn, judge = np.flatnonzero(seen & even), np.flatnonzero(seen & ~even)
+    if min(len(learn), len(judge)) < LEAST_ON or len(np.unique(on[learn])) < 2 or len(np.unique(on[judge])) < 2:
+        return False
+    learn = learn[:: 1 + len(learn) // MOST_ROWS]
+    tree = usual_levels(features[learn], on[learn].astype(np.int64), 2, rows.execution[learn] // 2)
+    right = tree.lowest(features[judge], 0.5) == on[judge]
+    return float(np.mean([right[on[judge] == state].mean() for state in (True, False)])) >= FOLLOWS
+
+
+def _apart(rows: Rows, chosen: Ints, label: Ints) -> Ints:
+    """Return one sample of each execution for each level and pair of places, so that a standstill counts once."""
+    places = np.nan_to_num(np.column_stack([rows.robot_m, rows.human_m])[chosen], nan=1e4) / STEP_M
+    key = np.column_stack(
+        [rows.execution[chosen], label[chosen], np.floor(places / [1, 1, 1, 2, 2, 4]).astype(np.int64)]
+    )
+    return np.asarray(chosen[np.sort(np.unique(key, axis=0, return_index=True)[1])])
+
+
+def _cells(rows: Rows) -> Ints:
+    """Return task and place of each sample as whole numbers, shape (N, 4); places within STEP_M are one."""
+    return np.column_stack([rows.task, np.floor(np.nan_to_num(rows.robot_m) / STEP_M).astype(np.int64)])
+
+
+def _always_slow(rows: Rows, free: Bools, top: float) -> Bools:
+    """Tell which samples are where nearly every pass of a path is slow."""
+    slow = np.zeros(len(rows.t_s), np.bool_)
+    usable = np.flatnonzero(free & (rows.task >= 0) & np.isfinite(rows.robot_m[:, 0]))
+    if not len(usable):
+        return slow
+    _, cell = np.unique(_cells(rows)[usable], axis=0, return_inverse=True)
+    fast = rows.scaling[usable] >= top - SAME
+    rows_in, fast_in = np.bincount(cell), np.bincount(cell, fast)
+    passes = np.bincount(np.unique(np.column_stack([cell, rows.execution[usable]]), axis=0)[:, 0])
+    slow[usable] = ((passes >= PASSES) & (fast_in <= (1.0 - ALWAYS) * rows_in))[cell]
+    return slow
+
+
+def _limits(rows: Rows, slow: Bools, alone: Bools, top: float) -> dict[str, Limit]:
+    """Return where every pass is slow, also those that no operator and no input slows."""
+    from scipy.spatial import cKDTree
+
+    found = {}
+    for number, task in enumerate(rows.tasks):
+        here = slow & (rows.task == number)
+        free = np.flatnonzero(alone & (rows.task == number) & (rows.scaling > HALTED) & np.isfinite(rows.robot_m[:, 0]))
+        if not here.any() or not len(free):
+            continue
+        _, first = np.unique(_cells(rows)[here], axis=0, return_index=True)
+        at_m = rows.robot_m[here][np.sort(first)]
+        told = [
+            _cap(rows.scaling[mine], rows.execution[mine], top)
+            for mine in (free[near] for near in cKDTree(rows.robot_m[free]).query_ball_point(at_m, POOL_M / 2))
+        ]
+        if (sure := np.flatnonzero(np.isfinite(told))).size:
+            found[task] = Limit(at_m[sure], np.array(told)[sure])
+    return found
+
+
+def _cap(scaling: Vector, execution: Ints, top: float) -> float:
+    """Return the limit that passes without people show; NaN if they show none."""
+    slow = scaling < top - SAME
+    if len(np.unique(execution[slow])) < FREE_PASSES or slow.mean() < 0.5:
+        return np.nan
+    return float(np.median(scaling[slow]))
+
+
+def _limit_at(rows: Rows, evidence: Evidence) -> Vector:
+    """Return the limit at each sample, shape (N,); 1 = none."""
+    from scipy.spatial import cKDTree
+
+    cap = np.ones(len(rows.t_s))
+    for number, task in enumerate(rows.tasks):
+        limit = evidence.limits.get(task)
+        mine = np.flatnonzero((rows.task == number) & np.isfinite(rows.robot_m[:, 0]))
+        if limit is not None and len(mine):
+            apart, nearest = cKDTree(limit.at_m).query(rows.robot_m[mine])
+            cap[mine] = np.where(apart <= POOL_M / 2, limit.cap[np.minimum(nearest, len(limit.cap) - 1)], 1.0)
+    return cap
+
+
+__all__ = ["NOTHING", "Evidence", "Rows", "Switches", "find_evidence", "lost_shares"]

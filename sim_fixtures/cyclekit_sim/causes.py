@@ -1,0 +1,178 @@
+"""What slows or stops a robot besides a person: slider, reduced mode, limits, waits, pauses, protective stops.
+
+Each cause is a cap of the speed scaling or a standstill, known to the cycle. A lost second is shared out in the order
+nominal motion, slider, limits, input, person, protective stop: each cause has what it adds to those before it. So a
+protective stop costs nothing while a person stops the robot anyway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cyclekit_sim.arm import Array
+from cyclekit_sim.program import DWELL, MOVE, WAIT, Ints, Program
+
+Bools = NDArray[np.bool_]
+CAUSES = ("person", "slider", "input", "limits", "wait", "pause", "stop")
+REDUCED_BIT, PART_BIT = 2, 3
+_HOUR_S = 3600.0
+_REACTION_S = 0.2  # of the controller to the input of the reduced mode
+
+
+@dataclass(frozen=True)
+class MixedCauses:
+    """Causes of lost time beside the person; None or 0 leaves one out.
+
+    Attributes:
+        slider: The operator's speed slider in some executions, in (0, 1).
+        slider_share: In which share of them.
+        reduced: Cap of the scaling while digital input 2 is on, in (0, 1).
+        reduced_per_hour, reduced_s: How often that is, and for how long.
+        limit: Cap of the scaling on one stretch of every move away from the conveyor, in (0, 1).
+        limit_from, limit_to: Where that is, shares of the move's nominal time.
+        wait_share, wait_s: For which share of the parts it waits at the conveyor, and how long.
+        part_signal: Digital input 3 tells when the part is there.
+        pauses_per_hour, pause_s: Pauses of the program.
+        stops_per_hour, stop_s: Protective stops: the speed is 0 while the program plays.
+    """
+
+    slider: float | None = 0.6
+    slider_share: float = 0.2
+    reduced: float | None = 0.35
+    reduced_per_hour: float = 12.0
+    reduced_s: tuple[float, float] = (15.0, 45.0)
+    limit: float | None = 0.55
+    limit_from: float = 0.4
+    limit_to: float = 0.7
+    wait_share: float = 0.15
+    wait_s: tuple[float, float] = (1.0, 6.0)
+    part_signal: bool = True
+    pauses_per_hour: float = 15.0
+    pause_s: tuple[float, float] = (3.0, 12.0)
+    stops_per_hour: float = 20.0
+    stop_s: tuple[float, float] = (2.0, 6.0)
+
+
+@dataclass(frozen=True)
+class Why:
+    """The caps of K cycles of one run, shape (K,) each; the slider; protective stops and pauses of the program."""
+
+    person: Array
+    reduced: Array
+    limit: Array
+    slider: Array
+    stopped: Bools
+    paused: Bools
+
+
+class Slowing:
+    """The other causes of B runs side by side."""
+
+    def __init__(
+        self, programs: Sequence[Program], causes: MixedCauses, streams: Sequence[np.random.Generator], until_s: float
+    ) -> None:
+        width = max(len(program.kind) for program in programs) + 1
+        self._slider, self._limit = np.ones((len(programs), width)), np.ones((len(programs), width))
+        self._length = np.ones((len(programs), width))
+        self._causes, self._row = causes, np.arange(len(programs))
+        self._spans: list[tuple[Array, Array, Array]] = []
+        for b, (program, rng) in enumerate(zip(programs, streams, strict=True)):
+            count = len(program.kind)
+            self._length[b, :count] = np.maximum(program.length_s, 1e-9)
+            if causes.slider is not None:
+                low = {e.index for e in program.executions if rng.random() < causes.slider_share}
+                self._slider[b, :count][np.isin(program.execution, list(low))] = causes.slider
+            if causes.limit is not None:
+                self._limit[b, :count][_leaves_conveyor(program)] = causes.limit
+            self._spans.append(
+                (
+                    _spans(rng, causes.reduced_per_hour if causes.reduced else 0.0, causes.reduced_s, until_s),
+                    _spans(rng, causes.stops_per_hour, causes.stop_s, until_s),
+                    _spans(rng, causes.pauses_per_hour, causes.pause_s, until_s),
+                )
+            )
+
+    def during(self, times: Array) -> tuple[Array, Bools, Bools]:
+        """Return cap of the reduced mode, protective stop and pause at times (T,), shape (T, B) each."""
+        found = [self._at(b, times) for b in range(len(self._spans))]
+        reduced, stopped, paused = (np.stack(column, axis=1) for column in zip(*found, strict=True))
+        return reduced, stopped, paused
+
+    def _at(self, b: int, times: Array) -> tuple[Array, Bools, Bools]:
+        reduced, stops, pauses = self._spans[b]
+        cap = np.where(_inside(times - _REACTION_S, reduced), self._causes.reduced or 1.0, 1.0)
+        return cap, _inside(times, stops), _inside(times, pauses)
+
+    def of_segment(self, segment: Ints, nominal_s: Array, b: Ints | int | None = None) -> tuple[Array, Array]:
+        """Return slider and cap of the limits of the running segments."""
+        which = self._row if b is None else b
+        share = nominal_s / self._length[which, segment]
+        inside = (share >= self._causes.limit_from) & (share < self._causes.limit_to)
+        return self._slider[which, segment], np.where(inside, self._limit[which, segment], 1.0)
+
+    def why(self, b: int, times: Array, person: Array, segment: Ints, nominal_s: Array) -> Why:
+        """Return the caps of run `b` at each of its cycles."""
+        slider, limit = self.of_segment(segment, nominal_s, b)
+        reduced, stopped, paused = self._at(b, times)
+        return Why(person, reduced, limit, slider, stopped, paused)
+
+    def switched_on(self, b: int, times: Array) -> Bools:
+        """Tell when the input of the reduced mode of run `b` is on."""
+        return _inside(times, self._spans[b][0])
+
+
+def scaling_of(why: Why) -> Array:
+    """Return the scaling that the controller carries out, slider and pause left out."""
+    return np.where(why.stopped, 0.0, np.minimum(np.minimum(why.person, why.reduced), why.limit))
+
+
+def lost_parts(why: Why, kind: Ints) -> dict[str, Array]:
+    """Return which part of each cycle was lost to which cause, shape (K,) each.
+
+    Args:
+        why: The caps.
+        kind: What the program did (K,).
+    """
+    s, c1 = scaling_of(why), why.limit
+    c2 = np.minimum(c1, why.reduced)
+    free = np.where(why.stopped & (why.person > 0.0), 0.0, 1.0)
+    moving = ((kind == MOVE) & ~why.paused).astype(np.float64)
+    return {
+        "person": moving * (free - s / c2),
+        "slider": moving * s * (1.0 - why.slider),
+        "input": moving * (s / c2 - s / c1),
+        "limits": moving * (s / c1 - s),
+        "wait": ((kind == WAIT) & ~why.paused).astype(np.float64),
+        "pause": why.paused.astype(np.float64),
+        "stop": moving * (1.0 - free),
+    }
+
+
+def part_there(program: Program, segment: Ints) -> Bools:
+    """Tell in which cycles a part lies at the conveyor: from the end of the wait until it was picked."""
+    return np.asarray((program.kind == DWELL) & (np.array(program.goals) == "conveyor"))[segment]
+
+
+def _leaves_conveyor(program: Program) -> Bools:
+    goals = np.array(("", *program.goals[:-1]))
+    return np.asarray((program.kind == MOVE) & (goals == "conveyor"))
+
+
+def _spans(rng: np.random.Generator, per_hour: float, lasts_s: tuple[float, float], until_s: float) -> Array:
+    """Return begins and ends of what happens so often, shape (N, 2), s."""
+    if per_hour <= 0:
+        return np.empty((0, 2))
+    found, at = [], 0.0
+    while (at := at + rng.exponential(_HOUR_S / per_hour)) < until_s:
+        found.append((at, at + rng.uniform(*lasts_s)))
+        at = found[-1][1]
+    return np.array(found).reshape(-1, 2)
+
+
+def _inside(times: Array, spans: Array) -> Bools:
+    number = np.searchsorted(spans[:, 0], times, side="right") - 1
+    return np.asarray((number >= 0) & (times < np.append(spans[:, 1], -np.inf)[number]))

@@ -1,0 +1,208 @@
+"""Every lost second has a cause: found in mixed cells, and in samples made by hand."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cyclekit import schema
+from cyclekit.cli import run
+from cyclekit.dataset.dataset import Dataset
+from cyclekit.derive.causes import Evidence, Input, Limit, find_evidence, lost_shares
+from cyclekit.derive.seen_slow import Rows, Switches, joined
+from cyclekit.derive.usual_levels import usual_levels
+from cyclekit.ingest.ingest import ingest
+from cyclekit.schema import LOST_CAUSES, SCALING_CAUSES
+from cyclekit_sim import MixedCauses, SimulationOptions, simulate
+
+COLUMNS = [f"lost_{cause}_s" for cause in LOST_CAUSES]
+LEVELS = (0.0, 0.5, 1.0)
+
+
+def rows(
+    scaling: Any, distance: Any, *, execution: Any = 0, at_m: Any = 0.0, switches: dict[str, Switches] | None = None
+) -> Rows:
+    """Return a robot that moves at 10 Hz along x, and an operator at some distance from it."""
+    s = np.asarray(scaling, np.float64)
+    count = len(s)
+    number = np.broadcast_to(execution, count).astype(np.int64)
+    robot_m = np.column_stack([np.broadcast_to(at_m, count), np.zeros(count), np.zeros(count)]).astype(np.float64)
+    human_m = robot_m + np.column_stack([np.zeros(count), np.broadcast_to(distance, count), np.zeros(count)])
+    return Rows(
+        t_s=np.arange(count) / 10.0,
+        execution=number,
+        task=np.zeros(count, np.int64),
+        tasks=("a->b",),
+        robot_m=robot_m,
+        human_m=human_m,
+        absent=np.zeros(count, np.bool_),
+        moving=np.ones(count, np.bool_),
+        scaling=s,
+        deviation=np.zeros(count),
+        step=np.searchsorted(LEVELS, s - 0.01).astype(np.int64),
+        breaks=np.diff(number, prepend=-1) != 0,
+        switches=switches or {},
+    )
+
+
+def halves(distance: np.ndarray) -> np.ndarray:
+    """Return the scaling of a cell that halves its speed below 1 m."""
+    return np.where(distance < 1.0, 0.5, 1.0)
+
+
+def walked(count: int = 2000) -> tuple[np.ndarray, np.ndarray]:
+    """Return distances of somebody who comes and goes, and the execution of each sample."""
+    return 1.5 + np.sin(np.arange(count) / 31.0), np.arange(count) // 200
+
+
+def by_cause(found: Rows, evidence: Evidence) -> dict[str, float]:
+    return dict(zip(SCALING_CAUSES, (lost_shares(found, evidence).sum(axis=0) / 10.0).tolist(), strict=True))
+
+
+def test_slow_where_people_slow_the_robot_is_the_persons_and_nothing_else():
+    distance, execution = walked()
+    logged = rows(halves(distance), distance, execution=execution)
+    lost = by_cause(logged, find_evidence(logged, LEVELS))
+    assert lost["person"] == pytest.approx((1.0 - logged.scaling).sum() / 10.0)
+    assert sum(lost.values()) == pytest.approx(lost["person"])
+
+
+def test_a_standstill_midway_with_nobody_near_is_a_protective_stop():
+    distance, execution = walked()
+    scaling = halves(distance)
+    far = int(np.flatnonzero(distance > 2.4)[40])
+    scaling[far : far + 20] = 0.0
+    logged = rows(scaling, distance, execution=execution)
+    lost = by_cause(logged, find_evidence(logged, LEVELS))
+    assert lost["stop"] == pytest.approx(2.0)
+    assert lost["person"] == pytest.approx((1.0 - halves(distance)).sum() / 10.0)
+
+
+def test_what_an_input_slows_is_not_the_persons_and_the_person_has_what_is_added():
+    distance, execution = walked()
+    on = (np.arange(2000) // 137) % 5 == 0
+    scaling = np.minimum(halves(distance), np.where(on, 0.8, 1.0))
+    edges = np.flatnonzero(np.diff(on.astype(int))) + 1
+    switch = Switches(edges / 10.0, on[edges])
+    logged = rows(scaling, distance, execution=execution, switches={"reduced": switch})
+    evidence = find_evidence(logged, LEVELS)
+    assert evidence.inputs == {"reduced": Input(True, 0.8)}
+    lost = by_cause(logged, evidence)
+    person = np.where(distance < 1.0, np.where(on, 1.0 - 0.5 / 0.8, 0.5), 0.0).sum() / 10.0
+    assert lost["person"] == pytest.approx(person, rel=0.02)
+    assert sum(lost.values()) == pytest.approx((1.0 - scaling).sum() / 10.0)
+
+
+def test_a_signal_that_watches_the_operator_is_no_input():
+    distance, execution = walked()
+    on = distance < 1.0
+    edges = np.flatnonzero(np.diff(on.astype(int))) + 1
+    logged = rows(
+        halves(distance), distance, execution=execution, switches={"field": Switches(edges / 10.0, on[edges])}
+    )
+    evidence = find_evidence(logged, LEVELS)
+    assert (dict(evidence.inputs), evidence.watching) == ({}, ("field",))
+    assert by_cause(logged, evidence)["person"] == pytest.approx(on.sum() * 0.05)
+
+
+def test_slow_at_the_same_place_of_every_pass_is_a_limit():
+    distance, execution = walked(4000)
+    at_m = (np.arange(4000) % 20) * 0.1
+    limited = (at_m > 0.72) & (at_m < 1.18)
+    scaling = np.minimum(halves(distance), np.where(limited, 0.7, 1.0))
+    logged = rows(scaling, distance, execution=execution, at_m=at_m)
+    evidence = find_evidence(logged, LEVELS)
+    assert evidence.limits["a->b"].cap == pytest.approx(np.full(len(evidence.limits["a->b"].cap), 0.7))
+    lost = by_cause(logged, evidence)
+    assert lost["limits"] == pytest.approx(
+        np.where(limited, np.where(distance < 1, 0.5 / 0.7 - 0.5, 0.3), 0).sum() / 10
+    )
+    assert lost["stop"] == lost["input"] == 0.0
+
+
+def test_slow_where_nothing_tells_why_stays_unknown():
+    distance, execution = walked()
+    scaling = halves(distance)
+    far = np.flatnonzero(distance > 2.4)[::7]
+    scaling[far] = 0.6
+    logged = rows(scaling, distance, execution=execution)
+    lost = by_cause(logged, find_evidence(logged, LEVELS))
+    assert lost["unknown"] == pytest.approx(0.4 * len(far) / 10.0)
+    unseen = rows(np.full(300, 0.5), np.nan)
+    assert by_cause(unseen, find_evidence(unseen, LEVELS))["person"] == 0.0
+
+
+@given(
+    st.lists(st.tuples(st.floats(0, 1), st.floats(0, 3)), min_size=1, max_size=40), st.floats(0.05, 1), st.booleans()
+)
+def test_no_second_counts_twice_and_none_is_lost(pairs: list[tuple[float, float]], cap: float, on: bool):
+    scaling, distance = np.array(pairs).T
+    logged = rows(scaling, distance, switches={"reduced": Switches(np.array([1.0]), np.array([on]))})
+    limit = Limit(np.zeros((1, 3)), np.array([cap]))
+    tree = usual_levels(
+        np.column_stack([distance, distance, distance, distance]), logged.step.clip(0, 2), 3, np.arange(len(distance))
+    )
+    for usual in (None, tree):
+        evidence = Evidence(1.0, np.array(LEVELS), usual, {"reduced": Input(True, cap)}, (), {"a->b": limit})
+        shares = lost_shares(logged, evidence)
+        assert shares.min() >= -1e-9
+        assert shares.sum(axis=1) == pytest.approx(1.0 - scaling)
+
+
+def test_sessions_are_joined_apart_from_each_other():
+    one = rows(np.ones(5), 1.0, execution=1, switches={"a": Switches(np.array([0.2]), np.array([True]))})
+    both = joined([one, one])
+    assert np.diff(both.t_s).min() > 0
+    assert both.execution.tolist() == [1] * 5 + [2] * 5
+    assert both.switches["a"].at(both.t_s).tolist() == 2 * [False, False, True, True, True]
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, pl.DataFrame]:
+    """A simulated cell with all causes, and its true tasks."""
+    folder = tmp_path_factory.mktemp("mixed")
+    options = SimulationOptions(causes=MixedCauses(pauses_per_hour=60.0), robot_rate_hz=125)
+    simulate("laser-zones", folder / "logs", executions=12, seed=21, options=options)
+    ingest([folder / "logs"], folder / "dataset")
+    return Dataset.open(folder / "dataset"), pl.read_parquet(folder / "logs" / "truth" / "tasks.parquet")
+
+
+@pytest.mark.slow
+def test_lost_seconds_of_a_mixed_cell_have_their_causes(mixed: tuple[Dataset, pl.DataFrame]):
+    dataset, true = mixed
+    tasks = dataset.tasks()
+    assert tasks.height == true.height
+    right = sum(np.minimum(tasks[name], true[name]).sum() for name in COLUMNS if name in true.columns)
+    assert right / true.select(pl.sum_horizontal(pl.selectors.starts_with("lost_"))).sum().item() > 0.95
+    assert tasks["lost_pause_s"].sum() == pytest.approx(true["lost_pause_s"].sum(), rel=0.02)
+    assert true["lost_pause_s"].sum() > 5.0
+
+
+@pytest.mark.slow
+def test_the_causes_add_up_to_the_account_of_time(mixed: tuple[Dataset, pl.DataFrame]):
+    tasks = mixed[0].tasks()
+    lost = tasks.select(pl.sum_horizontal(COLUMNS)).to_series()
+    rest = tasks.select(pl.col("end_s") - pl.col("start_s") - pl.col("nominal_s") - pl.col("dwell_s")).to_series()
+    assert lost.to_list() == pytest.approx(rest.to_list(), abs=1e-9)
+    scaled = tasks.select(pl.sum_horizontal(f"lost_{cause}_s" for cause in SCALING_CAUSES)).to_series()
+    assert scaled.to_list() == pytest.approx(tasks["safety_loss_s"].to_list(), abs=1e-9)
+    causes = mixed[0].samples(columns=["lost_to"])["lost_to"].drop_nulls().unique().to_list()
+    assert set(causes) <= set(schema.LOST_CAUSES)
+
+
+@pytest.mark.slow
+def test_inspect_shows_seconds_and_how_often_by_cause(mixed: tuple[Dataset, pl.DataFrame], capsys: Any):
+    path = str(mixed[0].path)
+    assert run(["inspect", path, "--json"]) == 0
+    lost = json.loads(capsys.readouterr().out)["lost"]
+    assert list(lost["seconds"]) == list(LOST_CAUSES)
+    assert lost["seconds"]["pause"] == pytest.approx(mixed[0].tasks()["lost_pause_s"].sum())
+    assert lost["changes_per_hour"] > 0.0
+    assert run(["inspect", path]) == 0
+    assert "program paused" in capsys.readouterr().out

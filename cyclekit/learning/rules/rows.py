@@ -14,8 +14,8 @@ from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE
 from cyclekit.learning.labelling import commanded_in_time, without_slider
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.links import to_nearest_link
+from cyclekit.learning.rules.regions import Positions
 from cyclekit.learning.windows import nobody_there
-from cyclekit.scaling.levels import label_in_time, unbroken
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -34,16 +34,14 @@ class RuleRows:
     """N samples with a known commanded level, in the order of time within each execution.
 
     Attributes:
-        apart_m: Distances by name, shape (N,) each; infinite where nobody is there.
-        floor_m: The operator on the floor, x and y, shape (N, 2), m; NaN where nobody is there.
+        positions: Where everybody is.
         level: Index of the commanded level, shape (N,).
         before: Row of the sample before in the same unbroken stretch, shape (N,); -1 = there is none.
         execution: Number of the execution, shape (N,).
         at_m: TCP and operator, shape (N, 6), m; NaN where nobody is there.
     """
 
-    apart_m: Mapping[str, Vector]
-    floor_m: NDArray[np.float64]
+    positions: Positions
     level: NDArray[np.int64]
     before: NDArray[np.int64]
     execution: NDArray[np.int64]
@@ -54,9 +52,28 @@ class RuleRows:
         return len(self.level)
 
     @property
+    def apart_m(self) -> Mapping[str, Vector]:
+        """As of `Positions`."""
+        return self.positions.apart_m
+
+    @property
+    def floor_m(self) -> NDArray[np.float64]:
+        """As of `Positions`."""
+        return self.positions.floor_m
+
+    @property
     def present(self) -> Bools:
         """Where somebody is there, shape (N,)."""
         return np.isfinite(self.floor_m[:, 0])
+
+    @property
+    def noise_m(self) -> float:
+        """Noise of the operator's position, standard deviation along one axis, m, by how it jumps to and fro."""
+        second = np.flatnonzero((self.before >= 0) & (self.before[self.before] >= 0) & self.present)
+        first = self.before[second]
+        off = self.floor_m[second] - 2 * self.floor_m[first] + self.floor_m[self.before[first]]
+        off = off[np.isfinite(off[:, 0])]
+        return float(1.4826 * np.median(np.abs(off)) / np.sqrt(6)) if len(off) else 0.0
 
     def of(self, executions: NDArray[np.int64]) -> RuleRows:
         """Return the rows of some executions; none of their stretches is broken by that."""
@@ -64,8 +81,7 @@ class RuleRows:
         number = np.cumsum(keep) - 1
         before = self.before[keep]
         before = np.where(before >= 0, number[before], -1)
-        apart = {name: apart[keep] for name, apart in self.apart_m.items()}
-        return RuleRows(apart, self.floor_m[keep], self.level[keep], before, self.execution[keep], self.at_m[keep])
+        return RuleRows(self.positions.where(keep), self.level[keep], before, self.execution[keep], self.at_m[keep])
 
     @classmethod
     def made(
@@ -77,8 +93,11 @@ class RuleRows:
         *,
         stretch: NDArray[np.int64] | None = None,
         to_link_m: Vector | None = None,
+        signals: Mapping[str, NDArray[np.str_]] | None = None,
     ) -> RuleRows:
         """Return rows of positions (N, 3), m, and commanded levels (N,); unknown levels (-1) are left out.
+
+        So is a level that one sample alone shows: no safety system lets go so soon.
 
         Args:
             robot_m: The TCP.
@@ -87,17 +106,21 @@ class RuleRows:
             execution: Number of the execution, shape (N,).
             stretch: Number of the unbroken stretch, shape (N,); None: one for each execution.
             to_link_m: Distance of the nearest link, shape (N,); None = not known.
+            signals: Values of signals by name, shape (N,) each, when their delay is over.
         """
-        known = level >= 0
-        robot_m, human_m, level, execution = robot_m[known], human_m[known], level[known], execution[known]
-        of = execution if stretch is None else stretch[known]
+        of = execution if stretch is None else stretch
+        known = (level >= 0) & ~_alone(level, of)
+        robot_m, human_m, level = robot_m[known], human_m[known], level[known]
+        execution, of = execution[known], of[known]
         apart = {name: distance(robot_m, human_m) for name, distance in DISTANCES.items()}
         apart |= {} if to_link_m is None else {TO_LINK: to_link_m[known]}
         apart = {name: np.where(np.isnan(each), np.inf, each) for name, each in apart.items()}
         at = np.arange(len(level))
         before = np.where(np.diff(of, prepend=-1) == 0, at - 1, -1)
         inputs = np.concatenate([robot_m, human_m], axis=1).astype(np.float32)
-        return cls(apart, human_m[:, :2], level.astype(np.int64), before, execution, inputs)
+        values = {name: value[known] for name, value in (signals or {}).items()}
+        places = Positions(apart, human_m[:, :2], robot_m[:, :2], values)
+        return cls(places, level.astype(np.int64), before, execution, inputs)
 
 
 def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float], *, latency_s: float) -> RuleRows:
@@ -112,12 +135,8 @@ def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]
     frame = dataset.samples(list(executions)).with_columns(human_z_m=HUMAN_Z_IN_PLANE)
     frame, _ = without_slider(dataset, frame)
     run = stretches(frame, dataset.rate_hz)
-    response = dataset.card.dynamics
-    if response.ramp_down_per_s or response.ramp_up_per_s:
-        # the latency is undone by moving the positions, which hits the instant between two samples
-        level = commanded_in_time(dataset, frame, levels, structs.replace(response, latency_s=None))
-    else:
-        level = commanded(frame, levels, run, rate_hz=dataset.rate_hz)
+    # the latency is undone by moving the positions, which hits the instant between two samples
+    level = commanded_in_time(dataset, frame, levels, structs.replace(dataset.card.dynamics, latency_s=None))
     hidden = frame.select(pl.col("human_x_m").is_null() & ~nobody_there()).to_series().to_numpy()
     level[hidden | frame["robot_x_m"].is_null().to_numpy()] = -1
     places = frame.select(pl.col(_COLUMNS).fill_null(float("nan"))).to_numpy()
@@ -133,23 +152,15 @@ def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]
     return RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=run, to_link_m=to_link)
 
 
-def commanded(
-    frame: pl.DataFrame, levels: Sequence[float], run: NDArray[np.int64], *, rate_hz: float
-) -> NDArray[np.int64]:
-    """Return the level that the safety system is heading for at every row of SAMPLES, shape (N,); -1 = unknown.
-
-    A sample on a level is commanded that. In a ramp between two levels that follow each other it is the one at the end
-    of the ramp; a ramp over more levels may have been commanded in steps, so nothing is known there.
-    """
-    scaling = frame["scaling"].fill_null(np.nan).to_numpy()
-    parts = unbroken(run, np.isfinite(scaling))
-    level = label_in_time(scaling, levels, parts, rate_hz=rate_hz).astype(np.int64)
-    at = np.arange(len(level))
-    after = np.minimum.accumulate(np.where(level >= 0, at, len(level) - 1)[::-1])[::-1]
-    before = np.maximum.accumulate(np.where(level >= 0, at, 0))
-    ramp = (level < 0) & np.isfinite(scaling) & (parts[after] == parts) & (parts[before] == parts)
-    ramp &= (np.abs(level[after] - level[before]) == 1) & (level[after] >= 0) & (level[before] >= 0)
-    return np.where(ramp, level[after], level)
+def _alone(level: NDArray[np.int64], stretch: NDArray[np.int64]) -> Bools:
+    """Return where one row differs from two before and two after it that agree, shape (N,)."""
+    found = np.zeros(len(level), np.bool_)
+    if len(level) < 5:
+        return found
+    seen = np.lib.stride_tricks.sliding_window_view(level, 5)
+    around = (seen[:, :1] == seen[:, [1, 3, 4]]).all(axis=1) & (stretch[:-4] == stretch[4:])
+    found[2:-2] = around & (seen[:, 2] != seen[:, 0])
+    return found
 
 
 def _earlier(

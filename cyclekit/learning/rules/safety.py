@@ -10,23 +10,15 @@ from msgspec import structs
 
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.quantities import grown, quantities
-from cyclekit.learning.rules.regions import allowed
+from cyclekit.learning.rules.regions import Positions, allowed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
     from cyclekit.dataset.cards import TrainingCard
     from cyclekit.dataset.cards.rule import LimitCard, RuleCard
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.schema import Vector
-
-
-@dataclass(frozen=True)
-class _AskedPositions:
-    apart_m: Mapping[str, Vector]
-    floor_m: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -73,9 +65,8 @@ class RuleSafety:
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
         """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
         robot_m, human_m = X[:, :3].astype(np.float64), X[:, 3:6].astype(np.float64)
-        rows = _AskedPositions(
-            {name: DISTANCES[name](robot_m, human_m) for name in _distances(self.rule)}, human_m[:, :2]
-        )
+        apart = {name: DISTANCES[name](robot_m, human_m) for name in _distances(self.rule)}
+        rows = Positions(apart, human_m[:, :2], robot_m[:, :2])
         sides = (False, True) if self.side == "mean" and self.lags else (self.side == "leaving",)
         found = [allowed(self.rule.limits, self.rule.levels, rows, until=until) for until in sides]
         return np.asarray(np.mean(found, axis=0))

@@ -11,21 +11,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.dataset.cards.rule import MetresCard, RectangleCard
-from cyclekit.learning.rules.regions import NOWHERE, Positions, inside, turned, within_rectangle
+from cyclekit.dataset.cards.rule import MetresCard, RectangleCard, RegionCard
+from cyclekit.learning.rules.regions import NOWHERE, Positions, inside, turned
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset.cards.rule import RegionCard
     from cyclekit.schema import Bools, Ints, Vector
 
     Edges = tuple[MetresCard | None, MetresCard | None]
 
 
-_ROUNDS = 8
+_ROUNDS, _ABOUT_ROWS = 8, 1500
 _COARSE_DEG, _FINE_DEG = 5.0, (2.0, 0.7, 0.25, 0.1)
 EDGE_PART = 0.005
 """An edge is drawn first where this part of the slow samples lies beyond it."""
@@ -45,9 +44,13 @@ class LimitRows:
     slow: Bools
     weight: Vector
 
-    def where(self, keep: Bools) -> LimitRows:
+    def where(self, keep: Bools | Ints) -> LimitRows:
         """Return some rows."""
         return LimitRows(self.positions.where(keep), self.slow[keep], self.weight[keep])
+
+    def some(self) -> LimitRows:
+        """Return no more rows than tell about where something lies."""
+        return self.where(np.arange(0, len(self.slow), max(1, len(self.slow) // _ABOUT_ROWS)))
 
     def wrong(self, region: RegionCard) -> float:
         """Return how many rows are not as a region says."""
@@ -103,12 +106,13 @@ class _Axis(NamedTuple):
 
 def _cut(value: Vector, gain: Vector) -> Cut:
     """Return the best cut of values in ascending order."""
-    value = np.concatenate([[-np.inf], value, [np.inf]])
-    right = np.concatenate([[0.0], np.cumsum(gain)])
-    right[value[:-1] >= value[1:]] = -np.inf  # no cut between equal values
-    if value[-2] == np.inf:  # nobody there: the last cut would take them in
+    right = np.zeros(len(value) + 1)
+    np.cumsum(gain, out=right[1:])
+    right[1:-1][value[1:] <= value[:-1]] = -np.inf  # no cut between equal values
+    if len(value) and value[-1] == np.inf:  # nobody there: the last cut would take them in
         right[-1] = -np.inf
     best = np.flatnonzero(right >= right.max() - 1e-9)
+    value = np.concatenate([[-np.inf], value, [np.inf]])
     with np.errstate(invalid="ignore"):
         gap = value[best + 1] - value[best]
     at = int(best[np.where(np.isfinite(gap), gap, 0.0).argmax()])
@@ -137,35 +141,30 @@ def best_box(
     return max(found, key=lambda one: one[0])[1]
 
 
-def best_rectangle(
-    floor_m: NDArray[np.float64], rows: LimitRows, angle_rad: float = 0.0, start: RectangleCard | None = None
-) -> RectangleCard | None:
+def best_rectangle(angle_rad: float, rows: LimitRows, start: RectangleCard | None = None) -> RectangleCard | None:
     """Return the rectangle, turned by `angle_rad`, that fits best in steps of one edge; None where there is none.
 
     Args:
-        floor_m: Who stands in it, shape (N, 2), m.
-        rows: What it is to explain.
         angle_rad: By which it is turned.
+        rows: What it is to explain.
         start: Where to begin.
     """
     begin = None if start is None else (start.along, start.across)
-    found = best_box(turned(floor_m, angle_rad), rows.slow, rows.weight, begin)
+    found = best_box(turned(rows.positions.floor_m, angle_rad), rows.slow, rows.weight, begin)
     return None if found is None else RectangleCard(angle_rad=angle_rad, along=found[0], across=found[1])
 
 
-def best_turned(
-    floor_m: NDArray[np.float64], rows: LimitRows, start: RectangleCard | None = None
-) -> RectangleCard | None:
+def best_turned(rows: LimitRows, start: RectangleCard | None = None) -> RectangleCard | None:
     """Return the rectangle that fits best at any angle; `start`: one nearby."""
 
-    def tried(angle: float, begin: RectangleCard | None) -> tuple[float, RectangleCard | None]:
-        one = best_rectangle(floor_m, rows, angle, begin)
-        missed = rows.weight[rows.slow != (within_rectangle(one, floor_m) if one else False)].sum()
-        return float(missed), one
+    def tried(angle: float, begin: RectangleCard | None, of: LimitRows = rows) -> tuple[float, RectangleCard | None]:
+        one = best_rectangle(angle, of, begin)
+        return of.wrong(RegionCard() if one is None else RegionCard(rectangles=(one,))), one
 
     if start is None:
         degrees = np.deg2rad(np.arange(-45.0, 45.0, _COARSE_DEG)).tolist()
-        angle = min(degrees, key=lambda at: tried(at, None)[0])
+        about = rows.some()
+        angle = min(degrees, key=lambda at: tried(at, None, about)[0])
     else:
         angle = start.angle_rad
     best = tried(angle, start)

@@ -73,12 +73,12 @@ def best_polygon(rows: LimitRows, start: PolygonCard | None = None) -> PolygonCa
         rows: What it is to explain.
         start: One nearby, whose sides are kept.
     """
-    known = np.isfinite(rows.positions.floor_m[:, 0]) & (rows.weight > 0)
-    floor = _Floor(rows.positions.floor_m[known], rows.slow[known], rows.weight[known])
-    if not floor.slow.any():
+    rows = rows.where(np.isfinite(rows.positions.floor_m[:, 0]) & (rows.weight > 0))
+    floor, about = (_Floor(of.positions.floor_m, of.slow, of.weight) for of in (rows, rows.some()))
+    if not about.slow.any():
         return None
     if start is None:
-        sides = _fewer(floor, _drawn(floor))
+        sides = _fewer(floor, _drawn(about))
     else:
         sides = [_Side(side.angle_rad, Cut(side.metres.value, side.metres.value)) for side in start.sides]
     sides = _moved(floor, sides, _FINE_DEG if start is None else _FINE_DEG[1:])

@@ -29,13 +29,13 @@ class Positions:
         apart_m: Distances by name, (N,), m; infinite where nobody is there.
         floor_m: The operator on the floor, (N, 2), m; NaN where nobody is there.
         tcp_m: The TCP on the floor, (N, 2), m.
-        signals: Values of each signal by name, as text, (N,), when its delay is over.
+        signals: Values by name and delay of each signal, as text, (N,), when that delay is over.
     """
 
     apart_m: Mapping[str, Vector]
     floor_m: NDArray[np.float64]
     tcp_m: NDArray[np.float64]
-    signals: Mapping[str, NDArray[np.str_]] = field(default_factory=dict)
+    signals: Mapping[tuple[str, float], NDArray[np.str_]] = field(default_factory=dict)
 
     def where(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Positions:
         """Return some instants."""
@@ -84,7 +84,7 @@ def inside(region: RegionCard, rows: Positions) -> Bools:
     for polygon in region.polygons:
         found |= within_sides(polygon.sides, rows.floor_m)
     for signal in region.signals:
-        found |= rows.signals[signal.signal] == signal.value
+        found |= rows.signals[signal.signal, signal.delay_s] == signal.value
     if region.robot is None:
         return found
     there = within_rectangle(region.robot, rows.tcp_m)

@@ -15,6 +15,7 @@ from cyclekit.learning.labelling import commanded_in_time, without_slider
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.links import to_nearest_link
 from cyclekit.learning.rules.regions import Positions
+from cyclekit.learning.rules.signals import signals_of
 from cyclekit.learning.windows import nobody_there
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ class RuleRows:
         *,
         stretch: NDArray[np.int64] | None = None,
         to_link_m: Vector | None = None,
-        signals: Mapping[str, NDArray[np.str_]] | None = None,
+        signals: Mapping[tuple[str, float], NDArray[np.str_]] | None = None,
     ) -> RuleRows:
         """Return rows of positions (N, 3), m, and commanded levels (N,); unknown levels (-1) are left out.
 
@@ -106,7 +107,7 @@ class RuleRows:
             execution: Number of the execution, shape (N,).
             stretch: Number of the unbroken stretch, shape (N,); None: one for each execution.
             to_link_m: Distance of the nearest link, shape (N,); None = not known.
-            signals: Values of signals by name, shape (N,) each, when their delay is over.
+            signals: As of `Positions`, shape (N,) each.
         """
         of = execution if stretch is None else stretch
         known = (level >= 0) & ~_alone(level, of)
@@ -123,7 +124,9 @@ class RuleRows:
         return cls(places, level.astype(np.int64), before, execution, inputs)
 
 
-def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float], *, latency_s: float) -> RuleRows:
+def rows_of(
+    dataset: Dataset, executions: Sequence[str], levels: Sequence[float], *, latency_s: float, signals: bool = False
+) -> RuleRows:
     """Return what rules are fitted to.
 
     Args:
@@ -131,6 +134,7 @@ def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]
         executions: Of these.
         levels: Of the speed scaling, ascending.
         latency_s: By which the scaling answers to the positions, s.
+        signals: With the signals that the level may answer to.
     """
     frame = dataset.samples(list(executions)).with_columns(human_z_m=HUMAN_Z_IN_PLANE)
     frame, _ = without_slider(dataset, frame)
@@ -149,7 +153,8 @@ def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]
     order = {name: number for number, name in enumerate(executions)}
     number = frame["execution"].replace_strict(order, return_dtype=pl.Int64).to_numpy()
     to_link = to_nearest_link(dataset, names, seen_s, places[:, :3], places[:, 3:])
-    return RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=run, to_link_m=to_link)
+    said = signals_of(dataset, executions, frame, level, run) if signals else None
+    return RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=run, to_link_m=to_link, signals=said)
 
 
 def _alone(level: NDArray[np.int64], stretch: NDArray[np.int64]) -> Bools:

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 def straight(rows: LimitRows, start: RegionCard | None) -> RegionCard:
     """Return the rectangle along the axes of the base frame that fits best; empty where none does."""
     begin = start.rectangles[0] if start and start.rectangles else None
-    found = best_rectangle(rows.positions.floor_m, rows, 0.0, begin)
+    found = best_rectangle(0.0, rows, begin)
     return RegionCard() if found is None else RegionCard(rectangles=(found,))
 
 
 def at_any_angle(rows: LimitRows, start: RegionCard | None) -> RegionCard:
     """Return the rectangle at any angle that fits best; empty where none does."""
-    found = best_turned(rows.positions.floor_m, rows, start.rectangles[0] if start and start.rectangles else None)
+    found = best_turned(rows, start.rectangles[0] if start and start.rectangles else None)
     return RegionCard() if found is None else RegionCard(rectangles=(found,))
 
 

@@ -20,8 +20,8 @@ def _fit(rows: LimitRows, start: RegionCard | None) -> RegionCard:
     """Return the signal and value that explain best which rows are slow; empty where none explains anything."""
     del start
     tried = [
-        RegionCard(signals=(SignalCard(signal=name, value=str(value)),))
-        for name, values in rows.positions.signals.items()
+        RegionCard(signals=(SignalCard(signal=name, value=str(value), delay_s=delay_s),))
+        for (name, delay_s), values in rows.positions.signals.items()
         for value in np.unique(values)
         if value
     ]

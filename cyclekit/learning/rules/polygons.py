@@ -9,9 +9,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from msgspec import structs
 
-from cyclekit.dataset.cards.rule import PolygonCard, SideCard
+from cyclekit.dataset.cards.rule import MetresCard, PolygonCard, SideCard
 from cyclekit.learning.rules.cuts import Cut, best_cut
+from cyclekit.learning.rules.regions import polygon_corners
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,6 +85,26 @@ def best_polygon(rows: LimitRows, start: PolygonCard | None = None) -> PolygonCa
         sides = [_Side(side.angle_rad, Cut(side.metres.value, side.metres.value)) for side in start.sides]
     sides = _moved(floor, sides, _FINE_DEG if start is None else _FINE_DEG[1:])
     return _card(sides)
+
+
+def seen_from(other: PolygonCard, polygon: PolygonCard) -> PolygonCard:
+    """Return a polygon with each side as far out as that of another one is in its middle.
+
+    How far a side that is turned a little lies along its own normal says nothing of how far it has moved.
+    """
+    corners = polygon_corners(polygon)
+    sides = []
+    for number, side in enumerate(polygon.sides):
+        normal = np.array([np.cos(side.angle_rad), np.sin(side.angle_rad)])
+        middle = normal * side.metres.value
+        if corners is not None:  # corner n lies between sides n and n + 1
+            middle = (np.array(corners[number - 1]) + np.array(corners[number])) / 2
+        angles = np.array([one.angle_rad for one in other.sides])
+        mine = other.sides[int(np.cos(angles - side.angle_rad).argmax())]
+        out = side.metres.value - float(middle @ [np.cos(mine.angle_rad), np.sin(mine.angle_rad)])
+        ends = {name: None if (at := getattr(mine.metres, name)) is None else at + out for name in ("low", "high")}
+        sides.append(structs.replace(side, metres=MetresCard(value=mine.metres.value + out, **ends)))
+    return PolygonCard(sides=tuple(sides))
 
 
 def _drawn(floor: _Floor) -> list[_Side]:

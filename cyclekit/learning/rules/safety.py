@@ -10,13 +10,13 @@ from msgspec import structs
 
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.quantities import grown, quantities
-from cyclekit.learning.rules.regions import Positions, allowed
+from cyclekit.learning.rules.regions import Positions, allowed, asks_operator
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset.cards import TrainingCard
-    from cyclekit.dataset.cards.rule import LimitCard, RuleCard
+    from cyclekit.dataset.cards.rule import LimitCard, RegionCard, RuleCard
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.schema import Vector
 
@@ -53,6 +53,11 @@ class RuleSafety:
         """Whether it has hysteresis of its own."""
         return any(limit.until is not None for limit in self.rule.limits)
 
+    @property
+    def slows_alone(self) -> bool:
+        """Whether a limit holds by where the TCP is, with or without an operator."""
+        return any(region.robot is not None and not asks_operator(region) for region in _regions(self.rule))
+
     def of_side(self, side: Literal["entering", "leaving"]) -> RuleSafety:
         """Return it as s falls by it, or as s must be allowed to rise."""
         return replace(self, side=side)
@@ -75,21 +80,24 @@ class RuleSafety:
 def answering(model: TrainedModel) -> TrainedModel | RuleSafety:
     """Return what answers for a model: the rule beside it if it has one that can be asked, else its network.
 
-    A rule on the nearest link needs joint angles, which no estimate has.
+    A rule on the nearest link needs joint angles, and one on a signal its values, which no estimate has.
     """
     rule = model.card.rule
-    if rule is None or TO_LINK in _distances(rule):
+    if rule is None or TO_LINK in _distances(rule) or any(region.signals for region in _regions(rule)):
         return model
     return RuleSafety(rule, model.card)
 
 
 def _distances(rule: RuleCard) -> set[str]:
-    regions = [region for limit in rule.limits for region in (limit.within, limit.until) if region is not None]
-    return {near.distance for region in regions for near in region.nearer}
+    return {near.distance for region in _regions(rule) for near in region.nearer}
+
+
+def _regions(rule: RuleCard) -> list[RegionCard]:
+    return [region for limit in rule.limits for region in (limit.within, limit.until) if region is not None]
 
 
 def _widened(limit: LimitCard, margin_m: float) -> LimitCard:
     if margin_m <= 0.0 or not quantities((limit,)):
         return structs.replace(limit, until=None)
     (outer,) = grown((structs.replace(limit, until=None),), margin_m)
-    return structs.replace(limit, until=outer.within)
+    return structs.replace(limit, until=structs.replace(outer.within, robot=limit.within.robot))

@@ -165,14 +165,14 @@ def around(robot_m: Floats, human_m: Floats, by_m: float) -> list[Floats]:
 
 
 def _asked(model: SafetyModel, robot_m: Floats, human_m: Floats) -> tuple[Vector, Singles, Ints | slice]:
-    """Return s without an operator (N,), the inputs of the pairs with one (M, 6), and their rows."""
+    """Return s without an operator (N,), the inputs of the pairs that are asked (M, 6), and their rows."""
     without = model.card.scaling_without_operator
     scaling = np.full(len(robot_m), 1.0 if without is None else without)
     inputs = np.empty((len(robot_m), 6), dtype=np.float32)
     inputs[:, :3], inputs[:, 3:] = robot_m, human_m
     inputs = inputs_in_plane(inputs)
     seen = np.isfinite(inputs[:, 3] + inputs[:, 4] + inputs[:, 5])
-    if seen.all():
+    if seen.all() or (isinstance(model, RuleSafety) and model.slows_alone):
         return scaling, inputs, slice(None)
     present = np.flatnonzero(seen)
     return scaling, inputs[present], present

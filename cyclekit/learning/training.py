@@ -134,7 +134,7 @@ def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> Traine
     if model.problem != "now":
         msg = f"a rule gives the present scaling, and the model is for problem {model.problem!r}"
         raise ModelError(msg, cure="Give a model of --problem now.")
-    found = rule_of(dataset, model.levels, model=model, judged_apart=True, seed=seed)
+    found = rule_of(dataset, model.levels, model=model, judged_apart=True, signals=False, seed=seed)
     if found.rule is not None and answering(replace(model, card=structs.replace(model.card, rule=found.rule))) is model:
         found = replace(found, rule=None)
     said = () if found.rule is not None else (note("model-data", text=f"{verdict(found)}; the network answers"),)

@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from cyclekit.scaling.ways import Hold, RampRates, Way, begin_of, fresh, holds_of, repeats, tolerance_of, ways_of
+from cyclekit.scaling.ways import (
+    HELD_S,
+    Hold,
+    RampRates,
+    Way,
+    begin_of,
+    fresh,
+    holds_of,
+    repeats,
+    tolerance_of,
+    ways_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -99,10 +110,11 @@ def commanded_levels(
 
 def _commands(t_s: Vector, scaling: Vector, levels: Vector, rates: RampRates) -> list[_Command]:
     """Return the commands in the order in which they are obeyed, the first one from ever on."""
-    rows = fresh(scaling, repeats(t_s, scaling))
+    rows = fresh(scaling, repeats(t_s, scaling) if any(rates) else 1)  # a staircase that jumps repeats its levels
     t_s, scaling, end_s = t_s[rows], scaling[rows], float(t_s[-1])
     near, anything = tolerance_of(scaling, levels), (UNKNOWN, 0, len(levels) - 1)
-    holds = holds_of(t_s, scaling, levels, near, rates)
+    held_s = HELD_S if any(rates) else 0.0  # where the scaling jumps, one row on a level is commanded that
+    holds = holds_of(t_s, scaling, levels, near, rates, held_s)
     found = [_Command(-np.inf, *anything)]
     ways = ways_of(scaling, holds, near)
     leads_on = {way.first for way in ways}

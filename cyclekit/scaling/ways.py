@@ -103,7 +103,9 @@ def tolerance_of(scaling: Vector, levels: Vector) -> float:
     return min(max(ON_LEVEL, _SIGMAS * noise_of(known)), apart / 4) + 1e-9
 
 
-def holds_of(t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: RampRates) -> list[Hold]:
+def holds_of(
+    t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: RampRates, held_s: float = HELD_S
+) -> list[Hold]:
     """Return where the levels are held.
 
     Args:
@@ -112,6 +114,7 @@ def holds_of(t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: R
         levels: Shape (P,), ascending.
         near: A scaling so near to a level is on it.
         rates: A ramp is on the levels that it passes or turns at for so long.
+        held_s: A level holds if it lasts so much longer than that.
     """
     nearest = np.searchsorted((levels[1:] + levels[:-1]) / 2, scaling).clip(max=len(levels) - 1)
     label = np.where(np.abs(scaling - levels[nearest]) <= near, nearest, -1)
@@ -120,9 +123,9 @@ def holds_of(t_s: Vector, scaling: Vector, levels: Vector, near: float, rates: R
     label = np.where(stray, np.roll(label, 1), label)  # one noisy row
     edges = np.concatenate([[0], np.flatnonzero(np.diff(label)) + 1, [len(label)]])
     first, last = edges[:-1], edges[1:] - 1
-    least_s = HELD_S + sum(near / rate for rate in rates if rate)
+    least_s = held_s + sum(near / rate for rate in rates if rate)
     found = []
-    for row in np.flatnonzero((label[first] >= 0) & (t_s[last] - t_s[first] >= HELD_S)).tolist():
+    for row in np.flatnonzero((label[first] >= 0) & (t_s[last] - t_s[first] >= held_s)).tolist():
         a, b = int(first[row]), int(last[row])
         ends = a == 0 or b == len(label) - 1 or np.isnan(scaling[a - 1]) or np.isnan(scaling[b + 1])
         if ends or (t_s[b] - t_s[a] >= least_s and not _passes(scaling, a, b, near)):

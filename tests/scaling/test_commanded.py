@@ -91,3 +91,10 @@ def test_a_slow_ramp_may_have_headed_farther_than_where_it_ends():
     assert (found.level[250:400] == -1).all()
     assert (found.at_least[250:400] == 3).all()
     assert (found.level[460:640] == 3).all()
+
+
+def test_without_ramps_each_row_on_a_level_is_commanded_that() -> None:
+    steps = np.repeat([4, 3, 2, 1, 0, 1, 2, 3, 4] * 6, [9, 1, 1, 3, 6, 3, 1, 2, 9] * 6)
+    levels = (0.0, 0.25, 0.5, 0.75, 1.0)
+    found = commanded_levels(np.arange(len(steps)) / 10, np.array(levels)[steps], levels, response(None, None, None))
+    assert found.level.tolist() == steps.tolist()

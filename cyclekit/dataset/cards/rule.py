@@ -1,8 +1,9 @@
 """A rule of the safety function as data: which level holds where, with intervals.
 
 A rule is a list of limits. Each allows at most its level of the speed scaling while the operator is in its region:
-anywhere in the cell, nearer than a distance, within a rectangle on the floor, or in any of these. The slowest limit
-holds; where none does, the speed is the fastest level.
+anywhere in the cell, nearer than a distance, within a rectangle or polygon on the floor, or in any of these; or while a
+signal has a value. A region may hold only while the TCP is in a rectangle of its own. The slowest limit holds; where
+none does, the speed is the fastest level.
 """
 
 from __future__ import annotations
@@ -48,12 +49,46 @@ class RectangleCard(Card, frozen=True, kw_only=True):
     across: tuple[MetresCard | None, MetresCard | None]
 
 
+class SideCard(Card, frozen=True, kw_only=True):
+    """A side of a polygon: its outward normal, counterclockwise from x, and how far the side lies along that."""
+
+    angle_rad: Angle
+    metres: MetresCard
+
+
+class PolygonCard(Card, frozen=True, kw_only=True):
+    """The operator stands in a convex polygon on the floor, base frame: within all its sides, ascending by angle.
+
+    Sides that the operator was never seen to cross are left out.
+    """
+
+    sides: Annotated[tuple[SideCard, ...], Meta(min_length=1, max_length=8)]
+
+
+class SignalCard(Card, frozen=True, kw_only=True):
+    """A signal has this value; the level answers after `delay_s`."""
+
+    signal: str
+    value: str
+    delay_s: Duration = 0.0
+
+
 class RegionCard(Card, frozen=True, kw_only=True):
-    """Where an operator is: in any of these; `anywhere`: somebody is present."""
+    """When a limit holds: any of these is so.
+
+    Attributes:
+        anywhere: Somebody is present.
+        nearer, rectangles, polygons: Where the operator is.
+        signals: What a signal says.
+        robot: The rest holds only while the TCP is in this rectangle on the floor; alone, whenever it is.
+    """
 
     anywhere: bool = False
     nearer: Annotated[tuple[NearerCard, ...], Meta(max_length=8)] = ()
     rectangles: Annotated[tuple[RectangleCard, ...], Meta(max_length=8)] = ()
+    polygons: Annotated[tuple[PolygonCard, ...], Meta(max_length=8)] = ()
+    signals: Annotated[tuple[SignalCard, ...], Meta(max_length=8)] = ()
+    robot: RectangleCard | None = None
 
 
 class LimitCard(Card, frozen=True, kw_only=True):

@@ -16,11 +16,11 @@ from cyclekit.learning.rules.quantities import RulePlace, put, quantities
 from cyclekit.learning.rules.regions import turned
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset.cards.rule import LimitCard, RectangleCard, RegionCard
+    from cyclekit.dataset.cards.rule import LimitCard, RectangleCard, RegionCard, SideCard
     from cyclekit.learning.rules.rows import RuleRows
     from cyclekit.schema import Bools, Vector
 
@@ -67,8 +67,7 @@ def lags(limits: tuple[LimitCard, ...], rows: RuleRows, steps: dict[float, int])
     shown = []
     for place, (down, up) in _crossed(limits, rows, steps, None):
         if min(down.changes, up.changes) >= LEAST:
-            lower = place.kind == "rectangle" and place.edge % 2 == 0
-            margin = (down.value - up.value) if lower else (up.value - down.value)
+            margin = (down.value - up.value) if place.lower else (up.value - down.value)
             shown.append(margin > max(LAG_M, LAG_SURE * float(np.hypot(down.error, up.error))))
     return bool(shown) and 2 * sum(shown) > len(shown)
 
@@ -91,7 +90,7 @@ def _crossed(
 
 def _at(region: RegionCard, place: RulePlace, rows: RuleRows) -> tuple[Vector, Bools]:
     """Return the value (N,) half way from the row before, and which rows can tell of this threshold or edge."""
-    floor = (rows.floor_m + rows.floor_m[rows.before]) / 2
+    floor, tcp = ((at + at[rows.before]) / 2 for at in (rows.floor_m, rows.positions.tcp_m))
     if place.kind == "nearer":
         near = region.nearer[place.item]
         apart = rows.apart_m[near.distance]
@@ -100,8 +99,11 @@ def _at(region: RegionCard, place: RulePlace, rows: RuleRows) -> tuple[Vector, B
         for rectangle in region.rectangles:
             on &= _outside_m(rectangle, floor) > CLEAR_M
         return value, on
-    rectangle = region.rectangles[place.item]
-    frame = turned(floor, rectangle.angle_rad)
+    if place.kind == "polygon":
+        return _at_side(region.polygons[place.item].sides, place.edge, floor)
+    of_robot = region.robot if place.kind == "robot" else None
+    rectangle = of_robot or region.rectangles[place.item]
+    frame = turned(tcp if of_robot else floor, rectangle.angle_rad)
     value, other = frame[place.edge // 2], frame[1 - place.edge // 2]
     edge = (*rectangle.along, *rectangle.across)[place.edge]
     ends = (rectangle.across, rectangle.along)[place.edge // 2]
@@ -112,7 +114,21 @@ def _at(region: RegionCard, place: RulePlace, rows: RuleRows) -> tuple[Vector, B
     on &= ends[1] is None or other < ends[1].value - CLEAR_M
     for near in region.nearer:
         on &= rows.apart_m[near.distance] > near.metres.value + CLEAR_M
+    if place.kind == "robot":
+        for each in region.rectangles:
+            on &= _outside_m(each, floor) < -CLEAR_M
+    elif region.robot is not None:
+        on &= _outside_m(region.robot, tcp) < -CLEAR_M
     return value, on
+
+
+def _at_side(sides: Sequence[SideCard], number: int, floor_m: NDArray[np.float64]) -> tuple[Vector, Bools]:
+    """Return how far points lie along the normal of a side, and which are near it and clear of the others."""
+    along = [turned(floor_m, side.angle_rad)[0] for side in sides]
+    on = np.abs(along[number] - sides[number].metres.value) < NEAR_M
+    for at, (value, side) in enumerate(zip(along, sides, strict=True)):
+        on &= (at == number) | (value < side.metres.value - CLEAR_M)
+    return along[number], on
 
 
 def _outside_m(rectangle: RectangleCard, floor_m: NDArray[np.float64]) -> Vector:

@@ -9,24 +9,20 @@ import numpy as np
 from msgspec import structs
 
 from cyclekit.learning.rules.crossings import by_crossings
-from cyclekit.learning.rules.fitting import fit_limits
-from cyclekit.learning.rules.quantities import changed, grown, quantities
-from cyclekit.learning.rules.regions import inside
+from cyclekit.learning.rules.fitting import fit_limits, near_edges
+from cyclekit.learning.rules.polygons import seen_from
+from cyclekit.learning.rules.quantities import changed, quantities
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    from cyclekit.dataset.cards.rule import LimitCard, MetresCard
+    from cyclekit.dataset.cards.rule import LimitCard, MetresCard, RegionCard
     from cyclekit.learning.rules.families.family import Family
     from cyclekit.learning.rules.quantities import RulePlace
     from cyclekit.learning.rules.rows import RuleRows
 
 RESAMPLES = 40
 BOUNDS = (0.025, 0.975)
-NEAR_M = 0.25
-"""Samples farther than this from every threshold and edge move none of them."""
 
 
 def with_intervals(
@@ -51,9 +47,8 @@ def with_intervals(
         seed: Of the drawing.
     """
     lag = any(limit.until is not None for limit in limits)
-    start = {limit.scaling: limit for limit in limits}
     steps = {level: step for step, level in enumerate(levels)}
-    near = _near(limits, rows)
+    near = near_edges(limits, rows)
     rng = np.random.default_rng(seed)
     count = int(rows.execution.max()) + 1
     present = np.unique(rows.execution)
@@ -61,9 +56,9 @@ def with_intervals(
     high: defaultdict[RulePlace, list[float]] = defaultdict(list)
     for _ in range(RESAMPLES):
         times = np.bincount(rng.choice(present, len(present)), minlength=count)[rows.execution].astype(np.float64)
-        drawn = fit_limits(rows, levels, family, lag=lag, weight=times * near, start=start)
+        drawn = fit_limits(rows, levels, family, lag=lag, weight=times * near, start=limits)
         drawn = by_crossings(drawn, rows, steps, times) if noisy else drawn
-        for place, metres in quantities(drawn).items():
+        for place, metres in quantities(_aligned(drawn, limits)).items():
             low[place].append(metres.value if metres.low is None else metres.low)
             high[place].append(metres.value if metres.high is None else metres.high)
 
@@ -76,10 +71,19 @@ def with_intervals(
     return changed(limits, bounded)
 
 
-def _near(limits: tuple[LimitCard, ...], rows: RuleRows) -> NDArray[np.bool_]:
-    near = np.zeros(len(rows), np.bool_)
-    for inner, outer in zip(grown(limits, -NEAR_M), grown(limits, NEAR_M), strict=True):
-        for small, large in ((inner.within, outer.within), (inner.until, outer.until)):
-            if small is not None and large is not None:
-                near |= inside(large, rows) & ~inside(small, rows)
-    return near
+def _aligned(drawn: tuple[LimitCard, ...], limits: tuple[LimitCard, ...]) -> tuple[LimitCard, ...]:
+    """Return limits with the sides of their polygons as they are seen from those of the rule."""
+    mine = {limit.scaling: limit for limit in limits}
+    return tuple(
+        structs.replace(
+            limit,
+            within=_seen(limit.within, mine[limit.scaling].within),
+            until=_seen(limit.until, until) if limit.until and (until := mine[limit.scaling].until) else limit.until,
+        )
+        for limit in drawn
+    )
+
+
+def _seen(region: RegionCard, own: RegionCard) -> RegionCard:
+    pairs = zip(region.polygons, own.polygons, strict=False)
+    return structs.replace(region, polygons=tuple(seen_from(other, polygon) for other, polygon in pairs))

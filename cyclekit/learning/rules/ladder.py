@@ -10,7 +10,8 @@ import numpy as np
 from cyclekit.dataset.cards.rule import RuleCard
 from cyclekit.learning.rules.crossings import LAG_M, by_crossings, lags
 from cyclekit.learning.rules.families import FAMILIES
-from cyclekit.learning.rules.fitting import fit_limits
+from cyclekit.learning.rules.families.signal import SIGNALS
+from cyclekit.learning.rules.fitting import few_of, fit_limits, refined
 from cyclekit.learning.rules.intervals import with_intervals
 from cyclekit.learning.rules.quantities import quantities, with_bounds, without_doubtful
 from cyclekit.learning.rules.regions import followed
@@ -27,14 +28,18 @@ EXPLAINS = 0.999
 """A rule that names the level of this part of the held-out samples explains them: positions have no noise then."""
 NOISY_EXPLAINS = 0.9
 """With noise, a rule that names fewer explains nothing."""
-SAME = 0.005
-"""With noise, rules and networks whose parts differ by less than this are taken as equal: the simpler is chosen."""
+SAME, NOISE_M = 0.005, 0.003
+"""With noise larger than this, rules and networks whose parts differ by less are taken as equal: the simpler is chosen;
+without, by less than what a rule may leave unexplained."""
 CHANCE = 2.0
 """Nor can they where the difference is less than so many standard errors over executions."""
 LIKELY = 0.02
 """A distance that explains this much less than the best one by itself is not tried together with a rectangle."""
 GAINS = 0.005
 """Two conditions at once must explain so much more than one."""
+FAR_M, FAR_NOISE, FAR_PART = 0.05, 4.0, 0.005
+"""Noise makes a rule wrong near its edges alone: within FAR_M, and so many times the noise. One that is wrong farther
+off for more than this part of the held-out samples is not the rule, however many of the others it explains."""
 TEST_PART = 0.2
 
 
@@ -67,6 +72,7 @@ class _Fit:
     lag: bool
     limits: Limits
     right: NDArray[np.float64]
+    far: float
 
     @property
     def said(self) -> str:
@@ -101,7 +107,7 @@ def find_rule(
         return RuleSearch(None, rows=len(rows))
     rival = None if network is None else _by_execution(network[np.isin(rows.execution, judged)] == judge.level, judge)
     fits: list[_Fit] = []
-    tried = _tried(learn, judge, levels, fits)
+    tried = _tried(_Search(learn, judge, levels, few_of(learn, seed)), fits)
     best = next((fit for fit in tried if _part(fit.right, judge) >= EXPLAINS and _is_wide(fit)), None)
     noisy = best is None
     if noisy:
@@ -143,50 +149,76 @@ def _drawn(rows: RuleRows, seed: int) -> NDArray[np.int64]:
     return np.random.default_rng(seed).permutation(every)[: max(1, round(TEST_PART * len(every)))]
 
 
-def _tried(learn: RuleRows, judge: RuleRows, levels: Sequence[float], fits: list[_Fit]) -> Iterator[_Fit]:
+@dataclass(frozen=True)
+class _Search:
+    """Rows to learn from and to judge by, and how often each to learn from counts where a rule is looked for."""
+
+    learn: RuleRows
+    judge: RuleRows
+    levels: Sequence[float]
+    few: NDArray[np.float64]
+
+    def fitted(self, name: str, fits: Sequence[_Fit], *, lag: bool) -> _Fit:
+        """Return a kind fitted: with hysteresis from what it is without; to all rows if it may explain the level."""
+        family, asked = FAMILIES[name], (self.learn, self.levels)
+        start = next((fit.limits for fit in fits if fit.name == name), None)
+        limits = fit_limits(*asked, family, lag=lag, weight=self.few, start=start)
+        found = self._judged(name, limits, lag=lag)
+        if _part(found.right, self.judge) < NOISY_EXPLAINS or self.few.all():
+            return found
+        return self._judged(name, refined(limits, *asked, family, lag=lag), lag=lag)
+
+    def _judged(self, name: str, limits: Limits, *, lag: bool) -> _Fit:
+        agrees = _agrees(limits, self.levels, self.judge)
+        near = _agrees(limits, self.levels, self.judge, max(FAR_M, FAR_NOISE * self.judge.noise_m))
+        return _Fit(name, lag, limits, _by_execution(agrees, self.judge), float((~near).mean()))
+
+
+def _tried(search: _Search, fits: list[_Fit]) -> Iterator[_Fit]:
     """Yield one kind of rule after the other, fitted; `fits` keeps them.
 
     Single conditions come before two of them, and without hysteresis before with it. Of two conditions at once only
     those are fitted whose distance explains much by itself, and no more of them where two explain no more than one.
     """
-    able = [name for name, family in FAMILIES.items() if set(family.uses) <= set(learn.apart_m)]
+    judge = search.judge
+    known = {*judge.apart_m, *([SIGNALS] if judge.positions.signals else [])}
+    able = [name for name, family in FAMILIES.items() if set(family.uses) <= known]
     single = [name for name in able if not FAMILIES[name].mixed]
     for lag in (False, True):
-        yield from _fitted(single, learn, judge, levels, fits, lag=lag)
+        yield from _fitted(single, search, fits, lag=lag)
     likely = _likely_distances(fits, judge)
     mixed = [name for name in able if FAMILIES[name].mixed and FAMILIES[name].uses in likely]
     enough = max(_part(fit.right, judge) for fit in fits if not fit.lag) + GAINS
     for names in (mixed[: len(likely)], mixed[len(likely) :]):
         before = len(fits)
-        yield from _fitted(names, learn, judge, levels, fits, lag=False)
+        yield from _fitted(names, search, fits, lag=False)
         if max(_part(fit.right, judge) for fit in fits[before:]) < enough:
             return
-        yield from _fitted(names, learn, judge, levels, fits, lag=True)
+        yield from _fitted(names, search, fits, lag=True)
 
 
-def _fitted(
-    names: Sequence[str], learn: RuleRows, judge: RuleRows, levels: Sequence[float], fits: list[_Fit], *, lag: bool
-) -> Iterator[_Fit]:
+def _fitted(names: Sequence[str], search: _Search, fits: list[_Fit], *, lag: bool) -> Iterator[_Fit]:
     for name in names:
         if FAMILIES[name].may_lag or not lag:
-            limits = fit_limits(learn, levels, FAMILIES[name], lag=lag)
-            fits.append(_Fit(name, lag, limits, _by_execution(_agrees(limits, levels, judge), judge)))
+            fits.append(search.fitted(name, fits, lag=lag))
             yield fits[-1]
 
 
-def _agrees(limits: Limits, levels: Sequence[float], rows: RuleRows) -> NDArray[np.bool_]:
-    """Return which rows a rule explains, shape (N,).
+def _agrees(limits: Limits, levels: Sequence[float], rows: RuleRows, least_m: float = 0.0) -> NDArray[np.bool_]:
+    """Return which rows a rule explains, shape (N,), with each edge uncertain by `least_m` at least.
 
     Of a threshold no more is known than that it lies between the last slow and the first fast sample: a row in that gap
     speaks neither for nor against the rule.
     """
-    fastest, slowest = (followed(with_bounds(limits, larger=larger), levels, rows) for larger in (False, True))
+    smaller, larger = (with_bounds(limits, larger=each, least_m=least_m) for each in (False, True))
+    fastest, slowest = (followed(bound, levels, rows) for bound in (smaller, larger))
     return np.asarray((slowest <= rows.level) & (rows.level <= fastest))
 
 
 def _likely_distances(fits: Sequence[_Fit], judge: RuleRows) -> set[tuple[str, ...]]:
     """Return the distances that explain nearly as much as the best one does."""
-    parts = {fit.name: _part(fit.right, judge) for fit in fits if not fit.lag and FAMILIES[fit.name].uses}
+    plain = [fit for fit in fits if not fit.lag and set(FAMILIES[fit.name].uses) & set(judge.apart_m)]
+    parts = {fit.name: _part(fit.right, judge) for fit in plain}
     return {FAMILIES[name].uses for name, part in parts.items() if part >= max(parts.values()) - LIKELY}
 
 
@@ -199,7 +231,7 @@ def _simplest(
     seen to rise farther out than it falls.
     """
     steps = {level: step for step, level in enumerate(levels)}
-    able = [fit for fit in fits if fit.limits and fit.lag == lags(fit.limits, learn, steps)]
+    able = [fit for fit in fits if fit.limits and fit.lag == lags(fit.limits, learn, steps) and fit.far <= FAR_PART]
     rivals = [fit.right for fit in able] + ([] if rival is None else [rival])
     for fit in able:
         if _part(fit.right, judge) >= NOISY_EXPLAINS and not any(_better(other, fit.right, judge) for other in rivals):
@@ -208,16 +240,17 @@ def _simplest(
 
 
 def _better(one: NDArray[np.float64], other: NDArray[np.float64], judge: RuleRows) -> bool:
-    """Tell whether one names more levels than the other, beyond chance and by more than SAME."""
+    """Tell whether one names more levels than the other, beyond chance and by more than what is taken as equal."""
     lead = one - other
+    same = SAME if judge.noise_m > NOISE_M else 1.0 - EXPLAINS
     chance = CHANCE * float(np.sqrt(len(lead)) * lead.std(ddof=1)) if len(lead) > 1 else 0.0
-    return float(lead.sum()) > max(SAME * len(judge), chance)
+    return float(lead.sum()) > max(same * len(judge), chance)
 
 
 def _whole(fit: _Fit, rows: RuleRows, levels: Sequence[float], *, noisy: bool, seed: int) -> Limits | None:
     """Return the chosen kind of rule fitted to all rows, with intervals, and without what these make doubtful."""
     family = FAMILIES[fit.name]
-    limits = fit_limits(rows, levels, family, lag=fit.lag)
+    limits = refined(fit.limits, rows, levels, family, lag=fit.lag)
     if not limits:
         return None
     if noisy:

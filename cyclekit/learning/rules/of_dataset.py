@@ -43,6 +43,7 @@ def rule_of(
     *,
     model: LevelNamer | None = None,
     judged_apart: bool = False,
+    signals: bool = True,
     seed: int = 0,
 ) -> RuleSearch:
     """Find the simplest rule that explains the commanded level in a dataset.
@@ -52,6 +53,7 @@ def rule_of(
         levels: Of the speed scaling, ascending.
         model: A network of the same levels, to compare with on executions that it has not seen.
         judged_apart: The rule is not fitted again to the executions by which it was judged.
+        signals: Rules may go by signals; no estimate can ask one that does.
         seed: Of what is drawn.
     """
     names = dataset.executions["execution"].to_list()
@@ -62,9 +64,10 @@ def rule_of(
         names = [name for name in names if name in some]
         unseen &= some
     latency_s = float(dataset.card.dynamics.latency_s or 0.0)
-    found = _searched(dataset, names, unseen, levels, model, latency_s, judged_apart=judged_apart, seed=seed)
+    asked: dict[str, Any] = {"judged_apart": judged_apart, "seed": seed, "signals": signals}
+    found = _searched(dataset, names, unseen, levels, model, latency_s, **asked)
     if latency_s and not found.clean:  # a latency read off the wrong distance hides the rule
-        other = _searched(dataset, names, unseen, levels, model, 0.0, judged_apart=judged_apart, seed=seed)
+        other = _searched(dataset, names, unseen, levels, model, 0.0, **asked)
         return other if other.clean else found
     return found
 
@@ -78,9 +81,10 @@ def _searched(
     latency_s: float,
     *,
     judged_apart: bool,
+    signals: bool,
     seed: int,
 ) -> RuleSearch:
-    rows = rows_of(dataset, names, levels, latency_s=latency_s)
+    rows = rows_of(dataset, names, levels, latency_s=latency_s, signals=signals)
     if len(rows) < LEAST_ROWS or len(np.unique(rows.execution)) < LEAST_EXECUTIONS or len(np.unique(rows.level)) < 2:
         return RuleSearch(None, rows=len(rows))
     judged = _numbers(names, unseen, rows)

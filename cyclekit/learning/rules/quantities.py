@@ -27,6 +27,11 @@ class RulePlace(NamedTuple):
     item: int
     edge: int = 0
 
+    @property
+    def lower(self) -> bool:
+        """Whether the region lies above it."""
+        return self.kind in ("rectangle", "robot") and self.edge % 2 == 0
+
 
 def quantities(limits: tuple[LimitCard, ...]) -> dict[RulePlace, MetresCard]:
     """Return all thresholds and edges of a rule by their place."""
@@ -61,7 +66,7 @@ def put(limits: tuple[LimitCard, ...], values: Mapping[RulePlace, MetresCard]) -
 
 def outwards(place: RulePlace) -> int:
     """Return 1 where a region becomes larger as this number grows, -1 where it becomes smaller."""
-    return -1 if place.kind == "rectangle" and place.edge % 2 == 0 else 1
+    return -1 if place.lower else 1
 
 
 def grown(limits: tuple[LimitCard, ...], by_m: float) -> tuple[LimitCard, ...]:
@@ -91,19 +96,19 @@ def released(limits: tuple[LimitCard, ...], by_m: float) -> tuple[LimitCard, ...
     return changed(limits, moved)
 
 
-def with_bounds(limits: tuple[LimitCard, ...], *, larger: bool) -> tuple[LimitCard, ...]:
+def with_bounds(limits: tuple[LimitCard, ...], *, larger: bool, least_m: float = 0.0) -> tuple[LimitCard, ...]:
     """Return a rule with each region as large, or as small, as the bounds of its numbers allow, within MOST_M.
 
-    With hysteresis by BETWEEN_M at least: who comes so near to a threshold may have crossed it between two samples, and
-    the level is then held until long after.
+    By `least_m` at least, with hysteresis by BETWEEN_M: who comes so near to a threshold may have crossed it between
+    two samples, and the level is then held until long after.
     """
-    least_m = {limit.scaling: 0.0 if limit.until is None else BETWEEN_M for limit in limits}
+    least = {limit.scaling: max(least_m, 0.0 if limit.until is None else BETWEEN_M) for limit in limits}
 
     def moved(place: RulePlace, metres: MetresCard) -> MetresCard:
         upper = larger == (outwards(place) > 0)
         bound = metres.high if upper else metres.low
         way = 0.0 if bound is None else min(abs(bound - metres.value), MOST_M)
-        way = max(way, least_m[place.level])
+        way = max(way, least[place.level])
         return structs.replace(metres, value=metres.value + (way if upper else -way))
 
     return changed(limits, moved)
@@ -143,13 +148,28 @@ def _region(
         for item, near in enumerate(region.nearer)
     ]
     rectangles = [
-        _rectangle(rectangle, item, level, change, until=until) for item, rectangle in enumerate(region.rectangles)
+        _rectangle(rectangle, "rectangle", item, level, change, until=until)
+        for item, rectangle in enumerate(region.rectangles)
     ]
-    return structs.replace(region, nearer=tuple(nearer), rectangles=tuple(rectangles))
+    polygons = [
+        structs.replace(
+            polygon,
+            sides=tuple(
+                structs.replace(side, metres=change(RulePlace(level, until, "polygon", item, number), side.metres))
+                for number, side in enumerate(polygon.sides)
+            ),
+        )
+        for item, polygon in enumerate(region.polygons)
+    ]
+    robot = None if region.robot is None else _rectangle(region.robot, "robot", 0, level, change, until=until)
+    return structs.replace(
+        region, nearer=tuple(nearer), rectangles=tuple(rectangles), polygons=tuple(polygons), robot=robot
+    )
 
 
 def _rectangle(
     rectangle: RectangleCard,
+    kind: str,
     item: int,
     level: float,
     change: Callable[[RulePlace, MetresCard], MetresCard],
@@ -157,7 +177,7 @@ def _rectangle(
     until: bool,
 ) -> RectangleCard:
     edges = [
-        None if edge is None else change(RulePlace(level, until, "rectangle", item, number), edge)
+        None if edge is None else change(RulePlace(level, until, kind, item, number), edge)
         for number, edge in enumerate((*rectangle.along, *rectangle.across))
     ]
     return structs.replace(rectangle, along=(edges[0], edges[1]), across=(edges[2], edges[3]))

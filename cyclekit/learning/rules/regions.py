@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,7 +13,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from cyclekit.dataset.cards.rule import LimitCard, RectangleCard, RegionCard
+    from cyclekit.dataset.cards.rule import LimitCard, PolygonCard, RectangleCard, RegionCard, SideCard
     from cyclekit.learning.rules.rows import RuleRows
     from cyclekit.schema import Bools, Vector
 
@@ -19,16 +21,27 @@ if TYPE_CHECKING:
 NOWHERE = (-np.inf, np.inf)
 
 
-class Positions(Protocol):
-    """What a region is asked of: `RuleRows`, or rows of a rollout."""
+@dataclass(frozen=True)
+class Positions:
+    """What a region is asked of: where everybody is at N instants.
 
-    @property
-    def apart_m(self) -> Mapping[str, Vector]:
-        """Distances by name, (N,), m; infinite where nobody is there."""
+    Attributes:
+        apart_m: Distances by name, (N,), m; infinite where nobody is there.
+        floor_m: The operator on the floor, (N, 2), m; NaN where nobody is there.
+        tcp_m: The TCP on the floor, (N, 2), m.
+        signals: Values by name and delay of each signal, as text, (N,), when that delay is over.
+    """
 
-    @property
-    def floor_m(self) -> NDArray[np.float64]:
-        """The operator on the floor, (N, 2), m; NaN where nobody is there."""
+    apart_m: Mapping[str, Vector]
+    floor_m: NDArray[np.float64]
+    tcp_m: NDArray[np.float64]
+    signals: Mapping[tuple[str, float], NDArray[np.str_]] = field(default_factory=dict)
+
+    def where(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Positions:
+        """Return some instants."""
+        apart = {name: values[keep] for name, values in self.apart_m.items()}
+        signals = {name: values[keep] for name, values in self.signals.items()}
+        return Positions(apart, self.floor_m[keep], self.tcp_m[keep], signals)
 
 
 def turned(floor_m: NDArray[np.float64], angle_rad: float) -> tuple[Vector, Vector]:
@@ -47,13 +60,47 @@ def corners(rectangle: RectangleCard) -> list[tuple[float, float]] | None:
     return [(float(u * cos - v * sin), float(u * sin + v * cos)) for u, v in frame]
 
 
+def polygon_corners(polygon: PolygonCard) -> list[tuple[float, float]] | None:
+    """Return the corners of a polygon, base frame, m, counterclockwise; None where it is open to one side."""
+    sides = [*polygon.sides, polygon.sides[0]]
+    found = []
+    for one, other in pairwise(sides):
+        turn = (other.angle_rad - one.angle_rad) % (2 * np.pi)
+        if not 0.0 < turn < np.pi:
+            return None
+        normals = np.array([[np.cos(side.angle_rad), np.sin(side.angle_rad)] for side in (one, other)])
+        x, y = np.linalg.solve(normals, [one.metres.value, other.metres.value])
+        found.append((float(x), float(y)))
+    return found
+
+
 def inside(region: RegionCard, rows: Positions) -> Bools:
-    """Return where the operator is in a region, shape (N,)."""
+    """Return where a region holds, shape (N,)."""
     found = np.isfinite(rows.floor_m[:, 0]) if region.anywhere else np.zeros(len(rows.floor_m), np.bool_)
     for near in region.nearer:
         found |= rows.apart_m[near.distance] < near.metres.value
     for rectangle in region.rectangles:
         found |= within_rectangle(rectangle, rows.floor_m)
+    for polygon in region.polygons:
+        found |= within_sides(polygon.sides, rows.floor_m)
+    for signal in region.signals:
+        found |= rows.signals[signal.signal, signal.delay_s] == signal.value
+    if region.robot is None:
+        return found
+    there = within_rectangle(region.robot, rows.tcp_m)
+    return there & found if asks_operator(region) else there
+
+
+def asks_operator(region: RegionCard) -> bool:
+    """Return whether a region asks for more than where the TCP is."""
+    return region.anywhere or bool(region.nearer or region.rectangles or region.polygons or region.signals)
+
+
+def within_sides(sides: Sequence[SideCard], floor_m: NDArray[np.float64]) -> Bools:
+    """Return which points (N, 2), m, lie within all sides of a polygon."""
+    found = np.isfinite(floor_m[:, 0])
+    for side in sides:
+        found &= turned(floor_m, side.angle_rad)[0] < side.metres.value
     return found
 
 
@@ -91,9 +138,9 @@ def followed(limits: Sequence[LimitCard], levels: Sequence[float], rows: RuleRow
     at, begins = np.arange(len(rows)), rows.before < 0
     for limit in reversed(limits):
         step = int(np.abs(np.asarray(levels) - limit.scaling).argmin())
-        slow = inside(limit.within, rows)
+        slow = inside(limit.within, rows.positions)
         if limit.until is not None:
-            decided = slow | ~inside(limit.until, rows)
+            decided = slow | ~inside(limit.until, rows.positions)
             slow = np.where(decided, slow, rows.level <= step)
             slow = slow[np.maximum.accumulate(np.where(decided | begins, at, 0))] if len(at) else slow
         found[slow] = step

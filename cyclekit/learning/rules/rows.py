@@ -14,8 +14,9 @@ from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE
 from cyclekit.learning.labelling import commanded_in_time, without_slider
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.links import to_nearest_link
+from cyclekit.learning.rules.regions import Positions
+from cyclekit.learning.rules.signals import signals_of
 from cyclekit.learning.windows import nobody_there
-from cyclekit.scaling.levels import label_in_time, unbroken
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -38,16 +39,14 @@ class RuleRows:
     """N samples with a known commanded level, in the order of time within each execution.
 
     Attributes:
-        apart_m: Distances by name, shape (N,) each; infinite where nobody is there.
-        floor_m: The operator on the floor, x and y, shape (N, 2), m; NaN where nobody is there.
+        positions: Where everybody is.
         level: Index of the commanded level, shape (N,).
         before: Row of the sample before in the same unbroken stretch, shape (N,); -1 = there is none.
         execution: Number of the execution, shape (N,).
         at_m: TCP and operator, shape (N, 6), m; NaN where nobody is there.
     """
 
-    apart_m: Mapping[str, Vector]
-    floor_m: NDArray[np.float64]
+    positions: Positions
     level: NDArray[np.int64]
     before: NDArray[np.int64]
     execution: NDArray[np.int64]
@@ -58,9 +57,28 @@ class RuleRows:
         return len(self.level)
 
     @property
+    def apart_m(self) -> Mapping[str, Vector]:
+        """As of `Positions`."""
+        return self.positions.apart_m
+
+    @property
+    def floor_m(self) -> NDArray[np.float64]:
+        """As of `Positions`."""
+        return self.positions.floor_m
+
+    @property
     def present(self) -> Bools:
         """Where somebody is there, shape (N,)."""
         return np.isfinite(self.floor_m[:, 0])
+
+    @property
+    def noise_m(self) -> float:
+        """Noise of the operator's position, standard deviation along one axis, m, by how it jumps to and fro."""
+        second = np.flatnonzero((self.before >= 0) & (self.before[self.before] >= 0) & self.present)
+        first = self.before[second]
+        off = self.floor_m[second] - 2 * self.floor_m[first] + self.floor_m[self.before[first]]
+        off = off[np.isfinite(off[:, 0])]
+        return float(1.4826 * np.median(np.abs(off)) / np.sqrt(6)) if len(off) else 0.0
 
     def of(self, executions: NDArray[np.int64]) -> RuleRows:
         """Return the rows of some executions; none of their stretches is broken by that."""
@@ -68,8 +86,7 @@ class RuleRows:
         number = np.cumsum(keep) - 1
         before = self.before[keep]
         before = np.where(before >= 0, number[before], -1)
-        apart = {name: apart[keep] for name, apart in self.apart_m.items()}
-        return RuleRows(apart, self.floor_m[keep], self.level[keep], before, self.execution[keep], self.at_m[keep])
+        return RuleRows(self.positions.where(keep), self.level[keep], before, self.execution[keep], self.at_m[keep])
 
     @classmethod
     def made(
@@ -81,8 +98,11 @@ class RuleRows:
         *,
         stretch: NDArray[np.int64] | None = None,
         to_link_m: Vector | None = None,
+        signals: Mapping[tuple[str, float], NDArray[np.str_]] | None = None,
     ) -> RuleRows:
         """Return rows of positions (N, 3), m, and commanded levels (N,); unknown levels (-1) are left out.
+
+        So is a level that one sample alone shows: no safety system lets go so soon.
 
         Args:
             robot_m: The TCP.
@@ -91,20 +111,26 @@ class RuleRows:
             execution: Number of the execution, shape (N,).
             stretch: Number of the unbroken stretch, shape (N,); None: one for each execution.
             to_link_m: Distance of the nearest link, shape (N,); None = not known.
+            signals: As of `Positions`, shape (N,) each.
         """
-        known = level >= 0
-        robot_m, human_m, level, execution = robot_m[known], human_m[known], level[known], execution[known]
-        of = execution if stretch is None else stretch[known]
+        of = execution if stretch is None else stretch
+        known = (level >= 0) & ~_alone(level, of)
+        robot_m, human_m, level = robot_m[known], human_m[known], level[known]
+        execution, of = execution[known], of[known]
         apart = {name: distance(robot_m, human_m) for name, distance in DISTANCES.items()}
         apart |= {} if to_link_m is None else {TO_LINK: to_link_m[known]}
         apart = {name: np.where(np.isnan(each), np.inf, each) for name, each in apart.items()}
         at = np.arange(len(level))
         before = np.where(np.diff(of, prepend=-1) == 0, at - 1, -1)
         inputs = np.concatenate([robot_m, human_m], axis=1).astype(np.float32)
-        return cls(apart, human_m[:, :2], level.astype(np.int64), before, execution, inputs)
+        values = {name: value[known] for name, value in (signals or {}).items()}
+        places = Positions(apart, human_m[:, :2], robot_m[:, :2], values)
+        return cls(places, level.astype(np.int64), before, execution, inputs)
 
 
-def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float], *, latency_s: float) -> RuleRows:
+def rows_of(
+    dataset: Dataset, executions: Sequence[str], levels: Sequence[float], *, latency_s: float, signals: bool = False
+) -> RuleRows:
     """Return what rules are fitted to.
 
     Args:
@@ -112,16 +138,15 @@ def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]
         executions: Of these.
         levels: Of the speed scaling, ascending.
         latency_s: By which the scaling answers to the positions, s.
+        signals: With the signals that the level may answer to.
     """
     frame = dataset.samples(list(executions)).with_columns(human_z_m=HUMAN_Z_IN_PLANE)
     frame, _ = without_slider(dataset, frame)
     run = stretches(frame, dataset.rate_hz)
     response = dataset.card.dynamics
-    if response.ramp_down_per_s or response.ramp_up_per_s:
-        # the latency is undone by moving the positions, which hits the instant between two samples
-        level = commanded_in_time(dataset, frame, levels, structs.replace(response, latency_s=None), sure_s=SURE_S)
-    else:
-        level = commanded(frame, levels, run, rate_hz=dataset.rate_hz)
+    sure_s = SURE_S if response.ramp_down_per_s or response.ramp_up_per_s else 0.0
+    # the latency is undone by moving the positions, which hits the instant between two samples
+    level = commanded_in_time(dataset, frame, levels, structs.replace(response, latency_s=None), sure_s=sure_s)
     hidden = frame.select(pl.col("human_x_m").is_null() & ~nobody_there()).to_series().to_numpy()
     level[hidden | frame["robot_x_m"].is_null().to_numpy()] = -1
     places = frame.select(pl.col(_COLUMNS).fill_null(float("nan"))).to_numpy()
@@ -134,8 +159,9 @@ def rows_of(dataset: Dataset, executions: Sequence[str], levels: Sequence[float]
     order = {name: number for number, name in enumerate(executions)}
     number = frame["execution"].replace_strict(order, return_dtype=pl.Int64).to_numpy()
     to_link = to_nearest_link(dataset, names, seen_s, places[:, :3], places[:, 3:])
+    said = signals_of(dataset, executions, frame, level, run) if signals else None
     known = run + hidden_for_long(level >= 0, t_s)
-    return RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=known, to_link_m=to_link)
+    return RuleRows.made(places[:, :3], places[:, 3:], level, number, stretch=known, to_link_m=to_link, signals=said)
 
 
 def hidden_for_long(known: Bools, t_s: Vector) -> NDArray[np.int64]:
@@ -146,23 +172,15 @@ def hidden_for_long(known: Bools, t_s: Vector) -> NDArray[np.int64]:
     return np.cumsum(after)
 
 
-def commanded(
-    frame: pl.DataFrame, levels: Sequence[float], run: NDArray[np.int64], *, rate_hz: float
-) -> NDArray[np.int64]:
-    """Return the level that the safety system is heading for at every row of SAMPLES, shape (N,); -1 = unknown.
-
-    A sample on a level is commanded that. In a ramp between two levels that follow each other it is the one at the end
-    of the ramp; a ramp over more levels may have been commanded in steps, so nothing is known there.
-    """
-    scaling = frame["scaling"].fill_null(np.nan).to_numpy()
-    parts = unbroken(run, np.isfinite(scaling))
-    level = label_in_time(scaling, levels, parts, rate_hz=rate_hz).astype(np.int64)
-    at = np.arange(len(level))
-    after = np.minimum.accumulate(np.where(level >= 0, at, len(level) - 1)[::-1])[::-1]
-    before = np.maximum.accumulate(np.where(level >= 0, at, 0))
-    ramp = (level < 0) & np.isfinite(scaling) & (parts[after] == parts) & (parts[before] == parts)
-    ramp &= (np.abs(level[after] - level[before]) == 1) & (level[after] >= 0) & (level[before] >= 0)
-    return np.where(ramp, level[after], level)
+def _alone(level: NDArray[np.int64], stretch: NDArray[np.int64]) -> Bools:
+    """Return where one row differs from two before and two after it that agree, shape (N,)."""
+    found = np.zeros(len(level), np.bool_)
+    if len(level) < 5:
+        return found
+    seen = np.lib.stride_tricks.sliding_window_view(level, 5)
+    around = (seen[:, :1] == seen[:, [1, 3, 4]]).all(axis=1) & (stretch[:-4] == stretch[4:])
+    found[2:-2] = around & (seen[:, 2] != seen[:, 0])
+    return found
 
 
 def _earlier(

@@ -10,23 +10,15 @@ from msgspec import structs
 
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.quantities import grown, quantities
-from cyclekit.learning.rules.regions import allowed
+from cyclekit.learning.rules.regions import Positions, allowed, asks_operator
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
     from cyclekit.dataset.cards import TrainingCard
-    from cyclekit.dataset.cards.rule import LimitCard, RuleCard
+    from cyclekit.dataset.cards.rule import LimitCard, RegionCard, RuleCard
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.schema import Vector
-
-
-@dataclass(frozen=True)
-class _AskedPositions:
-    apart_m: Mapping[str, Vector]
-    floor_m: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -66,6 +58,11 @@ class RuleSafety:
         """Whether it has hysteresis of its own."""
         return any(limit.until is not None for limit in self.rule.limits)
 
+    @property
+    def slows_alone(self) -> bool:
+        """Whether a limit holds by where the TCP is, with or without an operator."""
+        return any(region.robot is not None and not asks_operator(region) for region in _regions(self.rule))
+
     def of_side(self, side: Literal["entering", "leaving"]) -> RuleSafety:
         """Return it as s falls by it, or as s must be allowed to rise."""
         return replace(self, side=side)
@@ -82,9 +79,8 @@ class RuleSafety:
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
         """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
         robot_m, human_m = X[:, :3].astype(np.float64), X[:, 3:6].astype(np.float64)
-        rows = _AskedPositions(
-            {name: DISTANCES[name](robot_m, human_m) for name in _distances(self.rule)}, human_m[:, :2]
-        )
+        apart = {name: DISTANCES[name](robot_m, human_m) for name in _distances(self.rule)}
+        rows = Positions(apart, human_m[:, :2], robot_m[:, :2])
         sides = (False, True) if self.side == "mean" and self.lags else (self.side == "leaving",)
         found = [allowed(self.rule.limits, self.rule.levels, rows, until=until) for until in sides]
         return np.asarray(np.mean(found, axis=0))
@@ -93,21 +89,24 @@ class RuleSafety:
 def answering(model: TrainedModel) -> TrainedModel | RuleSafety:
     """Return what answers for a model: the rule beside it if it has one that can be asked, else its network.
 
-    A rule on the nearest link needs joint angles, which no estimate has.
+    A rule on the nearest link needs joint angles, and one on a signal its values, which no estimate has.
     """
     rule = model.card.rule
-    if rule is None or TO_LINK in _distances(rule):
+    if rule is None or TO_LINK in _distances(rule) or any(region.signals for region in _regions(rule)):
         return model
     return RuleSafety(rule, model.card)
 
 
 def _distances(rule: RuleCard) -> set[str]:
-    regions = [region for limit in rule.limits for region in (limit.within, limit.until) if region is not None]
-    return {near.distance for region in regions for near in region.nearer}
+    return {near.distance for region in _regions(rule) for near in region.nearer}
+
+
+def _regions(rule: RuleCard) -> list[RegionCard]:
+    return [region for limit in rule.limits for region in (limit.within, limit.until) if region is not None]
 
 
 def _widened(limit: LimitCard, margin_m: float) -> LimitCard:
     if margin_m <= 0.0 or not quantities((limit,)):
         return structs.replace(limit, until=None)
     (outer,) = grown((structs.replace(limit, until=None),), margin_m)
-    return structs.replace(limit, until=outer.within)
+    return structs.replace(limit, until=structs.replace(outer.within, robot=limit.within.robot))

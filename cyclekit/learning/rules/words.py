@@ -7,10 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.learning.rules.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
-from cyclekit.learning.rules.regions import corners
+from cyclekit.learning.rules.regions import asks_operator, corners, polygon_corners
 
 if TYPE_CHECKING:
-    from cyclekit.dataset.cards.rule import LimitCard, MetresCard, RectangleCard, RegionCard, RuleCard
+    from cyclekit.dataset.cards.rule import (
+        LimitCard,
+        MetresCard,
+        PolygonCard,
+        RectangleCard,
+        RegionCard,
+        RuleCard,
+        SignalCard,
+    )
     from cyclekit.learning.rules.ladder import RuleSearch
 
     _Edges = tuple[MetresCard | None, MetresCard | None]
@@ -57,14 +65,42 @@ def _speed(level: float) -> str:
 
 
 def _region(region: RegionCard, verb: str) -> str:
+    robot = "" if region.robot is None else f"the TCP is in the {_rectangle(region.robot)}"
+    if not asks_operator(region):
+        return robot
+    return _asked(region, away=verb == "left") + (f" while {robot}" if robot else "")
+
+
+def _asked(region: RegionCard, *, away: bool) -> str:
+    """Return what a region asks for beside the place of the TCP."""
     if region.anywhere:
         return "the operator is in the cell"
-    away = verb == "left"
+    if region.signals:
+        return " or ".join(_signal(signal) for signal in region.signals)
     parts = [
         f"{'farther' if away else 'nearer'} than {_metres(near.metres)} {_TO[near.distance]}" for near in region.nearer
     ]
     parts += [f"{'outside of' if away else 'in'} the {_rectangle(rectangle)}" for rectangle in region.rectangles]
+    parts += [f"{'outside of' if away else 'in'} the {_polygon(polygon)}" for polygon in region.polygons]
     return f"the operator is {(' and ' if away else ' or ').join(parts)}"
+
+
+def _signal(signal: SignalCard) -> str:
+    after = f" (the speed answers after {signal.delay_s:.2f} s)" if signal.delay_s else ""
+    return f"signal {signal.signal} is {signal.value}{after}"
+
+
+def _polygon(polygon: PolygonCard) -> str:
+    known = [side.metres for side in polygon.sides if side.metres.low is not None and side.metres.high is not None]
+    off = max((max(m.value - (m.low or 0.0), (m.high or 0.0) - m.value) for m in known), default=None)
+    sure = "" if off is None else f", edges known to {off:.3f} m (95 % CI)"
+    if (found := polygon_corners(polygon)) is not None:
+        return f"polygon with corners {', '.join(f'({x:.2f}, {y:.2f})' for x, y in found)} m{sure}"
+    lines = [
+        f"{np.cos(side.angle_rad):.3f} x {np.sin(side.angle_rad):+.3f} y below {side.metres.value:.3f} m"
+        for side in polygon.sides
+    ]
+    return f"area {', '.join(lines)}{sure} (its other edges were never crossed)"
 
 
 def _rectangle(rectangle: RectangleCard) -> str:

@@ -13,7 +13,7 @@ from cyclekit.learning.rules.distances import TO_LINK, TO_TCP, to_links
 from cyclekit.learning.rules.families import FAMILIES
 from cyclekit.learning.rules.ladder import find_rule
 from cyclekit.learning.rules.quantities import quantities, without_doubtful
-from cyclekit.learning.rules.regions import corners
+from cyclekit.learning.rules.regions import corners, polygon_corners
 from cyclekit.learning.rules.rows import RuleRows, hidden_for_long
 from cyclekit.learning.rules.words import sentences, verdict
 
@@ -160,6 +160,78 @@ def test_a_rectangle_and_a_distance_are_told_apart() -> None:
     assert np.array(corners(half.within.rectangles[0])) == pytest.approx(
         np.array([(0.1, -0.6), (1.3, -0.6), (1.3, 0.7), (0.1, 0.7)]), abs=0.03
     )
+
+
+POLYGON_M = np.array([(-0.6, -0.7), (0.9, -0.9), (1.6, 0.1), (0.7, 0.9), (-0.5, 0.5)])
+
+
+def in_polygon(human: np.ndarray) -> np.ndarray:
+    way = np.roll(POLYGON_M, -1, axis=0) - POLYGON_M
+    to = human[:, None, :2] - POLYGON_M
+    return np.asarray((way[:, 0] * to[..., 1] - way[:, 1] * to[..., 0] > 0).all(axis=1))
+
+
+def test_a_polygon_is_named_by_its_corners() -> None:
+    found = find_rule(rows_by(lambda _robot, human, _margin: np.where(in_polygon(human), 1, 2)), LEVELS)
+    assert found.rule is not None
+    assert (found.rule.family, found.rule.hysteresis) == ("polygon on the floor", False)
+    (polygon,) = found.rule.limits[0].within.polygons
+    seen = np.array(polygon_corners(polygon))
+    assert len(seen) == len(POLYGON_M)
+    assert max(np.linalg.norm(seen - corner, axis=1).min() for corner in POLYGON_M) < 0.03
+    assert "in the polygon with corners (" in sentences(found.rule)[0]
+
+
+def in_robot_region(robot: np.ndarray) -> np.ndarray:
+    return np.asarray((robot[:, 0] > 0.1) & (robot[:, 1] < 0.25))
+
+
+@pytest.mark.parametrize(
+    ("field", "family"),
+    [
+        (lambda human: np.ones(len(human), np.bool_), "robot in a rectangle on the floor"),
+        (lambda human: np.isfinite(human[:, 0]), "presence while the robot is in a rectangle on the floor"),
+        (lambda human: in_box(human, 0.0), "rectangle on the floor while the robot is in a rectangle on the floor"),
+    ],
+)
+def test_a_region_of_the_robot_is_named_alone_and_beside_a_field(field: Any, family: str) -> None:
+    def step(robot: np.ndarray, human: np.ndarray, _margin: float) -> np.ndarray:
+        return np.where(in_robot_region(robot) & field(human), 1, 2)
+
+    found = find_rule(rows_by(step, away=True), LEVELS)
+    assert found.rule is not None
+    assert found.rule.family == family
+    region = found.rule.limits[0].within
+    assert region.robot is not None
+    assert region.robot.along[0] is not None
+    assert region.robot.along[0].value == pytest.approx(0.1, abs=0.01)
+    assert region.robot.across[1] is not None
+    assert region.robot.across[1].value == pytest.approx(0.25, abs=0.01)
+    assert "the TCP is in the rectangle x from 0." in sentences(found.rule)[0]
+
+
+@pytest.mark.parametrize("step", [by_distance, by_box, by_either])
+def test_labels_that_are_wrong_now_and_then_hide_no_rule(step: Any) -> None:
+    robot, human, execution = walks()
+    level, rng = step(robot, human, 0.0), np.random.default_rng(3)
+    clean = find_rule(RuleRows.made(robot, human, level, execution), LEVELS).rule
+    level = np.where(rng.random(len(level)) < 0.003, rng.integers(0, 3, len(level)), level)
+    found = find_rule(RuleRows.made(robot, human, level, execution), LEVELS).rule
+    assert clean is not None
+    assert found is not None
+    assert (found.family, found.hysteresis) == (clean.family, clean.hysteresis)
+    truth, seen = quantities(clean.limits), quantities(found.limits)
+    assert set(truth) == set(seen)
+    assert max(abs(seen[place].value - metres.value) for place, metres in truth.items()) < 0.015
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_no_rule_is_named_where_the_level_follows_the_floor_smoothly(seed: int) -> None:
+    robot, human, execution = walks()
+    rng = np.random.default_rng(seed)
+    waves = sum(np.cos(human[:, :2] @ rng.normal(0, 1.5, 2) + rng.uniform(0, 6.3)) for _ in range(30)) / 4
+    level = np.searchsorted([-0.6, 0.3], waves)
+    assert find_rule(RuleRows.made(robot, human, level, execution), LEVELS).rule is None
 
 
 def edges(from_m: tuple[float, float, float], to_m: tuple[float, float, float]) -> tuple[MetresCard, MetresCard]:

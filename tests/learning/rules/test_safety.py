@@ -11,9 +11,17 @@ from msgspec import structs
 
 from cyclekit.api.given import model_of
 from cyclekit.dataset.cards import BadCard, TrainingCard, checked, plain
-from cyclekit.dataset.cards.rule import LimitCard, MetresCard, NearerCard, RectangleCard, RegionCard, RuleCard
+from cyclekit.dataset.cards.rule import (
+    LimitCard,
+    MetresCard,
+    NearerCard,
+    RectangleCard,
+    RegionCard,
+    RuleCard,
+    SignalCard,
+)
 from cyclekit.errors import ModelError
-from cyclekit.estimate.safety import Dynamics, Follower, at_once
+from cyclekit.estimate.safety import Dynamics, Follower, at_once, scaling_of
 from cyclekit.estimate.whatif.alter import altered_safety
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.learning.networks.saved import TrainedModel, load_model, save_model
@@ -105,6 +113,25 @@ def test_a_rule_is_kept_as_data_beside_the_network(tmp_path: Path) -> None:
 def test_a_rule_on_the_nearest_link_leaves_the_answer_to_the_network() -> None:
     asked = model(TrainingCard(rule=rule((0.0, near(0.8, TO_LINK), None))))
     assert answering(asked) is asked
+
+
+def test_a_rule_on_a_signal_leaves_the_answer_to_the_network() -> None:
+    occupied = RegionCard(signals=(SignalCard(signal="FIELD_1", value="1"),))
+    asked = model(TrainingCard(rule=rule((0.0, occupied, None))))
+    assert answering(asked) is asked
+
+
+def test_a_field_counts_only_while_the_robot_is_in_its_region() -> None:
+    region = structs.replace(box(0.0, 1.0), robot=box(0.2, 0.6).rectangles[0])
+    safety = RuleSafety(rule((0.5, region, None)), TrainingCard())
+    X = np.array([[0.4, 0, 0, 0.5, 0, 0], [0.7, 0, 0, 0.5, 0, 0], [0.4, 0, 0, 1.5, 0, 0]], np.float64)
+    assert safety.predict(X).tolist() == [0.5, 1.0, 1.0]
+    wider = safety.with_hysteresis(0.3).rule.limits[0].until
+    assert wider is not None
+    assert wider.robot == region.robot
+    alone = RuleSafety(rule((0.5, RegionCard(robot=region.robot), None)), TrainingCard())
+    X[2, 3:] = np.nan
+    assert scaling_of(alone, X[:, :3], X[:, 3:]).tolist() == [0.5, 1.0, 0.5]
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,4 @@
-"""The kinds of rules, the simplest first. A kind is a module of this folder and a line here.
-
-Samples hold no signals and no bits of scanner fields, so there is no kind that goes by these.
-"""
+"""The kinds of rules, the simplest first. A kind is a module of this folder and a line here."""
 
 from __future__ import annotations
 
@@ -9,15 +6,27 @@ from typing import TYPE_CHECKING
 
 from cyclekit.learning.rules.families.distance import DISTANCE
 from cyclekit.learning.rules.families.mixture import MIXTURE
+from cyclekit.learning.rules.families.polygon import POLYGON
 from cyclekit.learning.rules.families.presence import PRESENCE
 from cyclekit.learning.rules.families.rectangle import RECTANGLE, TURNED
+from cyclekit.learning.rules.families.robot import ROBOT
+from cyclekit.learning.rules.families.signal import SIGNAL
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from cyclekit.learning.rules.families.family import Family
 
-FAMILIES: Mapping[str, Family] = {**PRESENCE, **DISTANCE, **RECTANGLE, **TURNED, **MIXTURE}
+FAMILIES: Mapping[str, Family] = {
+    **PRESENCE,
+    **SIGNAL,
+    **DISTANCE,
+    **RECTANGLE,
+    **TURNED,
+    **POLYGON,
+    **ROBOT,
+    **MIXTURE,
+}
 """By name, in the order in which they are preferred."""
 
 __all__ = ["FAMILIES"]

@@ -36,9 +36,9 @@ def _fit(rows: LimitRows, start: RegionCard | None, distance: str, rectangle: _R
     single = [nearer(rows, None, distance), rectangle(rows, None)]
     begins = [_purely_slow(rows, distance), single[0], _near_outside(rows, single[1], distance)]
     both = [_alternating(rows, begin, None, distance, rectangle) for begin in begins]
-    best = min(both, key=lambda region: rows.wrong(inside(region, rows)))
-    least = rows.wrong(inside(best, rows)) + _GAIN * float(rows.weight.sum())
-    return next((region for region in single if rows.wrong(inside(region, rows)) <= least), best)
+    best = min(both, key=lambda region: rows.wrong(region))
+    least = rows.wrong(best) + _GAIN * float(rows.weight.sum())
+    return next((region for region in single if rows.wrong(region) <= least), best)
 
 
 def _alternating(
@@ -47,10 +47,10 @@ def _alternating(
     """Return the union of both, each fitted in turn to what the other leaves."""
     zone, wrong = start, np.inf
     for _ in range(_ROUNDS):
-        zone = rectangle(rows.where(~inside(near, rows)), zone if zone and zone.rectangles else None)
-        near = nearer(rows.where(~inside(zone, rows)), None, distance)
+        zone = rectangle(rows.where(~inside(near, rows.positions)), zone if zone and zone.rectangles else None)
+        near = nearer(rows.where(~inside(zone, rows.positions)), None, distance)
         found = RegionCard(nearer=near.nearer, rectangles=zone.rectangles)
-        missed = rows.wrong(inside(found, rows))
+        missed = rows.wrong(found)
         if missed >= wrong:
             break
         wrong = missed
@@ -58,16 +58,16 @@ def _alternating(
 
 
 def _near_outside(rows: LimitRows, zone: RegionCard, distance: str) -> RegionCard:
-    return nearer(rows.where(~inside(zone, rows)), None, distance)
+    return nearer(rows.where(~inside(zone, rows.positions)), None, distance)
 
 
 def _purely_slow(rows: LimitRows, distance: str) -> RegionCard:
     """Return the farthest threshold within which nearly everything is slow."""
-    order = np.argsort(rows.apart_m[distance], kind="stable")
+    order = np.argsort(rows.positions.apart_m[distance], kind="stable")
     weight = rows.weight[order]
     share = np.cumsum(weight * rows.slow[order]) / np.maximum(np.cumsum(weight), 1e-9)
     pure = np.flatnonzero(share >= _PURE)
-    metres = float(rows.apart_m[distance][order][pure[-1]]) if len(pure) else np.inf
+    metres = float(rows.positions.apart_m[distance][order][pure[-1]]) if len(pure) else np.inf
     if not np.isfinite(metres):
         return RegionCard()
     return RegionCard(nearer=(NearerCard(distance=distance, metres=MetresCard(value=metres)),))

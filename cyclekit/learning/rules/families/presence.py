@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def _fit(rows: LimitRows, start: RegionCard | None) -> RegionCard:
     del start
-    present = np.isfinite(rows.floor_m[:, 0])
+    present = np.isfinite(rows.positions.floor_m[:, 0])
     slow = float(rows.weight[present & rows.slow].sum())
     return RegionCard(anywhere=2 * slow > float(rows.weight[present].sum()))
 

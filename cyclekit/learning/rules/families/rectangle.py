@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 def straight(rows: LimitRows, start: RegionCard | None) -> RegionCard:
     """Return the rectangle along the axes of the base frame that fits best; empty where none does."""
-    found = best_rectangle(rows, 0.0, start.rectangles[0] if start and start.rectangles else None)
+    begin = start.rectangles[0] if start and start.rectangles else None
+    found = best_rectangle(0.0, rows, begin)
     return RegionCard() if found is None else RegionCard(rectangles=(found,))
 
 

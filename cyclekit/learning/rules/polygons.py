@@ -1,0 +1,171 @@
+"""The convex polygon on the floor that explains best which samples are slow, side by side.
+
+A side is a cut along its normal. The first sides are those that leave the most fast samples outside; then each is moved
+and turned in turn to where it fits best beside the others.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from msgspec import structs
+
+from cyclekit.dataset.cards.rule import MetresCard, PolygonCard, SideCard
+from cyclekit.learning.rules.cuts import Cut, best_cut
+from cyclekit.learning.rules.regions import polygon_corners
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from cyclekit.learning.rules.cuts import LimitRows
+    from cyclekit.schema import Bools, Vector
+
+MOST_SIDES = 6
+_TRIED = 8
+"""So many sides are drawn before those that explain least are left out."""
+_GAIN = 3e-4
+"""A side is kept if it explains this part of the samples more."""
+_ANGLES = np.deg2rad(np.arange(0.0, 360.0, 6.0))
+_COARSE_DEG, _FINE_DEG = (4.0, 2.0), (1.0, 0.4, 0.15)
+_ROUNDS = 4
+
+
+class _Side(NamedTuple):
+    angle_rad: float
+    cut: Cut
+
+
+class _Floor(NamedTuple):
+    """Samples on the floor, (N, 2), m, which of them are slow, and how often each counts."""
+
+    floor_m: NDArray[np.float64]
+    slow: Bools
+    weight: Vector
+
+    def along(self, angle_rad: float) -> Vector:
+        return np.asarray(self.floor_m @ np.array([np.cos(angle_rad), np.sin(angle_rad)]))
+
+    def within(self, sides: Sequence[_Side]) -> Bools:
+        found = np.ones(len(self.slow), np.bool_)
+        for side in sides:
+            found &= self.along(side.angle_rad) < side.cut.value
+        return found
+
+    def gain(self, sides: Sequence[_Side]) -> float:
+        """Return how many slow rows lie inside, less the others."""
+        inside = self.within(sides)
+        return float(self.weight[inside & self.slow].sum() - self.weight[inside & ~self.slow].sum())
+
+    def cut(self, angle_rad: float, on: Bools) -> tuple[float, _Side]:
+        """Return the best side at an angle, and what rows `on` gain by it."""
+        value = self.along(angle_rad)[on]
+        cut = best_cut(value, self.slow[on], self.weight[on])
+        below = value < cut.value
+        slow, weight = self.slow[on], self.weight[on]
+        return float(weight[below & slow].sum() - weight[below & ~slow].sum()), _Side(angle_rad, cut)
+
+
+def best_polygon(rows: LimitRows, start: PolygonCard | None = None) -> PolygonCard | None:
+    """Return the convex polygon of up to six sides that fits best; None where there is none.
+
+    Args:
+        rows: What it is to explain.
+        start: One nearby, whose sides are kept.
+    """
+    rows = rows.where(np.isfinite(rows.positions.floor_m[:, 0]) & (rows.weight > 0))
+    floor, about = (_Floor(of.positions.floor_m, of.slow, of.weight) for of in (rows, rows.some()))
+    if not about.slow.any():
+        return None
+    if start is None:
+        sides = _fewer(floor, _drawn(about))
+    else:
+        sides = [_Side(side.angle_rad, Cut(side.metres.value, side.metres.value)) for side in start.sides]
+    sides = _moved(floor, sides, _FINE_DEG if start is None else _FINE_DEG[1:])
+    return _card(sides)
+
+
+def seen_from(other: PolygonCard, polygon: PolygonCard) -> PolygonCard:
+    """Return a polygon with each side as far out as that of another one is in its middle.
+
+    How far a side that is turned a little lies along its own normal says nothing of how far it has moved.
+    """
+    corners = polygon_corners(polygon)
+    sides = []
+    for number, side in enumerate(polygon.sides):
+        normal = np.array([np.cos(side.angle_rad), np.sin(side.angle_rad)])
+        middle = normal * side.metres.value
+        if corners is not None:  # corner n lies between sides n and n + 1
+            middle = (np.array(corners[number - 1]) + np.array(corners[number])) / 2
+        angles = np.array([one.angle_rad for one in other.sides])
+        mine = other.sides[int(np.cos(angles - side.angle_rad).argmax())]
+        out = side.metres.value - float(middle @ [np.cos(mine.angle_rad), np.sin(mine.angle_rad)])
+        ends = {name: None if (at := getattr(mine.metres, name)) is None else at + out for name in ("low", "high")}
+        sides.append(structs.replace(side, metres=MetresCard(value=mine.metres.value + out, **ends)))
+    return PolygonCard(sides=tuple(sides))
+
+
+def _drawn(floor: _Floor) -> list[_Side]:
+    """Return sides, one after the other the one that leaves out the most fast samples and the fewest slow ones.
+
+    Slow ones count as much as the fast ones together: else the best first side would leave out everything.
+    """
+    sides: list[_Side] = []
+    slow, every = (float(floor.weight[part].sum()) for part in (floor.slow, slice(None)))
+    floor = floor._replace(weight=floor.weight * np.where(floor.slow, max(1.0, every / slow), 1.0))
+    gain = floor.gain(sides)
+    for _ in range(_TRIED):
+        on = floor.within(sides)
+        new = max((floor.cut(angle, on) for angle in _ANGLES.tolist()), key=lambda one: one[0])[1]
+        more = _moved(floor, [*sides, new], _COARSE_DEG)
+        gained = floor.gain(more)
+        if gained <= gain + _GAIN * float(floor.weight.sum()):
+            break
+        sides, gain = more, gained
+    return sides
+
+
+def _fewer(floor: _Floor, sides: list[_Side]) -> list[_Side]:
+    """Return the sides without those that explain next to nothing, and no more than six."""
+    while len(sides) > 1:
+        others = [[*sides[:at], *sides[at + 1 :]] for at in range(len(sides))]
+        best = max(others, key=floor.gain)
+        if len(sides) <= MOST_SIDES and floor.gain(best) < floor.gain(sides) - _GAIN * float(floor.weight.sum()):
+            break
+        sides = _moved(floor, best, _COARSE_DEG)
+    return sides
+
+
+def _moved(floor: _Floor, sides: Sequence[_Side], degrees: Sequence[float]) -> list[_Side]:
+    """Return the sides, each in turn moved and turned to where it fits best, in smaller and smaller steps."""
+    sides = list(sides)
+    for step in np.deg2rad(degrees).tolist():
+        for _ in range(_ROUNDS):
+            was = list(sides)
+            for at, side in enumerate(was):
+                on = floor.within([*sides[:at], *sides[at + 1 :]])
+                sides[at] = _turned(floor, side, on, step)
+            if sides == was:
+                break
+    return sides
+
+
+def _turned(floor: _Floor, side: _Side, on: Bools, step: float) -> _Side:
+    tried = [floor.cut(side.angle_rad + way * step, on) for way in (0, -2, -1, 1, 2)]
+    best = max(tried, key=lambda one: one[0])
+    if best[0] > tried[0][0]:
+        return best[1]
+    as_good = [one.angle_rad for gain, one in tried if gain == best[0]]
+    if len(as_good) == 1:
+        return tried[0][1]
+    return floor.cut(float(np.mean(as_good)), on)[1]  # the middle of all angles that are as good
+
+
+def _card(sides: Sequence[_Side]) -> PolygonCard | None:
+    cards = [(side.angle_rad % (2 * np.pi), side.cut.card()) for side in sides]
+    known = [(angle, metres) for angle, metres in cards if metres is not None]
+    known.sort(key=lambda one: one[0])
+    made = tuple(SideCard(angle_rad=angle, metres=metres) for angle, metres in known)
+    return PolygonCard(sides=made) if made else None

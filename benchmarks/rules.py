@@ -16,78 +16,24 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
-from scipy.spatial import cKDTree
 
-from cyclekit.dataset.cards.rule import RuleCard
+from cyclekit.dataset.cards.rule import LimitCard, MetresCard, RegionCard, RuleCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.ingest.ingest import ingest
-from cyclekit.learning.rules.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT, to_links
+from cyclekit.learning.rules.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
 from cyclekit.learning.rules.of_dataset import rule_of
 from cyclekit.learning.rules.regions import corners
 from cyclekit.learning.rules.words import kind_of
 from cyclekit_sim import SimulationOptions, simulate
-from cyclekit_sim.arm import link_frames
-from cyclekit_sim.plan import prepare
-from cyclekit_sim.scenes import BUILT_IN
+from cyclekit_sim.rules import Limit, Rectangle, Rule
 
-Array = NDArray[np.float64]
-Box = tuple[float, float, float, float, float]
-"""From and to along, from and to across, m; and by how many degrees the rectangle is turned."""
 THRESHOLD_M, CORNER_M = 0.01, 0.03
-
-
-@dataclass(frozen=True)
-class Hidden:
-    """A safety function: thresholds on one distance, rectangles, both or mere presence; each level has at most one."""
-
-    levels: tuple[float, ...]
-    distance: str = ""
-    thresholds_m: dict[int, float] = field(default_factory=dict)
-    boxes: dict[int, Box] = field(default_factory=dict)
-    present: int | None = None
-
-    def step(self, tcp_m: Array, person_m: Array, margin_m: float) -> NDArray[np.int64]:
-        """Return the step of each pair, all boundaries moved outwards by `margin_m`."""
-        found = np.full(len(person_m), len(self.levels) - 1)
-        if self.present is not None:
-            found[person_m[:, 0] < 1e5] = self.present
-        apart = self.apart(tcp_m, person_m) if self.distance else np.full(len(person_m), np.inf)
-        for step in reversed(range(len(self.levels) - 1)):
-            slow = apart <= self.thresholds_m.get(step, -np.inf) + margin_m
-            if step in self.boxes:
-                slow |= _in(self.boxes[step], person_m, margin_m)
-            found[slow] = np.minimum(found[slow], step)
-        return found
-
-    def apart(self, tcp_m: Array, person_m: Array) -> Array:
-        """Return the distance that counts, (B,), m."""
-        if self.distance == TO_BASE:
-            return np.asarray(np.linalg.norm(person_m[:, :2], axis=1))
-        way = tcp_m - person_m
-        return np.asarray(np.linalg.norm(way[:, :2] if self.distance == TO_TCP_FLAT else way, axis=1))
-
-
-class HiddenLinks:
-    """The distance of the nearest link: joints are those of the planned motions at the same TCP."""
-
-    def __init__(self, hidden: Hidden, scene: str, executions: int, seed: int) -> None:
-        table = prepare(BUILT_IN[scene], seed, SimulationOptions(), executions=executions).table
-        self._tree, self._q_rad, self.levels, self._hidden = cKDTree(table.tcp_m), table.q_rad, hidden.levels, hidden
-
-    def step(self, tcp_m: Array, person_m: Array, margin_m: float) -> NDArray[np.int64]:
-        """Return the step by the nearest link."""
-        origins, _, _ = link_frames(self._q_rad[self._tree.query(tcp_m)[1]])
-        apart = to_links(np.concatenate([origins.transpose(1, 0, 2), tcp_m[:, None]], axis=1), person_m)
-        edges = np.array([self._hidden.thresholds_m[step] for step in range(len(self.levels) - 1)])
-        return np.asarray(np.searchsorted(edges + margin_m, apart, side="left"))
 
 
 @dataclass(frozen=True)
@@ -96,7 +42,7 @@ class Case:
 
     scene: str
     family: str
-    hidden: Hidden
+    rule: Rule
     options: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -105,29 +51,39 @@ class Case:
         return f"{self.family}, with hysteresis" if "hysteresis_m" in self.options else self.family
 
 
+def nearer(distance: str, *thresholds: tuple[float, float]) -> tuple[Limit, ...]:
+    """Return limits of a distance: scaling and threshold, m, of each."""
+    return tuple(Limit(scaling, distance=distance, below_m=metres) for scaling, metres in thresholds)
+
+
+def inside(scaling: float, rectangle: Rectangle) -> Limit:
+    """Return the limit of a rectangle."""
+    return Limit(scaling, rectangle=rectangle)
+
+
 BOX, TURNED = "rectangle on the floor", "turned rectangle on the floor"
-PANEL: Box = (1.25, 2.2, -0.15, 0.8, 0.0)
-THREE, FOUR = (0.0, 0.4, 1.0), (0.0, 0.3, 0.7, 1.0)
+PANEL = Rectangle((1.25, 2.2), (-0.15, 0.8))
+MIXED = nearer("tcp", (0.0, 0.83), (0.3, 1.17), (0.7, 1.74))
 CASES = (
-    Case("scanner-visits", "presence", Hidden((0.35, 1.0), present=0)),
-    Case("box-picking", TO_TCP, Hidden(FOUR, TO_TCP, {0: 1.1, 1: 1.63, 2: 2.17})),
-    Case("scanner-visits", TO_TCP_FLAT, Hidden(FOUR, TO_TCP_FLAT, {0: 0.75, 1: 1.14, 2: 1.88})),
-    Case("box-picking", TO_BASE, Hidden(THREE, TO_BASE, {0: 1.57, 1: 2.31})),
-    Case("scanner-visits", TO_LINK, Hidden(THREE, TO_LINK, {0: 0.85, 1: 1.42})),
-    Case("scanner-visits", BOX, Hidden((0.25, 1.0), boxes={0: PANEL})),
-    Case("scanner-visits", TURNED, Hidden((0.25, 1.0), boxes={0: (1.3, 2.25, -0.7, 0.2, 20.0)})),
-    Case("box-picking", TO_TCP, Hidden(THREE, TO_TCP, {0: 1.02, 1: 1.71}), {"hysteresis_m": 0.12}),
-    Case("scanner-visits", BOX, Hidden((0.25, 1.0), boxes={0: PANEL}), {"hysteresis_m": 0.15}),
+    Case("scanner-visits", "presence", Rule((Limit(0.35, present=True),))),
+    Case("box-picking", TO_TCP, Rule(nearer("tcp", (0.0, 1.1), (0.3, 1.63), (0.7, 2.17)))),
+    Case("scanner-visits", TO_TCP_FLAT, Rule(nearer("tcp-floor", (0.0, 0.75), (0.3, 1.14), (0.7, 1.88)))),
+    Case("box-picking", TO_BASE, Rule(nearer("base", (0.0, 1.57), (0.4, 2.31)))),
+    Case("scanner-visits", TO_LINK, Rule(nearer("link", (0.0, 0.85), (0.4, 1.42)))),
+    Case("scanner-visits", BOX, Rule((inside(0.25, PANEL),))),
+    Case("scanner-visits", TURNED, Rule((inside(0.25, Rectangle((1.3, 2.25), (-0.7, 0.2), 20.0)),))),
+    Case("box-picking", TO_TCP, Rule(nearer("tcp", (0.0, 1.02), (0.4, 1.71))), {"hysteresis_m": 0.12}),
+    Case("scanner-visits", BOX, Rule((inside(0.25, PANEL),)), {"hysteresis_m": 0.15}),
     Case(
         "scanner-visits",
         f"{TO_TCP}, or {BOX}",
-        Hidden(FOUR, TO_TCP, {0: 0.83, 1: 1.17, 2: 1.74}, {1: PANEL}),
+        Rule((*MIXED, inside(0.3, PANEL))),
         {"hysteresis_m": 0.1, "latency_s": 0.08},
     ),
     Case(
         "scanner-visits",
         f"{TO_TCP}, or {BOX}",
-        Hidden(FOUR, TO_TCP, {0: 0.83, 1: 1.17, 2: 1.74}, {1: (2.25, 3.0, 0.75, 1.5, 0.0)}),
+        Rule((*MIXED, inside(0.3, Rectangle((2.25, 3.0), (0.75, 1.5))))),
     ),
 )
 
@@ -167,67 +123,38 @@ def _row(case: Case, dataset: Dataset) -> list[str]:
 def logged(case: Case, folder: Path, asked: argparse.Namespace) -> Dataset:
     """Return the logs of a hidden rule; made once per folder."""
     if not (folder / "dataset").is_dir():
-        safety: Any = case.hidden
-        if case.hidden.distance == TO_LINK:
-            safety = HiddenLinks(case.hidden, case.scene, asked.executions, asked.seed)
-        usual = BUILT_IN[case.scene]
-        BUILT_IN[case.scene] = replace(usual, safety=_Kept(case.hidden, safety))
-        try:
-            options = SimulationOptions(delta_m=asked.noise, **case.options)  # type: ignore[arg-type]
-            simulate(case.scene, folder / "logs", executions=asked.executions, seed=asked.seed, options=options)
-        finally:
-            BUILT_IN[case.scene] = usual
+        options = SimulationOptions(delta_m=asked.noise, rule=case.rule, **case.options)  # type: ignore[arg-type]
+        simulate(case.scene, folder / "logs", executions=asked.executions, seed=asked.seed, options=options)
         ingest([folder / "logs"], folder / "dataset")
     return Dataset.open(folder / "dataset")
-
-
-@dataclass(frozen=True)
-class _Kept:
-    """A safety function whose truth is written beside the logs."""
-
-    hidden: Hidden
-    function: InitVar[Any]
-
-    def __post_init__(self, function: Any) -> None:  # noqa: ANN401
-        """Keep the function where `asdict` does not look."""
-        object.__setattr__(self, "_function", function)
-
-    @property
-    def levels(self) -> tuple[float, ...]:
-        """As of the hidden one."""
-        return self.hidden.levels
-
-    def step(self, tcp_m: Array, person_m: Array, margin_m: float) -> NDArray[np.int64]:
-        """Return the step by the function."""
-        return np.asarray(
-            self._function.step(  # type: ignore[attr-defined]
-                tcp_m, person_m, margin_m
-            )
-        )
 
 
 def threshold_off(case: Case, rule: RuleCard) -> float:
     """Return how far the worst threshold is off, m; infinite where one is missing, -inf where there is none."""
     margin_m, worst = case.options.get("hysteresis_m", 0.0), -np.inf
-    for step, metres in case.hidden.thresholds_m.items():
-        limit = _limit(case, rule, step)
+    for hidden in case.rule.limits:
+        if hidden.below_m is None:
+            continue
+        limit = _limit(hidden, rule)
         regions = [] if limit is None else [(limit.within, 0.0), (limit.until, margin_m)]
         for region, by_m in regions:
             if region is not None:
                 found = region.nearer[0].metres.value if region.nearer else np.inf
-                worst = max(worst, abs(found - metres - by_m))
+                worst = max(worst, abs(found - hidden.below_m - by_m))
     return worst
 
 
 def corner_off(case: Case, rule: RuleCard) -> float:
     """Return how far the worst corner is off, m; as `threshold_off`."""
     margin_m, worst = case.options.get("hysteresis_m", 0.0), -np.inf
-    for step, box in case.hidden.boxes.items():
-        limit = _limit(case, rule, step)
+    for hidden in case.rule.limits:
+        if hidden.rectangle is None:
+            continue
+        limit = _limit(hidden, rule)
         for region, by_m in [] if limit is None else [(limit.within, 0.0), (limit.until, margin_m)]:
             if region is not None:
                 found = corners(region.rectangles[0]) if region.rectangles else None
-                for x, y in _corners(box, by_m):
+                for x, y in hidden.rectangle.corners(by_m):
                     worst = max(worst, min((float(np.hypot(x - a, y - b)) for a, b in found or ()), default=np.inf))
     return worst
 
@@ -235,42 +162,34 @@ def corner_off(case: Case, rule: RuleCard) -> float:
 def intervals(case: Case, rule: RuleCard) -> str:
     """Count the 95 % intervals of thresholds, and of edges along the axes, that hold the truth."""
     margin_m, hold = case.options.get("hysteresis_m", 0.0), list[bool]()
-    for step in range(len(case.hidden.levels) - 1):
-        limit = _limit(case, rule, step)
+    for hidden in case.rule.limits:
+        limit = _limit(hidden, rule)
         for region, by_m in [] if limit is None else [(limit.within, 0.0), (limit.until, margin_m)]:
             if region is None:
                 continue
-            pairs = [(near.metres, case.hidden.thresholds_m[step] + by_m) for near in region.nearer]
-            for rectangle in region.rectangles if case.hidden.boxes.get(step, (1.0,))[-1] == 0.0 else ():
-                grown = (-by_m, by_m, -by_m, by_m)
-                truth = [at + by for at, by in zip(case.hidden.boxes[step], grown, strict=False)]
-                pairs += [
-                    (edge, at)
-                    for edge, at in zip((*rectangle.along, *rectangle.across), truth, strict=True)
-                    if edge is not None
-                ]
+            if hidden.below_m is not None:
+                pairs = [(near.metres, hidden.below_m + by_m) for near in region.nearer]
+            else:
+                pairs = _edges(hidden.rectangle, region, by_m)
             hold += [(metres.low or -np.inf) <= at <= (metres.high or np.inf) for metres, at in pairs]
     return f"{sum(hold)} of {len(hold)}" if hold else "none"
 
 
-def _limit(case: Case, rule: RuleCard, step: int) -> Any:  # noqa: ANN401
-    level = case.hidden.levels[step]
-    return next((limit for limit in rule.limits if abs(limit.scaling - level) < 0.02), None)
+def _edges(hidden: Rectangle | None, region: RegionCard, by_m: float) -> list[tuple[MetresCard, float]]:
+    """Return edges along the axes, and where they are in truth."""
+    if hidden is None or hidden.turned_deg:
+        return []
+    truth = [at + by for at, by in zip((*hidden.x_m, *hidden.y_m), (-by_m, by_m, -by_m, by_m), strict=True)]
+    return [
+        (edge, at)
+        for rectangle in region.rectangles
+        for edge, at in zip((*rectangle.along, *rectangle.across), truth, strict=True)
+        if edge is not None
+    ]
 
 
-def _in(box: Box, person_m: Array, margin_m: float) -> NDArray[np.bool_]:
-    turn = np.deg2rad(box[4])
-    along = person_m[:, 0] * np.cos(turn) + person_m[:, 1] * np.sin(turn)
-    across = person_m[:, 1] * np.cos(turn) - person_m[:, 0] * np.sin(turn)
-    inside = (along >= box[0] - margin_m) & (along <= box[1] + margin_m)
-    return np.asarray(inside & (across >= box[2] - margin_m) & (across <= box[3] + margin_m))
-
-
-def _corners(box: Box, by_m: float) -> list[tuple[float, float]]:
-    turn = np.deg2rad(box[4])
-    left, right, near, far = box[0] - by_m, box[1] + by_m, box[2] - by_m, box[3] + by_m
-    frame = [(left, near), (right, near), (right, far), (left, far)]
-    return [(u * np.cos(turn) - v * np.sin(turn), u * np.sin(turn) + v * np.cos(turn)) for u, v in frame]
+def _limit(hidden: Limit, rule: RuleCard) -> LimitCard | None:
+    return next((limit for limit in rule.limits if abs(limit.scaling - hidden.scaling) < 0.02), None)
 
 
 if __name__ == "__main__":

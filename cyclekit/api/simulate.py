@@ -48,7 +48,8 @@ def simulate_logs(
         out: Folder for the logs.
         executions: How many times the process runs.
         seed: Of everything that is drawn.
-        settings: Fields of `cyclekit_sim.SimulationOptions`, such as `delta_m` (tracker noise) or `robot_rate_hz`.
+        settings: Fields of `cyclekit_sim.SimulationOptions`, such as `delta_m` (tracker noise) or `robot_rate_hz`;
+            `rule` may be the path of a rule file.
         progress: Told fraction and text.
 
     Raises:
@@ -57,12 +58,16 @@ def simulate_logs(
         OutputError: The folder holds what is no simulation.
     """
     need("the simulator", "simulate")
-    from cyclekit_sim import SimulationOptions, simulate
+    from cyclekit_sim import SimulationOptions, read_rule, simulate
     from cyclekit_sim.errors import SimulationError
 
     asked, folder = dict(settings or {}), Path(out)
-    check_output(folder, "logs", [asked.get("operator_log")])
+    rule = asked.get("rule")
+    rule_file = rule if isinstance(rule, (str, Path)) else None
+    check_output(folder, "logs", [asked.get("operator_log"), rule_file])
     try:
+        if rule_file is not None:
+            asked["rule"] = read_rule(Path(rule_file))
         options = SimulationOptions(**asked)
         logs = simulate(scene, folder, executions=executions, seed=seed, options=options, progress=progress)
     except SimulationError as error:

@@ -46,7 +46,8 @@ def _written(found: SafetyFunction) -> str:
     from cyclekit.learning.rules.words import verdict
 
     first = bullet([verdict(found.commanded)], mark="")
-    return f"{first}\n{bullet(found.rule_sentences)}\n{_levels(found)}\n{_from(found)}"
+    levels = "" if found.commanded.rule is not None and found.commanded.rule.law is not None else f"{_levels(found)}\n"
+    return f"{first}\n{bullet(found.rule_sentences)}\n{levels}{_from(found)}"
 
 
 def _why(found: SafetyFunction) -> list[str]:

@@ -223,7 +223,7 @@ def check_rollout(
             break
     logged = logged_durations(dataset, sequences)
     column = np.array([tracks.executions.index(sequence.name) for sequence in sequences])
-    if not at_once(model, Dynamics.of(dataset.card.dynamics)):
+    if not at_once(model, Dynamics.of(dataset.card.dynamics, model)):
         crossed *= _late(own, crossed[np.arange(len(sequences)), column])
     crossed[np.arange(len(sequences)), column] = np.nan  # its own operator is left out
     _enough(dataset, int((np.isfinite(own) & np.isfinite(crossed).any(axis=1)).sum()))

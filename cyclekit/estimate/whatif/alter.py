@@ -115,7 +115,7 @@ def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> Safe
         return WrittenSafety(change)
     if "hysteresis_m" not in change.dynamics:
         return model
-    if isinstance(model, RuleSafety):
+    if isinstance(model, RuleSafety) and model.rule.law is None:
         return model.with_hysteresis(change.dynamics["hysteresis_m"] or 0.0)
     return LearnedSafety(model, logged.hysteresis_m or 0.0)
 

@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import structs
 
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
+from cyclekit.learning.rules.law import shape_of
 from cyclekit.learning.rules.quantities import grown, quantities
 from cyclekit.learning.rules.regions import allowed
 
@@ -73,6 +74,8 @@ class RuleSafety:
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
         """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
         robot_m, human_m = X[:, :3].astype(np.float64), X[:, 3:6].astype(np.float64)
+        if self.rule.law is not None:
+            return shape_of(self.rule.law).scaling(DISTANCES[self.rule.law.distance](robot_m, human_m))
         rows = _AskedPositions(
             {name: DISTANCES[name](robot_m, human_m) for name in _distances(self.rule)}, human_m[:, :2]
         )
@@ -94,7 +97,9 @@ def answering(model: TrainedModel) -> TrainedModel | RuleSafety:
 
 def _distances(rule: RuleCard) -> set[str]:
     regions = [region for limit in rule.limits for region in (limit.within, limit.until) if region is not None]
-    return {near.distance for region in regions for near in region.nearer}
+    return {near.distance for region in regions for near in region.nearer} | (
+        set() if rule.law is None else {rule.law.distance}
+    )
 
 
 def _widened(limit: LimitCard, margin_m: float) -> LimitCard:

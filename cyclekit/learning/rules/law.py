@@ -17,12 +17,13 @@ import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
 from cyclekit.dataset.cards.rule import LawCard, MetresCard
-from cyclekit.learning.rules.law_rows import Ramps, resting, resting_rates
+from cyclekit.learning.rules.law_rows import limited, resting, resting_rates
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.learning.rules.law_rows import LawRows
+    from cyclekit.scaling.ways import RampRates
     from cyclekit.schema import Bools, Vector
 
 LATEST_S, STEP_S = 1.0, 0.1
@@ -38,7 +39,7 @@ _RESAMPLES = 40
 _BOUNDS = (0.025, 0.975)
 
 
-class Shape(NamedTuple):
+class LawShape(NamedTuple):
     """The three lengths of a law, m, and the lowest scaling."""
 
     stop_m: float
@@ -53,13 +54,13 @@ class Shape(NamedTuple):
         return np.clip(2 * left / np.maximum(self.linear_m + root, 1e-12), self.lowest, 1.0)
 
 
-class Fitted(NamedTuple):
+class FittedLaw(NamedTuple):
     """A law with the response through which it was seen."""
 
     distance: str
-    shape: Shape
+    shape: LawShape
     latency_s: float
-    ramps: Ramps
+    ramps: RampRates
 
     def rest(self, rows: LawRows) -> tuple[Vector, Bools]:
         """Return the scaling that the law allows in each row, shape (N,), and where the logged one has reached it."""
@@ -67,12 +68,12 @@ class Fitted(NamedTuple):
         return allowed, np.isfinite(allowed) & resting(rows, self.ramps)
 
 
-def shape_of(law: LawCard) -> Shape:
+def shape_of(law: LawCard) -> LawShape:
     """Return the numbers of a stored law."""
-    return Shape(law.stop.value, law.linear.value, law.square.value, law.lowest)
+    return LawShape(law.stop.value, law.linear.value, law.square.value, law.lowest)
 
 
-def fit_law(rows: LawRows) -> Fitted | None:
+def fit_law(rows: LawRows) -> FittedLaw | None:
     """Return the law that fits best; None where too few rows are at rest between its bounds.
 
     Rows in which a ramp hides the command are left out; the reaction time is the one at which the rest agrees best.
@@ -104,10 +105,10 @@ def fit_law(rows: LawRows) -> Fitted | None:
     latency_s = float(found.x) if found.x > 4e-3 else 0.0
     many = _some(rest, MANY)
     shape = _best(rows.scaling[many], rows.earlier(rows.apart_m[name], latency_s)[many], lowest, shape)[1]
-    return _checked(Fitted(name, shape, latency_s, ramps), rows)
+    return _checked(FittedLaw(name, shape, latency_s, ramps), rows)
 
 
-def law_card(fitted: Fitted, rows: LawRows, *, seed: int) -> LawCard:
+def law_card(fitted: FittedLaw, rows: LawRows, *, seed: int) -> LawCard:
     """Return a law with the 95 % confidence intervals of its lengths, from executions drawn again."""
     rng = np.random.default_rng(seed)
     rest = np.flatnonzero(fitted.rest(rows)[1])
@@ -130,22 +131,22 @@ def law_card(fitted: Fitted, rows: LawRows, *, seed: int) -> LawCard:
     )  # fmt: skip
 
 
-def _best(scaling: Vector, apart_m: Vector, lowest: float, start: Shape | None = None) -> tuple[float, Shape]:
+def _best(scaling: Vector, apart_m: Vector, lowest: float, start: LawShape | None = None) -> tuple[float, LawShape]:
     """Return the mean cost and the law that fits rows (N,) best; an infinite cost where too few are known."""
     known = np.isfinite(apart_m)
     s, d = scaling[known], apart_m[known]
     between = (s > lowest + SAME) & (s < 1.0 - SAME)
     if between.sum() < 20:
-        return np.inf, Shape(0.0, 1.0, 0.0, lowest)
+        return np.inf, LawShape(0.0, 1.0, 0.0, lowest)
     if start is None:
         slope, offset = np.polyfit(s[between], d[between], 1)
         begin = [offset, max(float(slope), 0.05), 0.3]
     else:
         begin = [start.stop_m, start.linear_m + start.square_m, start.square_m / (start.linear_m + start.square_m)]
 
-    def shape(x: Vector) -> Shape:
+    def shape(x: Vector) -> LawShape:
         """Return the law of the distance at which it stops, the way to full speed, and the bent part of that."""
-        return Shape(float(x[0]), float(x[1] * (1 - x[2])), float(x[1] * x[2]), lowest)
+        return LawShape(float(x[0]), float(x[1] * (1 - x[2])), float(x[1] * x[2]), lowest)
 
     bounds = ([-5.0, 0.01, 0.0], [20.0, 20.0, 1.0])
     begin = list(np.clip(begin, np.array(bounds[0]) + 1e-3, np.array(bounds[1]) - 1e-3))
@@ -155,12 +156,12 @@ def _best(scaling: Vector, apart_m: Vector, lowest: float, start: Shape | None =
     return float(found.cost) / len(s), shape(found.x)
 
 
-def _checked(fitted: Fitted, rows: LawRows) -> Fitted:
+def _checked(fitted: FittedLaw, rows: LawRows) -> FittedLaw:
     """Return it without ramps whose rows already have what the law allows: these are no ramps."""
     allowed, _ = fitted.rest(rows)
     rates = fitted.ramps
     for rises in (False, True):
-        on = np.isfinite(allowed) & rates.limited(rows, rises=rises)
+        on = np.isfinite(allowed) & limited(rows, rates, rises=rises)
         beyond = (allowed - rows.scaling) * (1 if rises else -1) > SAME
         if on.any() and beyond[on].mean() < 0.5:
             rates = rates._replace(**{"up_per_s" if rises else "down_per_s": None})
@@ -169,7 +170,7 @@ def _checked(fitted: Fitted, rows: LawRows) -> Fitted:
     many = _some(resting(rows, rates), MANY)
     apart = rows.earlier(rows.apart_m[fitted.distance], fitted.latency_s)[many]
     shape = _best(rows.scaling[many], apart, fitted.shape.lowest, fitted.shape)[1]
-    return Fitted(fitted.distance, shape, fitted.latency_s, rates)
+    return FittedLaw(fitted.distance, shape, fitted.latency_s, rates)
 
 
 def _lowest(scaling: Vector) -> float:

@@ -15,7 +15,7 @@ from sklearn.tree import DecisionTreeRegressor
 
 from cyclekit.dataset.cards.rule import RuleCard
 from cyclekit.learning.rules.ladder import RuleSearch
-from cyclekit.learning.rules.law import SAME, Fitted, fit_law, law_card
+from cyclekit.learning.rules.law import SAME, FittedLaw, fit_law, law_card
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -103,7 +103,7 @@ def find_law(
     return RuleSearch(card, {name: card.explained, **others}, part, *seen)
 
 
-def _between(fitted: Fitted, rows: LawRows) -> Bools:
+def _between(fitted: FittedLaw, rows: LawRows) -> Bools:
     """Return the rows at rest whose scaling lies between the bounds, or should by the law, shape (N,)."""
     allowed, rest = fitted.rest(rows)
     low, high = fitted.shape.lowest + SAME, 1.0 - SAME

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -13,6 +13,7 @@ from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE
 from cyclekit.learning.labelling import without_slider
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.links import to_nearest_link
+from cyclekit.scaling.ways import RampRates
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -33,21 +34,6 @@ LEAST = 100
 _PILE, _PILED, _FASTER = 0.02, 0.1, 0.02
 _LEAST_RAMP = 30
 _LEAST_PER_S = 0.02
-
-
-class Ramps(NamedTuple):
-    """Fastest fall and rise of the scaling per second; None: not limited."""
-
-    down_per_s: float | None = None
-    up_per_s: float | None = None
-
-    def limited(self, rows: LawRows, *, rises: bool) -> Bools:
-        """Return the rows that a ramp of one direction leads to or from, shape (N,)."""
-        rate = self.up_per_s if rises else self.down_per_s
-        if rate is None:
-            return np.zeros(len(rows), np.bool_)
-        fast = (rows.rate_per_s if rises else -rows.rate_per_s) >= (1 - _PILE) * rate
-        return np.asarray(fast | np.append(fast[1:], False))
 
 
 @dataclass(frozen=True)
@@ -118,10 +104,19 @@ def law_rows(dataset: Dataset, executions: Sequence[str]) -> LawRows | None:
     return rows if to_link is None else replace(rows, apart_m={**apart, TO_LINK: to_link})
 
 
-def resting_rates(rows: LawRows) -> Ramps:
+def limited(rows: LawRows, rates: RampRates, *, rises: bool) -> Bools:
+    """Return the rows that a ramp of one direction leads to or from, shape (N,)."""
+    rate = rates.of(rises=rises)
+    if rate is None:
+        return np.zeros(len(rows), np.bool_)
+    fast = (rows.rate_per_s if rises else -rows.rate_per_s) >= (1 - _PILE) * rate
+    return np.asarray(fast | np.append(fast[1:], False))
+
+
+def resting_rates(rows: LawRows) -> RampRates:
     """Return the rates at which the scaling is held back: the fastest ones, which many rows share."""
     rate = rows.rate_per_s
-    return Ramps(_piled(-rate[rate < -_LEAST_PER_S]), _piled(rate[rate > _LEAST_PER_S]))
+    return RampRates(_piled(-rate[rate < -_LEAST_PER_S]), _piled(rate[rate > _LEAST_PER_S]))
 
 
 def _piled(rate: Vector) -> float | None:
@@ -135,9 +130,9 @@ def _piled(rate: Vector) -> float | None:
     return usual if count[first] >= max(_LEAST_RAMP, _PILED * len(rate)) and faster <= _FASTER else None
 
 
-def resting(rows: LawRows, ramps: Ramps) -> Bools:
+def resting(rows: LawRows, ramps: RampRates) -> Bools:
     """Return the rows in which no ramp hides the command, shape (N,)."""
-    return ~(ramps.limited(rows, rises=False) | ramps.limited(rows, rises=True))
+    return ~(limited(rows, ramps, rises=False) | limited(rows, ramps, rises=True))
 
 
 def is_continuous(rows: LawRows) -> bool:

@@ -22,7 +22,7 @@ from cyclekit.estimate.whatif.change import Change
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.rules.distances import DISTANCES, TO_TCP
-from cyclekit.learning.rules.law import Shape, fit_law, shape_of
+from cyclekit.learning.rules.law import LawShape, fit_law, shape_of
 from cyclekit.learning.rules.law_evidence import LAW, find_law
 from cyclekit.learning.rules.law_rows import LawRows, is_continuous, resting_rates
 from cyclekit.learning.rules.safety import RuleSafety, answering
@@ -81,7 +81,7 @@ HELD_OUT = np.arange(9, 12)
 def test_the_scaling_of_a_law_is_the_inverse_of_its_distance(
     stop: float, linear: float, square: float, s: float
 ) -> None:
-    found = Shape(stop, linear, square).scaling(np.array([stop + linear * s + square * s * s]))
+    found = LawShape(stop, linear, square).scaling(np.array([stop + linear * s + square * s * s]))
     assert found[0] == pytest.approx(s, abs=1e-6)
 
 

@@ -157,13 +157,13 @@ def _best(scaling: Vector, apart_m: Vector, lowest: float, start: LawShape | Non
 
 
 def _checked(fitted: FittedLaw, rows: LawRows) -> FittedLaw:
-    """Return it without ramps whose rows already have what the law allows: these are no ramps."""
+    """Return it without ramps during which the law does not lie ahead of the scaling: these are no ramps."""
     allowed, _ = fitted.rest(rows)
     rates = fitted.ramps
     for rises in (False, True):
         on = np.isfinite(allowed) & limited(rows, rates, rises=rises)
-        beyond = (allowed - rows.scaling) * (1 if rises else -1) > SAME
-        if on.any() and beyond[on].mean() < 0.5:
+        beyond = ((allowed - rows.scaling) * (1 if rises else -1))[on]
+        if on.any() and beyond.mean() < 0.5 * np.abs(beyond).mean():
             rates = rates._replace(**{"up_per_s" if rises else "down_per_s": None})
     if rates == fitted.ramps:
         return fitted

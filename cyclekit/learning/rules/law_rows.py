@@ -31,7 +31,9 @@ CONTINUOUS = 0.15
 """Part of the time between its bounds that a continuous scaling spends on other values."""
 LEAST = 100
 """Fewer rows between the bounds say nothing."""
-_PILE, _PILED, _FASTER = 0.02, 0.1, 0.02
+_PILE, _BANDS, _PILED = 0.02, 5, 2.5
+"""A rate is shared by those within _PILE of it; so many times as many as in each of so many bands below it."""
+_FASTER = 0.02
 _LEAST_RAMP = 30
 _LEAST_PER_S = 0.02
 
@@ -120,14 +122,15 @@ def resting_rates(rows: LawRows) -> RampRates:
 
 
 def _piled(rate: Vector) -> float | None:
+    """Return the rate (of N, 1/s) that none exceeds and many more share than rates a little lower."""
     if len(rate) < _LEAST_RAMP:
         return None
-    ordered = np.sort(rate)
-    count = np.searchsorted(ordered, ordered * (1 + _PILE)) - np.arange(len(ordered))
-    first = int(count.argmax())
-    usual = float(np.median(ordered[first : first + count[first]]))
-    faster = float((rate > (1 + _PILE) * usual).mean())
-    return usual if count[first] >= max(_LEAST_RAMP, _PILED * len(rate)) and faster <= _FASTER else None
+    fast = float(np.quantile(rate, 1 - _FASTER))
+    mine = np.abs(rate / fast - 1) <= _PILE
+    beside = (rate < (1 - _PILE) * fast) & (rate >= (1 - 2 * _PILE * (1 + _BANDS)) * fast)
+    if mine.sum() < max(_LEAST_RAMP, _PILED * beside.sum() / _BANDS):
+        return None
+    return float(np.median(rate[mine])) if (rate > (1 + 2 * _PILE) * fast).mean() <= _FASTER / 2 else None
 
 
 def resting(rows: LawRows, ramps: RampRates) -> Bools:

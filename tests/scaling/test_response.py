@@ -147,7 +147,7 @@ def test_a_scaling_that_follows_a_distance_is_said_to_be_continuous():
 
 
 @pytest.mark.parametrize("hold_s", [0.4, 1.0, 2.0])
-def test_a_hold_time_is_what_the_robot_speeds_up_later_than_it_slows_down(hold_s: float):
+def test_a_hold_time_is_what_the_robot_speeds_up_later_than_it_slows_down(hold_s):
     down, t_s, robot_m, human_m = approaches(0.0)
     leaves = [LevelChange(change.t_s + 5.5 + hold_s, 0, True, None) for change in down]
     away = np.where((t_s % 10.0 > 4.6)[:, None], human_m * 0, human_m)

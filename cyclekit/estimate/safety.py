@@ -101,7 +101,7 @@ class Dynamics:
     hold_s: float | None = None
 
     @classmethod
-    def of(cls, card: DynamicsCard, model: SafetyModel) -> Dynamics:
+    def of(cls, card: DynamicsCard, model: SafetyModel | None = None) -> Dynamics:
         """Return what a dataset's card says, or a law of the model, which was fitted together with its response."""
         law = model.rule.law if isinstance(model, RuleSafety) else None
         if law is not None:

@@ -17,6 +17,7 @@ from cyclekit.config.sequences import load_sequences
 from cyclekit.estimate.plan import load_jobs
 from cyclekit.estimate.whatif import load_changes
 from cyclekit.fleet import load_fleet
+from cyclekit_sim import read_rule
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *ROOT.glob("[!.]*/README.md")])
@@ -127,6 +128,8 @@ def test_a_toml_example_is_a_file_that_is_accepted(document: str, block: str, tm
         assert load_changes(file), document
     elif "visit = " in block:
         assert load_jobs(file), document
+    elif "[[limits]]" in block or "[law]" in block:
+        assert read_rule(file), document
     else:
         assert load_cell(file), document
 

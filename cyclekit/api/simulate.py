@@ -49,7 +49,7 @@ def simulate_logs(
         executions: How many times the process runs.
         seed: Of everything that is drawn.
         settings: Fields of `cyclekit_sim.SimulationOptions`, such as `delta_m` (tracker noise) or `robot_rate_hz`;
-            `causes`: True for all causes of lost time beside the operator.
+            `causes`: True for all causes of lost time beside the operator; `rule` may be the path of a rule file.
         progress: Told fraction and text.
 
     Raises:
@@ -58,14 +58,18 @@ def simulate_logs(
         OutputError: The folder holds what is no simulation.
     """
     need("the simulator", "simulate")
-    from cyclekit_sim import MixedCauses, SimulationOptions, simulate
+    from cyclekit_sim import MixedCauses, SimulationOptions, read_rule, simulate
     from cyclekit_sim.errors import SimulationError
 
     asked, folder = dict(settings or {}), Path(out)
-    check_output(folder, "logs", [asked.get("operator_log")])
+    rule = asked.get("rule")
+    rule_file = rule if isinstance(rule, (str, Path)) else None
+    check_output(folder, "logs", [asked.get("operator_log"), rule_file])
     try:
         if isinstance(asked.get("causes"), bool):
             asked["causes"] = MixedCauses() if asked["causes"] else None
+        if rule_file is not None:
+            asked["rule"] = read_rule(Path(rule_file))
         options = SimulationOptions(**asked)
         logs = simulate(scene, folder, executions=executions, seed=seed, options=options, progress=progress)
     except SimulationError as error:

@@ -36,9 +36,14 @@ def simulate(
     per_session: Annotated[
         int, typer.Option("--executions-per-session", min=1, help="Executions per logging session.")
     ] = 25,
+    rule: Annotated[
+        Path | None, typer.Option(help="Rule file: the safety function, in place of the scene's (docs/commands.md).")
+    ] = None,
     ramps: Annotated[float | None, typer.Option(help="Fastest change of the scaling, 1/s.")] = None,
+    ramp_down: Annotated[float | None, typer.Option(help="Fastest fall, 1/s, where it is not that of --ramps.")] = None,
     latency: Annotated[float, typer.Option(help="Reaction time of the safety system, s.")] = 0.0,
     hysteresis: Annotated[float, typer.Option(help="Extra distance before the robot speeds up again, m.")] = 0.0,
+    hold: Annotated[float, typer.Option(help="For how long the robot stays slow after it may speed up, s.")] = 0.0,
     operator_log: OperatorLog = None,
     operator_xyz: OperatorXyz = None,
     operator_yaw: OperatorYaw = 0.0,
@@ -75,10 +80,12 @@ def simulate(
         "millimetres": millimetres,
         "silent_when_empty": silent_when_empty,
         "executions_per_session": per_session,
-        "ramp_down_per_s": ramps,
+        "rule": rule,
+        "ramp_down_per_s": ramps if ramp_down is None else ramp_down,
         "ramp_up_per_s": ramps,
         "latency_s": latency,
         "hysteresis_m": hysteresis,
+        "hold_s": hold,
         "operator_log": operator_log,
         "operator_yaw_deg": operator_yaw,
         "with_operator": not without_operator,

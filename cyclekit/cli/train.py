@@ -173,5 +173,6 @@ def rule_lines(rule: RuleCard) -> list[str]:
     from cyclekit.learning.rules.words import kind_of, sentences
 
     network = "" if rule.network is None else f" (the network {rule.network:.2%})"
-    first = f"answers: the rule {kind_of(rule)}; commanded level right in {rule.explained:.2%} of held-out samples"
+    right = "scaling right within 2 %" if rule.law is not None else "commanded level right"
+    first = f"answers: the rule {kind_of(rule)}; {right} in {rule.explained:.2%} of held-out samples"
     return [f"{first}{network}", *(f"- {sentence}" for sentence in sentences(rule))]

@@ -127,7 +127,8 @@ def _written(found: SafetyFunction) -> str:
     from cyclekit.learning.rules.words import verdict
 
     first = bullet([verdict(found.commanded)], mark="")
-    last = bullet([_levels(found), _from(found)], mark="")
+    by_law = found.commanded.rule is not None and found.commanded.rule.law is not None
+    last = bullet([_from(found)] if by_law else [_levels(found), _from(found)], mark="")
     return f"{first}\n{bullet(found.rule_sentences)}\n{last}"
 
 

@@ -88,7 +88,7 @@ def _walked(ask: Question, turn: _Round) -> Iterator[Rolled]:
 
 
 def _dynamics(ask: Question) -> Dynamics:
-    return ask.altered.dynamics if ask.altered is not None else Dynamics.of(ask.dataset.card.dynamics)
+    return ask.altered.dynamics if ask.altered is not None else Dynamics.of(ask.dataset.card.dynamics, ask.model)
 
 
 def _looked_up(ask: Question, turn: _Round) -> Iterator[Rolled]:

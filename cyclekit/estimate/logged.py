@@ -88,7 +88,7 @@ def beside_own(
     begins, entries = np.array([tracks.executions.index(sequence.name) for sequence in sequences]), np.array(phases)
     track = (begins[:, None] + len(set(tracks.executions)) * entries).ravel()
     which = np.repeat(np.arange(len(programs)), len(phases))
-    dynamics = Dynamics.of(dataset.card.dynamics)
+    dynamics = Dynamics.of(dataset.card.dynamics, model)
     walked = walk(model, programs, which, track, own, tracks, dynamics=dynamics, fine=True)
     return walked.duration_s.reshape(len(programs), len(phases)).T
 

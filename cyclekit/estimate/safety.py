@@ -115,8 +115,11 @@ class Dynamics:
     hold_s: float | None = None
 
     @classmethod
-    def of(cls, card: DynamicsCard) -> Dynamics:
-        """Return what a dataset's card says."""
+    def of(cls, card: DynamicsCard, model: SafetyModel | None = None) -> Dynamics:
+        """Return what a dataset's card says, or a law of the model, which was fitted together with its response."""
+        law = model.rule.law if isinstance(model, RuleSafety) else None
+        if law is not None:
+            return cls(law.latency_s, law.ramp_down_per_s, law.ramp_up_per_s)
         return cls(**{name: getattr(card, name) for name in cls.__dataclass_fields__})
 
     @property

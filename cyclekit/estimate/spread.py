@@ -67,7 +67,7 @@ def _walk(asked: Asked, sequences: Sequence[TaskSequence]) -> list[Rolled]:
         asked.dataset, asked.executions, asked.operator, asked.phases, asked.horizon_s
     )
     programs = [lay_out(sequence, nominal, logs) for sequence in sequences]
-    dynamics = Dynamics.of(logs.card.dynamics)
+    dynamics = Dynamics.of(logs.card.dynamics, asked.model)
     near = None if holds_everywhere(asked.model) else support
     return list(roll_all(asked.model, programs, tracks, near, seed=asked.seed, dynamics=dynamics))
 

@@ -44,10 +44,11 @@ from cyclekit.learning.labelling import (
 )
 from cyclekit.learning.networks.beaten import staircase_if_better
 from cyclekit.learning.networks.cell import cell_of, fingerprint
+from cyclekit.learning.networks.kinds import NETWORKS
 from cyclekit.learning.networks.metrics import measure
 from cyclekit.learning.networks.saved import MODEL_VERSION, TrainedModel, check_model_output, save_model
 from cyclekit.learning.out_of_core import PART_ROWS, frames, in_files, memory_rows, rows_of, some_executions
-from cyclekit.learning.rules.of_dataset import rule_of
+from cyclekit.learning.rules.of_dataset import law_of, rule_of
 from cyclekit.learning.rules.safety import answering
 from cyclekit.learning.rules.words import verdict
 from cyclekit.learning.windows import (
@@ -90,6 +91,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
         spec: What to train.
         rules: Also look for a rule that explains the commanded level; one that does answers in place of the network.
             None is looked for where the network forecasts, or learns the scaling as it was logged on request.
+            Where it is the continuous law the network is a regressor.
         progress: Told the fraction done and the validation error after every epoch.
 
     Returns:
@@ -104,8 +106,10 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
     need_torch()
     from cyclekit.learning.networks.fitting import fit  # here, so that this module can be imported without torch
 
-    spec = spec.at_rate(dataset.rate_hz).with_features()
     rules = rules and spec.problem == "now" and spec.target != "logged"
+    if rules and spec.kind.needs_levels and law_of(dataset, seed=spec.seed) is not None:
+        spec = replace(spec, network="regressor", hidden=NETWORKS["regressor"].hidden, target="logged")
+    spec = spec.at_rate(dataset.rate_hz).with_features()
     with Scratch() as scratch:
         if rows_of(dataset) <= memory_rows():
             found = _in_memory(dataset, spec)

@@ -7,7 +7,7 @@ place of the operator lies to the line through those around it. At the right tim
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +24,14 @@ if TYPE_CHECKING:
 
 LATEST_S, STEP_S = 1.0, 0.01
 """Reaction times up to this are tried, in such steps."""
-LATENCIES_S = np.arange(0.0, LATEST_S + STEP_S / 2, STEP_S)
+LONGEST_S, COARSE_S = 3.5, 0.02
+"""With a hold time the robot speeds up as late as this; tried in such steps."""
+LATENCIES_S = np.concatenate(
+    [np.arange(0.0, LATEST_S + STEP_S / 2, STEP_S), np.arange(LATEST_S + COARSE_S, LONGEST_S, COARSE_S)]
+)
+_LATEST = round(LATEST_S / STEP_S)
+HOLD_S = 0.06
+"""A robot that speeds up later than it slows down by less than this is not held."""
 LEAST, LEAST_KIND = 20, 5
 """Fewer changes in all, or of one kind, say nothing."""
 AGREE_M = 0.04
@@ -88,6 +95,11 @@ class Agreement:
     hysteresis_m: float | None
     spread_m: float
 
+    @property
+    def held(self) -> bool:
+        """Whether the robot speeds up later than it slows down."""
+        return self.falling_s is not None and self.rising_s is not None and self.rising_s - self.falling_s > HOLD_S
+
 
 def agreement_of(seen: Sequence[PlacesBefore]) -> Agreement | None:
     """Return at which reaction time the places agree; None where there are too few."""
@@ -98,18 +110,33 @@ def agreement_of(seen: Sequence[PlacesBefore]) -> Agreement | None:
     by_distance = _spreads(apart, kind)
     if by_distance is None:
         return None
-    spread = np.nanmedian(by_distance, axis=0)
-    best = int(spread.argmin())
-    if spread[best] <= AGREE_M and best < len(LATENCIES_S) - 1:
-        falling, rising = (_best(by_distance[kind % 2 == rises]) for rises in (0, 1))
-        lag = _lag(apart[:, best], kind)
-        alone = Agreement(float(LATENCIES_S[best]), falling, rising, lag, float(spread[best]))
-    else:
-        alone = Agreement(None, None, None, None, float(spread[best]))
+    alone = _agreement(by_distance, kind)
+    if alone.latency_s is not None:
+        both = (alone.falling_s, alone.rising_s) if alone.held else (alone.latency_s, alone.latency_s)
+        alone = replace(alone, hysteresis_m=_lag(_at(apart, kind, both), kind))
     if alone.latency_s is not None and alone.spread_m <= _EXACT_M:
         return alone
-    both = _by_lines(apart, np.concatenate([mine.floor_m for mine in seen]), kind, alone.spread_m)
-    return both if both.latency_s is not None and both.spread_m < _BETTER * alone.spread_m else alone
+    lines = _by_lines(apart, np.concatenate([mine.floor_m for mine in seen]), kind, alone.spread_m)
+    return lines if lines.latency_s is not None and lines.spread_m < _BETTER * alone.spread_m else alone
+
+
+def _agreement(spreads: NDArray[np.float64], kind: Ints, most_m: float = AGREE_M) -> Agreement:
+    """Return at which time changes agree, of how far each is from the others, shape (N, L); hysteresis is left out."""
+    falling, rising = _best(spreads[kind % 2 == 0, : _LATEST + 1]), _best(spreads[kind % 2 == 1])
+    apart = Agreement(falling, falling, rising, None, 0.0)
+    if apart.held:
+        return replace(apart, spread_m=float(np.nanmedian(_at(spreads, kind, (falling, rising)))))
+    spread = np.nanmedian(spreads[:, : _LATEST + 1], axis=0)
+    best = int(spread.argmin())
+    if spread[best] <= most_m and best < _LATEST:
+        return Agreement(float(LATENCIES_S[best]), falling, rising, None, float(spread[best]))
+    return Agreement(None, None, None, None, float(spread[best]))
+
+
+def _at(values: NDArray[np.float64], kind: Ints, late_s: tuple[float | None, float | None]) -> Vector:
+    """Return values (N, L) at the times of falling and of rising changes, shape (N,)."""
+    column = np.searchsorted(LATENCIES_S, np.array(late_s, np.float64) - 1e-9)
+    return np.asarray(values[np.arange(len(values)), column[kind % 2]])
 
 
 def _best(spreads: NDArray[np.float64]) -> float | None:
@@ -118,7 +145,7 @@ def _best(spreads: NDArray[np.float64]) -> float | None:
         return None
     spread = np.median(told, axis=0)
     best = int(spread.argmin())
-    return float(LATENCIES_S[best]) if spread[best] <= AGREE_M and best < len(LATENCIES_S) - 1 else None
+    return float(LATENCIES_S[best]) if spread[best] <= AGREE_M and best < len(spread) - 1 else None
 
 
 def _spreads(apart: NDArray[np.float64], kind: Ints) -> NDArray[np.float64] | None:
@@ -138,14 +165,12 @@ def _by_lines(apart: NDArray[np.float64], floor: NDArray[np.float64], kind: Ints
     if sum(len(mine) for mine in every) < LEAST:
         return Agreement(None, None, None, None, spread_m)
     off = [np.minimum(_off_lines(floor[mine]), _off_shared(apart[mine])) for mine in every]
-    spread = np.median(np.concatenate(off), axis=0)
-    best = int(spread.argmin())
-    sharp = spread[best] <= min(AGREE_M, _SHARPER * float(np.median(spread)))
-    if not sharp or best == len(LATENCIES_S) - 1:
-        return Agreement(None, None, None, None, min(spread_m, float(spread[best])))
-    up = np.concatenate([np.full(len(mine), kind[mine[0]] % 2) for mine in every])
-    falling, rising = (_best(np.concatenate(off)[up == rises]) for rises in (0, 1))
-    return Agreement(float(LATENCIES_S[best]), falling, rising, None, float(spread[best]))
+    spreads = np.concatenate(off)
+    usual_m = float(np.median(np.median(spreads[:, : _LATEST + 1], axis=0)))
+    found = _agreement(spreads, np.concatenate([kind[mine] for mine in every]), min(AGREE_M, _SHARPER * usual_m))
+    if found.latency_s is None or found.spread_m > _SHARPER * usual_m:
+        return Agreement(None, None, None, None, min(spread_m, found.spread_m))
+    return found
 
 
 def _off_lines(floor: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -36,8 +36,6 @@ SHORT_S = 1.0
 """Ways without a slope are no longer."""
 MOST = 20_000
 """More changes say no more."""
-HOLD_S = 0.06
-"""A robot that speeds up later than it slows down by less than this is not held."""
 
 
 class LevelChange(NamedTuple):
@@ -231,11 +229,8 @@ def read_response(seen: Sequence[Changes]) -> SafetyResponse:
 
 
 def _with_hold(found: Agreement, down: float | None, up: float | None, changes: int) -> SafetyResponse:
-    later_s = (found.rising_s or 0.0) - (found.falling_s or 0.0)
-    held = found.rising_s is not None and found.falling_s is not None and later_s > HOLD_S
-    latency_s = found.falling_s if held else found.latency_s
-    hold_s = later_s if held else None
-    return SafetyResponse(latency_s, down, up, found.hysteresis_m, changes, found.spread_m, hold_s)
+    hold_s = (found.rising_s or 0.0) - (found.falling_s or 0.0) if found.held else None
+    return SafetyResponse(found.latency_s, down, up, found.hysteresis_m, changes, found.spread_m, hold_s)
 
 
 __all__ = ["LATENCIES_S", "Changes", "LevelChange", "SafetyResponse", "changes_of", "rate_of", "read_response"]

@@ -6,6 +6,7 @@ It imports nothing of cyclekit: what tests a computation may not share it.
 from cyclekit_sim.causes import MixedCauses
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.options import SimulationOptions
+from cyclekit_sim.rule_file import read_rule
 from cyclekit_sim.scenes import SCENES
 from cyclekit_sim.simulate import random_sequence, scene_places, simulate, simulate_sequence
 
@@ -15,6 +16,7 @@ __all__ = [
     "SimulationError",
     "SimulationOptions",
     "random_sequence",
+    "read_rule",
     "scene_places",
     "simulate",
     "simulate_sequence",

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cyclekit_sim.arm import Array
+from cyclekit_sim.arm import Array, link_frames
 from cyclekit_sim.causes import PART_BIT, REDUCED_BIT, Slowing, Why, part_there, scaling_of
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.motion import MotionTable
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.program import MOVE, Ints, Program
-from cyclekit_sim.safety import SafetyFunction, SpeedScaling
+from cyclekit_sim.safety import SafetyFunction, SafetyInputs, SpeedScaling
 from cyclekit_sim.walking import Track
 
 _Now = tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]
@@ -112,6 +112,7 @@ class _Cells:
 
     def __init__(self, programs: Sequence[Program], table: MotionTable, scaling: SpeedScaling, cycle_s: float) -> None:
         self._line, self._scaling, self._cycle_s = _Line(programs), scaling, cycle_s
+        self._q_rad = table.q_rad
         self._tcp, self._tcp_step = table.tcp_m, np.diff(table.tcp_m, axis=0, append=table.tcp_m[-1:])
         self._nominal_s = np.zeros(len(programs))
         self._segment = np.zeros(len(programs), dtype=np.int64)
@@ -123,6 +124,12 @@ class _Cells:
         line, flat = self._line, self._line.base + self._segment
         self._row, self._rows_per_s, self._length_s = line.row[flat], line.rows_per_s[flat], line.length_s[flat]
         self._moving = line.moving[flat]
+
+    def _links_m(self, row: Ints, way: Array) -> Array:
+        """Return the joints from base to TCP (B, 7, 3), m."""
+        q_rad, after = self._q_rad[row], self._q_rad[np.minimum(row + 1, len(self._q_rad) - 1)]
+        origins, _, _ = link_frames(q_rad + way[:, None] * (after - q_rad))
+        return origins.transpose(1, 0, 2)
 
     @property
     def running(self) -> NDArray[np.bool_]:
@@ -141,7 +148,8 @@ class _Cells:
         """
         dt, u, segment = self._cycle_s, self._nominal_s, self._segment
         row, way = table_rows(self._row, u, self._rows_per_s)
-        s = self._scaling.advance(self._tcp[row] + way[:, None] * self._tcp_step[row], person_m)
+        tcp_m = self._tcp[row] + way[:, None] * self._tcp_step[row]
+        s = self._scaling.advance(SafetyInputs(tcp_m, person_m, lambda: self._links_m(row, way)))
         pace: Array = s
         standing: Array | float = 1.0
         if slowing is not None and now is not None:

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from cyclekit_sim.causes import MixedCauses
 from cyclekit_sim.errors import SimulationError
+
+if TYPE_CHECKING:
+    from cyclekit_sim.rules import Rule
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,8 @@ class SimulationOptions:
         ramp_up_per_s: Fastest rise of s per second; None: it jumps.
         latency_s: Age of the positions that s reacts to.
         hysteresis_m: How much farther than the threshold a person must go before s rises again.
+        hold_s: For how long s stays down after the safety function allows more.
+        rule: The safety function, in place of the scene's.
         operator_log: Real tracker recording to use instead of the simulated operator.
         operator_xyz_m: Where the recording's origin (turned Z up) stands in the base frame.
         operator_yaw_deg: How the recording is turned about the vertical.
@@ -66,6 +71,8 @@ class SimulationOptions:
     ramp_up_per_s: float | None = None
     latency_s: float = 0.0
     hysteresis_m: float = 0.0
+    hold_s: float = 0.0
+    rule: Rule | None = None
     operator_log: Path | None = None
     operator_xyz_m: tuple[float, float, float] = (0.0, 2.35, -0.8)
     operator_yaw_deg: float = 0.0
@@ -88,6 +95,7 @@ class SimulationOptions:
                 (not 0 <= self.dropout < 1, f"dropout is {self.dropout}: use a fraction from 0 to below 1"),
                 (self.latency_s < 0, f"latency_s is {self.latency_s}: use 0 or more"),
                 (self.hysteresis_m < 0, f"hysteresis_m is {self.hysteresis_m}: use 0 or more"),
+                (self.hold_s < 0, f"hold_s is {self.hold_s}: use 0 or more"),
                 ((self.ramp_down_per_s or 1.0) <= 0, f"ramp_down_per_s is {self.ramp_down_per_s}: use more than 0"),
                 ((self.ramp_up_per_s or 1.0) <= 0, f"ramp_up_per_s is {self.ramp_up_per_s}: use more than 0"),
                 (self.ramp_down_per_s == 0, "ramp_down_per_s is 0: use more than 0, or None for a jump"),

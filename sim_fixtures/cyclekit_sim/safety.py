@@ -1,15 +1,16 @@
 """The safety function: where robot and person are -> the step of the speed scaling, and how s follows it in time.
 
-Three kinds: a staircase over their distance, zones on the floor that look at the person alone, and the slower of both.
-Each answers with a step number; latency, hysteresis and ramps are added by `SpeedScaling`. Moving the robot is the
-business of `engine`.
+Those of the scenes: a staircase over their distance, zones on the floor that look at the person alone, and the slower
+of both; `rules` has the ones that users write. Latency, hysteresis, hold time and ramps are added by `SpeedScaling`.
+Moving the robot is the business of `engine`.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,19 +21,46 @@ from cyclekit_sim.options import SimulationOptions
 Ints = NDArray[np.int64]
 
 
-class SafetyFunction(Protocol):
-    """Anything that turns positions into a step."""
+ABSENT_M = 1e5
+"""A person farther off than this is nobody."""
 
-    @property
-    def levels(self) -> tuple[float, ...]:
-        """Speed scalings, ascending; a step is an index into them."""
+
+class SafetyInputs(NamedTuple):
+    """What a safety function sees of B cells, base frame.
+
+    Attributes:
+        tcp_m, person_m: TCPs and persons, shape (B, 3), m.
+        links_m: Returns the joints from base to TCP, shape (B, J, 3), m.
+    """
+
+    tcp_m: Array
+    person_m: Array
+    links_m: Callable[[], Array]
+
+
+class SafetyFunction(Protocol):
+    """Anything that turns positions into a scaling."""
+
+    def allowed(self, at: SafetyInputs, margin_m: float) -> Array:
+        """Return the scaling (B,) that it allows, boundaries moved outwards by `margin_m`."""
+
+
+class _Steps:
+    """What safety functions of levels have in common."""
+
+    levels: tuple[float, ...]
 
     def step(self, tcp_m: Array, person_m: Array, margin_m: float) -> Ints:
-        """Return the step (B,) for TCPs (B, 3) and persons (B, 3), boundaries moved outwards by `margin_m`."""
+        """Return the step (B,), an index into levels, for TCPs (B, 3) and persons (B, 3), boundaries moved outwards."""
+        raise NotImplementedError
+
+    def allowed(self, at: SafetyInputs, margin_m: float) -> Array:
+        """Return the level of the step."""
+        return np.array(self.levels)[self.step(at.tcp_m, at.person_m, margin_m)]
 
 
 @dataclass(frozen=True)
-class DistanceStaircase:
+class DistanceStaircase(_Steps):
     """s = levels[i] for a distance in (thresholds_m[i-1], thresholds_m[i]]; a threshold is of the slower step."""
 
     levels: tuple[float, ...]
@@ -56,7 +84,7 @@ class FloorZone:
 
 
 @dataclass(frozen=True)
-class FloorZones:
+class FloorZones(_Steps):
     """s is that of the slowest zone the person stands in; where the robot is plays no part."""
 
     levels: tuple[float, ...]
@@ -75,7 +103,7 @@ class FloorZones:
 
 
 @dataclass(frozen=True)
-class SlowestOf:
+class SlowestOf(_Steps):
     """s is the slowest that any of several safety functions with the same levels allows."""
 
     levels: tuple[float, ...]
@@ -91,24 +119,27 @@ class SpeedScaling:
 
     def __init__(self, function: SafetyFunction, options: SimulationOptions) -> None:
         self._function = function
-        self._levels = np.array(function.levels)
         self._margin_m = options.hysteresis_m
         self._cycle_s = options.cycle_s
         self._delay = round(options.latency_s / options.cycle_s)
         self._fall = options.ramp_down_per_s
         self._rise = options.ramp_up_per_s
-        self._seen: deque[Ints] = deque()
-        self._step: Ints | None = None
+        self._seen: deque[Array] = deque()
+        self._held: deque[Array] = deque(maxlen=1 + round(options.hold_s / options.cycle_s))
+        self._allowed: Array | None = None
         self._s: Array | None = None
 
-    def advance(self, tcp_m: Array, person_m: Array) -> Array:
-        """Return s (B,) of the cycle that begins now, with TCPs (B, 3) and persons (B, 3), m, as they are now."""
-        step = self._function.step(tcp_m, person_m, 0.0)
-        if self._margin_m > 0 and self._step is not None:
-            step = np.clip(self._step, self._function.step(tcp_m, person_m, self._margin_m), step)
-        self._step = step
-        self._seen.append(step)
-        wanted = self._levels[self._seen.popleft() if len(self._seen) > self._delay else self._seen[0]]
+    def advance(self, at: SafetyInputs) -> Array:
+        """Return s (B,) of the cycle that begins now, with TCPs and persons as they are now."""
+        allowed = self._function.allowed(at, 0.0)
+        if self._margin_m > 0 and self._allowed is not None:
+            allowed = np.clip(self._allowed, self._function.allowed(at, self._margin_m), allowed)
+        self._allowed = allowed
+        self._seen.append(allowed)
+        wanted = self._seen.popleft() if len(self._seen) > self._delay else self._seen[0]
+        if self._held.maxlen != 1:
+            self._held.append(wanted)
+            wanted = np.min(self._held, axis=0)
         if self._s is not None and (self._fall is not None or self._rise is not None):
             lowest = -np.inf if self._fall is None else self._s - self._fall * self._cycle_s
             highest = np.inf if self._rise is None else self._s + self._rise * self._cycle_s

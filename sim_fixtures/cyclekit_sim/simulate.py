@@ -13,6 +13,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import polars as pl
 
@@ -72,7 +73,7 @@ def simulate(
         SimulationError: Unknown scene, unusable options, a folder with other content, or a robot that gets stuck.
         OSError: The folder cannot be written; what was there stays.
     """
-    work = prepare(_scene(scene), seed, options, executions=executions)
+    work = prepare(_scene(scene, options), seed, options, executions=executions)
     _refuse_foreign(out)
     partial, retired = (out.with_name(f".{out.name}.{kind}") for kind in ("partial", "retired"))
     if retired.exists() and not out.exists():  # killed between the two renames below
@@ -110,7 +111,7 @@ def simulate_sequence(
     Raises:
         SimulationError: Unknown scene or place, or a robot that gets stuck.
     """
-    work = prepare(_scene(scene), seed, options, executions=executions, places=places)
+    work = prepare(_scene(scene, options), seed, options, executions=executions, places=places)
     rows = [row for trace in run_alone(work, work.executions) for row in task_rows(trace, 0.0)]
     sums = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
     return (
@@ -120,10 +121,11 @@ def simulate_sequence(
     )
 
 
-def _scene(name: str) -> Scene:
+def _scene(name: str, options: SimulationOptions = _DEFAULT) -> Scene:
     if name not in BUILT_IN:
         raise SimulationError(f"no scene {name!r}: choose one of {', '.join(SCENES)}")
-    return BUILT_IN[name]
+    scene = BUILT_IN[name]
+    return scene if options.rule is None else dataclasses.replace(scene, safety=options.rule)
 
 
 def _refuse_foreign(out: Path) -> None:
@@ -172,7 +174,8 @@ def _write_session(folder: Path, session: Session, work: Work) -> None:
 
 
 def _facts(work: Work) -> str:
-    options = dataclasses.asdict(work.options)
+    options = dataclasses.asdict(dataclasses.replace(work.options, rule=None))
+    del options["rule"]  # it is the safety function below
     if work.options.causes is None:
         del options["causes"]
     options["operator_log"] = work.options.operator_log.name if work.options.operator_log else None
@@ -182,7 +185,7 @@ def _facts(work: Work) -> str:
         "seed": work.seed,
         "executions": len(work.executions),
         "options": options,
-        "safety": {"kind": type(scene.safety).__name__, **dataclasses.asdict(scene.safety)},  # type: ignore[call-overload]
+        "safety": {"kind": type(scene.safety).__name__, **msgspec.to_builtins(scene.safety)},
         "places": scene.places,
         "human_places": {name: station.xyz_m for name, station in scene.stations.items()},
         **dict(zip(("pick_s", "place_s"), process_times(work), strict=True)),

@@ -146,9 +146,10 @@ def test_a_scaling_that_follows_a_distance_is_said_to_be_continuous():
     assert any(warning.code == "scaling-continuous" for warning in found.warnings)
 
 
-def test_a_hold_time_is_what_the_robot_speeds_up_later_than_it_slows_down():
+@pytest.mark.parametrize("hold_s", [0.4, 1.0, 2.0])
+def test_a_hold_time_is_what_the_robot_speeds_up_later_than_it_slows_down(hold_s):
     down, t_s, robot_m, human_m = approaches(0.0)
-    leaves = [LevelChange(change.t_s + 5.5 + 0.4, 0, True, None) for change in down]
+    leaves = [LevelChange(change.t_s + 5.5 + hold_s, 0, True, None) for change in down]
     away = np.where((t_s % 10.0 > 4.6)[:, None], human_m * 0, human_m)
     for number, change in enumerate(down):  # walks out past 1 m 5.5 s after it came in, each time at another speed
         speed = 0.5 + 0.1 * (number * 3 % 7)
@@ -156,7 +157,7 @@ def test_a_hold_time_is_what_the_robot_speeds_up_later_than_it_slows_down():
         away[rows, 0] = 1.0 + speed * (t_s[rows] - (change.t_s - 0.3 + 5.5))
     changes = sorted([*down, *leaves], key=lambda change: change.t_s)
     found = read_response([Changes.of(changes, t_s, robot_m, away)])
-    assert found.hold_s == pytest.approx(0.4, abs=0.03)
+    assert found.hold_s == pytest.approx(hold_s, abs=0.03)
     assert found.latency_s == pytest.approx(0.3, abs=0.02)
 
 

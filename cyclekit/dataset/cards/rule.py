@@ -19,6 +19,8 @@ DistanceName = Annotated[str, Meta(pattern=f"^{_TO}$")]
 """By what the operator is near; `cyclekit.learning.rules.distances` measures them."""
 Angle = Annotated[float, Meta(ge=-7.0, le=7.0)]
 """An angle, rad."""
+Rate = Annotated[float, Meta(gt=0.0, le=1e6)]
+"""A change of the scaling per second."""
 
 
 class MetresCard(Card, frozen=True, kw_only=True):
@@ -102,6 +104,39 @@ class LimitCard(Card, frozen=True, kw_only=True):
     until: RegionCard | None = None
 
 
+class LawCard(Card, frozen=True, kw_only=True):
+    """Speed and separation monitoring without levels: the highest scaling s that the distance allows.
+
+    stop + linear s + square s^2 <= distance. In terms of ISO/TS 15066: stop = C + v_h T_r, linear = v_p (T_r + v_h /
+    a), square = v_p^2 / (2 a), with the programmed speed v_p and the deceleration a.
+
+    Attributes:
+        distance: Which distance.
+        stop, linear, square: The three lengths.
+        lowest: The scaling does not fall below it; 0 also where the logs do not show it.
+        latency_s, ramp_down_per_s, ramp_up_per_s: The response through which the law was seen; None: at once.
+    """
+
+    distance: DistanceName
+    stop: MetresCard
+    linear: MetresCard
+    square: MetresCard
+    lowest: Scaling = 0.0
+    latency_s: Duration = 0.0
+    ramp_down_per_s: Rate | None = None
+    ramp_up_per_s: Rate | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a scaling that would fall with distance.
+
+        Raises:
+            ValueError: It would.
+        """
+        if min(self.linear.value, self.square.value) < 0.0:
+            msg = "linear and square must not be negative"
+            raise ValueError(msg)
+
+
 class RuleCard(Card, frozen=True, kw_only=True):
     """The simplest rule that explains the commanded level.
 
@@ -109,7 +144,8 @@ class RuleCard(Card, frozen=True, kw_only=True):
         family: Which kind of rule, one of `rules.families.FAMILIES`.
         hysteresis: Speed comes back farther out than it was taken.
         levels: Of the speed scaling, ascending.
-        limits: The slowest first; a level that never holds by itself has none.
+        limits: The slowest first; a level that never holds by itself has none. Empty where there is a law.
+        law: The continuous law, in place of limits; `levels` are then the ends of its scaling.
         latency_s: By which the commanded level was taken to answer to the positions.
         explained: Part of the held-out samples whose commanded level the rule names.
         network: The same of the network; None = not asked.
@@ -120,7 +156,8 @@ class RuleCard(Card, frozen=True, kw_only=True):
     family: str
     hysteresis: bool = False
     levels: Annotated[tuple[Scaling, ...], Meta(min_length=2, max_length=64)]
-    limits: Annotated[tuple[LimitCard, ...], Meta(min_length=1, max_length=64)]
+    limits: Annotated[tuple[LimitCard, ...], Meta(max_length=64)] = ()
+    law: LawCard | None = None
     latency_s: Duration = 0.0
     explained: Fraction
     network: Fraction | None = None
@@ -129,10 +166,13 @@ class RuleCard(Card, frozen=True, kw_only=True):
     executions: Count = 0
 
     def __post_init__(self) -> None:
-        """Refuse levels and limits that are not ascending.
+        """Refuse levels and limits that are not ascending, and a rule of neither limits nor a law.
 
         Raises:
-            ValueError: They are not.
+            ValueError: They are not, or it is one.
         """
+        if bool(self.limits) == (self.law is not None):
+            msg = "a rule needs either limits or a law"
+            raise ValueError(msg)
         ascending(self.levels)
         ascending(tuple(limit.scaling for limit in self.limits))

@@ -125,7 +125,7 @@ def altered_safety(change: Change, model: SafetyModel, logged: Dynamics) -> Safe
         model = _with_other_limits(change, model)
     if "hysteresis_m" not in change.dynamics:
         return model
-    if isinstance(model, RuleSafety):
+    if isinstance(model, RuleSafety) and model.rule.law is None:
         return model.with_hysteresis(change.dynamics["hysteresis_m"] or 0.0)
     return LearnedSafety(model, logged.hysteresis_m or 0.0)
 

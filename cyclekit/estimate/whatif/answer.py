@@ -129,7 +129,7 @@ def what_if(
     moved = {
         name: entry.combined.expected_s / entry.combined.rollout_s for name, entry in before.items() if entry.combined
     }
-    logged, answers = Dynamics.of(dataset.card.dynamics), []
+    logged, answers = Dynamics.of(dataset.card.dynamics, model), []
     for number, change in enumerate(changes):
         tell(number / len(changes), change.name)
         try:

@@ -101,7 +101,7 @@ def find_rule(
         seed: Of what is drawn.
     """
     levels = tuple(levels)
-    judged = _drawn(rows, seed) if held_out is None else held_out
+    judged = drawn(rows.execution, seed) if held_out is None else held_out
     learn, judge = rows.of(np.setdiff1d(rows.execution, judged)), rows.of(judged)
     if not len(learn) or not len(judge) or len(levels) < 2:
         return RuleSearch(None, rows=len(rows))
@@ -144,8 +144,9 @@ def _is_wide(fit: _Fit) -> bool:
     return not fit.lag or (bool(apart) and float(np.median(apart)) >= LAG_M)
 
 
-def _drawn(rows: RuleRows, seed: int) -> NDArray[np.int64]:
-    every = np.unique(rows.execution)
+def drawn(executions: NDArray[np.int64], seed: int) -> NDArray[np.int64]:
+    """Return the numbers of the executions to judge by, of the number of the execution of each row, shape (N,)."""
+    every = np.unique(executions)
     return np.random.default_rng(seed).permutation(every)[: max(1, round(TEST_PART * len(every)))]
 
 

@@ -8,7 +8,9 @@ import numpy as np
 
 from cyclekit.learning.out_of_core import rows_of as count_rows
 from cyclekit.learning.out_of_core import some_executions
-from cyclekit.learning.rules.ladder import RuleSearch, find_rule
+from cyclekit.learning.rules.ladder import RuleSearch, drawn, find_rule
+from cyclekit.learning.rules.law_evidence import find_law
+from cyclekit.learning.rules.law_rows import law_rows
 from cyclekit.learning.rules.rows import rows_of
 
 if TYPE_CHECKING:
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import TrainingCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.learning.rules.rows import RuleRows
+    from cyclekit.schema import Vector
 
 MOST_ROWS = 60_000
 """Of more samples, so many of executions drawn at random: their thresholds are known to millimetres already."""
@@ -32,6 +35,9 @@ class LevelNamer(Protocol):
     @property
     def card(self) -> TrainingCard:
         """How it came about."""
+
+    def predict(self, X: NDArray[np.float32], /) -> Vector:
+        """Return the scaling (N,) likewise."""
 
     def steps(self, X: NDArray[np.float32], /) -> NDArray[np.int64]:
         """Return the index of the likeliest level (N,) for rows x_r, x_h (N, 6), m."""
@@ -56,13 +62,11 @@ def rule_of(
         signals: Rules may go by signals; no estimate can ask one that does.
         seed: Of what is drawn.
     """
-    names = dataset.executions["execution"].to_list()
+    names = _looked_at(dataset, seed)
     unseen = set(() if model is None else model.card.held_out) & set(names)
-    most = MOST_ROWS if count_rows(dataset) > MOST_ROWS else None
-    if most is not None:
-        some = set(some_executions(dataset, names, most, seed=seed))
-        names = [name for name in names if name in some]
-        unseen &= some
+    law = law_of(dataset, model=model, judged_apart=judged_apart, seed=seed)
+    if law is not None:
+        return law
     latency_s = float(dataset.card.dynamics.latency_s or 0.0)
     asked: dict[str, Any] = {"judged_apart": judged_apart, "seed": seed, "signals": signals}
     found = _searched(dataset, names, unseen, levels, model, latency_s, **asked)
@@ -70,6 +74,37 @@ def rule_of(
         other = _searched(dataset, names, unseen, levels, model, 0.0, **asked)
         return other if other.clean else found
     return found
+
+
+def _looked_at(dataset: Dataset, seed: int) -> list[str]:
+    """Return the names of all executions, or of so many of them as have MOST_ROWS."""
+    names: list[str] = dataset.executions["execution"].to_list()
+    if count_rows(dataset) <= MOST_ROWS:
+        return names
+    some = set(some_executions(dataset, names, MOST_ROWS, seed=seed))
+    return [name for name in names if name in some]
+
+
+def law_of(
+    dataset: Dataset, *, model: LevelNamer | None = None, judged_apart: bool = False, seed: int = 0
+) -> RuleSearch | None:
+    """Return the continuous law behind the scaling; None where there is none.
+
+    Args:
+        dataset: With positions and a scaling.
+        model: As of `rule_of`.
+        judged_apart: As of `rule_of`.
+        seed: Of what is drawn.
+    """
+    names = _looked_at(dataset, seed)
+    rows = law_rows(dataset, names)
+    if rows is None or len(rows) < LEAST_ROWS or len(np.unique(rows.execution)) < LEAST_EXECUTIONS:
+        return None
+    unseen = () if model is None else model.card.held_out
+    judged = _numbers(names, unseen, rows.execution)
+    rival = None if judged is None else model
+    judged = drawn(rows.execution, seed) if judged is None else judged
+    return find_law(rows, held_out=judged, network=rival, judged_apart=judged_apart, seed=seed)
 
 
 def _searched(
@@ -87,16 +122,16 @@ def _searched(
     rows = rows_of(dataset, names, levels, latency_s=latency_s, signals=signals)
     if len(rows) < LEAST_ROWS or len(np.unique(rows.execution)) < LEAST_EXECUTIONS or len(np.unique(rows.level)) < 2:
         return RuleSearch(None, rows=len(rows))
-    judged = _numbers(names, unseen, rows)
+    judged = _numbers(names, unseen, rows.execution)
     named = None if model is None or judged is None else _named(model, rows, levels)
     asked: dict[str, Any] = {"network": named, "latency_s": latency_s, "judged_apart": judged_apart, "seed": seed}
     return find_rule(rows, levels, held_out=judged, **asked)
 
 
-def _numbers(names: Sequence[str], chosen: Collection[str], rows: RuleRows) -> NDArray[np.int64] | None:
+def _numbers(names: Sequence[str], chosen: Collection[str], executions: NDArray[np.int64]) -> NDArray[np.int64] | None:
     """Return the numbers of executions that have rows; None where there are fewer than two."""
-    found = np.intersect1d([number for number, name in enumerate(names) if name in chosen], rows.execution)
-    return found.astype(np.int64) if 2 <= len(found) < len(np.unique(rows.execution)) else None
+    found = np.intersect1d([number for number, name in enumerate(names) if name in chosen], executions)
+    return found.astype(np.int64) if 2 <= len(found) < len(np.unique(executions)) else None
 
 
 def _named(model: LevelNamer, rows: RuleRows, levels: Sequence[float]) -> NDArray[np.int64]:

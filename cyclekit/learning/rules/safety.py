@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import structs
 
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
+from cyclekit.learning.rules.law import shape_of
 from cyclekit.learning.rules.quantities import grown, quantities
 from cyclekit.learning.rules.regions import Positions, allowed, asks_operator
 
@@ -79,6 +80,8 @@ class RuleSafety:
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
         """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
         robot_m, human_m = X[:, :3].astype(np.float64), X[:, 3:6].astype(np.float64)
+        if self.rule.law is not None:
+            return shape_of(self.rule.law).scaling(DISTANCES[self.rule.law.distance](robot_m, human_m))
         apart = {name: DISTANCES[name](robot_m, human_m) for name in _distances(self.rule)}
         rows = Positions(apart, human_m[:, :2], robot_m[:, :2])
         sides = (False, True) if self.side == "mean" and self.lags else (self.side == "leaving",)
@@ -98,7 +101,8 @@ def answering(model: TrainedModel) -> TrainedModel | RuleSafety:
 
 
 def _distances(rule: RuleCard) -> set[str]:
-    return {near.distance for region in _regions(rule) for near in region.nearer}
+    law = set() if rule.law is None else {rule.law.distance}
+    return law | {near.distance for region in _regions(rule) for near in region.nearer}
 
 
 def _regions(rule: RuleCard) -> list[RegionCard]:

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.learning.rules.distances import TO_BASE, TO_LINK, TO_TCP, TO_TCP_FLAT
+from cyclekit.learning.rules.law import SAME, shape_of
 from cyclekit.learning.rules.regions import asks_operator, corners, polygon_corners
 
 if TYPE_CHECKING:
     from cyclekit.dataset.cards.rule import (
+        LawCard,
         LimitCard,
         MetresCard,
         PolygonCard,
@@ -37,13 +39,19 @@ def kind_of(rule: RuleCard) -> str:
 
 
 def sentences(rule: RuleCard) -> list[str]:
-    """Return one sentence for each limit, the slowest first, and one for where none holds."""
+    """Return one sentence for each limit, the slowest first, and one for where none holds; or those of the law."""
+    if rule.law is not None:
+        return _law(rule.law)
     return [*(_limit(limit) for limit in rule.limits), f"{_speed(rule.levels[-1])} otherwise"]
 
 
 def verdict(found: RuleSearch) -> str:
     """Say in one line which rule explains the commanded level, or that none does."""
     rival = "" if found.network is None else f"; the network {found.network:.2%}"
+    if found.rule is not None and found.rule.law is not None:
+        others = "".join(f"; {name} {part:.2%}" for name, part in found.rule.others.items())
+        said = f"the scaling is continuous: {found.rule.family} gives {found.rule.explained:.2%}"
+        return f"{said} of held-out samples between its bounds within {SAME:.0%} speed ({others[2:]}{rival})"
     if found.rule is not None:
         said = f"{kind_of(found.rule)} explains {found.rule.explained:.2%} of held-out samples"
         return f"{said} (commanded level{rival})"
@@ -51,6 +59,24 @@ def verdict(found: RuleSearch) -> str:
         return "no rule was looked for: too few executions"
     best = max(found.explained, key=lambda name: found.explained[name])
     return f"no simple rule explains the commanded level; best: {best} ({found.explained[best]:.1%}{rival})"
+
+
+def _law(law: LawCard) -> list[str]:
+    """Return the law, what it means in metres, and in the terms of the standard, which the logs do not tell apart."""
+    shape = shape_of(law)
+    full_m = sum(shape[:3])
+    slowest_m = shape.stop_m + shape.linear_m * law.lowest + shape.square_m * law.lowest**2
+    lengths = f"{_metres(law.stop)} + {_metres(law.linear)} * s + {_metres(law.square)} * s^2"
+    rates = (("down", law.ramp_down_per_s), ("up", law.ramp_up_per_s))
+    limited = [f"{name} {100 * rate:.3g} %/s" for name, rate in rates if rate]
+    return [
+        f"speed = the highest s from {100 * law.lowest:.3g} % to 100 % at which {lengths} "
+        f"does not exceed the distance of the operator {_TO[law.distance]}",
+        f"{_speed(law.lowest)} nearer than {slowest_m:.3f} m, full speed from {full_m:.3f} m on",
+        f"by ISO/TS 15066: C + v_h T_r = {law.stop.value:.3f} m, v_p (T_r + v_h / a) = {law.linear.value:.3f} m, "
+        f"v_p^2 / (2 a) = {law.square.value:.3f} m with v_p the programmed speed; logs of the scaling do not tell more",
+        f"reaction time {law.latency_s:.3f} s; rate of change {', '.join(limited) or 'not limited as far as was seen'}",
+    ]
 
 
 def _limit(limit: LimitCard) -> str:

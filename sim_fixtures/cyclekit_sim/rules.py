@@ -1,0 +1,215 @@
+"""A safety function as a rule of one's own, in place of the scene's: limits, each with its conditions, or the ISO law.
+
+A limit allows at most its scaling while all that it names holds; the lowest limit that applies counts. With hysteresis
+every boundary lies farther out until the limit has let go. The law is that of speed and separation monitoring (ISO/TS
+15066): the highest robot speed v at which the protective separation distance does not exceed the distance, where
+
+    S_p = v_h (T_r + v / a) + v T_r + v^2 / (2 a) + C
+
+with the speed v_h of a person, the reaction time T_r, the deceleration a of the robot, and C with all that is constant.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from cyclekit_sim.arm import Array
+from cyclekit_sim.safety import ABSENT_M, SafetyInputs
+
+Bools = NDArray[np.bool_]
+Points = tuple[tuple[float, float], ...]
+
+DISTANCES = ("tcp", "tcp-floor", "base", "link")
+"""Of the operator: to the TCP, to the TCP on the floor, to the base on the floor, to the nearest link of the arm."""
+
+
+class Rectangle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A rectangle on the floor: from and to along its axes, m, turned about the base, degrees counterclockwise."""
+
+    x_m: tuple[float, float]
+    y_m: tuple[float, float]
+    turned_deg: float = 0.0
+
+    def holds(self, point_m: Array, margin_m: float) -> Bools:
+        """Return which points (B, 3) lie in it, its edges moved outwards."""
+        turn = np.deg2rad(self.turned_deg)
+        along = point_m[:, 0] * np.cos(turn) + point_m[:, 1] * np.sin(turn)
+        across = point_m[:, 1] * np.cos(turn) - point_m[:, 0] * np.sin(turn)
+        inside = (along >= self.x_m[0] - margin_m) & (along <= self.x_m[1] + margin_m)
+        return np.asarray(inside & (across >= self.y_m[0] - margin_m) & (across <= self.y_m[1] + margin_m))
+
+    def corners(self, by_m: float = 0.0) -> Points:
+        """Return its corners, base frame, m, counterclockwise; its edges moved outwards by `by_m`."""
+        turn = np.deg2rad(self.turned_deg)
+        (left, right), (near, far) = ((low - by_m, high + by_m) for low, high in (self.x_m, self.y_m))
+        frame = [(left, near), (right, near), (right, far), (left, far)]
+        return tuple(
+            (float(u * np.cos(turn) - v * np.sin(turn)), float(u * np.sin(turn) + v * np.cos(turn))) for u, v in frame
+        )
+
+
+class Limit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """At most `scaling` while all that is given here holds.
+
+    Attributes:
+        scaling: 0 to below 1.
+        present: Somebody is in the cell.
+        distance: One of DISTANCES is at most `below_m`.
+        rectangle: The operator stands in it.
+        polygon_m: The operator stands in this polygon, corners x and y in order.
+        robot_polygon_m: The TCP is above this polygon.
+    """
+
+    scaling: float
+    present: bool = False
+    distance: str = ""
+    below_m: float | None = None
+    rectangle: Rectangle | None = None
+    polygon_m: Points = ()
+    robot_polygon_m: Points = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what says nothing or cannot be.
+
+        Raises:
+            ValueError: It does.
+        """
+        if not 0 <= self.scaling < 1:
+            raise ValueError(f"scaling is {self.scaling}: use 0 to below 1")
+        if self.distance not in ("", *DISTANCES):
+            raise ValueError(f"distance is {self.distance!r}: use one of {', '.join(DISTANCES)}")
+        if bool(self.distance) != (self.below_m is not None and self.below_m > 0):
+            raise ValueError(f"distance is {self.distance!r}, below_m is {self.below_m}: give both, below_m > 0")
+        for name, points in (("polygon_m", self.polygon_m), ("robot_polygon_m", self.robot_polygon_m)):
+            if points and (len(points) < 3 or any(len(point) != 2 for point in points)):
+                raise ValueError(f"{name} has {len(points)} corners: use [x, y] of three or more")
+        if not (self.present or self.distance or self.rectangle or self.polygon_m or self.robot_polygon_m):
+            raise ValueError("a limit without a condition: give present, distance, rectangle or a polygon")
+
+    def applies(self, at: SafetyInputs, margin_m: float) -> Bools:
+        """Return where it applies (B,), its boundaries moved outwards."""
+        found = np.ones(len(at.person_m), np.bool_)
+        if self.present:
+            found &= at.person_m[:, 0] < ABSENT_M
+        if self.below_m is not None:
+            found &= apart(self.distance, at) <= self.below_m + margin_m
+        if self.rectangle is not None:
+            found &= self.rectangle.holds(at.person_m, margin_m)
+        if self.polygon_m:
+            found &= in_polygon(self.polygon_m, at.person_m, margin_m)
+        if self.robot_polygon_m:
+            found &= in_polygon(self.robot_polygon_m, at.tcp_m, margin_m)
+        return found
+
+
+class IsoLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The continuous law of the module's docstring; the scaling is that speed over the programmed one, 0 to 1.
+
+    Attributes:
+        distance: One of DISTANCES.
+        person_m_s: v_h.
+        reaction_s: T_r of the safety system.
+        deceleration_m_s2: a of the robot.
+        constant_m: C: intrusion distance, uncertainties of positions.
+        programmed_m_s: The robot's programmed speed: scaling 1.
+        lowest: The scaling does not fall below this; 0 stops the robot.
+    """
+
+    distance: str = "tcp"
+    person_m_s: float = 1.6
+    reaction_s: float = 0.1
+    deceleration_m_s2: float = 2.5
+    constant_m: float = 0.2
+    programmed_m_s: float = 1.0
+    lowest: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be.
+
+        Raises:
+            ValueError: It is.
+        """
+        if self.distance not in DISTANCES:
+            raise ValueError(f"distance is {self.distance!r}: use one of {', '.join(DISTANCES)}")
+        if min(self.deceleration_m_s2, self.programmed_m_s) <= 0 or min(self.person_m_s, self.reaction_s) < 0:
+            raise ValueError(
+                "deceleration_m_s2 and programmed_m_s must be more than 0, person_m_s and reaction_s not negative"
+            )
+        if not 0 <= self.lowest < 1:
+            raise ValueError(f"lowest is {self.lowest}: use 0 to below 1")
+
+    def distance_m(self, scaling: float) -> float:
+        """Return the protective separation distance at a scaling, m."""
+        v, a = scaling * self.programmed_m_s, self.deceleration_m_s2
+        return self.person_m_s * (self.reaction_s + v / a) + v * self.reaction_s + v**2 / (2 * a) + self.constant_m
+
+    def allowed(self, at: SafetyInputs, margin_m: float) -> Array:
+        """Return the scaling that the law allows (B,), the distance shortened by `margin_m`."""
+        left_m = apart(self.distance, at) - margin_m - self.distance_m(0.0)
+        a = self.deceleration_m_s2
+        b = self.person_m_s + a * self.reaction_s
+        v = np.sqrt(b**2 + 2 * a * np.maximum(left_m, 0.0)) - b
+        return np.asarray(np.clip(v / self.programmed_m_s, self.lowest, 1.0))
+
+
+class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What decides in place of the scene's safety function: the lowest of all limits and the law."""
+
+    limits: tuple[Limit, ...] = ()
+    law: IsoLaw | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a rule of nothing.
+
+        Raises:
+            ValueError: There is neither a limit nor a law.
+        """
+        if not self.limits and self.law is None:
+            raise ValueError("a rule of nothing: give [[limits]] or a [law]")
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """The scalings of its limits and 1, ascending."""
+        return (*sorted({limit.scaling for limit in self.limits}), 1.0)
+
+    def allowed(self, at: SafetyInputs, margin_m: float) -> Array:
+        """Return the scaling that the rule allows (B,), boundaries moved outwards by `margin_m`."""
+        found = np.ones(len(at.person_m)) if self.law is None else self.law.allowed(at, margin_m)
+        for limit in self.limits:
+            found = np.where(limit.applies(at, margin_m), np.minimum(found, limit.scaling), found)
+        return found
+
+
+def apart(distance: str, at: SafetyInputs) -> Array:
+    """Return a distance by its name (B,), m."""
+    if distance == "link":
+        return _to_links(at.links_m(), at.person_m)
+    way = at.person_m if distance == "base" else at.tcp_m - at.person_m
+    return np.asarray(np.linalg.norm(way if distance == "tcp" else way[:, :2], axis=1))
+
+
+def in_polygon(corners: Points, point_m: Array, margin_m: float) -> Bools:
+    """Return which points (B, 3) lie in a polygon on the floor, or at most `margin_m` outside of it."""
+    x, y = point_m[:, 0], point_m[:, 1]
+    inside = np.zeros(len(x), np.bool_)
+    beside_m = np.full(len(x), np.inf)
+    for (ax, ay), (bx, by) in pairwise((*corners, corners[0])):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inside ^= ((ay > y) != (by > y)) & (x < (bx - ax) * (y - ay) / (by - ay) + ax)
+        length = max((bx - ax) ** 2 + (by - ay) ** 2, 1e-12)
+        part = np.clip(((x - ax) * (bx - ax) + (y - ay) * (by - ay)) / length, 0.0, 1.0)
+        beside_m = np.minimum(beside_m, np.hypot(x - ax - part * (bx - ax), y - ay - part * (by - ay)))
+    return np.asarray(inside | (beside_m <= margin_m))
+
+
+def _to_links(points_m: Array, person_m: Array) -> Array:
+    """Return the distance to the nearest of the lines between joints (B, J, 3)."""
+    start, way = points_m[:, :-1], np.diff(points_m, axis=1)
+    to_person = person_m[:, None] - start
+    part = (to_person * way).sum(axis=2) / np.maximum((way**2).sum(axis=2), 1e-12)
+    away = to_person - np.clip(part, 0.0, 1.0)[..., None] * way
+    return np.asarray(np.linalg.norm(away, axis=2).min(axis=1))

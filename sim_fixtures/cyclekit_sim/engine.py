@@ -111,6 +111,11 @@ class _Cells:
         self._row, self._rows_per_s, self._length_s = line.row[flat], line.rows_per_s[flat], line.length_s[flat]
         self._moving = line.moving[flat]
 
+    def begin_at(self, segment: Ints, nominal_s: Array) -> None:
+        """Be in these segments (B,), at these nominal times in them."""
+        self._segment, self._nominal_s = segment, nominal_s
+        self._look_up()
+
     @property
     def running(self) -> NDArray[np.bool_]:
         """Which cells are not done yet (B,)."""
@@ -175,6 +180,32 @@ def run(
         parts = nominal_s[:n, b].copy(), scaling[:n, b].copy(), segment[:n, b].copy()
         traces.append(Trace(program, track, *parts, ends_s, options.cycle_s))
     return traces
+
+
+def scaling_after(
+    programs: Sequence[Program],
+    tracks: Sequence[Track],
+    begins: tuple[Ints, Array],
+    after_s: float,
+    *,
+    table: MotionTable,
+    safety: SafetyFunction,
+    options: SimulationOptions,
+) -> Array:
+    """Return s (B,) a time after B cells were in the segments (B,) and at the nominal times in them (B,) of `begins`.
+
+    Raises:
+        SimulationError: The scaling depends on more than the present: latency, hysteresis or ramps.
+    """
+    if options.latency_s or options.hysteresis_m or options.ramp_down_per_s or options.ramp_up_per_s:
+        raise SimulationError("futures are drawn without latency, hysteresis and ramps")
+    cells = _Cells(programs, table, SpeedScaling(safety, options), options.cycle_s)
+    cells.begin_at(*begins)
+    times = np.asarray(np.arange(round(after_s / options.cycle_s) + 1) * options.cycle_s, dtype=np.float64)
+    people = np.stack([track.at(times) for track in tracks], axis=1)
+    for t_s, person in zip(times.tolist(), np.where(np.isnan(people), _FAR_M, people), strict=True):
+        _, s, _ = cells.step(t_s, person)
+    return s
 
 
 def _stack(steps: list[tuple[Array, Array, Ints]], column: int) -> Array:

@@ -93,7 +93,7 @@ class Cell:
     def persistence(self) -> float:
         """Say that the scaling stays as it is."""
         _, judge = self.rows(past=True)
-        return _mse(judge.X[:, -1].astype(np.float64), judge)
+        return _mse(judge.X[:, judge.inputs.index("scaling")].astype(np.float64), judge)
 
     def constant(self) -> float:
         """Say the mean."""

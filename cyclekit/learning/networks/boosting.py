@@ -112,7 +112,8 @@ def _one_thread() -> AbstractContextManager[object]:
     """Keep scikit-learn to one thread: several wait for each other, and share sums out by number."""
     from threadpoolctl import threadpool_limits
 
-    return threadpool_limits(1)
+    limits: AbstractContextManager[object] = threadpool_limits(1)
+    return limits
 
 
 def _some(count: int, most: int, seed: int = 0) -> Bools:

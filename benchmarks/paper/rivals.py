@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cyclekit.learning.networks.beaten import distance_of, fit_thresholds
+from cyclekit.learning.networks.boosting import grow
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +25,7 @@ def predict_by(name: str, learn: Samples, judge: Samples, levels: Sequence[float
     """Return what a rival predicts for `judge`, shape (N,).
 
     Args:
-        name: One of `plan.RIVALS`.
+        name: One of `plan.RIVALS_AHEAD`.
         learn: Rows to learn from.
         judge: Rows to predict.
         levels: Staircase levels, ascending.
@@ -34,16 +36,9 @@ def predict_by(name: str, learn: Samples, judge: Samples, levels: Sequence[float
     if name == "distance staircase":
         thresholds = fit_thresholds(distance_of(learn), learn.scaling, levels)
         return np.asarray(np.array(levels)[np.searchsorted(thresholds, distance_of(judge), side="right")])
-    return _boosted(learn, judge) if name == "gradient boosting" else _perceptron(learn, judge)
-
-
-def _boosted(learn: Samples, judge: Samples) -> Vector:
-    from sklearn.ensemble import HistGradientBoostingRegressor
-
-    trees = HistGradientBoostingRegressor(max_iter=300, max_leaf_nodes=63, early_stopping=False, random_state=0)
-    with threadpool_limits(1):  # its threads wait for each other, and share sums out by their number
-        trees.fit(learn.X, learn.scaling)
-        return np.clip(np.asarray(trees.predict(judge.X), np.float64), 0.0, 1.0)
+    if name == "gradient boosting":
+        learn, judge = (replace(rows, table=None, before=None) for rows in (learn, judge))
+    return _perceptron(learn, judge) if name == "MLP" else grow(learn).predict(judge)
 
 
 def _perceptron(learn: Samples, judge: Samples) -> Vector:

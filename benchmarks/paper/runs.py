@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from benchmarks.paper.floors import bayes, plug_in
-from benchmarks.paper.plan import FLOORS, SCENES, Entry, entries
+from benchmarks.paper.plan import FLOORS, RIVALS_AHEAD, SCENES, Entry, entries
 from benchmarks.paper.rivals import predict_by
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, DatasetError, ShapeError
@@ -205,7 +205,9 @@ class _Cell:
         return list(learn), list(test)
 
     def _rows(self, entry: Entry, names: Sequence[str], model: TrainedModel | None = None) -> Samples:
-        history = (2, 1) if model is None else model.history
+        history, past = (2, 1) if model is None else model.history, entry.name == RIVALS_AHEAD[-1]
+        if past:
+            history = ModelSpec.of("ahead", "boosting").at_rate(self.dataset.rate_hz).history or history
         allow = () if model is None else model.weights.known
         frame = self.dataset.samples(list(names))
         levels = self.safety["levels"]
@@ -217,6 +219,7 @@ class _Cell:
             rate_hz=self.dataset.rate_hz,
             allow=allow,
             history=history,
+            past=past,
         )
 
     def _rival(self, entry: Entry, learn: Samples, rows: Samples) -> NDArray[np.float64]:
@@ -229,7 +232,7 @@ class _Cell:
         scaling = self.dataset.samples(names)["scaling"].fill_null(1.0).to_numpy()
         if rows.before is None:
             raise ShapeError("a rival's rows need a history of two samples")
-        last = scaling[rows.before[:, 0 if entry.problem == "now" else 1]]
+        last = scaling[rows.before[:, 0 if entry.problem == "now" else -1]]
         return predict_by(entry.name, learn, rows, self.safety["levels"], last)
 
 

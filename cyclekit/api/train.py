@@ -118,8 +118,8 @@ def _place(dataset: Dataset | Place) -> str:
 
 def _put(todo: Sequence[Training], engine: Engine, progress: Progress | None) -> list[TrainedModel]:
     """Train every model and put it in its place; all that can be refused is refused before the first."""
-    need_torch()
     for each in todo:
+        need_torch(each.spec)
         check_output(each.out, "model", [each.dataset])
         check_model_output(each.out)
     here = len(todo) == 1 and engine.stays_here(1)

@@ -36,7 +36,10 @@ def train(
     ] = "now",
     network: Annotated[
         str | None,
-        typer.Option(help="By name; default: classifier, for the average: mixed (docs/models.md).", show_default=False),
+        typer.Option(
+            help="By name; default: classifier, for the average: mixed; ahead: also boosting (docs/models.md).",
+            show_default=False,
+        ),
     ] = None,
     model: Annotated[
         Literal["auto", "network"],
@@ -47,8 +50,10 @@ def train(
         Literal["batch", "none"], typer.Option(help="Batch normalisation as in the literature, or none.")
     ] = "batch",
     features: Annotated[
-        Literal["auto", "positions", "distance"],
-        typer.Option(help="distance: the network sees it as well; auto: for problem now."),
+        Literal["auto", "positions", "distance", "past"],
+        typer.Option(
+            help="distance: the network sees it too; past: LSTMs see goal times and scaling; auto: distance for now."
+        ),
     ] = "auto",
     target: Annotated[
         Literal["auto", "commanded", "logged"],

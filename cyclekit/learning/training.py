@@ -68,7 +68,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from cyclekit.learning.networks.fitting import Fitted
+    from cyclekit.learning.networks.fitted import Fitted
     from cyclekit.learning.networks.spec import ModelSpec
     from cyclekit.schema import Progress
 
@@ -103,9 +103,7 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
         MissingExtra: torch is not installed.
     """
     dataset.require_positions()
-    need_torch()
-    from cyclekit.learning.networks.fitting import fit  # here, so that this module can be imported without torch
-
+    need_torch(spec)
     rules = rules and spec.problem == "now" and spec.target != "logged"
     if rules and spec.kind.needs_levels and law_of(dataset, seed=spec.seed) is not None:
         spec = replace(spec, network="regressor", hidden=NETWORKS["regressor"].hidden, target="logged")
@@ -117,9 +115,9 @@ def train(dataset: Dataset, spec: ModelSpec, *, rules: bool = False, progress: P
             found = _in_parts(dataset, spec, scratch.path, memory_rows())
         _check_learnable(dataset, found.learn, found.check, found.held_out, spec)
         spec = replace(spec, target="commanded" if _commanded(dataset, spec, found.staircase) else "logged")
-        fitted = fit(spec, found.learn, found.check, found.levels, progress, known=found.known)
+        fitted = _fit(spec)(spec, found.learn, found.check, found.levels, progress, known=found.known)
         made = (spec.problem, spec.network, spec.horizon_s, found.levels, fitted.weights)
-        model = TrainedModel(*made, history=spec.history or (1, 1))
+        model = TrainedModel(*made, history=spec.history or (1, 1), past=spec.features == "past")
         better = staircase_if_better(model, fitted.spec, found.learn, found.held_out)
         beaten = [note("model-beaten", text=better.said(dataset.place, "MODEL"))] if better else []
         card = _card(dataset, found, fitted, measure(model, found.held_out), beaten)
@@ -169,7 +167,21 @@ class _Rows:
 
 def _builder(dataset: Dataset, spec: ModelSpec) -> Callable[..., Samples]:
     rate_hz, history = dataset.rate_hz, spec.history or (1, 1)
-    return partial(build_samples, problem=spec.problem, horizon_s=spec.horizon_s, rate_hz=rate_hz, history=history)
+    past, horizon_s = spec.features == "past", spec.horizon_s
+    return partial(
+        build_samples, problem=spec.problem, horizon_s=horizon_s, rate_hz=rate_hz, history=history, past=past
+    )
+
+
+def _fit(spec: ModelSpec) -> Callable[..., Fitted]:
+    """Return what trains it; imported here, so that this module needs no torch, and trees need none at all."""
+    if spec.kind.trees:
+        from cyclekit.learning.networks.boosting import fit_trees
+
+        return fit_trees
+    from cyclekit.learning.networks.fitting import fit
+
+    return fit
 
 
 def _in_memory(dataset: Dataset, spec: ModelSpec) -> _Rows:
@@ -303,13 +315,14 @@ def train_at(what: Training, *, progress: Progress | None = None) -> TrainingCar
     return model.card
 
 
-def need_torch() -> None:
-    """Refuse to begin what ends in a training that cannot be.
+def need_torch(spec: ModelSpec | None = None) -> None:
+    """Refuse to begin what ends in a training that cannot be; trees need no torch.
 
     Raises:
         MissingExtra: torch is not installed.
     """
-    need("training", "train")
+    if spec is None or not spec.kind.trees:
+        need("training", "train")
 
 
 def _enough(dataset: Dataset, frame: pl.DataFrame, rows: Samples) -> Samples:

@@ -23,6 +23,7 @@ import polars as pl
 from cyclekit.dataset.time_grid import stretches
 from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import DatasetError, ShapeError, UnknownName
+from cyclekit.learning.last_second import PAST, past_inputs
 from cyclekit.scaling.levels import UNKNOWN, label_in_time, unbroken
 
 if TYPE_CHECKING:
@@ -43,10 +44,20 @@ INPUTS: Mapping[str, tuple[str, ...]] = {
     "average": _POSITIONS + _GOALS,
 }
 """Input columns of every problem, in the order of the columns of X."""
-GROUPS: Mapping[str, slice] = {"human": slice(3, 6), "robot_goal": slice(6, 9), "human_goal": slice(9, 12)}
-"""Columns of X that may be unknown together: an absent operator, a goal that was not logged."""
+GROUPS: Mapping[str, slice] = {
+    "human": slice(3, 6),
+    "robot_goal": slice(6, 9),
+    "human_goal": slice(9, 12),
+    "scaling": slice(14, 15),
+}
+"""Columns of X that may be unknown together: an absent operator, a goal that was not logged, the scaling so far."""
 _MODEL_ERROR = 0.05
 """Error of a prediction against which the uncertainty of an inferred scaling is weighed."""
+
+
+def inputs_of(problem: str, *, past: bool) -> tuple[str, ...]:
+    """Return the input columns of a problem, with those of `last_second.PAST` if asked for."""
+    return INPUTS[problem] + (PAST if past else ())
 
 
 @dataclass(frozen=True)
@@ -116,6 +127,7 @@ def build_samples(
     rate_hz: float,
     allow: Collection[str] = (),
     history: tuple[int, int] = (1, 1),
+    past: bool = False,
 ) -> Samples:
     """Build the rows of one problem.
 
@@ -130,6 +142,7 @@ def build_samples(
             over is not absent: those rows are left out all the same.
         history: How many samples a recurrent network sees, and how many rows lie between them. Where a stretch has
             just begun, its first sample stands for those before it.
+        past: Add the inputs of `last_second.PAST`; for a problem with goals.
 
     Raises:
         UnknownName: There is no such problem.
@@ -141,10 +154,11 @@ def build_samples(
     if (problem == "now") != (width == 0) or horizon_s < 0:
         msg = f"problem {problem!r} with a horizon of {horizon_s} s: `now` has none, the others need one"
         raise ShapeError(msg, cure=f"Give a horizon of at least {1 / rate_hz:g} s for ahead and average, 0 for now.")
-    inputs = INPUTS[problem]
-    X = inputs_in_plane(frame.select(pl.col(inputs).cast(pl.Float32)).to_numpy())
+    inputs = inputs_of(problem, past=past)
+    X = inputs_in_plane(frame.select(pl.col(INPUTS[problem]).cast(pl.Float32)).to_numpy())
     scaling = frame["scaling"].fill_null(np.nan).to_numpy()
     run = stretches(frame, rate_hz)
+    X = np.concatenate([X, past_inputs(X, scaling, run, rate_hz)], axis=1) if past else X
     target, whole = _target(problem, scaling, run, width)
     unknown = _unknown_inputs(frame, X, allow)
     keep, dropped = _usable({"window leaves the execution or crosses a gap": ~whole, **unknown}, target)
@@ -222,7 +236,10 @@ def _unknown_inputs(frame: pl.DataFrame, X: Singles, allow: Collection[str]) -> 
     for group in ("robot_goal", "human_goal"):
         if X.shape[1] > GROUPS[group].start and group not in allow:
             goal |= unknown(X[:, GROUPS[group]])
-    return {"robot position unknown": unknown(X[:, :3]), "operator absent or not seen": nobody, "goal unknown": goal}
+    found = {"robot position unknown": unknown(X[:, :3]), "operator absent or not seen": nobody, "goal unknown": goal}
+    if X.shape[1] > GROUPS["scaling"].start and "scaling" not in allow:
+        found["present scaling unknown"] = unknown(X[:, GROUPS["scaling"]])
+    return found
 
 
 def _usable(unknown: Mapping[str, Bools], target: Floats) -> tuple[Bools, dict[str, int]]:

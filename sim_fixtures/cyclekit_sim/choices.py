@@ -6,12 +6,14 @@ that an execution is the same however many are simulated. What the streams are u
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import islice
 
 import numpy as np
 
 from cyclekit_sim.arm import Array
 from cyclekit_sim.causes import MixedCauses
+from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.program import HOME, Execution
 from cyclekit_sim.scenes import GOAL_SD_M, MIDDLE_SD_M, SCENES, Scene
 from cyclekit_sim.walking import Leg, Press, away, stand, walk
@@ -48,6 +50,40 @@ def draw_execution(
     return Execution(index, places, waits, float(rng.uniform(2.0, 4.0)) if scene.continuous else 0.0)
 
 
+def places_again(scene: Scene, places: tuple[str, ...], task: int, rng: np.random.Generator) -> tuple[str, ...]:
+    """Return `places` with those after the goal of `task` drawn again, in a way that those before allow."""
+    drawn, known = list(places), [place for place in places[: task + 2] if place in scene.slots]
+    left = list(scene.slots) if scene.repeats_slots else [slot for slot in scene.slots if slot not in known]
+    later = [at for at in range(task + 2, len(places)) if places[at] in scene.slots]
+    if later:
+        for at, slot in zip(later, rng.choice(left, len(later), replace=scene.repeats_slots), strict=True):
+            drawn[at] = str(slot)
+    return tuple(drawn)
+
+
+def legs_again(scene: Scene, legs: Sequence[Leg], into_s: float, rng: np.random.Generator) -> Iterator[Leg]:
+    """Yield the last of `legs`, `into_s` of which is over, and what may follow after all of them.
+
+    A walk goes on as it was; how long a dwell still lasts, and whither he goes then, is drawn again.
+
+    Raises:
+        SimulationError: The operator visits: how long he has been away is no part of the legs.
+    """
+    if scene.operator == "visit":
+        raise SimulationError(f"{scene.name}: futures are drawn for operators who deliver or roam")
+    done, last = [leg.press for leg in legs if leg.press is not None], legs[-1]
+    name, here = done[-1].goal, np.array(done[-1].goal_m)
+    shortest, longest = scene.stations[name].dwell_s
+    if len(last.t_s) > 2:
+        yield last
+        yield stand(here, _dwell_s(scene, name, rng))
+    else:
+        yield stand(here, float(rng.uniform(max(shortest, min(into_s, longest)), longest)))
+    names = [press.goal for press in done]
+    follow = _roam(scene, rng, names[-1]) if scene.operator == "roam" else _deliver(scene, rng, names)
+    yield from _onwards(scene, here, islice(follow, 1 if scene.operator == "roam" else len(names), None), rng)
+
+
 def operator_legs(scene: Scene, rng: np.random.Generator) -> Iterator[Leg]:
     """Yield the operator's legs: endless where he roams or visits, up to the rest place where boxes run out."""
     if scene.operator == "visit":
@@ -63,6 +99,11 @@ def _legs(scene: Scene, names: Iterator[str], rng: np.random.Generator) -> Itera
     name = next(names)
     here = _goal(scene, name, rng)
     yield _begin(stand(here, _dwell_s(scene, name, rng)), name, here)
+    yield from _onwards(scene, here, names, rng)
+
+
+def _onwards(scene: Scene, here: Array, names: Iterator[str], rng: np.random.Generator) -> Iterator[Leg]:
+    """Yield the walks and dwells from `here` on."""
     for name in names:
         there = _goal(scene, name, rng)
         middle = 0.5 * (here + there)
@@ -72,14 +113,19 @@ def _legs(scene: Scene, names: Iterator[str], rng: np.random.Generator) -> Itera
         here = there
 
 
-def _deliver(scene: Scene, rng: np.random.Generator) -> Iterator[str]:
-    """Fill the outbound areas in turn, beginning with any; the spots of one area (`out_left_1`, ...) in any order."""
+def _deliver(scene: Scene, rng: np.random.Generator, done: Sequence[str] = ()) -> Iterator[str]:
+    """Fill the outbound areas in turn, beginning with any; the spots of one area (`out_left_1`, ...) in any order.
+
+    `done` are the stations that come first; only what follows them is drawn.
+    """
     areas: dict[str, list[str]] = {}
     for name in scene.stations:
         if name not in ("inbound", "rest"):
             area, _, spot = name.rpartition("_")
             areas.setdefault(area if spot.isdigit() else name, []).append(name)
-    left = [list(rng.permutation(np.array(areas[area]))) for area in rng.permutation(np.array(list(areas)))]
+    order = dict.fromkeys(area for name in done for area, spots in areas.items() if name in spots)
+    begun = [*order, *rng.permutation(np.array([area for area in areas if area not in order]))]
+    left = [_spots(areas[area], done, rng) for area in begun]
     while any(left):
         for spots in left:
             if spots:
@@ -88,9 +134,15 @@ def _deliver(scene: Scene, rng: np.random.Generator) -> Iterator[str]:
     yield "rest"
 
 
-def _roam(scene: Scene, rng: np.random.Generator) -> Iterator[str]:
+def _spots(spots: list[str], done: Sequence[str], rng: np.random.Generator) -> list[str]:
+    """Return the spots of an area, the next one last: those that are done, then the others in any order."""
+    first = [spot for spot in reversed(done) if spot in spots]
+    return [*map(str, rng.permutation(np.array([spot for spot in spots if spot not in first]))), *first]
+
+
+def _roam(scene: Scene, rng: np.random.Generator, here: str | None = None) -> Iterator[str]:
     names = list(scene.stations)
-    here = str(rng.choice(names))
+    here = here or str(rng.choice(names))
     while True:
         yield here
         here = str(rng.choice([name for name in names if name != here]))

@@ -131,6 +131,11 @@ class _Cells:
         origins, _, _ = link_frames(q_rad + way[:, None] * (after - q_rad))
         return origins.transpose(1, 0, 2)
 
+    def begin_at(self, segment: Ints, nominal_s: Array) -> None:
+        """Be in these segments (B,), at these nominal times in them."""
+        self._segment, self._nominal_s = segment, nominal_s
+        self._look_up()
+
     @property
     def running(self) -> NDArray[np.bool_]:
         """Which cells are not done yet (B,)."""
@@ -222,6 +227,32 @@ def _with_causes(trace: Trace, slowing: Slowing, b: int, options: SimulationOpti
     there = part_there(trace.program, trace.segment) & bool(options.causes and options.causes.part_signal)
     inputs = (slowing.switched_on(b, times).astype(np.int64) << REDUCED_BIT) | (there.astype(np.int64) << PART_BIT)
     return replace(trace, scaling=scaling_of(why), why=why, inputs=inputs)
+
+
+def scaling_after(
+    programs: Sequence[Program],
+    tracks: Sequence[Track],
+    begins: tuple[Ints, Array],
+    after_s: float,
+    *,
+    table: MotionTable,
+    safety: SafetyFunction,
+    options: SimulationOptions,
+) -> Array:
+    """Return s (B,) a time after B cells were in the segments (B,) and at the nominal times in them (B,) of `begins`.
+
+    Raises:
+        SimulationError: The scaling depends on more than the present: latency, hysteresis or ramps.
+    """
+    if options.latency_s or options.hysteresis_m or options.ramp_down_per_s or options.ramp_up_per_s:
+        raise SimulationError("futures are drawn without latency, hysteresis and ramps")
+    cells = _Cells(programs, table, SpeedScaling(safety, options), options.cycle_s)
+    cells.begin_at(*begins)
+    times = np.asarray(np.arange(round(after_s / options.cycle_s) + 1) * options.cycle_s, dtype=np.float64)
+    people = np.stack([track.at(times) for track in tracks], axis=1)
+    for t_s, person in zip(times.tolist(), np.where(np.isnan(people), _FAR_M, people), strict=True):
+        _, s, _ = cells.step(t_s, person, None, None)
+    return s
 
 
 def _stack(steps: list[tuple[Array, Array, Ints]], column: int) -> Array:

@@ -18,7 +18,7 @@ from cyclekit.learning.windows import GROUPS
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 PROBLEMS = ("now", "ahead", "average")
-EVERY = [(problem, network) for problem in PROBLEMS for network in networks_for(problem)]
+EVERY = [(problem, name) for problem in PROBLEMS for name in networks_for(problem) if not NETWORKS[name].trees]
 WITH_DISTANCE = [(problem, name, (1.5, 4.0)) for problem, name in EVERY if not NETWORKS[name].lstm_layers]
 
 

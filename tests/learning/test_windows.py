@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cyclekit import schema
 from cyclekit.errors import DatasetError, ShapeError, UnknownName
+from cyclekit.learning.last_second import count_features, window_features
 from cyclekit.learning.windows import build_samples, scaling_without_operator, split_executions
 
 LEVELS = (0.0, 0.5, 1.0)
@@ -157,3 +158,39 @@ def test_the_uncertainty_of_an_inferred_scaling_becomes_a_weight():
     assert_allclose(build_samples(frame, "now", 0.0, LEVELS, rate_hz=10.0).weight, [1, 1, 0.5, 0.0099], atol=1e-4)
     assert_allclose(build_samples(frame, "ahead", 0.2, LEVELS, rate_hz=10.0).weight, [0.5, 0.0099], atol=1e-4)
     assert_array_equal(build_samples(log([1.0] * 3), "now", 0.0, LEVELS, rate_hz=10.0).weight, [1, 1, 1])
+
+
+def test_what_is_known_of_the_past_begins_anew_with_each_execution_and_each_goal():
+    still = {name: [0.0] * 6 for name in POSITIONS}
+    moving = {"human_goal_x_m": [1.0, 1.0, 2.0, 2.0, None, None], "human_x_m": [0.0, 0.0, 0.0, 0.2, 0.2, 0.2]}
+    one = log([0.5, 0.5, 1.0, 1.0, 1.0, 1.0], **still | moving)
+    two = log([0.5, 0.5, 1.0, 1.0], "b", 0.6, **{name: [0.0] * 4 for name in POSITIONS})
+    rows = build_samples(
+        pl.concat([one, two]), "ahead", 0.1, (), rate_hz=10.0, allow=["human_goal"], history=(2, 1), past=True
+    )
+    past = dict(zip(rows.inputs[12:], rows.X[:, 12:].T, strict=True))
+    np.testing.assert_allclose(past["human_goal_age_s"], [0, 0.1, 0, 0.1, 0, 0, 0.1, 0.2], atol=1e-6)
+    np.testing.assert_allclose(past["robot_goal_age_s"], [0, 0.1, 0.2, 0.3, 0.4, 0, 0.1, 0.2], atol=1e-6)
+    np.testing.assert_allclose(past["human_still_s"], [0, 0.1, 0.2, 0, 0.1, 0, 0.1, 0.2], atol=1e-6)
+    np.testing.assert_array_equal(past["scaling"], [0.5, 0.5, 1.0, 1.0, 1.0, 0.5, 0.5, 1.0])
+    assert rows.model_inputs.shape == (8, 2, 16)
+
+
+def test_a_row_whose_present_scaling_is_unknown_is_left_out_unless_that_is_allowed():
+    frame = log([0.5, None, 0.5, 0.5])
+    kept = {allow: build_samples(frame, "ahead", 0.1, (), rate_hz=10.0, allow=allow, history=(2, 1), past=True)
+            for allow in ((), ("scaling",))}  # fmt: skip
+    assert (len(kept[()]), len(kept["scaling",])) == (1, 2)
+    assert kept[()].dropped["present scaling unknown"] == 1
+
+
+def test_features_of_a_window_are_places_changes_and_distances_of_it():
+    windows = np.random.default_rng(0).normal(size=(5, 3, 16)).astype(np.float32)
+    features = window_features(windows)
+    assert features.shape == (5, count_features(3, 16))
+    np.testing.assert_array_equal(features[:, :16], windows[:, -1])
+    apart = np.linalg.norm(windows[..., :3] - windows[..., 3:6], axis=-1)
+    np.testing.assert_allclose(features[:, 28:31], apart, rtol=1e-6)
+    np.testing.assert_allclose(features[:, 31:33], apart[:, -1:] - apart[:, :-1], atol=1e-6)
+    np.testing.assert_array_equal(features[:, -2:], windows[:, :2, 14])
+    np.testing.assert_array_equal(window_features(windows[:, -1, :6])[:, 6], features[:, 30])

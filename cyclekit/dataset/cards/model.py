@@ -202,7 +202,9 @@ class ModelCard(Card, frozen=True, kw_only=True):
         horizon_s: How far ahead the target lies or reaches; 0 for problem `now`.
         levels: Of the speed scaling, ascending; empty for a network that knows none.
         history: Samples that the network sees, and rows between them.
-        layers: Feed-forward layers, in order.
+        past: Whether it also sees how long the goals have held, and the scaling so far.
+        layers: Feed-forward layers, in order; none where there are trees.
+        trees: Number of trees, and of nodes in each; None without trees.
         recurrent: LSTM layers: inputs and width.
         forecast: Layer that forecasts the operator's position; None without one.
         known: Groups of inputs that may be unknown.
@@ -219,7 +221,9 @@ class ModelCard(Card, frozen=True, kw_only=True):
     horizon_s: Annotated[float, Meta(ge=0.0, le=1e6)]
     levels: Annotated[tuple[Scaling, ...], Meta(max_length=64)]
     history: tuple[Samples, Samples]
-    layers: Annotated[tuple[Layer, ...], Meta(min_length=2, max_length=32)]
+    past: bool = False
+    layers: Annotated[tuple[Layer, ...], Meta(max_length=32)]
+    trees: Layer | None = None
     recurrent: Annotated[tuple[Layer, ...], Meta(max_length=32)] = ()
     forecast: Layer | None = None
     known: tuple[str, ...]

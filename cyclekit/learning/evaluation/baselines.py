@@ -2,7 +2,8 @@
 
     constant mean        what one knows who looks at no position at all
     distance staircase   the best thresholds on ||x_r - x_h||; right where the safety function is one of the distance
-    gradient boosting    scikit-learn's, on the same inputs; no geometry assumed
+    gradient boosting    scikit-learn's, on the inputs of the model and the distances between them
+    the same, last second    on what is known of the last second, with the scaling so far, for what lies ahead
 
 The noise floor of the true staircase is not among them: it is unknown for a real log.
 """
@@ -15,14 +16,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.learning.networks.beaten import STAIRCASE, distance_of, fit_thresholds, staircase_at
+from cyclekit.learning.networks.boosting import TREES, grow
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from cyclekit.learning.windows import Samples
     from cyclekit.schema import Floats
-
-_BOOSTED_ROWS = 100_000
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Rival:
     note: str
 
 
-def rivals(learn: Samples, judge: Samples, levels: Sequence[float], *, boosting: bool = True) -> list[Rival]:
-    """Fit the rivals on `learn` and return their errors on `judge`."""
+def rivals(learn: Samples, judge: Samples, levels: Sequence[float]) -> list[Rival]:
+    """Fit the rivals that take no time on `learn` and return their errors on `judge`."""
     mean = float(learn.scaling.mean())
     found = [Rival("constant mean", (mean - judge.scaling) ** 2, f"scaling {mean:.3f} everywhere")]
     if len(levels) > 1:
@@ -43,21 +43,11 @@ def rivals(learn: Samples, judge: Samples, levels: Sequence[float], *, boosting:
         shown = ", ".join(f"{threshold:.2f}" if np.isfinite(threshold) else "never" for threshold in thresholds)
         squared = (staircase_at(thresholds, levels, judge) - judge.scaling) ** 2
         found.append(Rival(STAIRCASE, squared, f"thresholds on the distance: {shown} m"))
-    if boosting:
-        found.append(_boosted(learn, judge))
     return found
 
 
-def _boosted(learn: Samples, judge: Samples) -> Rival:
-    from sklearn.ensemble import HistGradientBoostingRegressor  # slow to import
-    from threadpoolctl import threadpool_limits
-
-    rows = np.arange(len(learn))
-    if rows.size > _BOOSTED_ROWS:
-        rows = np.sort(np.random.default_rng(0).choice(rows, _BOOSTED_ROWS, replace=False))
-    trees = HistGradientBoostingRegressor(max_iter=200, max_leaf_nodes=63, early_stopping=False, random_state=0)
-    with threadpool_limits(1):  # its threads wait for each other, and share sums out by their number
-        trees.fit(learn.X[rows], learn.scaling[rows])
-        predicted = np.clip(trees.predict(judge.X), 0.0, 1.0)
-    note = f"scikit-learn, 200 trees of 63 leaves, {rows.size} rows"
-    return Rival("gradient boosting", (predicted - judge.scaling) ** 2, note)
+def boosted(name: str, sees: str, learn: Samples, judge: Samples) -> Rival:
+    """Grow trees on `learn`, as a model `boosting` does but all of them, and return their errors on `judge`."""
+    predicted = grow(learn).predict(judge)
+    note = f"scikit-learn, {TREES} trees on {sees}; {len(learn)} rows"
+    return Rival(name, (predicted - judge.scaling) ** 2, note)

@@ -16,20 +16,22 @@ from cyclekit.dataset.cards import MetricsCard, plain
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import DatasetError, ModelError, command_line
-from cyclekit.learning.evaluation.baselines import rivals
+from cyclekit.learning.evaluation.baselines import Rival, boosted, rivals
 from cyclekit.learning.evaluation.drift import Drift, drift
 from cyclekit.learning.labelling import as_learned, without_slider
-from cyclekit.learning.networks.beaten import Better, better_rival
+from cyclekit.learning.networks.beaten import BOOSTED, LAST_SECOND, Better, better_rival
 from cyclekit.learning.networks.cell import fingerprint, refuse_other_cell
+from cyclekit.learning.networks.kinds import NETWORKS
 from cyclekit.learning.networks.metrics import measure
 from cyclekit.learning.networks.saved import TrainedModel, load_model
+from cyclekit.learning.networks.spec import ModelSpec
 from cyclekit.learning.out_of_core import memory_rows, some_executions
 from cyclekit.learning.windows import Samples, build_samples
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.results import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     import polars as pl
 
@@ -151,7 +153,7 @@ def evaluate(
     Args:
         model: Any model.
         dataset: With the scaling known.
-        boosting: Also fit scikit-learn's gradient boosting, which takes a few seconds.
+        boosting: Also fit gradient boosting, which takes up to a minute of the processor each.
         other_cell: Judge a model of another cell too.
         progress: Told fraction and text.
 
@@ -184,7 +186,9 @@ def evaluate(
         tell(0.4, "reading the training samples of the baselines")
         learned = _rows(model, dataset, some_executions(dataset, _learned_from(model), memory_rows()))
         tell(0.6, f"fitting the baselines to {len(learned)} samples")
-        others = rivals(learned, rows, model.levels, boosting=boosting)
+        others = rivals(learned, rows, model.levels)
+        if boosting:
+            others += _boosted(model, dataset, learned, rows)
         table += [ErrorRow(other.name, float(other.squared.mean()), other.note) for other in others]
         squared = (model.predict(rows.model_inputs) - rows.scaling) ** 2
         better = better_rival(model.card.spec, squared, {other.name: other.squared for other in others}, rows.execution)
@@ -242,7 +246,19 @@ def _learned_from(model: TrainedModel) -> tuple[str, ...]:
     return model.card.split.train if model.card.split is not None else ()
 
 
-def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) -> Samples:
+def _boosted(model: TrainedModel, dataset: Dataset, learned: Samples, rows: Samples) -> list[Rival]:
+    """Return boosting on the inputs of the model and, for what lies ahead, on all that is known of the last second."""
+    if NETWORKS[model.network].trees:
+        return []
+    found = [boosted(BOOSTED, "the inputs of the model and distances", learned, rows)]
+    if model.problem != "now" and not model.past:
+        wide = (_rows(model, dataset, part.executions, last_second=True) for part in (learned, rows))
+        found.append(boosted(LAST_SECOND, "positions, goal times and scaling of the last second", *wide))
+    return found
+
+
+def _rows(model: TrainedModel, dataset: Dataset, executions: Sequence[str], *, last_second: bool = False) -> Samples:
+    """Return the rows that a model is judged by; with `last_second` the same with all that a model may see of it."""
     frame, _ = without_slider(dataset, dataset.samples(executions))
     frame = as_learned(model.card, dataset, frame, model.levels)
     known, history = model.weights.known, model.history
@@ -250,9 +266,12 @@ def _rows(model: TrainedModel, dataset: Dataset, executions: tuple[str, ...]) ->
     if history != (1, 1) and learned_hz != dataset.rate_hz:
         msg = f"the model looks back at samples of {learned_hz:g} Hz, and {dataset.path} has {dataset.rate_hz:g} Hz"
         raise ModelError(msg, cure=f"Ingest the logs with --rate {learned_hz:g}, or train on this dataset.")
-    return build_samples(
-        frame, model.problem, model.horizon_s, model.levels, rate_hz=dataset.rate_hz, allow=known, history=history
-    )
+    past = model.past
+    if last_second:
+        history = ModelSpec.of("ahead", "boosting").at_rate(dataset.rate_hz).history or history
+        known, past = (*known, "scaling"), True
+    where = (model.problem, model.horizon_s, model.levels)
+    return build_samples(frame, *where, rate_hz=dataset.rate_hz, allow=known, history=history, past=past)
 
 
 def _read_outs(metrics: MetricsCard) -> list[ErrorRow]:

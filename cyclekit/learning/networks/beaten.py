@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import command_line
-from cyclekit.learning.networks.kinds import NETWORKS
+from cyclekit.learning.networks.kinds import NETWORKS, networks_for
 from cyclekit.learning.networks.spec import ModelSpec
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cyclekit.learning.windows import Samples
     from cyclekit.schema import Floats, Ints
 
-STAIRCASE = "distance staircase"
+STAIRCASE, BOOSTED, LAST_SECOND = "distance staircase", "gradient boosting", "gradient boosting, last second"
 LEAST = 1.25
 """A rival is named from this ratio of the mean squared errors on."""
 CHANCE = 0.01
@@ -57,21 +57,26 @@ class Better:
         )
 
 
-def _otherwise(spec: SpecCard | None) -> list[str]:
-    """Return the options of a training like that one but with the distance or, if it had that, another seed."""
+def _otherwise(spec: SpecCard | None, rival: str) -> list[str]:
+    """Return the options of a training like that one but with the distance or, if it had that, another seed.
+
+    Where boosting on the last second is the better, and there is a model of it for the problem, that one.
+    """
     if spec is None:
         return ["--features", "distance"]
     usual = ModelSpec.of(spec.problem)
     words = [] if usual.problem == "now" else ["--problem", usual.problem, "--horizon", f"{spec.horizon_s:g}s"]
+    if rival == LAST_SECOND and "boosting" in networks_for(spec.problem):
+        return [*words, "--network", "boosting", *(["--seed", str(spec.seed)] if spec.seed else [])]
     for name in ("network", "norm", "balance"):
         chosen = getattr(spec, name)
         words += [] if chosen == getattr(usual, name) else [f"--{name}", chosen]
     words += ["--noise", f"{spec.noise_m:g}"] if spec.noise_m else []
     kind = NETWORKS.get(spec.network)
-    recurrent = kind is not None and kind.lstm_layers > 0
-    if not recurrent:
+    back = kind is not None and kind.sees_history
+    if not back:
         words += ["--features", "distance"]
-    if recurrent or spec.features == "distance":
+    if back or spec.features == "distance":
         return [*words, "--seed", str(spec.seed + 1)]
     return [*words, "--seed", str(spec.seed)] if spec.seed else words
 
@@ -112,7 +117,7 @@ def better_rival(spec: SpecCard | None, model: Floats, rivals: Mapping[str, Floa
         lead = np.bincount(which, model - squared) / rows
         sure = lead.mean() > stdtrit(count - 1, 1.0 - CHANCE) * lead.std(ddof=1) / count**0.5
         if sure and model.mean() > LEAST * squared.mean():
-            found.append(Better(name, float(squared.mean()), float(model.mean()), count, tuple(_otherwise(spec))))
+            found.append(Better(name, float(squared.mean()), float(model.mean()), count, tuple(_otherwise(spec, name))))
     return min(found, key=lambda better: better.mse, default=None)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import torch
@@ -18,6 +18,7 @@ from torch import nn
 
 from cyclekit.dataset.cards import EpochCard
 from cyclekit.errors import ConfigError
+from cyclekit.learning.networks.fitted import Fitted
 from cyclekit.learning.networks.folding import fold
 from cyclekit.learning.networks.metrics import best_temperature
 from cyclekit.learning.networks.network import Forecasting, build
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from cyclekit.learning.networks.spec import ModelSpec
-    from cyclekit.learning.networks.weights import Weights
     from cyclekit.learning.windows import Samples
     from cyclekit.schema import Floats, Progress
 
@@ -43,28 +43,6 @@ _DECAY_ROWS, _MOST_DECAY = 3000, 0.1
 
 class CutOff(ConfigError):
     """A network answers 0, or 1, for every input: outputs are cut there and have no slope to learn by."""
-
-
-@dataclass(frozen=True)
-class Fitted:
-    """What fitting gives.
-
-    Attributes:
-        spec: What was trained, with what was left to the number of rows.
-        weights: The best epoch's network as matrices on raw inputs.
-        history: One entry per epoch.
-        mean: Mean of every input, shape (F,), m.
-        scale: 1/deviation of every input, shape (F,), 1/m; 0 for an input that does not vary.
-        temperature: By what the logits of a classifier were divided so that its probabilities hold on the validation
-            part (Guo et al. 2017); 1 for the others.
-    """
-
-    spec: ModelSpec
-    weights: Weights
-    history: tuple[EpochCard, ...]
-    mean: Floats
-    scale: Floats
-    temperature: float = 1.0
 
 
 def fit(

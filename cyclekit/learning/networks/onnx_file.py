@@ -14,6 +14,7 @@ import numpy as np
 from cyclekit.errors import ModelError
 from cyclekit.extras import need
 from cyclekit.learning.networks.kinds import names_levels
+from cyclekit.learning.networks.trees import Trees
 from cyclekit.storage.atomic import replaced
 
 if TYPE_CHECKING:
@@ -41,8 +42,8 @@ def write_onnx(path: Path, model: TrainedModel) -> float | None:
         MissingExtra: The package onnx is not installed.
         ModelError: The model is recurrent or has inputs that may be unknown, or the file does not predict the same.
     """
-    if model.weights.recurrent or model.weights.known:
-        what = "a recurrent network" if model.weights.recurrent else f"inputs that may be unknown {model.weights.known}"
+    if model.history != (1, 1) or model.weights.known:
+        what = "a history" if model.history != (1, 1) else f"inputs that may be unknown {model.weights.known}"
         msg = f"a model with {what} cannot be written as ONNX yet"
         raise ModelError(msg, cure="Train a feed-forward network on logs in which the operator is always seen.")
     need("writing ONNX files", "onnx")
@@ -65,15 +66,18 @@ def _graph(model: TrainedModel) -> Any:  # noqa: ANN401 - onnx has no types
 
     nodes: list[Any] = []
     constants: list[Any] = []
-    layers = model.weights.layers
+    weights = model.weights
+    if isinstance(weights, Trees):
+        raise ModelError("trees are no layers of a network")
+    layers = weights.layers
     value = "positions"
-    if model.weights.distance is not None:
+    if weights.distance is not None:
         value = _with_distance(nodes, constants)
     for i, (weight, bias) in enumerate(layers):
         constants += [numpy_helper.from_array(weight, f"weight{i}"), numpy_helper.from_array(bias, f"bias{i}")]
         nodes.append(helper.make_node("Gemm", [value, f"weight{i}", f"bias{i}"], [f"linear{i}"]))
         value = f"linear{i}"
-        kind = "Softmax" if i == model.weights.softmax_after else "Relu" if i < len(layers) - 1 else None
+        kind = "Softmax" if i == weights.softmax_after else "Relu" if i < len(layers) - 1 else None
         if kind:
             out = "probabilities" if kind == "Softmax" and names_levels(model.network) else f"active{i}"
             axis: dict[str, Any] = {"axis": 1} if kind == "Softmax" else {}

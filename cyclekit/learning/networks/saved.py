@@ -25,7 +25,7 @@ from cyclekit.dataset.unknown_height import inputs_in_plane
 from cyclekit.errors import ModelError, ShapeError, command_line
 from cyclekit.learning.networks.kinds import names_levels
 from cyclekit.learning.networks.tensors import NotAModel, check_layout, parse_weights, sizes_of, to_safetensors
-from cyclekit.learning.windows import GROUPS, INPUTS
+from cyclekit.learning.windows import GROUPS, inputs_of
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.storage.atomic import recover, staged
 from cyclekit.storage.mistaken import MODEL_CARD, toml_for, what_is
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     import polars as pl
     from numpy.typing import NDArray
 
+    from cyclekit.learning.networks.trees import Trees
     from cyclekit.learning.networks.weights import Weights
     from cyclekit.schema import Floats, Ints, Singles
 
@@ -59,20 +60,22 @@ class TrainedModel(Result):
         card: How it came about: split, seed, metrics, data fingerprint, versions, `scaling_without_operator`.
         history: Samples that the network sees, and rows between them at the rate of the samples; (1, 1) = only the
             present one.
+        past: It also sees `last_second.PAST`.
     """
 
     problem: str
     network: str
     horizon_s: float
     levels: tuple[float, ...]
-    weights: Weights
+    weights: Weights | Trees
     card: TrainingCard = field(default_factory=TrainingCard)
     history: tuple[int, int] = (1, 1)
+    past: bool = False
 
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the F inputs, in the order of the columns of X."""
-        return INPUTS[self.problem]
+        return inputs_of(self.problem, past=self.past)
 
     @one_thread()
     def predict(self, X: NDArray[np.floating[Any]]) -> Floats:
@@ -81,10 +84,10 @@ class TrainedModel(Result):
         For a classifier that is the mean of the levels under its probabilities, not the level of the most likely step.
 
         Args:
-            X: Inputs, metres, base frame; columns as in `inputs`. Shape (N, F), of a recurrent network (N, K, F), the
-                oldest sample first. All must be known, but for the groups in `weights.known`: where nobody is there
-                and the logs never showed that, `card.scaling_without_operator` is None as well. A height of the
-                operator alone may be unknown: then that of the TCP stands for it.
+            X: Inputs, metres (of `last_second.PAST`: s), base frame; columns as in `inputs`. Shape (N, F), of a network
+                that sees a history (N, K, F), the oldest sample first. All must be known, but for the groups in
+                `weights.known`: where nobody is there and the logs never showed that, `card.scaling_without_operator`
+                is None as well. A height of the operator alone may be unknown: then that of the TCP stands for it.
 
         Returns:
             Shape (N,), in [0, 1].
@@ -212,6 +215,7 @@ def _save(path: Path, model: TrainedModel) -> None:
         "horizon_s": model.horizon_s,
         "levels": list(model.levels),
         "history": list(model.history),
+        "past": model.past,
         **sizes_of(model.weights),
         "weights_sha256": hashlib.sha256(weights).hexdigest(),
         "card": plain(model.card, nulls=True),
@@ -261,7 +265,7 @@ def load_model(place: Path | str) -> TrainedModel:
         msg = f"{file}: cannot be read ({cause.strerror or cause})"
         raise ModelError(msg, cure="Check the path and its permissions.") from cause
     made = (card.problem, card.network, card.horizon_s, card.levels)
-    return TrainedModel(*made, weights, card.card, card.history)
+    return TrainedModel(*made, weights, card.card, card.history, card.past)
 
 
 def _no_model(path: Path) -> ModelError:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Norm = Literal["batch", "none"]
 Balance = Literal["none", "classes"]
 Optimiser = Literal["auto", "adamw", "muon"]
-Features = Literal["auto", "positions", "distance"]
+Features = Literal["auto", "positions", "distance", "past"]
 Target = Literal["auto", "commanded", "logged"]
 
 HISTORY, HISTORY_S = 6, 1.0
@@ -84,7 +84,8 @@ class ModelSpec:
         optimiser: `muon` for the square matrices and AdamW for the rest (Jordan et al. 2024), `adamw` for all, or
             `auto` for the one that was measured better for the problem and that many rows (`MUON_ROWS`).
         features: `distance` gives the network ||x_r - x_h|| beside the positions. The paper's networks see `positions`
-            only. `auto` is the distance for `now`, see `with_features`.
+            only. With `past` a network that sees a history also gets `last_second.PAST`. `auto` is the distance for
+            `now` and the past for trees, see `with_features`.
         target: What `now` learns. `commanded` is the level that the safety system heads for: what was read of its
             response (reaction time, ramps) is undone, and applied again where cycles are simulated. `logged` is the
             scaling at that instant, as in the paper. `auto` is `commanded` for a network that names levels.
@@ -140,7 +141,7 @@ class ModelSpec:
             msg = f"problem {self.problem!r} with a horizon of {self.horizon_s} s"
             cure = "`now` has no horizon." if self.problem == "now" else "Give one in seconds, for example 2s or 14s."
             raise ConfigError(msg, cure=cure)
-        if not self.hidden or min(*self.hidden, self.epochs or 1) < 1 or self.batch < 2 or not self.learning_rate > 0:
+        if min((*self.hidden, self.epochs or 1)) < 1 or self.batch < 2 or not self.learning_rate > 0:
             msg = f"hidden {self.hidden}, epochs {self.epochs}, batch {self.batch}, rate {self.learning_rate}"
             raise ConfigError(msg, cure="All must be positive, and a batch needs at least two rows.")
         self._check_extras()
@@ -158,15 +159,18 @@ class ModelSpec:
         for name, kinds in (("balance", Balance), ("optimiser", Optimiser), ("features", Features), ("target", Target)):
             if getattr(self, name) not in get_args(kinds):
                 raise UnknownName("the model", name, getattr(self, name), get_args(kinds))
-        recurrent = self.kind.lstm_layers > 0
-        count, every = self.history or ((2, 1) if recurrent else (1, 1))
-        if recurrent and self.features == "distance":
-            raise ConfigError(
-                f"a {self.network} with features {self.features!r}", cure="Its inputs are positions only."
-            )
-        if not (count > 1 if recurrent else count == 1) or not 1 <= every <= 1000 or count > 1000:
+        back = self.kind.sees_history
+        count, every = self.history or ((2, 1) if back else (1, 1))
+        suits = ["past"] if self.kind.trees else ["positions", "past" if back else "distance"]
+        if self.features not in ("auto", *suits):
+            msg = f"a {self.network} with features {self.features!r}"
+            raise ConfigError(msg, cure=f"Its inputs are: {', '.join(suits)}.")
+        if self.kind.trees and (self.noise_m or self.optimiser != "auto" or self.balance != "none"):
+            msg = f"{self.network} with noise {self.noise_m} m, optimiser {self.optimiser}, balance {self.balance}"
+            raise ConfigError(msg, cure="Leave these out: they are of networks.")
+        if not (count > 1 if back else count == 1) or not 1 <= every <= 1000 or count > 1000:
             msg = f"a {self.network} with a history of {count} samples, {every} rows apart"
-            cure = "Recurrent networks need 2 to 1000 samples; the others take one, (1, 1)."
+            cure = "Recurrent networks and boosting need 2 to 1000 samples; the others take one, (1, 1)."
             raise ConfigError(msg, cure=cure)
         if len(self.hidden) < self.kind.least_hidden:
             msg = f"{self.network} with {len(self.hidden)} hidden layers"
@@ -221,7 +225,7 @@ class ModelSpec:
             return self
         every = samples_in(HISTORY_S / (HISTORY - 1), rate_hz)
         count = min(HISTORY, samples_in(HISTORY_S, rate_hz) // every + 1)
-        return replace(self, history=(max(count, 2), every) if self.kind.lstm_layers else (1, 1))
+        return replace(self, history=(max(count, 2), every) if self.kind.sees_history else (1, 1))
 
     def with_features(self) -> ModelSpec:
         """Return this with what the network sees, where that was left open: the distance too for `now`, else positions.
@@ -231,7 +235,8 @@ class ModelSpec:
         """
         if self.features != "auto":
             return self
-        return replace(self, features="distance" if self.problem == "now" else "positions")
+        other: Features = "past" if self.kind.trees else "positions"
+        return replace(self, features="distance" if self.problem == "now" else other)
 
     def for_rows(self, count: int) -> ModelSpec:
         """Return this with the optimiser for `count` training rows, and its default of `freeze_norm_after`."""

@@ -16,9 +16,11 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from cyclekit.learning.last_second import count_features
 from cyclekit.learning.networks.kinds import NETWORKS, networks_for
+from cyclekit.learning.networks.trees import COLUMNS, Trees, sound
 from cyclekit.learning.networks.weights import Weights
-from cyclekit.learning.windows import GROUPS, INPUTS
+from cyclekit.learning.windows import GROUPS, inputs_of
 from cyclekit.storage.files import regular
 
 if TYPE_CHECKING:
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
 _MAX_HEADER_BYTES = 64 * 2**10
 
 
-def parse_weights(file: Path, about: ModelCard) -> Weights:
+def parse_weights(file: Path, about: ModelCard) -> Weights | Trees:
     """Return the weights of the network that `about`, checked, describes.
 
     Raises:
@@ -63,8 +65,10 @@ def parse_weights(file: Path, about: ModelCard) -> Weights:
     return _weights(about, found)
 
 
-def to_safetensors(weights: Weights) -> bytes:
+def to_safetensors(weights: Weights | Trees) -> bytes:
     """Return the weights as the content of a safetensors file."""
+    if isinstance(weights, Trees):
+        return save({"trees": weights.nodes})
     arrays: dict[str, Singles] = {}
     for i, (weight, bias) in enumerate(weights.layers):
         arrays |= {f"layer{i}.weight": weight, f"layer{i}.bias": bias}
@@ -77,8 +81,10 @@ def to_safetensors(weights: Weights) -> bytes:
     return save({name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()})
 
 
-def sizes_of(weights: Weights) -> dict[str, Any]:
+def sizes_of(weights: Weights | Trees) -> dict[str, Any]:
     """Return what `model.json` says about the sizes of the weights."""
+    if isinstance(weights, Trees):
+        return {"layers": [], "trees": list(weights.nodes.shape[:2]), "known": list(weights.known)}
     return {
         "layers": [list(weight.shape) for weight, _ in weights.layers],
         "recurrent": [[weight.shape[0], state.shape[0]] for weight, state, _ in weights.recurrent],
@@ -89,6 +95,8 @@ def sizes_of(weights: Weights) -> dict[str, Any]:
 
 
 def _shapes(about: ModelCard) -> dict[str, tuple[int, ...]]:
+    if about.trees is not None:
+        return {"trees": (*about.trees, COLUMNS)}
     shapes: dict[str, tuple[int, ...]] = {}
     for i, (inputs, outputs) in enumerate(about.layers):
         shapes |= {f"layer{i}.weight": (inputs, outputs), f"layer{i}.bias": (outputs,)}
@@ -98,11 +106,15 @@ def _shapes(about: ModelCard) -> dict[str, tuple[int, ...]]:
     if about.forecast is not None:
         shapes |= {"forecast.weight": about.forecast, "forecast.bias": (about.forecast[1],)}
     if about.known:
-        shapes["middle"] = (len(INPUTS[about.problem]),)
+        shapes["middle"] = (len(_inputs(about)),)
     return shapes
 
 
-def _weights(about: ModelCard, found: Mapping[str, Singles]) -> Weights:
+def _weights(about: ModelCard, found: Mapping[str, Singles]) -> Weights | Trees:
+    if about.trees is not None:
+        if not sound(found["trees"], count_features(about.history[0], len(_inputs(about)))):
+            raise NotAModel("holds trees with a node that leads nowhere")
+        return Trees(found["trees"], about.known)
     return Weights(
         tuple((found[f"layer{i}.weight"], found[f"layer{i}.bias"]) for i in range(len(about.layers))),
         softmax_after(about),
@@ -146,14 +158,18 @@ def check_layout(about: ModelCard) -> None:
     if not _fits(about):
         named = f"layers {about.layers} do not fit a {network}"
         raise NotAModel(f"{named} of {len(about.levels)} levels for problem {problem!r}")
-    if (about.history[0] > 1) != bool(about.recurrent):
+    kind = NETWORKS[network]
+    if (about.history[0] > 1) != kind.sees_history or (about.past and not kind.sees_history):
         raise NotAModel(f"history is {about.history} for a {network}")
 
 
 def _fits(about: ModelCard) -> bool:
     """Tell whether inputs, hidden layers and outputs have the widths that go with each other."""
+    trees = NETWORKS[about.network].trees
+    if trees or len(about.layers) < 2:
+        return trees and about.trees is not None and not about.layers and about.distance is None
     levels, recurrent, forecast = len(about.levels), about.recurrent, about.forecast
-    inputs = len(INPUTS[about.problem]) + len(about.known) + (about.distance is not None)
+    inputs = len(_inputs(about)) + len(about.known) + (about.distance is not None)
     outputs = NETWORKS[about.network].outputs(levels)
     first = recurrent[0][0] if recurrent and forecast is None else about.layers[0][0]
     fits = first == inputs and [out for _, out in about.layers[-len(outputs) :]] == outputs
@@ -162,6 +178,10 @@ def _fits(about: ModelCard) -> bool:
     if forecast is not None:
         fits = fits and forecast == (recurrent[-1][1], 3) and recurrent[0][0] == 3 + ("human" in about.known)
     return fits
+
+
+def _inputs(about: ModelCard) -> tuple[str, ...]:
+    return inputs_of(about.problem, past=about.past)
 
 
 def _check_recurrent(about: ModelCard) -> None:
@@ -173,7 +193,7 @@ def _check_recurrent(about: ModelCard) -> None:
 
 def _check_known(about: ModelCard) -> None:
     """Refuse groups that may be unknown unless each is there once, in the order of the columns."""
-    there = [group for group, columns in GROUPS.items() if columns.start < len(INPUTS[about.problem])]
+    there = [group for group, columns in GROUPS.items() if columns.start < len(_inputs(about))]
     if about.known != tuple(group for group in there if group in about.known):
         raise NotAModel(f"groups of inputs that may be unknown are {about.known!r:.80}")
 

@@ -5,6 +5,7 @@ Goes in: nothing but `kind`. Comes out: `NETWORKS`. Nothing here imports torch b
 
 from __future__ import annotations
 
+from cyclekit.learning.networks.kinds.boosting import BOOSTING
 from cyclekit.learning.networks.kinds.classifier import CLASSIFIER
 from cyclekit.learning.networks.kinds.kind import Inputs, Network
 from cyclekit.learning.networks.kinds.lstm_1 import LSTM_1
@@ -14,7 +15,7 @@ from cyclekit.learning.networks.kinds.regressor import REGRESSOR
 
 __all__ = ["NETWORKS", "Inputs", "Network", "names_levels", "networks_for"]
 
-NETWORKS: dict[str, Network] = {each.name: each for each in (CLASSIFIER, MIXED, REGRESSOR, LSTM_1, LSTM_2)}
+NETWORKS: dict[str, Network] = {each.name: each for each in (CLASSIFIER, MIXED, REGRESSOR, LSTM_1, LSTM_2, BOOSTING)}
 """Every network; the first that suits a problem is its default."""
 
 

@@ -52,6 +52,7 @@ class Network:
         lstm_layers: So many LSTM layers see a history; 0 = it sees one sample.
         forecasts: Its LSTM forecasts where the operator will be.
         least_hidden: It needs so many hidden layers.
+        trees: It is made of trees on windows and `last_second.PAST`, and has no layers.
     """
 
     name: str
@@ -63,6 +64,12 @@ class Network:
     lstm_layers: int = 0
     forecasts: bool = False
     least_hidden: int = 1
+    trees: bool = False
+
+    @property
+    def sees_history(self) -> bool:
+        """Whether it sees several samples."""
+        return self.trees or self.lstm_layers > 0
 
     @property
     def needs_levels(self) -> bool:

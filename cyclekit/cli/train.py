@@ -89,10 +89,8 @@ def train(
         msg = "--horizon goes with --problem ahead or average"
         raise typer.BadParameter(msg)
     chosen = None if seeds is None else whole_numbers(seeds)
-    from cyclekit.dataset.dataset import Dataset
-
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
-    if Dataset.open(dataset).holds_task_lists_alone:
+    if _task_lists_alone(dataset):
         _train_task_times(terminal, dataset, out, seed)
         return
     from cyclekit.api.train import train_model, train_seeds
@@ -117,6 +115,17 @@ def train(
     if chosen is None and problem != "ahead":  # no estimator works with a forecast
         following = command_line("estimate", out, "SEQUENCES.toml", "--dataset", dataset)
     terminal.done(documents[0] if chosen is None else {"models": documents}, f"{told}\nnext: {following}")
+
+
+def _task_lists_alone(dataset: str) -> bool:
+    """Tell whether a dataset was made of task lists; what is no dataset is refused by the training."""
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.errors import CyclekitError
+
+    try:
+        return Dataset.open(dataset).holds_task_lists_alone
+    except CyclekitError:
+        return False
 
 
 def _train_task_times(terminal: Terminal, dataset: str, out: str, seed: int) -> None:
@@ -159,14 +168,15 @@ def summary(card: TrainingCard) -> str:
     from cyclekit.dataset.cards import SplitCard
 
     metrics, split = card.metrics, card.split or SplitCard()
-    levels = ", ".join(f"{level.value:.2f}" for level in card.levels or ()) or "none found"
+    levels = "levels " + (", ".join(f"{level.value:.2f}" for level in card.levels or ()) or "none found")
+    levels = "continuous" if card.rule is not None and card.rule.law is not None else levels
     held_out = "nothing"
     if metrics is not None:
         named = "" if metrics.accuracy is None else f", {100 * metrics.accuracy:.1f}% of levels predicted correctly"
         held_out = f"MSE {metrics.mse_mean:.2e}, mean absolute error {metrics.mae:.4f}{named}"
     rule = "" if card.rule is None else "".join(f"\n  {line}" for line in rule_lines(card.rule))
     return (
-        f"{card.network} for problem {card.problem}, speed-scaling levels {levels}\n"
+        f"{card.network} for problem {card.problem}, speed scaling: {levels}\n"
         f"  {len(split.train) + len(split.validation) + len(split.test)} executions: {len(split.train)} for training, "
         f"{len(split.validation)} for validation, {len(split.test)} held out\n"
         f"  held out: {held_out}{rule}"

@@ -114,15 +114,17 @@ def _mean(durations: Vector, judged: HeldOutCard | None, executions: int) -> tup
     """Return the expected duration and its 95 % interval, s.
 
     A bias on held-out orders is taken out where it is beyond chance. The interval holds what is left of the error on
-    held-out orders, and the chance of finite logs.
+    held-out orders, and what finite logs leave.
     """
     mean = float(durations.mean())
-    chance = float(durations.std(ddof=1)) / mean / np.sqrt(executions)
     if judged is None:
+        chance = float(durations.std(ddof=1)) / mean / np.sqrt(executions)
         return mean, mean * (1 - SURE * chance), mean * (1 + SURE * chance)
     biased = abs(judged.bias) > SURE * judged.within
     mean /= 1.0 + judged.bias if biased else 1.0
-    error = np.sqrt(max(judged.order_error**2 - (judged.bias**2 if biased else 0.0), 0.0) + chance**2)
+    error = np.hypot(
+        np.sqrt(max(judged.order_error**2 - (judged.bias**2 if biased else 0.0), 0.0)), judged.learning_error
+    )
     return mean, mean * (1 - SURE * error), mean * (1 + SURE * error)
 
 

@@ -75,6 +75,15 @@ if TYPE_CHECKING:
 
 LEAST_S = 10.0
 """Less log than this teaches nothing."""
+OF_STAIRCASES = {
+    "levels-many",
+    "levels-wide",
+    "scaling-continuous",
+    "levels-not-held",
+    "levels-left",
+    "levels-disputed",
+}
+"""Warnings of a staircase that say nothing where the continuous law was found."""
 MIN_EXECUTIONS = 3
 """One for training, one for validation, one for the test."""
 
@@ -140,7 +149,10 @@ def with_rule(model: TrainedModel, dataset: Dataset, *, seed: int = 0) -> Traine
     if found.rule is not None and answering(replace(model, card=structs.replace(model.card, rule=found.rule))) is model:
         found = replace(found, rule=None)
     said = () if found.rule is not None else (note("model-data", text=f"{verdict(found)}; the network answers"),)
-    card = structs.replace(model.card, rule=found.rule, warnings=(*model.card.warnings, *said))
+    warned = model.card.warnings
+    if found.rule is not None and found.rule.law is not None:
+        warned = tuple(one for one in warned if one.code not in OF_STAIRCASES)
+    card = structs.replace(model.card, rule=found.rule, warnings=(*warned, *said))
     return replace(model, card=card)
 
 

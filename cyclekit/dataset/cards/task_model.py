@@ -78,6 +78,8 @@ class HeldOutCard(Card, frozen=True, kw_only=True):
         bias: Mean of estimate / true - 1 over the orders.
         within: Standard error of that.
         order_error: Standard deviation of it over orders, without the chance of few executions each.
+        learning_error: Standard error that finite logs leave in an estimate, as part of it: from models that lack one
+            part of the executions each (jackknife).
         deviations: Of each execution from its estimate, in standard deviations of the estimated single cycles.
     """
 
@@ -85,6 +87,7 @@ class HeldOutCard(Card, frozen=True, kw_only=True):
     bias: Error
     within: Error
     order_error: Error
+    learning_error: Error
     deviations: Annotated[tuple[Error, ...], Meta(max_length=PAST)]
 
 

@@ -152,8 +152,9 @@ def _has(known: Mapping[RulePlace, object]) -> str:
     """Return the numbers of a rule as a change names them: `level 0.3: threshold_m, x_m, y_m`."""
     names: dict[float, dict[str, None]] = {}
     for place in known:
-        axis = f"{'xy'[place.edge // 2]}_m" if place.kind == "rectangle" else "threshold_m"
-        names.setdefault(place.level, {})[axis] = None
+        if place.kind in ("rectangle", "nearer"):
+            axis = f"{'xy'[place.edge // 2]}_m" if place.kind == "rectangle" else "threshold_m"
+            names.setdefault(place.level, {})[axis] = None
     return "; ".join(f"level {level:g}: {', '.join(each)}" for level, each in names.items())
 
 

@@ -159,7 +159,7 @@ def costs_of(
         altered = Altered(lambda tasks: tasks, lambda tracks, _: tracks, cell[1])
         return {one.name: one for one in estimate(cell[0], dataset, sequences, altered=altered, **asked)}
 
-    now = safety, Dynamics.of(dataset.card.dynamics)
+    now = safety, Dynamics.of(dataset.card.dynamics, safety)
     before = rolled(now)
     found: dict[str, list[ParameterCost]] = {name: [] for name in before}
     every = list(_moved(*now))

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from cyclekit.dataset.cards.rule import MetresCard, RectangleCard, RegionCard
-from cyclekit.learning.rules.regions import NOWHERE, Positions, inside, turned
+from cyclekit.learning.rules.positions import Positions
+from cyclekit.learning.rules.regions import NOWHERE, inside, turned
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -2,46 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from cyclekit.dataset.cards.rule import LimitCard, PolygonCard, RectangleCard, RegionCard, SideCard
+    from cyclekit.learning.rules.positions import Positions
     from cyclekit.learning.rules.rows import RuleRows
     from cyclekit.schema import Bools, Vector
 
 
 NOWHERE = (-np.inf, np.inf)
-
-
-@dataclass(frozen=True)
-class Positions:
-    """What a region is asked of: where everybody is at N instants.
-
-    Attributes:
-        apart_m: Distances by name, (N,), m; infinite where nobody is there.
-        floor_m: The operator on the floor, (N, 2), m; NaN where nobody is there.
-        tcp_m: The TCP on the floor, (N, 2), m.
-        signals: Values by name and delay of each signal, as text, (N,), when that delay is over.
-    """
-
-    apart_m: Mapping[str, Vector]
-    floor_m: NDArray[np.float64]
-    tcp_m: NDArray[np.float64]
-    signals: Mapping[tuple[str, float], NDArray[np.str_]] = field(default_factory=dict)
-
-    def where(self, keep: NDArray[np.bool_] | NDArray[np.int64]) -> Positions:
-        """Return some instants."""
-        apart = {name: values[keep] for name, values in self.apart_m.items()}
-        signals = {name: values[keep] for name, values in self.signals.items()}
-        return Positions(apart, self.floor_m[keep], self.tcp_m[keep], signals)
 
 
 def turned(floor_m: NDArray[np.float64], angle_rad: float) -> tuple[Vector, Vector]:

@@ -14,7 +14,7 @@ from cyclekit.dataset.unknown_height import HUMAN_Z_IN_PLANE
 from cyclekit.learning.labelling import commanded_in_time, without_slider
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.links import to_nearest_link
-from cyclekit.learning.rules.regions import Positions
+from cyclekit.learning.rules.positions import Positions
 from cyclekit.learning.rules.signals import signals_of
 from cyclekit.learning.windows import nobody_there
 

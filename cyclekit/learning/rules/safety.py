@@ -10,8 +10,9 @@ from msgspec import structs
 
 from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
 from cyclekit.learning.rules.law import shape_of
+from cyclekit.learning.rules.positions import Positions
 from cyclekit.learning.rules.quantities import grown, quantities
-from cyclekit.learning.rules.regions import Positions, allowed, asks_operator
+from cyclekit.learning.rules.regions import allowed, asks_operator
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""A rule as outlines on the floor: rectangles, and how far thresholds on a distance reach from the tool's path."""
+"""A rule as outlines on the floor: rectangles, polygons, regions of the robot, reach of thresholds on a distance."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from msgspec import structs
 
 from cyclekit.dataset.cards.rule import MetresCard
 from cyclekit.learning.rules.distances import TO_BASE
-from cyclekit.learning.rules.regions import corners
+from cyclekit.learning.rules.regions import corners, polygon_corners
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,8 +34,8 @@ class RuleShape:
     Attributes:
         level: The speed is at most this inside, 0 to 1.
         leaving: Whether it is what the operator must leave for the robot to speed up again (dashed in pictures).
-        name: `rectangle`, or the distance; of a distance to the TCP the outline is around its whole path: farther out
-            this limit never holds, nearer it holds where the TCP is near.
+        name: `rectangle`, `polygon`, `TCP in the rectangle`, or the distance; of a distance to the TCP the outline is
+            around its whole path: farther out this limit never holds, nearer it holds where the TCP is near.
         outline_m: Corners x, y of a closed line, base frame, m.
     """
 
@@ -62,6 +62,10 @@ def shapes_of(rule: RuleCard, path_m: NDArray[np.float64], *, within_m: float) -
             if region is None:
                 continue
             outlines = [("rectangle", one) for each in region.rectangles for one in _rectangle(each, within_m)]
+            closed = (polygon_corners(each) for each in region.polygons)
+            outlines += [("polygon", tuple(one)) for one in closed if one is not None]
+            if region.robot is not None:
+                outlines += [("TCP in the rectangle", one) for one in _rectangle(region.robot, within_m)]
             for near in region.nearer:
                 points = np.zeros((1, 2)) if near.distance == TO_BASE else known
                 outlines += [(near.distance, around(points, near.metres.value))] if len(points) else []

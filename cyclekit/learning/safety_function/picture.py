@@ -12,24 +12,27 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cyclekit.learning.rules.law import shape_of
 from cyclekit.learning.safety_function.fit import FLOOR_M, Threshold
 from cyclekit.plots.colours import ROBOT, scaling_hex
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from cyclekit.dataset.cards.rule import RuleCard
+    from cyclekit.dataset.cards.rule import LawCard, RuleCard
     from cyclekit.learning.rules.shapes import RuleShape
     from cyclekit.learning.safety_function.answer import SafetyFunction
 
 WIDTH, HEIGHT, EDGE = 480, 480, 44
-LINE, LETTERS = 16, 150
+LINE, LETTERS = 16, 130
 """Height of a line of text, and how many letters it has at most."""
 _HALO = 'paint-order="stroke" stroke="white" stroke-width="3"'
 
 
 def zones_svg(zones: SafetyFunction) -> str:
     """Return an SVG document: left the staircase with the intervals of its thresholds, right the floor."""
+    rule = zones.commanded.rule
+    law = None if rule is None else rule.law
     texts = [line for one in zones.rule_sentences for line in textwrap.wrap(f"- {one}", LETTERS)]
     texts.append("Read back from logs. No safety proof.")
     height = HEIGHT + LINE * (len(texts) + 1)
@@ -40,7 +43,7 @@ def zones_svg(zones: SafetyFunction) -> str:
         "<!-- written by cyclekit -->",
         f"<title>{escape(zones.rule)}</title>",
         "<style>text{font:12px sans-serif;fill:#222}</style>",
-        *_staircase(zones),
+        *(_staircase(zones) if law is None else _curve(law)),
         *_floor(zones),
         *notes,
         "</svg>",
@@ -82,6 +85,29 @@ def _staircase(zones: SafetyFunction) -> Iterator[str]:
         box = f'x="{EDGE - 44}" y="{y(level) - 4:.1f}" width="8" height="8"'
         yield f'<rect {box} fill="{scaling_hex(level)}"/>'
         yield f'<text x="{EDGE - 6}" y="{y(level) + 4:.1f}" text-anchor="end">{level:.2f}</text>'
+    yield f'<text x="{EDGE}" y="{EDGE - 16}">{escape(title)}</text>'
+
+
+def _curve(law: LawCard) -> Iterator[str]:
+    """The continuous law over its distance."""
+    shape = shape_of(law)
+    ends = [(s, shape.stop_m + shape.linear_m * s + shape.square_m * s**2) for s in (shape.lowest, 1.0)]
+    far = 1.25 * ends[1][1]
+    metres = np.linspace(0.0, far, 200)
+
+    def at(apart_m: float, scaling: float) -> tuple[float, float]:
+        wide, high = WIDTH - 2 * EDGE, HEIGHT - 2 * EDGE
+        return EDGE + apart_m / far * wide, HEIGHT - EDGE - scaling * high
+
+    points = [at(*each) for each in zip(metres.tolist(), shape.scaling(metres).tolist(), strict=True)]
+    line = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+    yield f'<polyline points="{line}" fill="none" stroke="{ROBOT}" stroke-width="2"/>'
+    for scaling, apart_m in ends:
+        x, y = at(apart_m, scaling)
+        yield f'<text x="{x:.1f}" y="{HEIGHT - EDGE + 16}" text-anchor="middle">{apart_m:.2f}</text>'
+        yield f'<rect x="{EDGE - 44}" y="{y - 4:.1f}" width="8" height="8" fill="{scaling_hex(scaling)}"/>'
+        yield f'<text x="{EDGE - 6}" y="{y + 4:.1f}" text-anchor="end">{scaling:.2f}</text>'
+    title = f"speed scaling over the {law.distance}, m"
     yield f'<text x="{EDGE}" y="{EDGE - 16}">{escape(title)}</text>'
 
 

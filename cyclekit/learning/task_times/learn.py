@@ -28,6 +28,8 @@ LEAST_ORDERS = 5
 FOLDS = 5
 CYCLES = 200
 """Rolled out for each execution that is held out."""
+MANY, ASKED = 1000, 5
+"""Rolled out by each model for so many plans, to learn how far finite logs move an estimate."""
 
 
 def learn_task_times(dataset: Dataset, *, seed: int = 0, progress: Progress | None = None) -> TaskModelCard:
@@ -130,10 +132,12 @@ def _judged(
     else:
         fold_of = rng.permutation(len(runs)) % folds
     found: list[_HeldOut] = []
+    models = []
     for fold in range(folds):
         held = [run for run, of in zip(runs, fold_of, strict=True) if of == fold]
         rest = [run for run, of in zip(runs, fold_of, strict=True) if of != fold]
         model = _learned(rest, agents)
+        models.append(model)
         for run in held:
             try:
                 took_s = roll_plan(model, plan_of(run), cycles=CYCLES, seed=seed).duration_s
@@ -141,7 +145,22 @@ def _judged(
                 continue
             found.append(_HeldOut(run.order, float(took_s.mean()), float(took_s.std(ddof=1)), run.duration_s))
         tell(float(fold + 1))
-    return _summed_up(found) if len(found) >= LEAST_EXECUTIONS else None
+    if len(found) < LEAST_EXECUTIONS:
+        return None
+    asked = [runs[number] for number in rng.permutation(len(runs))[:ASKED]]
+    return structs.replace(_summed_up(found), learning_error=_learning_error(models, asked, seed))
+
+
+def _learning_error(models: Sequence[TaskModelCard], asked: Sequence[Run], seed: int) -> float:
+    """Return the jackknife standard error of estimates, as part of them; the mean over some executions' plans."""
+    found = []
+    for run in asked:
+        try:
+            means = [roll_plan(model, plan_of(run), cycles=MANY, seed=seed).duration_s.mean() for model in models]
+        except (UnknownName, EstimateError):  # a task of it is in no other part
+            continue
+        found.append(float(np.var(means) * (len(means) - 1)) / float(np.mean(means)) ** 2)
+    return float(np.sqrt(np.mean(found))) if found else 0.0
 
 
 def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:
@@ -159,5 +178,10 @@ def _summed_up(found: Sequence[_HeldOut]) -> HeldOutCard:
     deviations = [(each.true_s - each.mean_s) / max(each.sd_s, 1e-3 * each.mean_s) for each in found]
     kept = _kept(np.clip(deviations, -1e3, 1e3))
     return HeldOutCard(
-        orders=len(by_order), bias=float(errors.mean()), within=within, order_error=error, deviations=kept
+        orders=len(by_order),
+        bias=float(errors.mean()),
+        within=within,
+        order_error=error,
+        learning_error=0.0,
+        deviations=kept,
     )

@@ -12,7 +12,7 @@ from typing import Annotated
 
 from msgspec import Meta, field
 
-from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction, Metres, Scaling, ascending
+from cyclekit.dataset.cards.quantities import Card, Count, Duration, Fraction, Metres, Point, Scaling, ascending
 
 _TO = "distance (TCP to operator( on the floor)?|robot base to operator on the floor|nearest link to operator)"
 DistanceName = Annotated[str, Meta(pattern=f"^{_TO}$")]
@@ -137,6 +137,13 @@ class LawCard(Card, frozen=True, kw_only=True):
             raise ValueError(msg)
 
 
+class PoseCard(Card, frozen=True, kw_only=True):
+    """Where the arm is at one position of the TCP: its joints from the base on, base frame, m."""
+
+    tcp_m: Point
+    joints_m: Annotated[tuple[Point, ...], Meta(min_length=1, max_length=16)]
+
+
 class RuleCard(Card, frozen=True, kw_only=True):
     """The simplest rule that explains the commanded level.
 
@@ -151,6 +158,7 @@ class RuleCard(Card, frozen=True, kw_only=True):
         network: The same of the network; None = not asked.
         others: The same of the other kinds of rule that were fitted, in the order they were tried.
         rows, executions: What it was fitted to, with those held out for the choice.
+        poses: Of the arm, over all logged positions of the TCP, for a rule on the nearest link; else empty.
     """
 
     family: str
@@ -164,6 +172,7 @@ class RuleCard(Card, frozen=True, kw_only=True):
     others: dict[str, Fraction] = field(default_factory=dict)
     rows: Count = 0
     executions: Count = 0
+    poses: Annotated[tuple[PoseCard, ...], Meta(max_length=4096)] = ()
 
     def __post_init__(self) -> None:
         """Refuse levels and limits that are not ascending, and a rule of neither limits nor a law.

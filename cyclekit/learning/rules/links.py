@@ -5,18 +5,67 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from cyclekit.config.arms import joint_points, recognise_arm
+from cyclekit.dataset.cards.rule import PoseCard
 from cyclekit.learning.rules.distances import to_links
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Dataset
 
 _JOINTS = 6
+CUBE_M, MOST_POSES = 0.04, 2000
+"""Side of a cube of positions of the TCP that share a pose, and how many poses are kept at most."""
+_NEAR, _LEAST_M = 4, 1e-3
+"""So many poses near a position are averaged, the nearer the more."""
 _ENOUGH = 400
 """So many samples tell which arm it is."""
+
+
+class ArmPoses:
+    """Where the links are at a position of the TCP, from logged ones near it."""
+
+    def __init__(self, poses: Sequence[PoseCard]) -> None:
+        """Keep logged poses; at least one."""
+        self._tree = cKDTree([pose.tcp_m for pose in poses])
+        self._joints_m = np.array([pose.joints_m for pose in poses])
+
+    def points(self, robot_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return joints from base to TCP, shape (N, J, 3), m, of positions of the TCP (N, 3), m."""
+        apart, near = self._tree.query(robot_m, k=min(_NEAR, self._tree.n))
+        apart, near = apart.reshape(len(robot_m), -1), near.reshape(len(robot_m), -1)
+        weight = 1.0 / (apart + _LEAST_M)
+        joints = np.einsum("nk,nkjx->njx", weight / weight.sum(axis=1, keepdims=True), self._joints_m[near])
+        return np.concatenate([joints, robot_m[:, None]], axis=1)
+
+
+def poses_of(dataset: Dataset, executions: Sequence[str]) -> tuple[PoseCard, ...]:
+    """Return the arm's mean pose in each small cube of positions of the TCP; none where the arm is not known."""
+    frame = dataset.samples(list(executions)).drop_nulls(["robot_x_m", "robot_y_m", "robot_z_m"])
+    robot_m = frame.select("robot_x_m", "robot_y_m", "robot_z_m").to_numpy()
+    points = arm_points(dataset, frame["execution"].to_numpy(), frame["t_s"].to_numpy(), robot_m)
+    if points is None:
+        return ()
+    known = np.isfinite(points).all(axis=(1, 2))
+    points = points[known]
+    side = CUBE_M
+    while True:
+        _, cube, count = np.unique(np.floor(points[:, -1] / side), axis=0, return_inverse=True, return_counts=True)
+        if len(count) <= MOST_POSES:
+            break
+        side *= 1.5
+    total = np.zeros((len(count), *points.shape[1:]))
+    np.add.at(total, cube.ravel(), points)
+    mean = np.round(total / count[:, None, None], 4)
+    return tuple(
+        PoseCard(tcp_m=tuple(pose[-1].tolist()), joints_m=tuple(tuple(joint) for joint in pose[:-1].tolist()))
+        for pose in mean
+    )
 
 
 def to_nearest_link(
@@ -29,11 +78,26 @@ def to_nearest_link(
     """Return the distance of the nearest link at each sample, shape (N,), m; None where the arm is not known.
 
     Args:
+        dataset: As of `arm_points`.
+        executions: As of `arm_points`.
+        t_s: As of `arm_points`.
+        robot_m: As of `arm_points`.
+        human_m: The operator, shape (N, 3), m.
+    """
+    points = arm_points(dataset, executions, t_s, robot_m)
+    return None if points is None else to_links(points, human_m)
+
+
+def arm_points(
+    dataset: Dataset, executions: NDArray[np.object_], t_s: NDArray[np.float64], robot_m: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Return joints from base to TCP at each sample, shape (N, J, 3), m; None where the arm is not known.
+
+    Args:
         dataset: Whose joint angles at their native rate.
         executions: Execution of each sample, shape (N,), those of one together.
         t_s: Session times, shape (N,).
         robot_m: The TCP, shape (N, 3), m, by which the arm is recognised.
-        human_m: The operator, shape (N, 3), m.
     """
     first = np.flatnonzero(np.concatenate([[True], executions[1:] != executions[:-1]]))
     angles = np.full((len(t_s), _JOINTS), np.nan)
@@ -51,5 +115,4 @@ def to_nearest_link(
     if arm is None:
         return None
     points, _ = joint_points(arm.arm, angles)
-    points = np.concatenate([points, robot_m[:, None]], axis=1)
-    return to_links(points, human_m)
+    return np.concatenate([points, robot_m[:, None]], axis=1)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from msgspec import structs
 
 from cyclekit.learning.out_of_core import rows_of as count_rows
 from cyclekit.learning.out_of_core import some_executions
+from cyclekit.learning.rules.distances import TO_LINK
 from cyclekit.learning.rules.ladder import RuleSearch, drawn, find_rule
 from cyclekit.learning.rules.law_evidence import find_law
 from cyclekit.learning.rules.law_rows import law_rows
+from cyclekit.learning.rules.links import poses_of
 from cyclekit.learning.rules.rows import rows_of
+from cyclekit.learning.rules.safety import distances_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
@@ -66,14 +71,21 @@ def rule_of(
     unseen = set(() if model is None else model.card.held_out) & set(names)
     law = law_of(dataset, model=model, judged_apart=judged_apart, seed=seed)
     if law is not None:
-        return law
+        return _with_poses(law, dataset, names)
     latency_s = float(dataset.card.dynamics.latency_s or 0.0)
     asked: dict[str, Any] = {"judged_apart": judged_apart, "seed": seed, "signals": signals}
     found = _searched(dataset, names, unseen, levels, model, latency_s, **asked)
     if latency_s and not found.clean:  # a latency read off the wrong distance hides the rule
         other = _searched(dataset, names, unseen, levels, model, 0.0, **asked)
-        return other if other.clean else found
-    return found
+        found = other if other.clean else found
+    return _with_poses(found, dataset, names)
+
+
+def _with_poses(found: RuleSearch, dataset: Dataset, names: Sequence[str]) -> RuleSearch:
+    """Return a rule on the nearest link with the poses of the arm, so that it can be asked without joint angles."""
+    if found.rule is None or TO_LINK not in distances_of(found.rule):
+        return found
+    return replace(found, rule=structs.replace(found.rule, poses=poses_of(dataset, names)))
 
 
 def _looked_at(dataset: Dataset, seed: int) -> list[str]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from msgspec import structs
 
-from cyclekit.learning.rules.distances import DISTANCES, TO_LINK
+from cyclekit.learning.rules.distances import DISTANCES, TO_LINK, to_links
 from cyclekit.learning.rules.law import shape_of
+from cyclekit.learning.rules.links import ArmPoses
 from cyclekit.learning.rules.positions import Positions
 from cyclekit.learning.rules.quantities import grown, quantities
 from cyclekit.learning.rules.regions import allowed, asks_operator
@@ -81,27 +83,39 @@ class RuleSafety:
     def predict(self, X: NDArray[np.floating[Any]]) -> Vector:
         """Return the scaling of rows x_r, x_h, shape (N, 6), m; shape (N,)."""
         robot_m, human_m = X[:, :3].astype(np.float64), X[:, 3:6].astype(np.float64)
+        apart = {name: self._apart(name, robot_m, human_m) for name in distances_of(self.rule)}
         if self.rule.law is not None:
-            return shape_of(self.rule.law).scaling(DISTANCES[self.rule.law.distance](robot_m, human_m))
-        apart = {name: DISTANCES[name](robot_m, human_m) for name in _distances(self.rule)}
+            return shape_of(self.rule.law).scaling(apart[self.rule.law.distance])
         rows = Positions(apart, human_m[:, :2], robot_m[:, :2])
         sides = (False, True) if self.side == "mean" and self.lags else (self.side == "leaving",)
         found = [allowed(self.rule.limits, self.rule.levels, rows, until=until) for until in sides]
         return np.asarray(np.mean(found, axis=0))
 
+    def _apart(self, name: str, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
+        if name == TO_LINK:
+            return to_links(self._arm.points(robot_m), human_m)
+        return DISTANCES[name](robot_m, human_m)
+
+    @cached_property
+    def _arm(self) -> ArmPoses:
+        return ArmPoses(self.rule.poses)
+
 
 def answering(model: TrainedModel) -> TrainedModel | RuleSafety:
     """Return what answers for a model: the rule beside it if it has one that can be asked, else its network.
 
-    A rule on the nearest link needs joint angles, and one on a signal its values, which no estimate has.
+    A rule on a signal needs its values, which no estimate has, and one on the nearest link the poses of the arm.
     """
     rule = model.card.rule
-    if rule is None or TO_LINK in _distances(rule) or any(region.signals for region in _regions(rule)):
+    if rule is None or any(region.signals for region in _regions(rule)):
+        return model
+    if TO_LINK in distances_of(rule) and not rule.poses:
         return model
     return RuleSafety(rule, model.card)
 
 
-def _distances(rule: RuleCard) -> set[str]:
+def distances_of(rule: RuleCard) -> set[str]:
+    """Return the distances that a rule goes by."""
     law = set() if rule.law is None else {rule.law.distance}
     return law | {near.distance for region in _regions(rule) for near in region.nearer}
 

@@ -15,6 +15,7 @@ from cyclekit.dataset.cards.rule import (
     LimitCard,
     MetresCard,
     NearerCard,
+    PoseCard,
     RectangleCard,
     RegionCard,
     RuleCard,
@@ -26,7 +27,8 @@ from cyclekit.estimate.whatif.alter import altered_safety
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.learning.networks.saved import TrainedModel, load_model, save_model
 from cyclekit.learning.networks.weights import Weights
-from cyclekit.learning.rules.distances import TO_LINK, TO_TCP
+from cyclekit.learning.rules.distances import TO_LINK, TO_TCP, to_links
+from cyclekit.learning.rules.links import ArmPoses, poses_of, to_nearest_link
 from cyclekit.learning.rules.quantities import quantities
 from cyclekit.learning.rules.safety import RuleSafety, answering
 from cyclekit.learning.training import with_rule
@@ -110,9 +112,33 @@ def test_a_rule_is_kept_as_data_beside_the_network(tmp_path: Path) -> None:
     assert model_of(without) is without
 
 
-def test_a_rule_on_the_nearest_link_leaves_the_answer_to_the_network() -> None:
+def test_a_rule_on_the_nearest_link_without_poses_of_the_arm_leaves_the_answer_to_the_network() -> None:
     asked = model(TrainingCard(rule=rule((0.0, near(0.8, TO_LINK), None))))
     assert answering(asked) is asked
+
+
+def test_a_rule_on_the_nearest_link_is_asked_with_the_arm_as_it_was_logged_there() -> None:
+    poses = (
+        PoseCard(tcp_m=(1.0, 0.0, 0.5), joints_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.5))),
+        PoseCard(tcp_m=(0.0, 1.0, 0.5), joints_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.5))),
+    )
+    safety = answering(model(TrainingCard(rule=structs.replace(rule((0.0, near(0.3, TO_LINK), None)), poses=poses))))
+    assert isinstance(safety, RuleSafety)
+    beside_the_elbow = [1.0, 0.0, 0.5, 0.5, 0.2, 0.5]
+    beside_the_other_pose = [1.0, 0.0, 0.5, 0.2, 0.6, 0.5]
+    assert safety.predict(np.array([beside_the_elbow, beside_the_other_pose])).tolist() == [0.0, safety.levels[-1]]
+
+
+def test_poses_of_the_arm_give_the_nearest_link_of_executions_that_they_have_not_seen(logged: Dataset) -> None:
+    names = logged.executions["execution"].to_list()
+    seen, unseen = names[1:], names[:1]
+    frame = logged.samples(unseen).drop_nulls(["robot_x_m", "human_x_m"])
+    robot_m, human_m = (frame.select([f"{who}_{axis}_m" for axis in "xyz"]).to_numpy() for who in ("robot", "human"))
+    true_m = to_nearest_link(logged, frame["execution"].to_numpy(), frame["t_s"].to_numpy(), robot_m, human_m)
+    found_m = to_links(ArmPoses(poses_of(logged, seen)).points(robot_m), human_m)
+    off = np.abs(found_m - true_m)
+    assert np.nanmean(off) < 0.004
+    assert np.nanquantile(off, 0.99) < 0.02
 
 
 def test_a_rule_on_a_signal_leaves_the_answer_to_the_network() -> None:

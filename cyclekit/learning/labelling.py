@@ -102,9 +102,9 @@ def as_learned(card: TrainingCard, dataset: Dataset, frame: pl.DataFrame, levels
 
 
 def follows_late(response: DynamicsCard) -> bool:
-    """Return whether the scaling was seen to follow the command late or in ramps."""
-    ramps = (response.ramp_down_per_s, response.ramp_up_per_s)
-    return (response.latency_s or 0.0) >= LEAST_LATENCY_S or any(ramps)
+    """Return whether the scaling was seen to follow the command late, in ramps, or after a hold time."""
+    seen = (response.ramp_down_per_s, response.ramp_up_per_s, response.hold_s)
+    return (response.latency_s or 0.0) >= LEAST_LATENCY_S or any(seen)
 
 
 def staircase_of(dataset: Dataset, frame: pl.DataFrame, method: str = "plateau") -> Staircase:

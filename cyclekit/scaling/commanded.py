@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from cyclekit.schema import Vector
+    from cyclekit.schema import Bools, Ints, Vector
 
     Levels = NDArray[np.int32]
 
@@ -57,6 +57,10 @@ class Response(Protocol):
     @property
     def ramp_up_per_s(self) -> float | None:
         """Fastest rise of the scaling."""
+
+    @property
+    def hold_s(self) -> float | None:
+        """How much later than it slows down the robot speeds up again."""
 
 
 @dataclass(frozen=True)
@@ -104,8 +108,23 @@ def commanded_levels(
         return CommandedLevels(none, np.zeros_like(none), np.full_like(none, len(steps) - 1))
     commands = _commands(time, values, steps, RampRates(response.ramp_down_per_s, response.ramp_up_per_s))
     since, level, lowest, highest = (np.array(part) for part in zip(*commands, strict=True))
-    row = np.searchsorted(since, at + (response.latency_s or 0.0), side="right") - 1
-    return CommandedLevels(*(part[row].astype(np.int32) for part in (level, lowest, highest)))
+    answered = at + (response.latency_s or 0.0)
+    row = np.searchsorted(since, answered, side="right") - 1
+    found = [part[row].astype(np.int32) for part in (level, lowest, highest)]
+    if response.hold_s:
+        held = _held(since, lowest, highest, answered, response.hold_s)
+        found[0][held], found[2][held] = UNKNOWN, len(steps) - 1
+    return CommandedLevels(*found)
+
+
+def _held(since: Vector, lowest: Ints, highest: Ints, at: Vector, hold_s: float) -> Bools:
+    """Return at which times the level may only be held: it rises so shortly after that it was allowed to before."""
+    rises = since[1:][lowest[1:] > highest[:-1]]
+    after = np.searchsorted(rises, at, side="right")
+    known = after < len(rises)
+    left = np.full(at.shape, np.inf)
+    left[known] = rises[after[known]] - at[known]
+    return np.asarray(left <= hold_s)
 
 
 def _commands(t_s: Vector, scaling: Vector, levels: Vector, rates: RampRates) -> list[_Command]:

@@ -98,3 +98,12 @@ def test_without_ramps_each_row_on_a_level_is_commanded_that() -> None:
     levels = (0.0, 0.25, 0.5, 0.75, 1.0)
     found = commanded_levels(np.arange(len(steps)) / 10, np.array(levels)[steps], levels, response(None, None, None))
     assert found.level.tolist() == steps.tolist()
+
+
+def test_while_a_level_may_only_be_held_the_command_is_unknown() -> None:
+    steps = np.repeat([2, 1, 0, 1, 2], [50, 30, 40, 30, 60])
+    held = SafetyResponse(None, None, None, None, 0, None, 1.0)
+    found = commanded_levels(np.arange(len(steps)) / 10, steps / 2, (0.0, 0.5, 1.0), held)
+    known = found.level >= 0
+    assert (found.level[known] == steps[known]).all()
+    assert np.flatnonzero(~known).tolist() == [*range(110, 120), *range(140, 150)]

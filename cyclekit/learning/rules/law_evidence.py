@@ -10,8 +10,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
-from sklearn.ensemble import HistGradientBoostingRegressor
-from sklearn.tree import DecisionTreeRegressor
 
 from cyclekit.dataset.cards.rule import RuleCard
 from cyclekit.learning.rules.ladder import RuleSearch
@@ -117,6 +115,9 @@ def _holds(found: _Rivals) -> bool:
 
 
 def _rivals(X: Floats, scaling: Vector, judge: Floats) -> dict[str, Vector]:
+    from sklearn.ensemble import HistGradientBoostingRegressor  # here, so that nobody else waits for the import
+    from sklearn.tree import DecisionTreeRegressor
+
     some = slice(None, None, max(1, len(X) // MOST))
     X, scaling = X[some], scaling[some]
     tree = DecisionTreeRegressor(max_leaf_nodes=STEPS, random_state=0).fit(X, scaling)

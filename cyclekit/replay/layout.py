@@ -161,7 +161,7 @@ def _right(run: ReplayedExecution) -> rrb.Vertical | None:
     scaled = bool(np.isfinite(run.scaling).any())
     if scaled or any(run.robot_task) or any(run.human_task):
         views.append(
-            (5, rrb.StateTimelineView(origin="/lanes", name="Robot speed, robot, operator, lost to", time_view=whole))
+            (7, rrb.StateTimelineView(origin="/lanes", name="Robot speed, robot, operator, lost to", time_view=whole))
         )
     if scaled or (run.predicted is not None and np.isfinite(run.predicted).any()):
         axis = rrb.ScalarAxis(range=(-0.05, 1.05), zoom_lock=True)

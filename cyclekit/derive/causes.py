@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cyclekit.derive.seen_slow import HALTED, HELD, Rows, Switches, features_of
+from cyclekit.derive.seen_slow import DISTANCES, HALTED, HELD, Rows, Switches, features_of
 from cyclekit.derive.usual_levels import UsualLevels, usual_levels
 from cyclekit.schema import SCALING_CAUSES
 
@@ -31,6 +31,8 @@ BACK, AHEAD = 5, 2
 """Samples before and after in which an operator must have been where people slow the robot."""
 STAYS = 10
 """Samples that a level may be held after its cause is gone, before the scaling rises."""
+EDGE_M = 0.02
+"""A robot that stops at a threshold stands just inside it; where the threshold lies is known no better than this."""
 SELDOM = 0.35
 """A level with a lower share among the samples where an operator is usually has another cause."""
 STEP_M, POOL_M = 0.05, 0.12
@@ -174,7 +176,10 @@ def _lowest(rows: Rows, evidence: Evidence) -> Vector:
     features, seen = features_of(rows, evidence.watching)
     if evidence.usual is None:
         return np.full(len(features), np.nan)
-    return np.where(seen, evidence.levels[evidence.usual.lowest(features, SELDOM)], np.nan)
+    nearer = features.copy()
+    nearer[:, :DISTANCES] -= EDGE_M
+    lowest = [evidence.levels[evidence.usual.lowest(some, SELDOM)] for some in (features, nearer)]
+    return np.where(seen, np.minimum(*lowest), np.nan)
 
 
 def _around(values: Vector) -> Vector:

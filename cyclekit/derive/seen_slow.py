@@ -17,6 +17,8 @@ HALTED = 0.02
 """Scaling at or below this is a standstill."""
 HELD, AROUND = 0.02, 3
 """A level is held where the scaling changes by no more than this from AROUND samples before to AROUND after."""
+DISTANCES = 2
+"""So many of the features, the first, are distances."""
 FAR_M = 99.0
 _APART_S = 1e5
 UNSEEN_S = 5.0

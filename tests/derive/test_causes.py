@@ -206,3 +206,20 @@ def test_inspect_shows_seconds_and_how_often_by_cause(mixed: tuple[Dataset, pl.D
     assert lost["changes_per_hour"] > 0.0
     assert run(["inspect", path]) == 0
     assert "program paused" in capsys.readouterr().out
+
+
+def test_who_stands_where_a_robot_stopped_at_its_threshold_is_its_cause() -> None:
+    """The robot stops as soon as it is so near, so it stands for seconds just inside the threshold."""
+    rng = np.random.default_rng(2)
+    distance, execution = [], []
+    for number in range(30):
+        come = np.concatenate([np.arange(2.5, 0.4, -0.04), np.arange(0.4, 2.5, 0.04)]) + rng.uniform(0.0, 0.03)
+        waits = np.full(40, 1.2 - rng.uniform(0.0002, 0.001)) if number % 3 == 0 else np.empty(0)
+        part = np.concatenate([come, np.linspace(2.5, 1.21, 20), waits, np.linspace(1.21, 2.5, 20)])
+        distance.append(part)
+        execution.append(np.full(len(part), number))
+    apart, number = np.concatenate(distance), np.concatenate(execution)
+    seen = rows(np.where(apart < 1.2, 0.0, 1.0), apart, execution=number)
+    shares = lost_shares(seen, find_evidence(seen, LEVELS))
+    stop = SCALING_CAUSES.index("stop")
+    assert shares[:, stop].sum() == 0.0

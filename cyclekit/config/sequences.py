@@ -20,8 +20,8 @@ _EXAMPLE = """Add one:
   [[sequence]]
   name = "A"
   places = ["home", "conveyor", "left_1", "home"]"""
-MOST_S = 1e7
-"""No plan is longer, s."""
+MOST_S, EARLY_S = 1e7, 1e-3
+"""No plan is longer; a planner's zero may be a little below it, s."""
 
 
 @dataclass(frozen=True)
@@ -144,10 +144,15 @@ def _plan(where: str, entry: _Entry, index: int, path: Path) -> TaskSequence:
         msg = f"{where}: [[sequence.task]] beside places, tasks or operator"
         raise ConfigError(msg, cure="Write either: a plan names the tasks of both agents itself.")
     for task in entry.task:
-        if task.not_before_s is not None and not 0.0 <= task.not_before_s < MOST_S:
+        if task.not_before_s is not None and not -EARLY_S <= task.not_before_s < MOST_S:
             msg = f"{where}: not_before_s = {task.not_before_s} of {task.name!r} is no time from the start of the cycle"
             raise ConfigError(msg, cure="Give seconds after the start of the cycle, 0 or more.")
-    plan = [PlannedTask(task.agent, task.name, task.not_before_s, task.after) for task in entry.task]
+    plan = [
+        PlannedTask(
+            task.agent, task.name, None if task.not_before_s is None else max(task.not_before_s, 0.0), task.after
+        )
+        for task in entry.task
+    ]
     return TaskSequence.of_plan(entry.name or f"sequence {index + 1}", plan, path)
 
 

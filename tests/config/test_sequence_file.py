@@ -92,6 +92,12 @@ def test_a_plan_for_robot_and_operator_is_read(tmp_path: Path) -> None:
     assert found.plan == (PlannedTask("robot", "bring", 2.5), PlannedTask("operator", "mount", None, ("bring",)))
 
 
+def test_the_zero_of_a_planner_is_zero(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(PLAN.replace("2.5", "-1.7586e-13"), encoding="utf-8")
+    (found,) = load_sequences(tmp_path / "s.toml")
+    assert found.plan[0].not_before_s == 0.0
+
+
 @pytest.mark.parametrize(
     ("more", "seen"),
     [

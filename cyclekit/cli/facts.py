@@ -42,6 +42,10 @@ def page(found: Description) -> str:
         return _dataset(found)  # type: ignore[arg-type]
     if found.kind == "model":
         return _model(found)  # type: ignore[arg-type]
+    if found.kind == "task times":
+        from cyclekit.cli.train import task_times_summary
+
+        return f"{found.path}: model, {task_times_summary(found.model)}"  # type: ignore[union-attr]
     return _logs(found)  # type: ignore[arg-type]
 
 

@@ -28,11 +28,13 @@ from cyclekit.inspect.facts import (
     LogFacts,
     LogsDescription,
     ModelDescription,
+    TaskTimesDescription,
 )
 from cyclekit.inspect.lists import SafetySurvey, task_list_facts
 from cyclekit.inspect.survey import TableSurvey
 from cyclekit.learning.networks.saved import CARD as MODEL_CARD
 from cyclekit.learning.networks.saved import load_model
+from cyclekit.learning.task_times.saved import holds_task_times, load_task_times
 from cyclekit.storage.atomic import recover
 
 if TYPE_CHECKING:
@@ -69,6 +71,8 @@ def describe(
         raise LogError(path, "no such file or folder", cure="Check the path.")
     if (path / CARD).is_file():
         return _describe_dataset(Dataset.open(path), progress)
+    if holds_task_times(path):
+        return TaskTimesDescription(path, load_task_times(path))
     if (path / MODEL_CARD).is_file():
         return _describe_model(path)
     return _describe_logs(path, cell, progress, follow_links=follow_links)

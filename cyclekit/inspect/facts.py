@@ -11,8 +11,11 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    import polars as pl
+
     from cyclekit.dataset.cards import TrainingCard
     from cyclekit.dataset.lost_time import LostTime
+    from cyclekit.learning.task_times.saved import TaskTimesModel
 
 
 @dataclass(frozen=True)
@@ -290,4 +293,28 @@ class ModelDescription(Result):
         return [f"{self.path}: {self.network} for problem {self.problem}, levels {levels}"]
 
 
-Description = LogsDescription | DatasetDescription | ModelDescription
+@dataclass(frozen=True, repr=False)
+class TaskTimesDescription(Result):
+    """A model that was learned from task lists.
+
+    Attributes:
+        model: What it knows.
+    """
+
+    path: Path
+    model: TaskTimesModel
+    kind: str = "task times"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {"path": str(self.path), "kind": self.kind, "card": self.model.to_dict()}
+
+    def to_frame(self) -> pl.DataFrame:
+        """One row per task."""
+        return self.model.to_frame()
+
+    def _said(self) -> list[str]:
+        return [f"{self.path}: model of task times, {len(self.model.card.tasks)} tasks"]
+
+
+Description = LogsDescription | DatasetDescription | ModelDescription | TaskTimesDescription

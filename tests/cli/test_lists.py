@@ -142,6 +142,8 @@ def test_task_lists_go_from_logs_to_the_cycle_time_of_a_plan(cyclekit, tmp_path:
     (answer,) = cyclekit("estimate", model, file, "--dataset", dataset, "--json").document["sequences"]
     assert 15.0 < answer["expected_s"] < 18.5
     assert answer["wait_s"] > 4.0
+    assert "worker: mount" in cyclekit("inspect", model).out
+    assert cyclekit("inspect", model, "--json").document["card"]["executions"] == 20
     refused = cyclekit("zones", model, dataset)
     assert refused.code == 1
     assert "It answers plans for robot and operator: cyclekit estimate" in refused.err

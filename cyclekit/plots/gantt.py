@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _LANE_IN, _HEAD_IN, _WIDTH_IN = 0.42, 1.1, 11.0
-_LETTER_PART = 0.011
-"""A letter is so wide, as part of the axis."""
+_LETTER_PART, _LEAST_LETTERS = 0.007, 4
+"""A letter is so wide, as part of the axis; fewer letters tell nothing."""
 
 
 @dataclass(frozen=True)
@@ -66,10 +66,8 @@ def draw_gantt(
             style = {"hatch": "////", "edgecolor": "#9aa5b1"} if bar.waits else {"edgecolor": "white"}
             long_s = bar.end_s - bar.start_s
             axes.barh(bar.lane, long_s, left=bar.start_s, height=0.72, color=bar.colour, linewidth=0.6, **style)
-            if len(bar.text) * _LETTER_PART * end_s < long_s:
-                axes.text(
-                    bar.start_s + long_s / 2, bar.lane, bar.text, ha="center", va="center", fontsize=8, color="white"
-                )
+            text = _fitting(bar.text, int(long_s / (_LETTER_PART * end_s)))
+            axes.text(bar.start_s + long_s / 2, bar.lane, text, ha="center", va="center", fontsize=8, color="white")
         for arrow in arrows:
             axes.annotate(
                 "",
@@ -93,3 +91,10 @@ def draw_gantt(
                 frameon=False,
                 fontsize=8,
             )
+
+
+def _fitting(text: str, letters: int) -> str:
+    """Return a text cut to so many letters; nothing where too few are left to tell."""
+    if len(text) <= letters:
+        return text
+    return f"{text[: letters - 1]}…" if letters >= _LEAST_LETTERS else ""

@@ -261,13 +261,17 @@ def plan_table(entry: CycleEstimate) -> str:
 def rests_on(found: Sequence[CycleEstimate]) -> str:
     """Return the basis of each number and what limits it, one line each."""
     lines: list[str] = []
+    every = [set(entry.warnings) - set(entry.doubts) for entry in found]
+    of_all = set.intersection(*every) if len(found) > 1 else set[str]()
     for entry in found:
         lines.append(
             f"{entry.name}: {entry.estimator}: {entry.why}; {entry.executions} logged executions, {entry.tracks} "
             f"operator tracks; {_support(entry)}; mean {entry.expected_s:.1f} s (95% CI {entry.expected_low_s:.1f} to "
             f"{entry.expected_high_s:.1f} s)"
         )
-        lines.extend(f"{entry.name}: {text}" for text in entry.warnings if text not in entry.doubts)
+        mine = (text for text in entry.warnings if text not in entry.doubts and text not in of_all)
+        lines.extend(f"{entry.name}: {text}" for text in mine)
+    lines.extend(text for text in (found[0].warnings if of_all else ()) if text in of_all)
     return "Basis and limits\n" + bullet(lines)
 
 

@@ -9,7 +9,7 @@ from cyclekit.api.given import Sequences, estimator_model, path_of, place_of, se
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
-from cyclekit.errors import EstimateError
+from cyclekit.errors import EstimateError, ModelError
 from cyclekit.estimate.answers import CycleEstimates, Refusal, refusing, together
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.gantt import write_gantt
@@ -86,14 +86,18 @@ def estimate_cycles(
     def refuse(sequence: TaskSequence, error: EstimateError) -> None:
         refusing(refused, sequence.name, error)
 
+    logs = Dataset.of(dataset)
     if isinstance(opened, TaskTimesModel):
+        if estimator is not None:
+            msg = f"estimator {estimator!r}: a model of task times has one way to an estimate"
+            raise ModelError(msg, cure="Leave --estimator out.")
         found = estimate_plans(
             opened.card, wanted, quantiles=quantiles, takt_s=takt_s, seed=seed, refused=refuse, progress=progress
         )
     else:
         found = estimate(
             opened,
-            Dataset.of(dataset),
+            logs,
             wanted,
             estimator=estimator,
             quantiles=quantiles,

@@ -91,6 +91,9 @@ def train(
     chosen = None if seeds is None else whole_numbers(seeds)
     terminal, work = Terminal(json=json, quiet=quiet), engine_of(engine, jobs, ray_address)
     if _task_lists_alone(dataset):
+        if chosen is not None:
+            msg = "--seeds is for networks, and the dataset holds task lists alone: give --seed"
+            raise typer.BadParameter(msg)
         _train_task_times(terminal, dataset, out, seed)
         return
     from cyclekit.api.train import train_model, train_seeds

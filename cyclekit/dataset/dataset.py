@@ -186,8 +186,13 @@ class Dataset:
     @property
     def holds_task_lists_alone(self) -> bool:
         """Whether it was made of task lists without the robot's log."""
-        listed = any("task_list" in record.tables for record in self.recordings)
-        return listed and not self.positions and not self.card.rows.samples
+        return "task lists" in self._held_alone()
+
+    def _held_alone(self) -> list[str]:
+        """Return what it was made of, where that has no positions; else nothing."""
+        names = {"task_list": "task lists", "safety": "overrides or distances"}
+        held = [text for table, text in names.items() if any(table in record.tables for record in self.recordings)]
+        return [] if self.positions or self.card.rows.samples else held
 
     def require_positions(self) -> None:
         """Refuse a question about motion or places to a dataset that has neither.
@@ -195,9 +200,7 @@ class Dataset:
         Raises:
             DatasetError: It was made of task lists, overrides or distances alone.
         """
-        names = {"task_list": "task lists", "safety": "overrides or distances"}
-        held = [text for table, text in names.items() if any(table in record.tables for record in self.recordings)]
-        if held and not self.positions and not self.card.rows.samples:
+        if held := self._held_alone():
             look = command_line("inspect", self.place)
             raise DatasetError(
                 f"{self.place}: made of {' and '.join(held)} alone: the positions of robot and people, which this "

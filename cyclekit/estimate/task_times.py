@@ -56,7 +56,7 @@ def estimate_plans(
         except EstimateError as error:
             refused(sequence, error)
         except CyclekitError as error:
-            refused(sequence, EstimateError(error.seen, cure=error.cure))
+            refused(sequence, EstimateError(error.seen, nearest=error.nearest, cure=error.cure))
         if progress:
             progress((number + 1) / len(sequences), sequence.name)
     groups = (sorted(some, key=lambda each: each.expected_s) for some in by_work(found).values())

@@ -147,3 +147,10 @@ def test_task_lists_go_from_logs_to_the_cycle_time_of_a_plan(cyclekit, tmp_path:
     refused = cyclekit("zones", model, dataset)
     assert refused.code == 1
     assert "It answers plans for robot and operator: cyclekit estimate" in refused.err
+    other = cyclekit("estimate", model, file, "--dataset", dataset, "--estimator", "history")
+    assert other.code == 1
+    assert "a model of task times has one way to an estimate" in other.err
+    assert cyclekit("estimate", model, file, "--dataset", tmp_path / "nowhere").code == 1
+    assert cyclekit("train", dataset, "--out", model, "--seeds", "1,2").code == 2
+    file.write_text('[[sequence]]\n[[sequence.task]]\nagent = "robt"\nname = "bring"\n', encoding="utf-8")
+    assert "the nearest is 'robot'" in cyclekit("estimate", model, file, "--dataset", dataset).err

@@ -140,7 +140,7 @@ def agent_of(model: TaskModelCard, task: PlannedTask, where: str) -> str:
         return task.agent
     able = [name for name, kind in model.agents.items() if kind == task.agent]
     if len(able) != 1:
-        raise UnknownName(where, "agent", task.agent, model.agents)
+        raise UnknownName(where, "agent", task.agent, {*model.agents, *model.agents.values()})
     return able[0]
 
 

@@ -6,6 +6,10 @@ checks it here before any of it is used. Keys that are not known are passed over
 What the values are used for is the business of the rooms above; this one knows none of them.
 """
 
+from cyclekit.dataset.cards.coupling import ConditionCard as ConditionCard
+from cyclekit.dataset.cards.coupling import CouplingCard as CouplingCard
+from cyclekit.dataset.cards.coupling import GateCard as GateCard
+from cyclekit.dataset.cards.coupling import SourceCard as SourceCard
 from cyclekit.dataset.cards.dataset import DatasetCard as DatasetCard
 from cyclekit.dataset.cards.dataset import DynamicsCard as DynamicsCard
 from cyclekit.dataset.cards.dataset import ExecutionCard as ExecutionCard

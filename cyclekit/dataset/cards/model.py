@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, field
 
+from cyclekit.dataset.cards.coupling import CouplingCard
 from cyclekit.dataset.cards.notes import Note, from_sentences, texts
 from cyclekit.dataset.cards.quantities import (
     Card,
@@ -155,6 +156,7 @@ class TrainingCard(Card, frozen=True, kw_only=True):
         inputs: Names of the inputs.
         warnings: What a person must know before trusting it.
         rule: The rule that answers in place of the network; None = the network answers.
+        coupling: Who waits for whom; None = it was not looked for.
     """
 
     cyclekit: str | None = None
@@ -183,6 +185,7 @@ class TrainingCard(Card, frozen=True, kw_only=True):
     split: SplitCard | None = None
     history: tuple[EpochCard, ...] | None = None
     rule: RuleCard | None = None
+    coupling: CouplingCard | None = None
 
     @property
     def held_out(self) -> tuple[str, ...]:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cyclekit.errors import EstimateError
-from cyclekit.estimate.joint.drawn import EventColumns, Drawn
-from cyclekit.estimate.joint.legs import Agenda, Gates, AgendaLeg, Need
+from cyclekit.estimate.joint.drawn import Drawn, EventColumns
+from cyclekit.estimate.joint.legs import Agenda, AgendaLeg, Gates, Need
 from cyclekit.estimate.joint.visits import Segments
 from cyclekit.estimate.joint.walk import JointCycles, LegTimes, walk_both
 from cyclekit.estimate.safety import Dynamics, SafetyModel, holds_everywhere

@@ -16,7 +16,7 @@ EXAMPLE = "cyclekit simulate box-picking --out logs --executions 20 --seed 1"
 
 def simulate(
     scene: Annotated[
-        Literal["box-picking", "pick-and-package", "laser-zones", "scanner-visits"],
+        Literal["box-picking", "pick-and-package", "laser-zones", "scanner-visits", "scanner-fields", "light-curtain"],
         typer.Argument(help="Which cell to simulate.", metavar="SCENE"),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the logs.", metavar="LOGS")],
@@ -59,13 +59,17 @@ def simulate(
     without_operator: Annotated[
         bool, typer.Option("--without-operator", help="Reference run without an operator.")
     ] = False,
+    people: Annotated[
+        Literal["tracker", "signals", "both", "none"] | None,
+        typer.Option(help="What the logs hold of people: tracker, signals, both or none (CSV). Default: the scene's."),
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Simulate a cell and log it in vendor formats.
 
     The cell file and the ground truth lie beside the logs. SCENE is box-picking, pick-and-package, laser-zones or
-    scanner-visits.
+    scanner-visits, or, without a tracker, scanner-fields or light-curtain.
     """
     from cyclekit.api.simulate import simulate_logs
 
@@ -93,6 +97,7 @@ def simulate(
         "pick_s": pick,
         "place_s": place,
         "causes": causes,
+        "people": people,
     }
     if operator_xyz is not None:
         settings["operator_xyz_m"] = vector(operator_xyz)

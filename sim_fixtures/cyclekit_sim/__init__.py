@@ -7,10 +7,11 @@ from cyclekit_sim.causes import MixedCauses
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.rule_file import read_rule
-from cyclekit_sim.scenes import SCENES
+from cyclekit_sim.scenes import FIELD_SCENES, SCENES
 from cyclekit_sim.simulate import random_sequence, scene_places, simulate, simulate_sequence
 
 __all__ = [
+    "FIELD_SCENES",
     "SCENES",
     "MixedCauses",
     "SimulationError",

@@ -52,6 +52,8 @@ class SimulationOptions:
         pick_s: Process time of picking instead of the scene's.
         place_s: Process time of placing instead of the scene's.
         causes: What slows or stops the robot besides the person (CSV); None: nothing does.
+        people: What the logs hold of people (CSV): the tracker, the signals of fields, both or nothing; None: what the
+            scene has. With signals the safety function is that of the scene's fields.
     """
 
     logs: Literal["csv", "mcap"] = "csv"
@@ -82,6 +84,7 @@ class SimulationOptions:
     pick_s: float | None = None
     place_s: float | None = None
     causes: MixedCauses | None = None
+    people: Literal["tracker", "signals", "both", "none"] | None = None
 
     def __post_init__(self) -> None:
         """Refuse values no cell can have, all at once."""
@@ -104,6 +107,7 @@ class SimulationOptions:
                 (min(self.pick_s or 1.0, self.place_s or 1.0) < 0, "pick_s and place_s are times: use 0 or more"),
                 (self.executions_per_session < 1, "executions_per_session must be 1 or more"),
                 (self.causes is not None and self.logs == "mcap", "causes are written to CSV logs only"),
+                (self.people is not None and self.logs == "mcap", "people is for CSV logs only"),
             )
             if wrong
         ]

@@ -38,6 +38,7 @@ def _csv_sources(scene: Scene, options: SimulationOptions) -> list[str]:
     offset = f"clock_offset_s = {UPTIME_S - lead_s(options):.3f}  # this log's time + this = the robot log's time"
     frame = f"frame = {{ xyz_m = {_numbers(options.tracker_xyz_m)}, yaw_deg = {options.tracker_yaw_deg} }}"
     names = 'time = "time", time_unit = "s", signal = "signal", value = "value"'
+    events = ('role = "events"', 'adapter = "csv"', offset, f'map = {{ delimiter = ",", {names} }}')
     lines = [
         *("", "[[sources]]", 'path = "session_*/robot.csv"', 'role = "robot"'),
         *(['map = { inputs = "events" }'] if options.causes else []),
@@ -50,8 +51,7 @@ def _csv_sources(scene: Scene, options: SimulationOptions) -> list[str]:
     return [
         *lines,
         *("", "[[sources]]", 'path = "session_*/operator.csv"', 'role = "people"', offset, frame),
-        *("", "[[sources]]", 'path = "session_*/events.csv"', 'role = "events"', 'adapter = "csv"', offset),
-        f'map = {{ delimiter = ",", {names} }}',
+        *(("", "[[sources]]", 'path = "session_*/events.csv"', *events) if options.signals else ()),
     ]
 
 

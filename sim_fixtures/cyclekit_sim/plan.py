@@ -99,7 +99,7 @@ def run_sessions(work: Work, progress: Callable[[float], None] | None = None) ->
         traces = iter(_run(work, groups, report))
         for number, part in enumerate(batch, start=first):
             mine = [next(traces)] if scene.continuous else [next(traces) for _ in part]
-            yield Session(number, tuple(mine), _begins(work, mine), work.table)
+            yield Session(number, tuple(mine), begins_of(scene, work.seed, options, mine), work.table)
 
 
 def _run(work: Work, groups: list[list[Execution]], progress: Callable[[float], None] | None) -> list[Trace]:
@@ -143,11 +143,11 @@ def _track(work: Work, index: int) -> Track:
     return WalkedTrack(operator_legs(work.scene, rng), skip_s=skip_s)
 
 
-def _begins(work: Work, traces: Sequence[Trace]) -> tuple[float, ...]:
+def begins_of(scene: Scene, seed: int, options: SimulationOptions, traces: Sequence[Trace]) -> tuple[float, ...]:
     """Return when each run begins, a pause after the one before, on whole control cycles."""
-    cycle_s, begins, at = work.options.cycle_s, [0.0], 0.0
+    cycle_s, begins, at = options.cycle_s, [0.0], 0.0
     for before, after in pairwise(traces):
-        rng = stream(work.seed, work.scene, PAUSE, after.program.executions[0].index)
+        rng = stream(seed, scene, PAUSE, after.program.executions[0].index)
         at = float(np.ceil((at + before.duration_s + rng.uniform(*_PAUSE_S)) / cycle_s)) * cycle_s
         begins.append(at)
     return tuple(begins)

@@ -82,12 +82,12 @@ def _motive_header(take: str, frames: int, options: SimulationOptions) -> str:
 
 def write_events(path: Path, session: Session, options: SimulationOptions) -> None:
     """Write the button presses, tracker clock."""
-    presses = session.presses()
-    times = tracker_time(np.array([press.t_s for press in presses], dtype=np.float64), options)
+    events = session.events()
+    times = tracker_time(np.array([t_s for t_s, _, _ in events], dtype=np.float64), options)
     columns = {
         "time": pl.Series(times, dtype=pl.Float64),
-        "signal": pl.Series(["operator_goal"] * len(presses), dtype=pl.String),
-        "value": pl.Series([press.goal for press in presses], dtype=pl.String),
+        "signal": pl.Series([signal for _, signal, _ in events], dtype=pl.String),
+        "value": pl.Series([value for _, _, value in events], dtype=pl.String),
     }
     pl.DataFrame(columns).write_csv(path, float_precision=4)
 

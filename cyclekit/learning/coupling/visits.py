@@ -82,7 +82,7 @@ def courses_of(dataset: Dataset) -> list[Course]:
         changes = {key: at[(at >= begin_s) & (at <= end_s)] for key, at in signals[span["session"]].items()}
         events = {Event("signal", *key): at for key, at in changes.items()}
         visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
-        found.append(Course(str(name), visits, _events(visits) | events))
+        found.append(Course(str(name), visits, events_of(visits) | events))
     return _with_givers(found)
 
 
@@ -103,7 +103,8 @@ def _of_operator(rows: pl.DataFrame, begin_s: float) -> list[PlaceVisit]:
     return list(map(PlaceVisit, rows["goal_place"].to_list(), arrived, left))
 
 
-def _events(visits: Mapping[Agent, Sequence[PlaceVisit]]) -> dict[Event, Vector]:
+def events_of(visits: Mapping[Agent, Sequence[PlaceVisit]]) -> dict[Event, Vector]:
+    """Return when each agent arrived at each place and left it, ascending, s."""
     found: dict[Event, list[float]] = {}
     for agent, some in visits.items():
         for visit in some:

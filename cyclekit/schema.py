@@ -58,6 +58,7 @@ ROBOT: Mapping[str, Column] = {
     "scaling": Column(F64, "1", "effective speed scaling in [0,1]; null where not logged, not valid or not playing"),
     "slider": Column(F64, "1", "the operator's speed slider (target fraction) in [0,1], where logged"),
     "state": Column(TEXT, "", "program state: playing, paused, stopped; null = not logged"),
+    "digital_in_bits": Column(I64, "", "digital inputs as a bit field, where logged"),
     "digital_out_bits": Column(I64, "", "digital outputs as a bit field, where logged"),
     "register": Column(I64, "", "the integer register chosen for the cell, where logged"),
     "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
@@ -164,8 +165,14 @@ SAMPLES: Mapping[str, Column] = {
         TEXT, "", "why x_h is null: absent, occluded, or outside the tracker's log; null where it is not"
     ),
     "lost_to": Column(TEXT, "", "what takes most of the time lost here, one of LOST_CAUSES; null = nothing is lost"),
+    "human_signals": Column(
+        I64, "", "z: signals of people that are on, bit k = entry k of operator_signals in dataset.json; null = unknown"
+    ),
 }
 """10 Hz samples in one clock and one base frame."""
+
+ADDED_TO_SAMPLES: Mapping[str, str | None] = {"human_signals": None}
+"""Columns that datasets of earlier versions lack, and what they would hold there."""
 
 TASKS: Mapping[str, Column] = {
     "execution": Column(TEXT, "", "which execution of the process"),
@@ -185,6 +192,9 @@ TASKS: Mapping[str, Column] = {
     "planned_start_s": Column(F64, "s", "planned start, session time; null = not logged"),
     "planned_end_s": Column(F64, "s", "planned end, session time; null = not logged"),
     "outcome": Column(TEXT, "", "done, failed, or the log's own word; null = not logged"),
+    "reached_s": Column(F64, "s", "when the robot reached the point short of the goal where it may wait; null = none"),
+    "went_on_s": Column(F64, "s", "when it went on from there; reached_s if it did not stop; null = no such point"),
+    "waited_for": Column(TEXT, "", "what ended the wait, `operator leaves fixture`; null = nothing that is known"),
     "lost_person_s": Column(F64, "s", "time lost since a person was near"),
     "lost_slider_s": Column(F64, "s", "time lost to the operator's speed slider: integral of s (1 - slider)"),
     "lost_input_s": Column(F64, "s", "time lost to an input that slows the robot, such as reduced mode"),
@@ -211,6 +221,9 @@ ADDED_TO_TASKS: Mapping[str, str | None] = {
     "planned_start_s": None,
     "planned_end_s": None,
     "outcome": None,
+    "reached_s": None,
+    "went_on_s": None,
+    "waited_for": None,
     **{f"lost_{cause}_s": None for cause in LOST_CAUSES},
 }
 """Columns that datasets of earlier versions lack, and what they would hold there."""

@@ -19,10 +19,13 @@ _ROBOT_RADIUS_M = 0.05
 def cell_file(scene: Scene, options: SimulationOptions) -> str:
     """Return the text of cell.toml."""
     lines = [f'name = "{scene.name}"', 'ignore = ["truth/*"]']
-    lines += _bag_sources() if options.logs == "mcap" else _csv_sources(options)
+    lines += _bag_sources() if options.logs == "mcap" else _csv_sources(scene, options)
     for name, xyz_m in scene.places.items():
         lines += ["", f"[places.{name}]", f"xyz_m = {_numbers(xyz_m)}", f"radius_m = {_ROBOT_RADIUS_M}"]
-    stations = {} if options.operator_log else scene.stations  # nobody knows where a recorded operator goes
+    tracked = options.people in ("tracker", "both")
+    stations = (
+        {} if options.operator_log or not tracked else scene.stations
+    )  # nobody knows where a recorded operator goes
     for name, station in stations.items():
         where = f"xyz_m = {_numbers(station.xyz_m)}"
         lines += ["", f"[human_places.{name}]", where, f"radius_m = {station.radius_m}"]
@@ -31,16 +34,24 @@ def cell_file(scene: Scene, options: SimulationOptions) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _csv_sources(options: SimulationOptions) -> list[str]:
+def _csv_sources(scene: Scene, options: SimulationOptions) -> list[str]:
     offset = f"clock_offset_s = {UPTIME_S - lead_s(options):.3f}  # this log's time + this = the robot log's time"
     frame = f"frame = {{ xyz_m = {_numbers(options.tracker_xyz_m)}, yaw_deg = {options.tracker_yaw_deg} }}"
     names = 'time = "time", time_unit = "s", signal = "signal", value = "value"'
-    return [
+    events = ('role = "events"', 'adapter = "csv"', offset, f'map = {{ delimiter = ",", {names} }}')
+    lines = [
         *("", "[[sources]]", 'path = "session_*/robot.csv"', 'role = "robot"'),
         *(['map = { inputs = "events" }'] if options.causes else []),
+    ]
+    if scene.plc and options.people in ("signals", "both"):
+        lines += ["", "[[sources]]", 'path = "session_*/plc.csv"', 'role = "events"', 'adapter = "csv"']
+        lines += ["clock_offset_s = 0.0", f'map = {{ delimiter = ",", {names} }}']
+    if options.people not in ("tracker", "both"):
+        return lines
+    return [
+        *lines,
         *("", "[[sources]]", 'path = "session_*/operator.csv"', 'role = "people"', offset, frame),
-        *("", "[[sources]]", 'path = "session_*/events.csv"', 'role = "events"', 'adapter = "csv"', offset),
-        f'map = {{ delimiter = ",", {names} }}',
+        *(("", "[[sources]]", 'path = "session_*/events.csv"', *events) if options.signals else ()),
     ]
 
 

@@ -1,0 +1,82 @@
+"""Cells where robot and operator wait: the conditions hold, the waits add up, nobody waits where nothing is coupled."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import TYPE_CHECKING
+
+import polars as pl
+import pytest
+
+from cyclekit_sim import COUPLED, SimulationError, SimulationOptions, fresh_cycles, random_orders, simulate
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+EXECUTIONS = 3
+
+
+@pytest.fixture(scope="module", params=COUPLED)
+def logs(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulate(request.param, tmp_path_factory.mktemp("logs") / "logs", executions=EXECUTIONS, seed=4)
+
+
+def tasks(folder: Path) -> pl.DataFrame:
+    return pl.read_parquet(folder / "truth" / "tasks.parquet")
+
+
+def test_duration_is_motion_and_loss_and_work_and_wait_of_each_task(logs: Path) -> None:
+    table = tasks(logs)
+    parts = pl.sum_horizontal("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
+    assert (table["end_s"] - table["start_s"] - table.select(parts).to_series()).abs().max() < 1e-3
+    waits = table["wait_s"] > 1e-3
+    assert waits.any()
+    assert (waits == table["wait_ended_by"].is_not_null()).all()
+
+
+def test_an_execution_ends_when_both_are_back(logs: Path) -> None:
+    ends = tasks(logs).group_by("execution", maintain_order=True).agg(pl.col("end_s").max())
+    executions = pl.read_parquet(logs / "truth" / "executions.parquet")
+    assert (ends["end_s"] - executions["end_s"]).abs().max() < 1e-6
+    assert executions["operator_sequence"].str.starts_with("rest,").all()
+
+
+def test_nobody_waits_where_nothing_is_coupled() -> None:
+    for scene in COUPLED:
+        (order,) = random_orders(scene, 1, 1)
+        free = fresh_cycles(scene, order, cycles=4, seed=1, options=SimulationOptions(coupling=0.0))
+        assert max(free.robot_waits_s.max(), free.operator_waits_s.max()) < 1e-9
+
+
+def test_same_seed_same_bytes_and_an_execution_is_the_same_however_many(logs: Path, tmp_path: Path) -> None:
+    scene = json.loads((logs / "truth" / "truth.json").read_text())["scene"]
+    again = simulate(scene, tmp_path / "again", executions=EXECUTIONS, seed=4)
+    for file in sorted(file for file in logs.rglob("*") if file.is_file()):
+        there = again / file.relative_to(logs)
+        assert hashlib.sha256(there.read_bytes()).digest() == hashlib.sha256(file.read_bytes()).digest(), file.name
+    fewer = simulate(scene, tmp_path / "fewer", executions=1, seed=4, options=SimulationOptions(signals=False))
+    assert tasks(fewer).equals(tasks(logs).filter(pl.col("execution") == 0))
+    assert not (fewer / "session_000" / "events.csv").exists()
+    assert "events" not in (fewer / "cell.toml").read_text()
+
+
+def test_the_order_of_both_must_be_one_of_the_scene() -> None:
+    with pytest.raises(SimulationError, match="no place oven"):
+        fresh_cycles("shared-fixture", {"robot": ("home", "oven", "home"), "operator": ()}, cycles=1, seed=0)
+    order = {"robot": ("home", "tray", "home"), "operator": ("bench", "fixture", "rest")}
+    with pytest.raises(SimulationError, match="from rest to rest"):
+        fresh_cycles("shared-fixture", order, cycles=1, seed=0)
+
+
+def test_the_order_is_worth_more_than_chance() -> None:
+    joint, alone = ("feeder", "fixture"), ("tray", "rack_1")
+    operator = ("rest", *("bench", "fixture") * 3, *("shelf", "scan") * 2, "rest")
+    means = [
+        fresh_cycles("shared-fixture", order, cycles=20, seed=3).durations_s.mean()
+        for order in (
+            {"robot": ("home", *joint * 3, *alone * 3, "home"), "operator": operator},
+            {"robot": ("home", *alone * 3, *joint * 3, "home"), "operator": operator},
+        )
+    ]
+    assert means[1] - means[0] > 5

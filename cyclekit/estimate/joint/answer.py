@@ -156,9 +156,8 @@ class JointAnswers:
         durations = np.resize(cycles.duration_s, weights.shape[1]) * factor
         expected = float(durations.mean())
         means = weights @ durations
-        chance = np.random.default_rng(ask.seed).normal(0.0, durations.std() / len(durations) ** 0.5, RESAMPLES)
         low, high = interval_of_mean(
-            means if check is None else expected + chance,
+            means,
             model_error=check.model_error if check else 0.0,
             judged=len(check.residuals) if check else 2,
             seed=ask.seed,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from cyclekit.config.sequences import PlannedTask
-    from cyclekit.dataset.cards import CouplingCard, GateCard
+    from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
     from cyclekit.estimate.nominal import NominalTask
     from cyclekit.schema import Floats, Vector
 
@@ -102,7 +102,7 @@ class Gates:
         """Return what the passage number `turn` of a gate needs."""
         gate = self.at(agent, at, place)
         return tuple(
-            Need((one.agent, one.place, one.event, turn - one.back), np.array(one.lag_s))
+            Need((one.agent, one.place, _kind(one), turn - one.back), np.array(one.lag_s))
             for one in (gate.conditions if gate else ())
             if turn >= one.back
         )
@@ -111,6 +111,12 @@ class Gates:
         """Return the quantiles of an agent's own work at a place, where they were learned."""
         gate = self.at(agent, "leave", place)
         return np.array(gate.own_s) if gate is not None and max(gate.own_s) > 0.0 else None
+
+
+def _kind(condition: ConditionCard) -> str:
+    """Return what must have come; who gives a signal at a place has done there, though he may have to stay."""
+    given = condition.signal is not None and condition.event == "leaves"
+    return "set" if given else condition.event
 
 
 def told_needs(tasks: Sequence[PlannedTask], where: str) -> dict[int, tuple[Need, ...]]:
@@ -235,14 +241,14 @@ def operator_agenda(
     Args:
         places: In order.
         gates: Of the cell.
-        work_s: Quantiles of his work at each place, where no gate tells them.
+        work_s: Quantiles of his work at each place, where no gate tells them; at others nothing is known of it.
         told: What each of them shall come after, by number.
         not_before_s: Earliest start of each.
     """
     builder = _Builder("operator", "", np.empty((0, 3)), gates)
     for number, place in enumerate(places):
         own = gates.own_s("operator", place)
-        own = work_s.get(place, NONE) if own is None else own
+        own = work_s.get(place, NONE) if own is None or place not in work_s else own
         leg = AgendaLeg(number, place, np.empty((0, 3)), start=builder.legs[-1].place, own_s=own, name=place)
         earliest = not_before_s[number] if not_before_s else 0.0
         builder.go(number, place, leg, (told or {}).get(number, ()), earliest)

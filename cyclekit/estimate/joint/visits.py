@@ -8,22 +8,23 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+import polars as pl
 
 from cyclekit.estimate.tracks import logged_tracks
-from cyclekit.people.tracks import SPOT_M, find_stays
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.tracks import LoggedTrack
     from cyclekit.schema import Floats, Ints, Vector
 
 AT_START_S = 0.5
 """Who stands at a place this soon after the start of an execution has not walked there."""
 WALK_M_S = 1.2
 """Of an operator whose walks were never logged."""
+LEAST_WALKS, LEAST_M = 10, 0.1
+"""From fewer walks, or from walks of much the same length, it is not known how long others take."""
 STRAIGHT = 16
-"""So many straight walks of different speed stand for a way that was never logged."""
+"""So many straight walks of different duration stand for a way that was never logged."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,6 @@ class Segments:
 
     Attributes:
         orders: His visits in each execution, by its name.
-        speeds_m_s: Of his logged walks from place to place, straight distance over time, shape (N,).
     """
 
     def __init__(self, dataset: Dataset) -> None:
@@ -53,15 +53,17 @@ class Segments:
         self._begins: list[Floats] = []
         self.orders: dict[str, tuple[OperatorVisit, ...]] = {}
         complete = {one.execution for one in dataset.card.executions if one.complete and not one.reference}
-        for name, track in logged_tracks(dataset).items():
-            if name in complete and track.seen:
-                self._cut(name, track.where[:, :3])
-        self.speeds_m_s = self._speeds()
+        tracks = logged_tracks(dataset)
+        mine = dataset.every_task().filter((pl.col("agent") == "operator") & pl.col("agent_name").is_null())
+        for (name,), visits in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
+            if name in complete and str(name) in tracks and tracks[str(name)].seen:
+                self._cut(str(name), tracks[str(name)], visits)
+        self._pace = self._paces()
 
     def walk(self, start: str, goal: str) -> Ints:
         """Return the numbers of walks between two places; `start` is empty where he is at the start of an execution.
 
-        Of a way that was never logged they are straight, at his logged speeds.
+        Of a way that was never logged they are straight, and take as long as his others of that length.
         """
         found = self._ways.get((start, goal))
         if found is None:
@@ -97,66 +99,59 @@ class Segments:
         ]
         return np.sort(found)
 
-    def _cut(self, name: str, where: Floats) -> None:
-        spans = self._spans(where)
+    def _cut(self, name: str, track: LoggedTrack, visits: pl.DataFrame) -> None:
+        where, last = track.where[:, :3], len(track.where) - 1
+        spans = []
+        for place, arrives_s, leaves_s in visits.select("goal_place", "arrival_s", "end_s").iter_rows():
+            first = 0 if arrives_s is None else round((arrives_s - track.begin_s) / self._step_s)
+            left = last if leaves_s is None else round((leaves_s - track.begin_s) / self._step_s)
+            if place in self._places and first <= last:
+                spans.append((place, max(first, 0), min(left, last)))
         if not spans:
             return
         self._begins.append(where[0])
-        self.orders[name] = tuple(
-            OperatorVisit(place, a * self._step_s if a * self._step_s > AT_START_S else 0.0, b * self._step_s)
-            for place, a, b in spans
-        )
-        for place, first, last in spans:
-            self._stays[place].append(self._add(where[first : last + 1]))
-        there = spans[0][1] * self._step_s <= AT_START_S
+        at_s = [(place, a * self._step_s, b * self._step_s) for place, a, b in spans]
+        self.orders[name] = tuple(OperatorVisit(place, a if a > AT_START_S else 0.0, b) for place, a, b in at_s)
+        for place, first, left in spans:
+            self._stays[place].append(self._add(where[first : left + 1]))
+        there = at_s[0][1] <= AT_START_S
         self._ways["", spans[0][0]].append(self._add(where[spans[0][1] if there else 0 : spans[0][1] + 1]))
         if there and len(spans) > 1:  # a plan may begin with his second place
             self._ways["", spans[1][0]].append(self._add(where[: spans[1][1] + 1]))
         for (start, _, left), (goal, arrives, _) in pairwise(spans):
             self._ways[start, goal].append(self._add(where[left : arrives + 1]))
 
-    def _spans(self, where: Floats) -> list[tuple[str, int, int]]:
-        """Return place, first and last row of each visit; stays at one place without another between are one visit."""
-        names, found = list(self._places), list[tuple[str, int, int]]()
-        centres = np.array([self._places[name].xyz_m[:2] for name in names]).reshape(-1, 2)
-        for first, last in find_stays(np.arange(len(where), dtype=np.float64) * self._step_s, where):
-            away = np.linalg.norm(centres - np.median(where[first : last + 1, :2], axis=0), axis=1)
-            if not len(away) or away.min() > SPOT_M:
-                continue
-            place = names[int(away.argmin())]
-            if found and found[-1][0] == place:
-                first = found.pop()[1]
-            found.append((place, first, last))
-        return found
-
     def _add(self, rows: Floats) -> int:
         self._parts.append(rows)
         return len(self._parts) - 1
 
-    def _speeds(self) -> Vector:
-        found = []
-        for (start, goal), numbers in self._ways.items():
-            if start and start != goal:
-                for part in (self._parts[number] for number in numbers):
-                    far = float(np.linalg.norm(part[-1, :2] - part[0, :2]))
-                    found.append(far / max((len(part) - 1) * self._step_s, self._step_s))
-        return np.sort(found) if found else np.array([WALK_M_S])
+    def _paces(self) -> tuple[float, float, Vector]:
+        """Return how long walks take: at least, for each metre, and the quantiles of what they take beside that, s."""
+        walks = [(part[-1, :2] - part[0, :2], len(part) - 1) for part in self._logged_walks()]
+        far = np.array([float(np.linalg.norm(way)) for way, _ in walks])
+        took = np.array([steps * self._step_s for _, steps in walks])
+        if len(walks) < LEAST_WALKS or far.std() < LEAST_M:
+            return 0.0, 1.0 / WALK_M_S, np.zeros(1)
+        per_m = max(float(np.cov(far, took)[0, 1] / far.var(ddof=1)), 0.0)
+        least = float(took.mean() - per_m * far.mean())
+        return least, per_m, np.sort(took - least - per_m * far)
+
+    def _logged_walks(self) -> list[Floats]:
+        return [
+            self._parts[number]
+            for (start, goal), numbers in self._ways.items()
+            if start and start != goal
+            for number in numbers
+        ]
 
     def _straight(self, start: str, goal: str) -> list[int]:
         end, level = np.array(self._places[goal].xyz_m), (np.arange(STRAIGHT) + 0.5) / STRAIGHT
         begins = [np.array(self._places[start].xyz_m)] if start else self._begins or [end]
+        least_s, per_m, beside_s = self._pace
         found = []
-        for number, speed in enumerate(np.quantile(self.speeds_m_s, level).tolist()):
+        for number, more_s in enumerate(np.quantile(beside_s, level).tolist()):
             begin = begins[number * len(begins) // STRAIGHT]
-            far = float(np.linalg.norm(end[:2] - begin[:2]))
-            rows = max(1, round(far / max(speed, 0.1) / self._step_s)) if start != goal else 0
+            took_s = least_s + per_m * float(np.linalg.norm(end[:2] - begin[:2])) + more_s
+            rows = max(1, round(took_s / self._step_s)) if start != goal else 0
             found.append(self._add(begin + (end - begin) * np.linspace(0.0, 1.0, rows + 1)[:, None]))
         return found
-
-
-def orders_of(segments: Segments) -> Mapping[tuple[str, ...], Sequence[str]]:
-    """Return the executions in which the operator visited the same places in the same order, by that order."""
-    found: dict[tuple[str, ...], list[str]] = {}
-    for name, visits in segments.orders.items():
-        found.setdefault(tuple(visit.place for visit in visits), []).append(name)
-    return found

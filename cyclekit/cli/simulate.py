@@ -16,7 +16,15 @@ EXAMPLE = "cyclekit simulate box-picking --out logs --executions 20 --seed 1"
 
 def simulate(
     scene: Annotated[
-        Literal["box-picking", "pick-and-package", "laser-zones", "scanner-visits", "shared-fixture"],
+        Literal[
+            "box-picking",
+            "pick-and-package",
+            "laser-zones",
+            "scanner-visits",
+            "shared-fixture",
+            "handover",
+            "fed-line",
+        ],
         typer.Argument(help="Which cell to simulate.", metavar="SCENE"),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the logs.", metavar="LOGS")],
@@ -71,7 +79,7 @@ def simulate(
     """Simulate a cell and log it in vendor formats.
 
     The cell file and the ground truth lie beside the logs. SCENE is box-picking, pick-and-package, laser-zones,
-    scanner-visits or shared-fixture (robot and operator wait for each other).
+    scanner-visits, or one where robot and operator wait: shared-fixture, handover, fed-line.
     """
     from cyclekit.api.simulate import simulate_logs
 

@@ -16,10 +16,10 @@ from cyclekit_sim.write_csv import UPTIME_S
 _ROBOT_RADIUS_M = 0.05
 
 
-def cell_file(scene: Scene, options: SimulationOptions) -> str:
-    """Return the text of cell.toml."""
+def cell_file(scene: Scene, options: SimulationOptions, events: bool, inputs: bool) -> str:
+    """Return the text of cell.toml; `events`, `inputs`: there are logs of events, digital inputs in the robot's log."""
     lines = [f'name = "{scene.name}"', 'ignore = ["truth/*"]']
-    lines += _bag_sources() if options.logs == "mcap" else _csv_sources(options)
+    lines += _bag_sources() if options.logs == "mcap" else _csv_sources(options, events, inputs)
     for name, xyz_m in scene.places.items():
         lines += ["", f"[places.{name}]", f"xyz_m = {_numbers(xyz_m)}", f"radius_m = {_ROBOT_RADIUS_M}"]
     stations = {} if options.operator_log else scene.stations  # nobody knows where a recorded operator goes
@@ -31,16 +31,16 @@ def cell_file(scene: Scene, options: SimulationOptions) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _csv_sources(options: SimulationOptions) -> list[str]:
+def _csv_sources(options: SimulationOptions, events: bool, inputs: bool) -> list[str]:
     offset = f"clock_offset_s = {UPTIME_S - lead_s(options):.3f}  # this log's time + this = the robot log's time"
     frame = f"frame = {{ xyz_m = {_numbers(options.tracker_xyz_m)}, yaw_deg = {options.tracker_yaw_deg} }}"
     names = 'time = "time", time_unit = "s", signal = "signal", value = "value"'
-    events = ('role = "events"', 'adapter = "csv"', offset, f'map = {{ delimiter = ",", {names} }}')
+    how = ('role = "events"', 'adapter = "csv"', offset, f'map = {{ delimiter = ",", {names} }}')
     return [
         *("", "[[sources]]", 'path = "session_*/robot.csv"', 'role = "robot"'),
-        *(['map = { inputs = "events" }'] if options.causes else []),
+        *(['map = { inputs = "events" }'] if inputs else []),
         *("", "[[sources]]", 'path = "session_*/operator.csv"', 'role = "people"', offset, frame),
-        *(("", "[[sources]]", 'path = "session_*/events.csv"', *events) if options.signals else ()),
+        *(("", "[[sources]]", 'path = "session_*/events.csv"', *how) if events else ()),
     ]
 
 

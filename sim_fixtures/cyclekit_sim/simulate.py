@@ -167,7 +167,7 @@ def _write(folder: Path, work: Work | CoupledWork, progress: Progress) -> None:
     for name, parts in tables.items():
         pl.concat(parts).write_parquet(folder / "truth" / f"{name}.parquet")
     (folder / "truth" / "truth.json").write_text(_facts(work), encoding="utf-8")
-    (folder / "cell.toml").write_text(cell_file(work.scene, work.options), encoding="utf-8")
+    (folder / "cell.toml").write_text(cell_file(work.scene, work.options, *_signal_logs(work)), encoding="utf-8")
     progress(1.0, "done")
 
 
@@ -189,10 +189,16 @@ def _write_session(folder: Path, session: Session, work: Work | CoupledWork) -> 
     if options.logs == "mcap":
         write_bag(folder / f"{session.name}.mcap", session, robot, frames, options)
         return
-    write_robot(folder / "robot.csv", robot, options)
+    events, inputs = _signal_logs(work)
+    write_robot(folder / "robot.csv", robot, options, inputs=inputs)
     write_people(folder / "operator.csv", frames, options, session.name)
-    if options.signals:
+    if events:
         write_events(folder / "events.csv", session, options)
+
+
+def _signal_logs(work: Work | CoupledWork) -> tuple[bool, bool]:
+    """Return whether there are logs of events, and digital inputs in the robot's log."""
+    return work.signal_logs if isinstance(work, CoupledWork) else (True, work.options.causes is not None)
 
 
 def _facts(work: Work | CoupledWork) -> str:
@@ -203,7 +209,8 @@ def _facts(work: Work | CoupledWork) -> str:
     options["operator_log"] = work.options.operator_log.name if work.options.operator_log else None
     more: dict[str, object]
     if isinstance(work, CoupledWork):
-        more = {"process_s": work.cell.robot_s, "conditions": conditions(work.cell)}
+        feed = dataclasses.asdict(work.cell.feed) if work.cell.feed else None
+        more = {"process_s": work.cell.robot_s, "conditions": conditions(work.cell), "feed": feed}
     else:
         del options["coupling"], options["signals"]
         more = dict(zip(("pick_s", "place_s"), process_times(work), strict=True))

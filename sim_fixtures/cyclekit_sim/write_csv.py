@@ -22,8 +22,8 @@ _BODY = "Operator"
 _BODY_ID = "5F1C2A9E0B7D11EFA3C20242AC120002"
 
 
-def write_robot(path: Path, robot: RobotStates, options: SimulationOptions) -> None:
-    """Write what the controller measured as UR's `record.py` does."""
+def write_robot(path: Path, robot: RobotStates, options: SimulationOptions, *, inputs: bool) -> None:
+    """Write what the controller measured as UR's `record.py` does, with its digital `inputs` or without."""
     count = len(robot.t_s)
     pose = np.concatenate([robot.tcp_m, robot.rotation_vector], axis=1)
     groups = zip(_GROUPS, (robot.q_rad, robot.qd_rad_s, pose, robot.twist), strict=True)
@@ -31,7 +31,7 @@ def write_robot(path: Path, robot: RobotStates, options: SimulationOptions) -> N
     columns |= {f"{name}_{i}": pl.Series(values[:, i]) for name, values in groups for i in range(6)}
     if options.log_outputs:
         columns["actual_digital_output_bits"] = pl.Series(robot.closed)
-    if options.causes is not None:
+    if inputs:
         columns["actual_digital_input_bits"] = pl.Series(robot.inputs)
     columns["robot_mode"] = pl.repeat(7, count, eager=True)
     columns["safety_status"] = pl.repeat(1, count, eager=True)

@@ -70,6 +70,9 @@ def simulate(
     without_signals: Annotated[
         bool, typer.Option("--no-signals", help="Leave buttons and sensors out of the logs of cells with waits.")
     ] = False,
+    task_list: Annotated[
+        bool, typer.Option("--task-list", help="Of such a cell, starts and ends of tasks only, no positions.")
+    ] = False,
     without_operator: Annotated[
         bool, typer.Option("--without-operator", help="Reference run without an operator.")
     ] = False,
@@ -78,8 +81,9 @@ def simulate(
 ) -> None:
     """Simulate a cell and log it in vendor formats.
 
-    The cell file and the ground truth lie beside the logs. SCENE is box-picking, pick-and-package, laser-zones,
-    scanner-visits, or one where robot and operator wait: shared-fixture, handover, fed-line.
+    The cell file and the ground truth lie beside the logs. SCENE is box-picking,
+    pick-and-package, laser-zones or scanner-visits; or one where robot and
+    operator wait: shared-fixture, handover, fed-line.
     """
     from cyclekit.api.simulate import simulate_logs
 
@@ -109,6 +113,7 @@ def simulate(
         "causes": causes,
         "coupling": coupling,
         "signals": not without_signals,
+        "task_list": task_list,
     }
     if operator_xyz is not None:
         settings["operator_xyz_m"] = vector(operator_xyz)

@@ -19,6 +19,8 @@ _ROBOT_RADIUS_M = 0.05
 def cell_file(scene: Scene, options: SimulationOptions, events: bool, inputs: bool) -> str:
     """Return the text of cell.toml; `events`, `inputs`: there are logs of events, digital inputs in the robot's log."""
     lines = [f'name = "{scene.name}"', 'ignore = ["truth/*"]']
+    if options.task_list:
+        return "\n".join(lines) + "\n"
     lines += _bag_sources() if options.logs == "mcap" else _csv_sources(options, events, inputs)
     for name, xyz_m in scene.places.items():
         lines += ["", f"[places.{name}]", f"xyz_m = {_numbers(xyz_m)}", f"radius_m = {_ROBOT_RADIUS_M}"]

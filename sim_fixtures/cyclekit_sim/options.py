@@ -54,6 +54,7 @@ class SimulationOptions:
         causes: What slows or stops the robot besides the person (CSV); None: nothing does.
         coupling: In which share of the joint tasks robot and operator wait, in cells where they do (CSV).
         signals: False leaves buttons and sensors out of the logs of such cells.
+        task_list: The logs of such a cell are starts and ends of tasks alone.
     """
 
     logs: Literal["csv", "mcap"] = "csv"
@@ -86,6 +87,7 @@ class SimulationOptions:
     causes: MixedCauses | None = None
     coupling: float = 1.0
     signals: bool = True
+    task_list: bool = False
 
     def __post_init__(self) -> None:
         """Refuse values no cell can have, all at once."""

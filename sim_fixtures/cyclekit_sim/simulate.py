@@ -20,6 +20,7 @@ import polars as pl
 from cyclekit_sim.cell_file import cell_file
 from cyclekit_sim.choices import ENCODER, SEQUENCE, TRACKER, draw_places, stream
 from cyclekit_sim.coupled import CoupledWork, coupled_work
+from cyclekit_sim.coupled_list import listed_conditions, task_list
 from cyclekit_sim.coupled_scenes import COUPLED
 from cyclekit_sim.coupled_truth import conditions, coupled_executions, coupled_tasks
 from cyclekit_sim.encoder import measured
@@ -134,8 +135,8 @@ def _scene(name: str, options: SimulationOptions = _DEFAULT) -> Scene:
 def _prepare(scene: str, seed: int, options: SimulationOptions, executions: int) -> Work | CoupledWork:
     if scene in COUPLED:
         return coupled_work(scene, seed, options, executions)
-    if options.coupling != 1.0 or not options.signals:
-        raise SimulationError(f"{scene}: coupling and signals are of {', '.join(COUPLED)}")
+    if options.coupling != 1.0 or not options.signals or options.task_list:
+        raise SimulationError(f"{scene}: coupling, signals and task lists are of {', '.join(COUPLED)}")
     return prepare(_scene(scene, options), seed, options, executions=executions)
 
 
@@ -150,6 +151,7 @@ def _write(folder: Path, work: Work | CoupledWork, progress: Progress) -> None:
     (folder / "truth").mkdir(parents=True)
     clock_s = BAG_EPOCH_S if work.options.logs == "mcap" else UPTIME_S
     tables: dict[str, list[pl.DataFrame]] = {name: [] for name in _TRUTH}
+    lists: list[pl.DataFrame] = []
     total = len(work.executions)
 
     def in_motion(share: float) -> None:
@@ -160,13 +162,18 @@ def _write(folder: Path, work: Work | CoupledWork, progress: Progress) -> None:
         tasks, executions = _tables(session, work, clock_s)
         last = int(tasks["execution"][-1])
         progress((last + 1) / total, f"writing {session.name}, execution {last + 1} of {total}")
-        _write_session(folder / session.name, session, work)
+        if isinstance(work, CoupledWork) and work.options.task_list:
+            lists.append(task_list(session, work.cell))
+        else:
+            _write_session(folder / session.name, session, work)
         tables["tasks"].append(tasks)
         tables["executions"].append(executions)
         tables["samples"].append(sample_table(session, work.scene, clock_s))
     for name, parts in tables.items():
         pl.concat(parts).write_parquet(folder / "truth" / f"{name}.parquet")
     (folder / "truth" / "truth.json").write_text(_facts(work), encoding="utf-8")
+    if lists:
+        pl.concat(lists).write_csv(folder / "tasks.csv", float_precision=3)
     (folder / "cell.toml").write_text(cell_file(work.scene, work.options, *_signal_logs(work)), encoding="utf-8")
     progress(1.0, "done")
 
@@ -210,9 +217,10 @@ def _facts(work: Work | CoupledWork) -> str:
     more: dict[str, object]
     if isinstance(work, CoupledWork):
         feed = dataclasses.asdict(work.cell.feed) if work.cell.feed else None
-        more = {"process_s": work.cell.robot_s, "conditions": conditions(work.cell), "feed": feed}
+        waits = listed_conditions(work.cell) if work.options.task_list else conditions(work.cell)
+        more = {"process_s": work.cell.robot_s, "conditions": waits, "feed": feed}
     else:
-        del options["coupling"], options["signals"]
+        del options["coupling"], options["signals"], options["task_list"]
         more = dict(zip(("pick_s", "place_s"), process_times(work), strict=True))
     scene = work.scene
     facts = {

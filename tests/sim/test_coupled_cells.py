@@ -13,6 +13,7 @@ import pytest
 
 from cyclekit_sim import COUPLED, SimulationError, SimulationOptions, fresh_cycles, random_orders, simulate
 from cyclekit_sim.coupled import coupled_work
+from cyclekit_sim.coupled_list import task_plan
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -126,3 +127,20 @@ def test_the_order_is_worth_more_than_chance() -> None:
         )
     ]
     assert means[1] - means[0] > 5
+
+
+@pytest.mark.parametrize("scene", ["shared-fixture", "handover"])
+def test_in_a_task_list_no_task_starts_before_what_it_waits_for(scene: str, tmp_path: Path) -> None:
+    logs = simulate(scene, tmp_path / "logs", executions=2, seed=4, options=SimulationOptions(task_list=True))
+    assert not list(logs.rglob("robot.csv"))
+    rows = pl.read_csv(logs / "tasks.csv")
+    order = coupled_work(scene, 4, SimulationOptions(), 1).executions[0]
+    first = rows.filter(pl.col("run") == 0)
+    for agent in ("arm", "worker"):
+        planned = [task for who, task in task_plan(COUPLED[scene], order) if who == agent]
+        assert first.filter(pl.col("agent") == agent)["task"].to_list() == planned
+    for condition in json.loads((logs / "truth" / "truth.json").read_text())["conditions"]:
+        starts = first.filter(pl.col("task") == condition["task"])["t_start"].to_list()
+        ends = first.filter(pl.col("task") == condition["needs"])["t_end"].to_list()
+        for start, end in zip(starts[condition["back"] :], ends, strict=False):
+            assert start > end + condition["lag_s"][0] - 2e-3

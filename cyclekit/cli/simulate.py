@@ -15,18 +15,7 @@ EXAMPLE = "cyclekit simulate box-picking --out logs --executions 20 --seed 1"
 
 
 def simulate(
-    scene: Annotated[
-        Literal[
-            "box-picking",
-            "pick-and-package",
-            "laser-zones",
-            "scanner-visits",
-            "shared-fixture",
-            "handover",
-            "fed-line",
-        ],
-        typer.Argument(help="Which cell to simulate.", metavar="SCENE"),
-    ],
+    scene: Annotated[str, typer.Argument(help="Which cell to simulate.", metavar="SCENE")],
     out: Annotated[Path, typer.Option(help="Folder for the logs.", metavar="LOGS")],
     executions: Annotated[int, typer.Option(min=1, help="How many times the process runs.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 0,
@@ -76,14 +65,19 @@ def simulate(
     without_operator: Annotated[
         bool, typer.Option("--without-operator", help="Reference run without an operator.")
     ] = False,
+    people: Annotated[
+        Literal["tracker", "signals", "both", "none"] | None,
+        typer.Option(help="What the logs hold of people: tracker, signals, both or none (CSV). Default: the scene's."),
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Simulate a cell and log it in vendor formats.
 
     The cell file and the ground truth lie beside the logs. SCENE is box-picking,
-    pick-and-package, laser-zones or scanner-visits; or one where robot and
-    operator wait: shared-fixture, handover, fed-line.
+    pick-and-package, laser-zones or scanner-visits; without a tracker,
+    scanner-fields or light-curtain; where robot and operator wait,
+    shared-fixture, handover or fed-line.
     """
     from cyclekit.api.simulate import simulate_logs
 
@@ -111,6 +105,7 @@ def simulate(
         "pick_s": pick,
         "place_s": place,
         "causes": causes,
+        "people": people,
         "coupling": coupling,
         "signals": not without_signals,
         "task_list": task_list,

@@ -21,10 +21,13 @@ def cell_file(scene: Scene, options: SimulationOptions, events: bool, inputs: bo
     lines = [f'name = "{scene.name}"', 'ignore = ["truth/*"]']
     if options.task_list:
         return "\n".join(lines) + "\n"
-    lines += _bag_sources() if options.logs == "mcap" else _csv_sources(options, events, inputs)
+    lines += _bag_sources() if options.logs == "mcap" else _csv_sources(scene, options, events, inputs)
     for name, xyz_m in scene.places.items():
         lines += ["", f"[places.{name}]", f"xyz_m = {_numbers(xyz_m)}", f"radius_m = {_ROBOT_RADIUS_M}"]
-    stations = {} if options.operator_log else scene.stations  # nobody knows where a recorded operator goes
+    tracked = options.people in ("tracker", "both")
+    stations = (
+        {} if options.operator_log or not tracked else scene.stations
+    )  # nobody knows where a recorded operator goes
     for name, station in stations.items():
         where = f"xyz_m = {_numbers(station.xyz_m)}"
         lines += ["", f"[human_places.{name}]", where, f"radius_m = {station.radius_m}"]
@@ -33,14 +36,22 @@ def cell_file(scene: Scene, options: SimulationOptions, events: bool, inputs: bo
     return "\n".join(lines) + "\n"
 
 
-def _csv_sources(options: SimulationOptions, events: bool, inputs: bool) -> list[str]:
+def _csv_sources(scene: Scene, options: SimulationOptions, events: bool, inputs: bool) -> list[str]:
     offset = f"clock_offset_s = {UPTIME_S - lead_s(options):.3f}  # this log's time + this = the robot log's time"
     frame = f"frame = {{ xyz_m = {_numbers(options.tracker_xyz_m)}, yaw_deg = {options.tracker_yaw_deg} }}"
     names = 'time = "time", time_unit = "s", signal = "signal", value = "value"'
     how = ('role = "events"', 'adapter = "csv"', offset, f'map = {{ delimiter = ",", {names} }}')
-    return [
+    lines = [
         *("", "[[sources]]", 'path = "session_*/robot.csv"', 'role = "robot"'),
         *(['map = { inputs = "events" }'] if inputs else []),
+    ]
+    if scene.plc and options.people in ("signals", "both"):
+        lines += ["", "[[sources]]", 'path = "session_*/plc.csv"', 'role = "events"', 'adapter = "csv"']
+        lines += ["clock_offset_s = 0.0", f'map = {{ delimiter = ",", {names} }}']
+    if options.people not in ("tracker", "both"):
+        return lines
+    return [
+        *lines,
         *("", "[[sources]]", 'path = "session_*/operator.csv"', 'role = "people"', offset, frame),
         *(("", "[[sources]]", 'path = "session_*/events.csv"', *how) if events else ()),
     ]

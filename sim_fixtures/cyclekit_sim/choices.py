@@ -16,10 +16,10 @@ from cyclekit_sim.causes import MixedCauses
 from cyclekit_sim.coupled_scenes import COUPLED
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.program import HOME, Execution
-from cyclekit_sim.scenes import GOAL_SD_M, MIDDLE_SD_M, SCENES, Scene
+from cyclekit_sim.scenes import BUILT_IN, GOAL_SD_M, MIDDLE_SD_M, Scene
 from cyclekit_sim.walking import Leg, Press, away, stand, walk
 
-ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER, SLOWING, COUPLING, SOURCE = range(9)
+ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER, SLOWING, PARTS, COUPLING, SOURCE = range(10)
 LOGGED, FRESH = range(2)
 
 
@@ -28,7 +28,8 @@ def stream(seed: int, scene: Scene, purpose: int, number: int, *, domain: int = 
 
     `domain` FRESH keeps executions made to check an estimate apart from those that were logged with the same seed.
     """
-    key = ((*SCENES, *COUPLED).index(scene.name), domain, purpose, number)
+    kind = list(BUILT_IN).index(scene.name) if scene.name in BUILT_IN else 1000 + list(COUPLED).index(scene.name)
+    key = (kind, domain, purpose, number)
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
@@ -149,8 +150,11 @@ def _roam(scene: Scene, rng: np.random.Generator, here: str | None = None) -> It
 
 def _visit(scene: Scene, rng: np.random.Generator) -> Iterator[str]:
     """One visit: in by the door, to one to three stations, out by the door."""
-    names = [name for name in scene.stations if name != "door"]
+    names = [name for name in scene.stations if name not in ("door", "exit")]
     yield "door"
+    if scene.passing and rng.random() < scene.passing:
+        yield "exit"
+        return
     yield from (str(name) for name in rng.permutation(np.array(names))[: rng.integers(1, 4)])
     yield "door"
 

@@ -16,6 +16,7 @@ from cyclekit_sim.choices import (
     FRESH,
     LOGGED,
     OPERATOR,
+    PARTS,
     PAUSE,
     ROBOT,
     SLOWING,
@@ -26,6 +27,7 @@ from cyclekit_sim.choices import (
 )
 from cyclekit_sim.engine import Trace, run
 from cyclekit_sim.errors import SimulationError
+from cyclekit_sim.fields import with_inputs
 from cyclekit_sim.motion import MotionTable, plan_moves
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.program import HOME, Execution, compile_program
@@ -106,7 +108,7 @@ def _run(work: Work, groups: list[list[Execution]], progress: Callable[[float], 
     programs = [compile_program(group, work.table, pick_s=pick_s, place_s=place_s) for group in groups]
     tracks = [_track(work, group[0].index) for group in groups]
     streams = [stream(work.seed, scene, SLOWING, group[0].index, domain=work.domain) for group in groups]
-    return run(
+    traces = run(
         programs,
         tracks,
         table=work.table,
@@ -115,6 +117,10 @@ def _run(work: Work, groups: list[list[Execution]], progress: Callable[[float], 
         streams=streams,
         progress=progress,
     )
+    if work.options.people not in ("signals", "both"):
+        return traces
+    parts = [stream(work.seed, scene, PARTS, group[0].index, domain=work.domain) for group in groups]
+    return [with_inputs(trace, scene.fields, rng) for trace, rng in zip(traces, parts, strict=True)]
 
 
 def process_times(work: Work) -> tuple[float, float]:

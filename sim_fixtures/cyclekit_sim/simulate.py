@@ -25,15 +25,16 @@ from cyclekit_sim.coupled_scenes import COUPLED
 from cyclekit_sim.coupled_truth import conditions, coupled_executions, coupled_tasks
 from cyclekit_sim.encoder import measured
 from cyclekit_sim.errors import SimulationError
+from cyclekit_sim.fields import NAMES, rule_of
 from cyclekit_sim.motion import Place
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.plan import Work, prepare, process_times, run_alone, run_sessions
-from cyclekit_sim.scenes import BUILT_IN, SCENES, Scene
+from cyclekit_sim.scenes import BUILT_IN, Scene
 from cyclekit_sim.session import Session
 from cyclekit_sim.tracker import record
 from cyclekit_sim.truth import execution_table, sample_table, task_rows, task_table
 from cyclekit_sim.write_bag import BAG_EPOCH_S, write_bag
-from cyclekit_sim.write_csv import UPTIME_S, write_events, write_people, write_robot
+from cyclekit_sim.write_csv import UPTIME_S, write_events, write_people, write_plc, write_robot
 
 Progress = Callable[[float, str], None]
 _DEFAULT = SimulationOptions()
@@ -63,7 +64,7 @@ def simulate(
     """Simulate a cell and write its logs, its cell file and its ground truth into the folder `out`.
 
     Args:
-        scene: One of SCENES.
+        scene: One of SCENES, FIELD_SCENES or COUPLED.
         out: Folder to make. An earlier simulation there is replaced; any other content is refused.
         executions: How many executions of the process.
         seed: Same seed, same bytes; execution i is the same however many are simulated.
@@ -115,7 +116,8 @@ def simulate_sequence(
     Raises:
         SimulationError: Unknown scene or place, or a robot that gets stuck.
     """
-    work = prepare(_scene(scene, options), seed, options, executions=executions, places=places)
+    cell, options = _set_up(scene, options)
+    work = prepare(cell, seed, options, executions=executions, places=places)
     rows = [row for trace in run_alone(work, work.executions) for row in task_rows(trace, 0.0)]
     sums = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
     return (
@@ -125,19 +127,40 @@ def simulate_sequence(
     )
 
 
-def _scene(name: str, options: SimulationOptions = _DEFAULT) -> Scene:
+def _scene(name: str) -> Scene:
     if name not in BUILT_IN:
-        raise SimulationError(f"no scene {name!r}: choose one of {', '.join((*SCENES, *COUPLED))}")
-    scene = BUILT_IN[name]
-    return scene if options.rule is None else dataclasses.replace(scene, safety=options.rule)
+        raise SimulationError(f"no scene {name!r}: choose one of {', '.join((*BUILT_IN, *COUPLED))}")
+    return BUILT_IN[name]
+
+
+def _set_up(name: str, options: SimulationOptions) -> tuple[Scene, SimulationOptions]:
+    """Return the scene with the safety function that the options ask for, and the options with what it leaves open."""
+    scene = _scene(name)
+    people = options.people or ("tracker" if scene.tracked else "signals")
+    if people in ("signals", "both"):
+        if not scene.fields:
+            raise SimulationError(f"{name} has no fields, so it cannot log their signals: use people = 'tracker'")
+        scene = dataclasses.replace(scene, safety=rule_of(scene.fields))
+    if options.rule is not None:
+        scene = dataclasses.replace(scene, safety=options.rule)
+    return scene, dataclasses.replace(
+        options,
+        people=people,
+        latency_s=options.latency_s or scene.latency_s,
+        ramp_down_per_s=options.ramp_down_per_s or scene.ramp_down_per_s,
+        ramp_up_per_s=options.ramp_up_per_s or scene.ramp_up_per_s,
+    )
 
 
 def _prepare(scene: str, seed: int, options: SimulationOptions, executions: int) -> Work | CoupledWork:
     if scene in COUPLED:
-        return coupled_work(scene, seed, options, executions)
+        if options.people not in (None, "tracker"):
+            raise SimulationError(f"{scene} has no fields, so it cannot log their signals: use people = 'tracker'")
+        return coupled_work(scene, seed, dataclasses.replace(options, people="tracker"), executions)
     if options.coupling != 1.0 or not options.signals or options.task_list:
         raise SimulationError(f"{scene}: coupling, signals and task lists are of {', '.join(COUPLED)}")
-    return prepare(_scene(scene, options), seed, options, executions=executions)
+    cell, options = _set_up(scene, options)
+    return prepare(cell, seed, options, executions=executions)
 
 
 def _refuse_foreign(out: Path) -> None:
@@ -197,10 +220,14 @@ def _write_session(folder: Path, session: Session, work: Work | CoupledWork) -> 
         write_bag(folder / f"{session.name}.mcap", session, robot, frames, options)
         return
     events, inputs = _signal_logs(work)
-    write_robot(folder / "robot.csv", robot, options, inputs=inputs)
-    write_people(folder / "operator.csv", frames, options, session.name)
-    if events:
-        write_events(folder / "events.csv", session, options)
+    fields = options.people in ("signals", "both")
+    write_robot(folder / "robot.csv", robot, options, inputs=inputs or (fields and not work.scene.plc))
+    if fields and work.scene.plc:
+        write_plc(folder / "plc.csv", session, work.scene.fields)
+    if options.people in ("tracker", "both"):
+        write_people(folder / "operator.csv", frames, options, session.name)
+        if events:
+            write_events(folder / "events.csv", session, options)
 
 
 def _signal_logs(work: Work | CoupledWork) -> tuple[bool, bool]:
@@ -213,6 +240,9 @@ def _facts(work: Work | CoupledWork) -> str:
     del options["rule"]  # it is the safety function below
     if work.options.causes is None:
         del options["causes"]
+    signals = work.options.people in ("signals", "both")
+    if work.options.people == "tracker":
+        del options["people"]
     options["operator_log"] = work.options.operator_log.name if work.options.operator_log else None
     more: dict[str, object]
     if isinstance(work, CoupledWork):
@@ -232,5 +262,6 @@ def _facts(work: Work | CoupledWork) -> str:
         "places": scene.places,
         "human_places": {name: station.xyz_m for name, station in scene.stations.items()},
         **more,
+        **({"fields": [dataclasses.asdict(one) for one in scene.fields], "other_bits": NAMES} if signals else {}),
     }
     return json.dumps(facts, indent=2, default=np.ndarray.tolist) + "\n"

@@ -7,11 +7,13 @@ CSV has `time,signal,value`, in the tracker's clock.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
+from cyclekit_sim.fields import Field, events_of
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.session import RobotStates, Session
 from cyclekit_sim.tracker import Frames, in_tracker_frame, tracker_time
@@ -22,8 +24,8 @@ _BODY = "Operator"
 _BODY_ID = "5F1C2A9E0B7D11EFA3C20242AC120002"
 
 
-def write_robot(path: Path, robot: RobotStates, options: SimulationOptions, *, inputs: bool) -> None:
-    """Write what the controller measured as UR's `record.py` does, with its digital `inputs` or without."""
+def write_robot(path: Path, robot: RobotStates, options: SimulationOptions, *, inputs: bool = False) -> None:
+    """Write what the controller measured as UR's `record.py` does; `inputs`: with the digital inputs."""
     count = len(robot.t_s)
     pose = np.concatenate([robot.tcp_m, robot.rotation_vector], axis=1)
     groups = zip(_GROUPS, (robot.q_rad, robot.qd_rad_s, pose, robot.twist), strict=True)
@@ -87,4 +89,11 @@ def write_events(path: Path, session: Session, options: SimulationOptions) -> No
         "signal": pl.Series([signal for _, signal, _ in events], dtype=pl.String),
         "value": pl.Series([value for _, _, value in events], dtype=pl.String),
     }
+    pl.DataFrame(columns).write_csv(path, float_precision=4)
+
+
+def write_plc(path: Path, session: Session, fields: Sequence[Field]) -> None:
+    """Write the signals that a PLC logs, each when it changes, the robot's clock."""
+    times, names, values = events_of(session, fields)
+    columns = {"time": np.array(times) + UPTIME_S, "signal": names, "value": values}
     pl.DataFrame(columns).write_csv(path, float_precision=4)

@@ -80,6 +80,7 @@ def test_each_signal_is_logged_when_it_comes(logs: Path) -> None:
     assert rises == 3 * EXECUTIONS
 
 
+@pytest.mark.slow
 def test_a_gate_opens_a_lag_after_what_it_needs_and_not_before() -> None:
     for scene in COUPLED:
         work = coupled_work(scene, 6, SimulationOptions(), 4)
@@ -97,6 +98,7 @@ def test_a_gate_opens_a_lag_after_what_it_needs_and_not_before() -> None:
         assert waited > 3
 
 
+@pytest.mark.slow
 def test_fresh_executions_take_as_long_as_logged_ones() -> None:
     work = coupled_work("shared-fixture", 6, SimulationOptions(), 25)
     order = work.executions[0]
@@ -116,6 +118,7 @@ def test_the_order_of_both_must_be_one_of_the_scene() -> None:
         fresh_cycles("shared-fixture", order, cycles=1, seed=0)
 
 
+@pytest.mark.slow
 def test_the_order_is_worth_more_than_chance() -> None:
     joint, alone = ("feeder", "fixture"), ("tray", "rack_1")
     operator = ("rest", *("bench", "fixture") * 3, *("shelf", "scan") * 2, "rest")

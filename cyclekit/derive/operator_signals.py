@@ -14,6 +14,7 @@ import numpy as np
 
 from cyclekit.dataset.cards import OperatorSignalCard
 from cyclekit.dataset.signals import OUTPUT, REGISTER, SignalChanges
+from cyclekit.derive.usual_levels import usual_levels
 from cyclekit.people.activity import GOAL_SIGNAL
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from cyclekit.config.cells import OperatorSignal
     from cyclekit.schema import Bools, Ints, Vector
 
-MOST_LAG_S, BIN_S = 2.0, 0.02
+MOST_LAG_S, BIN_S = 1.0, 0.02
 """A level answers to a signal within this time; delays are counted in bins of that width."""
 LEAST_ALIKE, LEAST_ANSWERS, CHANCE = 2, 4, 4.0
 """So many falls, or rises, must follow a signal after the same time, so many of both, and so many deviations more than
@@ -36,9 +37,13 @@ GAIN = 0.02
 MIRRORS = 0.9
 """An input of which this share of the changes follows an output within MIRROR_S only mirrors it."""
 MIRROR_S = 0.5
-CELL_M = 0.1
+CELL_M = 0.05
 """Places of the robot within this are one, m."""
-MOST_SIGNALS = 16
+FAR_M = 99.0
+"""Where the robot counts as being while a signal is off: one cut then tells that it is on and the robot in a region."""
+PROGRAM = 0.97
+"""A signal that the robot's task and place predict so well (balanced accuracy) is the program's own."""
+FOLDS, MOST_SIGNALS, MOST_ROWS = 5, 16, 30_000
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,7 @@ class SignalEvidence:
         t_s: Time, shape (N,).
         level: Index of the commanded level, -1 = unknown, shape (N,).
         place: The robot's TCP on the floor, shape (N, 2), m.
+        task: Number of the robot's task, shape (N,).
         execution: Number of the execution, shape (N,).
         falls_s, rises_s: When the level began to fall and to rise.
         signals: Changes of each signal.
@@ -60,6 +66,7 @@ class SignalEvidence:
     t_s: Vector
     level: Ints
     place: Vector
+    task: Ints
     execution: Ints
     falls_s: Vector
     rises_s: Vector
@@ -99,10 +106,11 @@ def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) 
     else:
         leads = _leading(evidence)
         order = [(name, name) for name in _believed(evidence, leads)]
-    cards, on = list[OperatorSignalCard](), np.zeros(len(evidence.t_s), np.int64)
-    for k, (name, signal) in enumerate(order):
+    cards: list[OperatorSignalCard] = []
+    on: list[Bools] = []
+    for name, signal in order:
         lead = leads[signal]
-        on |= _on(evidence, signal, lead).astype(np.int64) << k
+        on.append(_on(evidence, signal, lead))
         cards.append(
             OperatorSignalCard(
                 name=name,
@@ -135,24 +143,28 @@ def _leading(evidence: SignalEvidence) -> dict[str, _Lead]:
         if not told:
             continue
         count, value, falls_s, rises_s = max(told, key=lambda one: one[0])
-        if falls_s is not None and falls_s > -AT_ONCE_S and count >= LEAST_ANSWERS:
+        if falls_s is None or falls_s <= -AT_ONCE_S or count < LEAST_ANSWERS:
+            continue
+        if not _of_program(evidence, changes.at(evidence.t_s) == value):
             found[name] = _Lead(value, falls_s, rises_s)
     return found
 
 
 def _believed(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> list[str]:
     """Return the signals that explain what the robot's place and those before them do not, the best first."""
-    chosen, on = list[str](), np.zeros(len(evidence.t_s), np.int64)
+    chosen: list[str] = []
+    on: list[Bools] = []
     share = _explained(evidence, on)
     for at_once in (False, True):
         left = [name for name, lead in leads.items() if (lead.delay_s < AT_ONCE_S) == at_once]
         while left and len(chosen) < MOST_SIGNALS:
-            tried = {name: on | (_on(evidence, name, leads[name]).astype(np.int64) << len(chosen)) for name in left}
-            shares = {name: _explained(evidence, code) for name, code in tried.items()}
+            states = {name: _on(evidence, name, leads[name]) for name in left}
+            shares = {name: _explained(evidence, [*on, state]) for name, state in states.items()}
             best = max(shares, key=lambda name: shares[name])
             if shares[best] < share + GAIN:
                 break
-            on, share = tried[best], shares[best]
+            share = shares[best]
+            on.append(states[best])
             chosen.append(best)
             left.remove(best)
     return chosen
@@ -207,6 +219,17 @@ def _mirrors(flips_s: Vector, own_s: Vector) -> bool:
     return bool(usual < MIRROR_S and (np.abs(after_s - usual) <= SAME_S).mean() >= MIRRORS)
 
 
+def _of_program(evidence: SignalEvidence, on: Bools) -> bool:
+    """Tell whether the robot's task and place predict a signal, on executions held out."""
+    cells = np.floor(evidence.place / CELL_M)
+    _, group = np.unique(np.column_stack([evidence.task, np.nan_to_num(cells)]), axis=0, return_inverse=True)
+    even = evidence.execution % 2 == 0
+    right = np.zeros(len(on), np.bool_)
+    for learn in (even, ~even):
+        right[~learn] = (_usual(group.ravel(), on, learn) == on)[~learn]
+    return bool(on.any() and not on.all() and (right[on].mean() + right[~on].mean()) / 2 >= PROGRAM)
+
+
 def _on(evidence: SignalEvidence, name: str, lead: _Lead) -> Bools:
     """Return where somebody is there by a signal, (N,), as the level answers to it."""
     changes = evidence.signals.get(name)
@@ -218,31 +241,28 @@ def _on(evidence: SignalEvidence, name: str, lead: _Lead) -> Bools:
     return np.asarray(on)
 
 
-def _explained(evidence: SignalEvidence, on: Ints) -> float:
+def _explained(evidence: SignalEvidence, on: Sequence[Bools]) -> float:
     """Return the share of the lost time that signals and the robot's place explain, on executions held out."""
-    known = evidence.level >= 0
-    levels, level = np.asarray(evidence.levels), evidence.level[known]
-    cells = np.floor(evidence.place[known] / CELL_M).astype(np.int64)
-    _, here = np.unique(np.column_stack([on[known], cells]), axis=0, return_inverse=True)
-    _, state = np.unique(on[known], return_inverse=True)
-    even = evidence.execution[known] % 2 == 0
-    wrong = 0.0
-    for learn in (even, ~even):
-        by_state = _usual(state.ravel(), level, learn, len(levels), np.full(int(state.max(initial=0)) + 1, -1))
-        number = np.zeros(int(here.max(initial=0)) + 1, np.int64)
-        number[here.ravel()] = state.ravel()
-        by_cell = _usual(here.ravel(), level, learn, len(levels), by_state[number])
-        said = by_cell[here.ravel()[~learn]]
-        said = np.where(said < 0, len(levels) - 1, said)
+    known = np.flatnonzero(evidence.level >= 0)
+    known = known[:: 1 + len(known) // MOST_ROWS]
+    levels, level, execution = np.asarray(evidence.levels), evidence.level[known], evidence.execution[known]
+    place = evidence.place[known]
+    counts = [np.where(state[known, None], place, away) for state in on for away in (-FAR_M, FAR_M)]
+    features = np.column_stack([place, *(state[known] for state in on), *counts]).astype(np.float64)
+    wrong, fold = 0.0, np.unique(execution, return_inverse=True)[1].ravel() % FOLDS
+    for part in np.unique(fold).tolist():
+        learn = fold != part
+        if not learn.any():
+            return 0.0
+        tree = usual_levels(features[learn], level[learn], len(levels), execution[learn])
+        said = tree.lowest(features[~learn], 0.5)
         wrong += float(np.abs(levels[said] - levels[level[~learn]]).sum())
     lost = float((levels[-1] - levels[level]).sum())
     return 1.0 - wrong / lost if lost > 0.0 else 0.0
 
 
-def _usual(group: Ints, level: Ints, learn: Bools, count: int, otherwise: Ints) -> Ints:
-    """Return the median level of each group (G,) in the samples to learn from; `otherwise` where there is none."""
-    rows = np.zeros((len(otherwise), count))
-    np.add.at(rows, (group[learn], level[learn]), 1.0)
-    total = rows.sum(axis=1)
-    middle = (np.cumsum(rows, axis=1) < total[:, None] / 2).sum(axis=1)
-    return np.where(total > 0.0, middle, otherwise)
+def _usual(group: Ints, state: Bools, learn: Bools) -> Bools:
+    """Return the more frequent state of each group in the samples to learn from, at each sample (N,)."""
+    count = int(group.max(initial=0)) + 1
+    on, every = (np.bincount(group[learn], weight, count) for weight in (state[learn].astype(np.float64), None))
+    return np.asarray(2 * on > every)[group]

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from cyclekit.dataset.cards import ExecutionCard
     from cyclekit.dataset.signals import Read, Stored
     from cyclekit.derive.session_samples import Made
-    from cyclekit.schema import Ints
+    from cyclekit.schema import Ints, Vector
     from cyclekit.segmentation.stored_run import Run
 
 EVIDENCE_SAMPLES = 200_000
 """Causes of lost time, and signals of people, are told by so many samples, of executions evenly spread."""
 _APART_S = 1e5
-_COLUMNS = ["execution", "t_s", "scaling", "robot_x_m", "robot_y_m"]
+_COLUMNS = ["execution", "t_s", "scaling", "robot_x_m", "robot_y_m", "robot_task"]
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def _evidence(
     down, up = (rate_of([change for change in every if change.rises is rises]) for rises in (False, True))
     response = SafetyResponse(None, down, up, None, len(every), None)
     parts = list(_samples(made, chosen, levels, response, shifts.tolist(), folder))
-    t_s, level, x_m, y_m, execution = (np.concatenate([part[i] for part in parts]) for i in range(5))
+    t_s, level, x_m, y_m, task, execution = (np.concatenate([part[i] for part in parts]) for i in range(6))
     falls, rises = (
         np.array(
             [c.t_s + at for mine, at in zip(changes, shifts.tolist(), strict=False) for c in mine if c.rises is up]
@@ -132,7 +132,7 @@ def _evidence(
     )
     place = np.column_stack([x_m, y_m])
     return SignalEvidence(
-        t_s, level, place, execution, np.sort(falls), np.sort(rises), _joined(values, shifts.tolist()), levels
+        t_s, level, place, task, execution, np.sort(falls), np.sort(rises), _joined(values, shifts.tolist()), levels
     )
 
 
@@ -173,10 +173,11 @@ def _samples(
     response: SafetyResponse,
     shifts: Sequence[float],
     folder: Path,
-) -> Iterator[tuple[np.ndarray, Ints, np.ndarray, np.ndarray, Ints]]:
-    """Yield time, commanded level, place of the robot (x and y) and number of execution of the samples of each file."""
+) -> Iterator[tuple[Vector, Ints, Vector, Vector, Ints, Ints]]:
+    """Yield time, commanded level, place (x, y) and task of the robot, and execution of the samples of each file."""
     session = {card.execution: at for one, at in zip(made, shifts, strict=False) for card in one.cards}
     numbers = {name: number for number, name in enumerate(session)}
+    tasks = dict[str | None, int]()
     for part in dict.fromkeys(one.part for one in made if one.samples):
         rows = pl.scan_parquet(folder / f"{part}.parquet", glob=False).select(_COLUMNS)
         frame = rows.filter(pl.col("execution").is_in(list(chosen))).collect(engine="streaming")
@@ -192,7 +193,8 @@ def _samples(
         of = frame["execution"]
         at = of.replace_strict(session, return_dtype=pl.Float64).to_numpy()
         number = of.replace_strict(numbers, return_dtype=pl.Int64).to_numpy()
-        yield t_s + at, level, frame["robot_x_m"].to_numpy(), frame["robot_y_m"].to_numpy(), number
+        task = np.array([tasks.setdefault(name, len(tasks)) for name in frame["robot_task"].to_list()])
+        yield t_s + at, level, frame["robot_x_m"].to_numpy(), frame["robot_y_m"].to_numpy(), task, number
 
 
 __all__ = ["Watched", "looked_for", "some_executions"]

@@ -1,0 +1,244 @@
+"""What the departures of an agent wait for: candidates, evidence, choice.
+
+A condition is believed if the departures hold to it, if it decided several of them, and if they become so much more
+regular by it that neither chance among all candidates nor the same events in another order can have done that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from cyclekit.learning.coupling.lags import Causes, take_apart
+from cyclekit.learning.coupling.visits import Event
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from cyclekit.dataset.cards.coupling import Agent
+    from cyclekit.learning.coupling.visits import Course, PlaceVisit
+    from cyclekit.schema import Floats, Ints, Vector
+
+HELD = 0.98
+"""Part of the departures that must come after a condition's event."""
+EARLY_S, EARLY_LEAVING_S = 0.25, 1.0
+"""A departure may come so much before it: clocks of two agents; who leaves is done before he is seen to move."""
+LEAST_DECIDED = 5
+"""So many departures must have been decided by it."""
+GAIN, GAIN_PER_DEPARTURE = 8.0, 0.05
+"""By so much the log-likelihood of the departures must rise, in all and for each of them."""
+AS_GOOD, AS_GOOD_PART = 3.0, 0.1
+"""Of events whose gains differ by no more than this, or this part of it, the one just before the departure is taken."""
+NATURAL = 1.1
+"""Who waits until another has left may not approach; who waits until he came, or something is set, may not leave: of
+two gates that the same departures pass this one is preferred by so much."""
+SHUFFLES = 6
+MOST = 2
+"""Conditions of one gate."""
+SEEN = 120
+"""Departures by which conditions are compared."""
+KEPT = 400
+"""Departures by which their lags are learned."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Where an agent may have to wait, as in `GateCard`; `short` of the place, or where it starts from."""
+
+    agent: Agent
+    at: Literal["leave", "approach"]
+    place: str
+    short: bool = False
+
+
+Times = dict[Event, "Floats"]
+"""Of each kind of event when it came in each execution; see `times_of`."""
+
+
+class Condition(NamedTuple):
+    """An event, and the how-many-th of them a passage needs (`ConditionCard`)."""
+
+    event: Event
+    back: int
+
+
+@dataclass
+class Passages:
+    """All logged passages of one gate.
+
+    Attributes:
+        gate: Which.
+        rows: Of each: its number among all departures of the agent, shape (N,).
+        course, nth: Of each: number of the execution, and how many passages of the gate came before it there, (N,).
+        own_s, left_s: Since when nothing of its own kept the agent, or it came there, and when it went on, (N,).
+        since_s: From the event of each condition that was found to going on, shape (N,); NaN = none was needed.
+    """
+
+    gate: Gate
+    rows: Ints
+    course: Ints
+    nth: Ints
+    own_s: Vector
+    left_s: Vector
+    since_s: dict[tuple[Gate, Condition], Vector] = field(default_factory=dict)
+
+    @property
+    def found(self) -> list[Condition]:
+        """Conditions of this gate."""
+        return [condition for gate, condition in self.since_s if gate == self.gate]
+
+    def causes(self, more: Vector | None = None, most: int = SEEN) -> Causes:
+        """Return what decided each passage (of `most` of them), own work first, then conditions as in `since_s`."""
+        step = -(-len(self.left_s) // most)
+        columns = [self.left_s - self.own_s, *self.since_s.values(), *([] if more is None else [more])]
+        return take_apart(np.array([column[::step] for column in columns]))
+
+
+def passages_of(courses: Sequence[Course], agent: Agent) -> list[Passages]:
+    """Return the passages of every gate that an agent may have; own work of different places is made comparable."""
+    rows: dict[Gate, list[tuple[int, int, int, float, float]]] = {}
+    number = 0
+    for index, course in enumerate(courses):
+        counts: dict[Gate, int] = {}
+        visits = course.visits[agent]
+        for before, after in zip([None, *visits], [*visits, None], strict=True):
+            for gate, own_s, left_s in _passed(agent, before, after):
+                nth = counts.get(gate, 0)
+                counts[gate] = nth + 1
+                began = agent == "robot" and not gate.short and left_s <= own_s  # it stood there at the start
+                if np.isfinite(own_s) and np.isfinite(left_s) and not began:
+                    rows.setdefault(gate, []).append((number, index, nth, own_s, left_s))
+            number += 1
+    found = [_passages(gate, some) for gate, some in rows.items()]
+    return _comparable(found)
+
+
+def _passed(agent: Agent, before: PlaceVisit | None, after: PlaceVisit | None) -> Iterator[tuple[Gate, float, float]]:
+    if before is not None:
+        yield Gate(agent, "leave", before.place), before.arrived_s, before.left_s
+    if after is not None:
+        yield Gate(agent, "approach", after.place, short=True), after.reached_s, after.went_on_s
+    if before is not None and after is not None:
+        yield Gate(agent, "approach", after.place), before.arrived_s, before.left_s
+
+
+def _passages(gate: Gate, some: list[tuple[int, int, int, float, float]]) -> Passages:
+    rows, course, nth = np.array([each[:3] for each in some], np.int64).T
+    own_s, left_s = np.array([each[3:] for each in some]).T
+    return Passages(gate, rows, course, nth, own_s, left_s)
+
+
+def _comparable(found: list[Passages]) -> list[Passages]:
+    """Return the passages; those on leaving different places for one count own work from its usual end at each."""
+    usual = np.full(1 + max((int(each.rows.max()) for each in found), default=0), 0.0)
+    for each in found:
+        if each.gate.at == "leave":
+            usual[each.rows] = np.quantile(each.left_s - each.own_s, 0.1)
+    for each in found:
+        if each.gate.at == "approach" and not each.gate.short:
+            each.own_s = each.own_s + usual[each.rows]
+    short = {each.gate.place for each in found if each.gate.short}
+    return [each for each in found if each.gate.short or each.gate.at == "leave" or each.gate.place not in short]
+
+
+def find_conditions(courses: Sequence[Course], agent: Agent) -> list[Passages]:
+    """Return the passages of an agent's gates with the conditions that were found."""
+    gates = passages_of(courses, agent)
+    times = times_of(courses)
+    candidates = [Condition(event, back) for event in times if event.agent != agent for back in (0, 1)]
+    open_to = {number: _best(times, gate, candidates) for number, gate in enumerate(gates)}
+    while any(open_to.values()):
+        number = max((n for n in open_to if open_to[n]), key=lambda n: _worth(gates[n].gate, open_to[n]))
+        condition, since, _ = open_to[number]  # type: ignore[misc]  # there is one
+        by_row = dict(zip(gates[number].rows.tolist(), since.tolist(), strict=True))
+        for other, gate in enumerate(gates):
+            if gate.gate.short != gates[number].gate.short:
+                continue  # it is another instant
+            shared = np.array([by_row.get(row, np.nan) for row in gate.rows.tolist()])
+            if np.isfinite(shared).any():
+                gate.since_s[gates[number].gate, condition] = shared
+                open_to[other] = _best(times, gate, candidates) if len(gate.found) < MOST else None
+    return gates
+
+
+_Found = tuple[Condition, "Vector", float]
+
+
+def _worth(gate: Gate, found: _Found | None) -> float:
+    """Return the gain of a condition, with NATURAL."""
+    condition, _, gain = found  # type: ignore[misc]  # there is one
+    natural = (condition.event.event == "leaves") == (gate.at == "approach")
+    return gain * (NATURAL if natural else 1.0)
+
+
+def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Found | None:
+    """Return the best condition that passes all tests, from its event to each departure, and its gain."""
+    if len(gate.left_s) < LEAST_DECIDED:
+        return None
+    before = float(gate.causes().log_likelihood.sum())
+    tried: list[_Found] = []
+    for condition in candidates:
+        since = since_event(times, gate, condition)
+        if condition in gate.found or not _holds(gate, condition, since):
+            continue
+        causes = gate.causes(since)
+        step = -(-len(since) // SEEN)
+        if causes.share[-1].sum() * step >= LEAST_DECIDED:
+            tried.append((condition, since, float(causes.log_likelihood.sum()) - before))
+    tried.sort(key=lambda each: -each[2])
+    least = GAIN + np.log(max(len(candidates), 1)) + GAIN_PER_DEPARTURE * min(len(gate.left_s), SEEN)
+    good = [each for each in tried if each[2] >= least]
+    if not good or good[0][2] - _by_chance(gate, good[0][1]) + before < least:
+        return None
+    as_good = [each for each in good if each[2] >= good[0][2] - max(AS_GOOD, AS_GOOD_PART * good[0][2])]
+    return min(as_good, key=lambda each: abs(float(np.nanquantile(each[1], 0.1))))
+
+
+def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
+    """Return the time from a condition's event to each passage, shape (N,), s; NaN where none is needed."""
+    at = times[condition.event]
+    number = gate.nth - condition.back
+    there = (number >= 0) & (number < at.shape[1])
+    return np.asarray(np.where(there, gate.left_s - at[gate.course, np.where(there, number, 0)], np.nan))
+
+
+def times_of(courses: Sequence[Course]) -> Times:
+    """Return when each kind of event came in each execution, shape (executions, most of one), NaN behind the last."""
+    found: Times = {}
+    for event in sorted({event for course in courses for event in course.events}, key=str):
+        every = [course.events.get(event, np.empty(0)) for course in courses]
+        found[event] = np.full((len(courses), max(map(len, every), default=0)), np.nan)
+        for row, mine in zip(found[event], every, strict=True):
+            row[: len(mine)] = mine
+    return found
+
+
+def _holds(gate: Passages, condition: Condition, since: Vector) -> bool:
+    """Tell whether the passages come after the events, and several events so late that they can have decided."""
+    known = np.isfinite(since)
+    if np.count_nonzero(known) < LEAST_DECIDED:
+        return False
+    late = since < gate.left_s - gate.own_s  # later than where own work began
+    held = since[known] >= -early_s(condition)
+    return bool(held.mean() >= HELD and np.count_nonzero(late & known) >= LEAST_DECIDED)
+
+
+def early_s(condition: Condition) -> float:
+    """Return how much before a condition's event a departure may come, s."""
+    of_leaving = condition.event.event == "leaves" and condition.event.signal is None
+    return EARLY_LEAVING_S if of_leaving else EARLY_S
+
+
+def _by_chance(gate: Passages, since: Vector) -> float:
+    """Return the best log-likelihood with the same events in another order among the departures."""
+    rng = np.random.default_rng(0)
+    known = np.flatnonzero(np.isfinite(since))
+    ahead = (gate.left_s - gate.own_s) - since  # of the event since own work began
+    found = [-np.inf]
+    for _ in range(SHUFFLES):
+        other = np.full(len(since), np.nan)
+        other[known] = (gate.left_s - gate.own_s)[known] - rng.permutation(ahead[known])
+        found.append(float(gate.causes(np.where(other >= -EARLY_S, other, np.nan)).log_likelihood.sum()))
+    return max(found)

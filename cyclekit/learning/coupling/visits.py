@@ -1,0 +1,167 @@
+"""When robot and operator came to their places and left them, and when signals changed, execution by execution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from cyclekit.dataset.signals import switches
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.dataset.cards.coupling import Agent
+    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.schema import Bools, Vector
+
+NOT_WAITED_FOR = ("goal",)
+"""Signals whose names hold these words are no conditions: they tell what the operator is about to do."""
+WITHIN_S = 0.5
+"""A signal that an agent gives at a place may change so long after he is seen to leave."""
+GIVEN = 0.9
+"""Part of a signal's changes that must be made during visits of one place, if the agent gives it there."""
+
+
+class Event(NamedTuple):
+    """A kind of event, as in `ConditionCard`."""
+
+    agent: str
+    place: str
+    event: str
+    signal: str | None = None
+
+
+class PlaceVisit(NamedTuple):
+    """One agent at one place; session seconds, NaN = not known.
+
+    Attributes:
+        place: Where.
+        arrived_s, left_s: From when to when.
+        reached_s, went_on_s: When it reached the spot short of the place where it may wait, and went on.
+    """
+
+    place: str
+    arrived_s: float
+    left_s: float
+    reached_s: float = np.nan
+    went_on_s: float = np.nan
+
+
+@dataclass(frozen=True)
+class Course:
+    """One execution.
+
+    Attributes:
+        name: Its name.
+        visits: Of each agent, in order; the place where it begins has its start as arrival.
+        events: When each kind of event came, ascending, s.
+    """
+
+    name: str
+    visits: Mapping[Agent, Sequence[PlaceVisit]]
+    events: Mapping[Event, Vector] = field(default_factory=dict)
+
+
+def courses_of(dataset: Dataset) -> list[Course]:
+    """Return the complete executions in which both agents were seen."""
+    complete = dataset.executions.filter("complete")
+    spans = {row["execution"]: row for row in complete.iter_rows(named=True)}
+    tasks = dataset.every_task().filter(pl.col("agent_name").is_null(), pl.col("execution").is_in(list(spans)))
+    signals = {session: _signals(dataset, session) for session in complete["session"].unique()}
+    found = []
+    for (name,), rows in tasks.sort("execution", "index").group_by(["execution"], maintain_order=True):
+        span = spans[name]
+        begin_s, end_s = span["start_s"], span["end_s"]
+        robot = _of_robot(rows.filter(pl.col("agent") == "robot"))
+        operator = _of_operator(rows.filter(pl.col("agent") == "operator"), begin_s)
+        if not robot or not operator:
+            continue
+        changes = {key: at[(at >= begin_s) & (at <= end_s)] for key, at in signals[span["session"]].items()}
+        events = {Event("signal", *key): at for key, at in changes.items()}
+        visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
+        found.append(Course(str(name), visits, events_of(visits) | events))
+    return _with_givers(found)
+
+
+def _of_robot(rows: pl.DataFrame) -> list[PlaceVisit]:
+    if rows.is_empty():
+        return []
+    names = ("goal_place", "arrival_s", "start_s", "reached_s", "went_on_s")
+    goals, *times = (rows[name].to_list() for name in names)
+    arrived, started, reached, went_on = (np.array(column, float) for column in times)
+    left = [*started[1:].tolist(), np.nan]
+    first = PlaceVisit(rows["start_place"][0], float(started[0]), float(started[0]))
+    return [first, *map(PlaceVisit, goals, arrived.tolist(), left, reached.tolist(), went_on.tolist())]
+
+
+def _of_operator(rows: pl.DataFrame, begin_s: float) -> list[PlaceVisit]:
+    arrived = rows["arrival_s"].fill_null(begin_s).to_list()
+    left = rows["end_s"].fill_null(np.nan).to_list()
+    return list(map(PlaceVisit, rows["goal_place"].to_list(), arrived, left))
+
+
+def events_of(visits: Mapping[Agent, Sequence[PlaceVisit]]) -> dict[Event, Vector]:
+    """Return when each agent arrived at each place and left it, ascending, s."""
+    found: dict[Event, list[float]] = {}
+    for agent, some in visits.items():
+        for visit in some:
+            found.setdefault(Event(agent, visit.place, "arrives"), []).append(visit.arrived_s)
+            found.setdefault(Event(agent, visit.place, "leaves"), []).append(visit.left_s)
+    return {key: np.array(times) for key, times in found.items()}
+
+
+def _signals(dataset: Dataset, session: str) -> dict[tuple[str, str], Vector]:
+    """Return when each signal was `set` and `cleared`, session seconds; one that has no two states is only set."""
+    found: dict[tuple[str, str], Vector] = {}
+    for record in dataset.recordings:
+        events = (
+            dataset.recorded(record.id, "events") if record.session == session and record.rows.get("events") else None
+        )
+        if events is None:
+            continue
+        both = switches(record, dataset.recorded)
+        for (signal,), rows in events.sort("t_s").group_by(["signal"], maintain_order=True):
+            name, at = str(signal), rows["t_s"].to_numpy() * record.clock.rate + record.clock.offset_s
+            if any(word in name for word in NOT_WAITED_FOR):
+                continue
+            rises, falls = _edges(both[name][1]) if name in both else (np.ones(len(at), bool), np.zeros(len(at), bool))
+            found |= {(name, "set"): at[rises], (name, "cleared"): at[falls]}
+    return found
+
+
+def _edges(on: Bools) -> tuple[Bools, Bools]:
+    before = np.concatenate([[False], on[:-1]])
+    return on & ~before, ~on & before
+
+
+def _with_givers(courses: Sequence[Course]) -> list[Course]:
+    """Return the courses; a signal that one agent gives at one place is an event of his leaving it."""
+    given = {}
+    for kind in sorted({key for course in courses for key in course.events if key.agent == "signal"}):
+        for agent in ("operator", "robot"):
+            places = sorted({visit.place for course in courses for visit in course.visits[agent]})
+            shares = {place: _share(courses, kind, agent, place) for place in places}
+            place = max(shares, key=lambda name: shares[name], default=None)
+            if place is not None and shares[place] >= GIVEN:
+                given[kind] = Event(agent, place, "leaves", f"{kind.place} {kind.event}")
+                break
+    return [
+        Course(one.name, one.visits, {given.get(key, key): times for key, times in one.events.items()})
+        for one in courses
+    ]
+
+
+def _share(courses: Sequence[Course], kind: Event, agent: Agent, place: str) -> float:
+    """Return which part of a signal's changes an agent's visits of a place account for, each for one."""
+    within, total = 0, 0
+    for course in courses:
+        at = course.events.get(kind, np.empty(0))
+        mine = [visit for visit in course.visits[agent] if visit.place == place]
+        ends = [np.inf if np.isnan(visit.left_s) else visit.left_s + WITHIN_S for visit in mine]
+        counts = [int(((at >= visit.arrived_s) & (at <= end)).sum()) for visit, end in zip(mine, ends, strict=True)]
+        within += sum(min(count, 1) for count in counts)
+        total += max(len(at), len(mine))
+    return within / total if total else 0.0

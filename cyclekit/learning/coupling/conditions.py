@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from cyclekit.dataset.cards.coupling import Agent
     from cyclekit.learning.coupling.visits import Course, PlaceVisit
-    from cyclekit.schema import Ints, Vector
+    from cyclekit.schema import Floats, Ints, Vector
 
 HELD = 0.98
 """Part of the departures that must come after a condition's event."""
@@ -31,6 +31,9 @@ GAIN, GAIN_PER_DEPARTURE = 8.0, 0.05
 """By so much the log-likelihood of the departures must rise, in all and for each of them."""
 AS_GOOD, AS_GOOD_PART = 3.0, 0.1
 """Of events whose gains differ by no more than this, or this part of it, the one just before the departure is taken."""
+NATURAL = 1.1
+"""Who waits until another has left may not approach; who waits until he came, or something is set, may not leave: of
+two gates that the same departures pass this one is preferred by so much."""
 SHUFFLES = 6
 MOST = 2
 """Conditions of one gate."""
@@ -48,6 +51,10 @@ class Gate:
     at: Literal["leave", "approach"]
     place: str
     short: bool = False
+
+
+Times = dict[Event, "Floats"]
+"""Of each kind of event when it came in each execution; see `times_of`."""
 
 
 class Condition(NamedTuple):
@@ -139,9 +146,9 @@ def _comparable(found: list[Passages]) -> list[Passages]:
 def find_conditions(courses: Sequence[Course], agent: Agent) -> list[Passages]:
     """Return the passages of an agent's gates with the conditions that were found."""
     gates = passages_of(courses, agent)
-    events = sorted({event for course in courses for event in course.events if event.agent != agent}, key=str)
-    candidates = [Condition(event, back) for event in events for back in (0, 1)]
-    open_to = {number: _best(courses, gate, candidates) for number, gate in enumerate(gates)}
+    times = times_of(courses)
+    candidates = [Condition(event, back) for event in times if event.agent != agent for back in (0, 1)]
+    open_to = {number: _best(times, gate, candidates) for number, gate in enumerate(gates)}
     while any(open_to.values()):
         number = max((n for n in open_to if open_to[n]), key=lambda n: _worth(gates[n].gate, open_to[n]))
         condition, since, _ = open_to[number]  # type: ignore[misc]  # there is one
@@ -152,7 +159,7 @@ def find_conditions(courses: Sequence[Course], agent: Agent) -> list[Passages]:
             shared = np.array([by_row.get(row, np.nan) for row in gate.rows.tolist()])
             if np.isfinite(shared).any():
                 gate.since_s[gates[number].gate, condition] = shared
-                open_to[other] = _best(courses, gate, candidates) if len(gate.found) < MOST else None
+                open_to[other] = _best(times, gate, candidates) if len(gate.found) < MOST else None
     return gates
 
 
@@ -160,23 +167,20 @@ _Found = tuple[Condition, "Vector", float]
 
 
 def _worth(gate: Gate, found: _Found | None) -> float:
-    """Return the gain of a condition; of two gates that the same departures pass one is preferred.
-
-    Who waits until another has left may not approach; who waits until he came, or something is set, may not leave.
-    """
+    """Return the gain of a condition, with NATURAL."""
     condition, _, gain = found  # type: ignore[misc]  # there is one
     natural = (condition.event.event == "leaves") == (gate.at == "approach")
-    return gain * (1.02 if natural else 1.0)
+    return gain * (NATURAL if natural else 1.0)
 
 
-def _best(courses: Sequence[Course], gate: Passages, candidates: Sequence[Condition]) -> _Found | None:
+def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Found | None:
     """Return the best condition that passes all tests, from its event to each departure, and its gain."""
     if len(gate.left_s) < LEAST_DECIDED:
         return None
     before = float(gate.causes().log_likelihood.sum())
     tried: list[_Found] = []
     for condition in candidates:
-        since = since_event(courses, gate, condition)
+        since = since_event(times, gate, condition)
         if condition in gate.found or not _holds(gate, condition, since):
             continue
         causes = gate.causes(since)
@@ -192,13 +196,22 @@ def _best(courses: Sequence[Course], gate: Passages, candidates: Sequence[Condit
     return min(as_good, key=lambda each: abs(float(np.nanquantile(each[1], 0.1))))
 
 
-def since_event(courses: Sequence[Course], gate: Passages, condition: Condition) -> Vector:
+def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
     """Return the time from a condition's event to each passage, shape (N,), s; NaN where none is needed."""
-    found = np.full(len(gate.left_s), np.nan)
-    for row, (course, nth) in enumerate(zip(gate.course.tolist(), gate.nth.tolist(), strict=True)):
-        at = courses[course].events.get(condition.event)
-        if at is not None and 0 <= nth - condition.back < len(at):
-            found[row] = gate.left_s[row] - at[nth - condition.back]
+    at = times[condition.event]
+    number = gate.nth - condition.back
+    there = (number >= 0) & (number < at.shape[1])
+    return np.asarray(np.where(there, gate.left_s - at[gate.course, np.where(there, number, 0)], np.nan))
+
+
+def times_of(courses: Sequence[Course]) -> Times:
+    """Return when each kind of event came in each execution, shape (executions, most of one), NaN behind the last."""
+    found: Times = {}
+    for event in sorted({event for course in courses for event in course.events}, key=str):
+        every = [course.events.get(event, np.empty(0)) for course in courses]
+        found[event] = np.full((len(courses), max(map(len, every), default=0)), np.nan)
+        for row, mine in zip(found[event], every, strict=True):
+            row[: len(mine)] = mine
     return found
 
 

@@ -9,7 +9,15 @@ import polars as pl
 from msgspec.structs import replace
 
 from cyclekit.dataset.cards.coupling import Agent, ConditionCard, CouplingCard, GateCard
-from cyclekit.learning.coupling.conditions import KEPT, Condition, Passages, early_s, find_conditions, since_event
+from cyclekit.learning.coupling.conditions import (
+    KEPT,
+    Condition,
+    Passages,
+    early_s,
+    find_conditions,
+    since_event,
+    times_of,
+)
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
 from cyclekit.learning.coupling.visits import Course, courses_of
 
@@ -92,7 +100,7 @@ def _parts(courses: Sequence[Course], found: Passages) -> tuple[tuple[float, ...
 
 def _from_leaving(courses: Sequence[Course], found: Passages, condition: Condition) -> Vector:
     """Return the time from when the agent that gives a signal left its place, which is what a plan knows."""
-    return since_event(courses, found, Condition(condition.event._replace(signal=None), condition.back))
+    return since_event(times_of(courses), found, Condition(condition.event._replace(signal=None), condition.back))
 
 
 def _distribution(since_s: Vector, decided: Floats) -> tuple[float, ...]:

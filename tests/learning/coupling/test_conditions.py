@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cyclekit.dataset.cards.coupling import Agent
 from cyclekit.learning.coupling.learn import learn_courses
 from cyclekit.learning.coupling.visits import Course, Event, PlaceVisit, events_of
 
@@ -13,7 +14,7 @@ ROBOT, OPERATOR = ("feeder", "fixture", "tray", "rack"), ("bench", "fixture", "s
 
 def _alone(rng: np.random.Generator, name: str) -> Course:
     """Return an execution of two agents that do not see each other."""
-    visits = {
+    visits: dict[Agent, list[PlaceVisit]] = {
         "robot": _walk(rng, [str(place) for place in rng.choice(ROBOT, 12)], (0.5, 0.6), 2.0),
         "operator": _walk(rng, [str(place) for place in rng.choice(OPERATOR, 9)], (1.0, 4.0), 2.5),
     }
@@ -45,7 +46,7 @@ def _coupled(rng: np.random.Generator, name: str) -> Course:
         free_s = gone + 2.0
         operator += [PlaceVisit("fixture", left + 2.0, gone), PlaceVisit("bench", free_s, np.nan)]
     robot.append(PlaceVisit("home", robot[-1].left_s + 2.0, np.nan))
-    visits = {"robot": robot, "operator": operator}
+    visits: dict[Agent, list[PlaceVisit]] = {"robot": robot, "operator": operator}
     release = {Event("operator", "fixture", "leaves", "release set"): np.array(pressed[1:])}
     return Course(name, visits, events_of(visits) | release)
 

@@ -74,7 +74,7 @@ class OperatorTracks:
 
 
 @dataclass(frozen=True)
-class _Track:
+class LoggedTrack:
     """What was logged of one execution: x_h (and g_h if asked for), shape (T, 3 or 6), activity (T,), its two ends, s.
 
     `seen`: somebody is, at some time. `away`: the tracker saw all along that nobody is. `followed`: its log is
@@ -115,7 +115,7 @@ def operator_tracks(
         EstimateError: No execution has an operator track, or none matches `operator`.
     """
     step = 1.0 / dataset.rate_hz
-    names, tracks = _logged(dataset, goals=goals)
+    names, tracks = _names_and_tracks(dataset, goals=goals)
     complete = set(dataset.executions.filter("complete")["execution"].to_list())
     seen_in = [name for name in tracks if name in complete and tracks[name].seen]
     begins = [name for name in seen_in if tracks[name].followed]
@@ -174,10 +174,10 @@ def phase_is_free(dataset: Dataset) -> bool:
     at each of his tasks as often (no rarer or more frequent than chance gives in one of a thousand cases), the mean of
     his position is within SAME_MEAN standard errors, its spread within SAME_SPREAD.
     """
-    return _is_free(_logged(dataset, goals=False)[1])
+    return _is_free(_names_and_tracks(dataset, goals=False)[1])
 
 
-def _is_free(tracks: dict[str, _Track]) -> bool:
+def _is_free(tracks: dict[str, LoggedTrack]) -> bool:
     usual = [track for track in tracks.values() if track.followed]
     if len(usual) < LEAST_FREE:
         return False
@@ -186,7 +186,7 @@ def _is_free(tracks: dict[str, _Track]) -> bool:
     return all(_is_alike(usual, every, at) for at in (0, shortest // 3, 2 * shortest // 3))
 
 
-def _is_alike(tracks: Sequence[_Track], every: Stretch, at: int) -> bool:
+def _is_alike(tracks: Sequence[LoggedTrack], every: Stretch, at: int) -> bool:
     """Tell whether the operators at sample `at` of these tracks are like those of every sample."""
     where, doing = np.array([t.where[at, :2] for t in tracks]), np.array([t.activity[at] for t in tracks])
     pairs = zip(_kinds(where, doing), _kinds(every.where, every.activity), strict=True)
@@ -218,7 +218,12 @@ def _is_chance(here: NDArray[np.int64], usual: NDArray[np.int64]) -> bool:
     return bool(((found - wanted) ** 2 / wanted).sum() <= free + CHANCE * np.sqrt(2.0 * free))
 
 
-def _logged(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, _Track]]:
+def logged_tracks(dataset: Dataset) -> dict[str, LoggedTrack]:
+    """Return what was logged of the operator in each execution, by its name; short gaps are bridged."""
+    return _names_and_tracks(dataset, goals=False)[1]
+
+
+def _names_and_tracks(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, LoggedTrack]]:
     """The operator's tasks, and what was logged of him in each execution."""
     columns = [f"human_{part}{axis}_m" for part in (("", "goal_") if goals else ("",)) for axis in "xyz"]
     samples = dataset.samples(columns=["execution", "t_s", "human_task", "human_gap", *columns])
@@ -231,7 +236,7 @@ def _logged(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, _Tra
     )
     hidden = outside | occluded
     rows = samples.select("execution", row=pl.int_range(pl.len())).group_by("execution", maintain_order=True)
-    tracks: dict[str, _Track] = {}
+    tracks: dict[str, LoggedTrack] = {}
     for execution, first, last, count in rows.agg(
         first=pl.col("row").first(), last=pl.col("row").last(), count=pl.len()
     ).iter_rows():
@@ -245,7 +250,7 @@ def _logged(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict[str, _Tra
         followed = bool(seen.all()) or not (outside[mine] & ~seen).any()
         ends = float(t_s[first]), float(t_s[last])
         away = bool(absent[mine].all())
-        tracks[str(execution)] = _Track(where[mine], activity[mine], *ends, bool(seen.any()), away, followed)
+        tracks[str(execution)] = LoggedTrack(where[mine], activity[mine], *ends, bool(seen.any()), away, followed)
     return names, tracks
 
 
@@ -266,7 +271,7 @@ def _bridge(t_s: NDArray[np.float64], xyz_m: NDArray[np.float64], hidden: NDArra
 
 
 def _matching(
-    dataset: Dataset, tracks: dict[str, _Track], begins: list[str], names: list[str], wanted: tuple[str, ...]
+    dataset: Dataset, tracks: dict[str, LoggedTrack], begins: list[str], names: list[str], wanted: tuple[str, ...]
 ) -> list[str]:
     orders = {name: _order(tracks[name].activity, names) for name in begins}
     found = [name for name in begins if orders[name][: len(wanted)] == wanted]
@@ -291,7 +296,7 @@ def _after(dataset: Dataset) -> dict[str, list[str]]:
     return found
 
 
-def _run_on(tracks: dict[str, _Track], names: list[str], step: float) -> tuple[Stretch, str]:
+def _run_on(tracks: dict[str, LoggedTrack], names: list[str], step: float) -> tuple[Stretch, str]:
     """The track of the first of these executions, and of those that follow it without a longer pause; the last one."""
     name, *others = names
     end, parts, doing = tracks[name].end_s, [tracks[name].where], [tracks[name].activity]

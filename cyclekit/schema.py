@@ -58,6 +58,7 @@ ROBOT: Mapping[str, Column] = {
     "scaling": Column(F64, "1", "effective speed scaling in [0,1]; null where not logged, not valid or not playing"),
     "slider": Column(F64, "1", "the operator's speed slider (target fraction) in [0,1], where logged"),
     "state": Column(TEXT, "", "program state: playing, paused, stopped; null = not logged"),
+    "digital_in_bits": Column(I64, "", "digital inputs as a bit field, where logged"),
     "digital_out_bits": Column(I64, "", "digital outputs as a bit field, where logged"),
     "register": Column(I64, "", "the integer register chosen for the cell, where logged"),
     "source_row": Column(I64, "", "where in the log: a line, row, message or frame, as its entry in dataset.json says"),
@@ -164,8 +165,14 @@ SAMPLES: Mapping[str, Column] = {
         TEXT, "", "why x_h is null: absent, occluded, or outside the tracker's log; null where it is not"
     ),
     "lost_to": Column(TEXT, "", "what takes most of the time lost here, one of LOST_CAUSES; null = nothing is lost"),
+    "human_signals": Column(
+        I64, "", "z: signals of people that are on, bit k = entry k of operator_signals in dataset.json; null = unknown"
+    ),
 }
 """10 Hz samples in one clock and one base frame."""
+
+ADDED_TO_SAMPLES: Mapping[str, str | None] = {"human_signals": None}
+"""Columns that datasets of earlier versions lack, and what they would hold there."""
 
 TASKS: Mapping[str, Column] = {
     "execution": Column(TEXT, "", "which execution of the process"),

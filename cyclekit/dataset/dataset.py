@@ -163,10 +163,10 @@ class Dataset:
             return schema.empty(schema.SAMPLES).select(wanted)
         self._files.check_memory(files, wanted, None if executions is None else self._rows_of(executions))
         if executions is None:
-            return self._files.collected(self._files.scan(files, schema.SAMPLES, wanted), "samples")  # many at a time
+            return self._files.collected(self._scan(files, wanted), "samples")  # many at a time
         mine = pl.col("execution").is_in(list(executions))  # of a file, only what is wanted comes into memory
         needed = list(dict.fromkeys(["execution", *wanted]))
-        scans = [self._files.scan([file], schema.SAMPLES, needed).filter(mine).select(wanted) for file in files]
+        scans = [self._scan([file], needed).filter(mine).select(wanted) for file in files]
         return pl.concat([self._files.collected(scan, "samples") for scan in scans])
 
     def scan_samples(self) -> pl.LazyFrame:
@@ -174,7 +174,7 @@ class Dataset:
         files = self._files.of_samples(None)
         if not files:
             return schema.empty(schema.SAMPLES).lazy()
-        return self._mine(self._files.scan(files, schema.SAMPLES, list(schema.SAMPLES)))
+        return self._mine(self._scan(files, list(schema.SAMPLES)))
 
     @property
     def positions(self) -> tuple[str, ...]:
@@ -343,6 +343,9 @@ class Dataset:
     def _tasks(self, columns: Sequence[str]) -> pl.LazyFrame:
         file = self._files.whole(TASKS)
         return self._mine(self._files.scan([file], schema.TASKS, columns, added=schema.ADDED_TO_TASKS))
+
+    def _scan(self, files: Sequence[Path], columns: Sequence[str]) -> pl.LazyFrame:
+        return self._files.scan(files, schema.SAMPLES, columns, added=schema.ADDED_TO_SAMPLES)
 
     def _mine(self, rows: pl.LazyFrame) -> pl.LazyFrame:
         """Return the rows of the executions that the dataset holds, if it is only a part of what is on the disk."""

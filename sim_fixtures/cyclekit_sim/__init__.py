@@ -4,17 +4,24 @@ It imports nothing of cyclekit: what tests a computation may not share it.
 """
 
 from cyclekit_sim.causes import MixedCauses
+from cyclekit_sim.coupled import FreshCycles, fresh_cycles, random_orders
+from cyclekit_sim.coupled_scenes import COUPLED
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.rule_file import read_rule
-from cyclekit_sim.scenes import SCENES
+from cyclekit_sim.scenes import FIELD_SCENES, SCENES
 from cyclekit_sim.simulate import random_sequence, scene_places, simulate, simulate_sequence
 
 __all__ = [
+    "COUPLED",
+    "FIELD_SCENES",
     "SCENES",
+    "FreshCycles",
     "MixedCauses",
     "SimulationError",
     "SimulationOptions",
+    "fresh_cycles",
+    "random_orders",
     "random_sequence",
     "read_rule",
     "scene_places",

@@ -13,12 +13,13 @@ import numpy as np
 
 from cyclekit_sim.arm import Array
 from cyclekit_sim.causes import MixedCauses
+from cyclekit_sim.coupled_scenes import COUPLED
 from cyclekit_sim.errors import SimulationError
 from cyclekit_sim.program import HOME, Execution
-from cyclekit_sim.scenes import GOAL_SD_M, MIDDLE_SD_M, SCENES, Scene
+from cyclekit_sim.scenes import BUILT_IN, GOAL_SD_M, MIDDLE_SD_M, Scene
 from cyclekit_sim.walking import Leg, Press, away, stand, walk
 
-ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER, SLOWING = range(7)
+ROBOT, OPERATOR, PAUSE, TRACKER, SEQUENCE, ENCODER, SLOWING, PARTS, COUPLING, SOURCE = range(10)
 LOGGED, FRESH = range(2)
 
 
@@ -27,7 +28,8 @@ def stream(seed: int, scene: Scene, purpose: int, number: int, *, domain: int = 
 
     `domain` FRESH keeps executions made to check an estimate apart from those that were logged with the same seed.
     """
-    key = (SCENES.index(scene.name), domain, purpose, number)
+    kind = list(BUILT_IN).index(scene.name) if scene.name in BUILT_IN else 1000 + list(COUPLED).index(scene.name)
+    key = (kind, domain, purpose, number)
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
@@ -97,7 +99,7 @@ def operator_legs(scene: Scene, rng: np.random.Generator) -> Iterator[Leg]:
 def _legs(scene: Scene, names: Iterator[str], rng: np.random.Generator) -> Iterator[Leg]:
     """Yield the walks and dwells from station to station, the first dwell included."""
     name = next(names)
-    here = _goal(scene, name, rng)
+    here = draw_goal(scene, name, rng)
     yield _begin(stand(here, _dwell_s(scene, name, rng)), name, here)
     yield from _onwards(scene, here, names, rng)
 
@@ -105,10 +107,8 @@ def _legs(scene: Scene, names: Iterator[str], rng: np.random.Generator) -> Itera
 def _onwards(scene: Scene, here: Array, names: Iterator[str], rng: np.random.Generator) -> Iterator[Leg]:
     """Yield the walks and dwells from `here` on."""
     for name in names:
-        there = _goal(scene, name, rng)
-        middle = 0.5 * (here + there)
-        middle[:2] += rng.normal(0.0, MIDDLE_SD_M, 2)
-        yield _begin(walk(here, middle, there, rng.uniform(*scene.walk_m_s)), name, there)
+        there = draw_goal(scene, name, rng)
+        yield draw_walk(scene, here, there, name, rng)
         yield stand(there, _dwell_s(scene, name, rng))
         here = there
 
@@ -150,13 +150,24 @@ def _roam(scene: Scene, rng: np.random.Generator, here: str | None = None) -> It
 
 def _visit(scene: Scene, rng: np.random.Generator) -> Iterator[str]:
     """One visit: in by the door, to one to three stations, out by the door."""
-    names = [name for name in scene.stations if name != "door"]
+    names = [name for name in scene.stations if name not in ("door", "exit")]
     yield "door"
+    if scene.passing and rng.random() < scene.passing:
+        yield "exit"
+        return
     yield from (str(name) for name in rng.permutation(np.array(names))[: rng.integers(1, 4)])
     yield "door"
 
 
-def _goal(scene: Scene, name: str, rng: np.random.Generator) -> Array:
+def draw_walk(scene: Scene, here: Array, there: Array, name: str, rng: np.random.Generator) -> Leg:
+    """Return a walk to the station `name`, through a random midpoint, at a random speed."""
+    middle = 0.5 * (here + there)
+    middle[:2] += rng.normal(0.0, MIDDLE_SD_M, 2)
+    return _begin(walk(here, middle, there, rng.uniform(*scene.walk_m_s)), name, there)
+
+
+def draw_goal(scene: Scene, name: str, rng: np.random.Generator) -> Array:
+    """Return where a person stands at the station `name` this time (3,), m."""
     goal = np.array(scene.stations[name].xyz_m)
     goal[:2] += rng.normal(0.0, GOAL_SD_M, 2)
     return goal

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from cyclekit_sim.arm import Array, link_frames
 from cyclekit_sim.causes import PART_BIT, REDUCED_BIT, Slowing, Why, part_there, scaling_of
 from cyclekit_sim.errors import SimulationError
+from cyclekit_sim.lines import Lines
 from cyclekit_sim.motion import MotionTable
 from cyclekit_sim.options import SimulationOptions
-from cyclekit_sim.program import MOVE, Ints, Program
+from cyclekit_sim.program import Ints, Program
 from cyclekit_sim.safety import SafetyFunction, SafetyInputs, SpeedScaling
 from cyclekit_sim.walking import Track
 
@@ -86,44 +87,17 @@ def table_rows(first: Ints, nominal_s: Array, rows_per_s: Array) -> tuple[Ints, 
     return first + below, within - below
 
 
-class _Line:
-    """The segments of B programs side by side, each closed by an endless stand; flat index = base + segment."""
+class Arms:
+    """What a safety function sees of robots that follow a motion table."""
 
-    def __init__(self, programs: Sequence[Program]) -> None:
-        width = max(len(program.kind) for program in programs) + 1
-        shape = (len(programs), width)
-        length_s, rows_per_s = np.full(shape, np.inf), np.zeros(shape)
-        row, moving = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
-        for b, program in enumerate(programs):
-            count = len(program.kind)
-            length_s[b, :count] = program.length_s
-            row[b, :count] = program.row
-            row[b, count:] = program.row[-1] + round(program.length_s[-1] * program.rows_per_s[-1])
-            rows_per_s[b, :count] = program.rows_per_s
-            moving[b, :count] = program.kind == MOVE
-        self.length_s, self.row, self.rows_per_s = length_s.ravel(), row.ravel(), rows_per_s.ravel()
-        self.moving = moving.ravel()
-        self.base = np.arange(len(programs)) * width
-        self.last = np.array([len(program.kind) for program in programs])
-
-
-class _Cells:
-    """B cells at one instant: segment, nominal time in it, and when the segments before it ended."""
-
-    def __init__(self, programs: Sequence[Program], table: MotionTable, scaling: SpeedScaling, cycle_s: float) -> None:
-        self._line, self._scaling, self._cycle_s = _Line(programs), scaling, cycle_s
+    def __init__(self, table: MotionTable) -> None:
         self._q_rad = table.q_rad
         self._tcp, self._tcp_step = table.tcp_m, np.diff(table.tcp_m, axis=0, append=table.tcp_m[-1:])
-        self._nominal_s = np.zeros(len(programs))
-        self._segment = np.zeros(len(programs), dtype=np.int64)
-        self.ends_s = [np.zeros(len(program.kind)) for program in programs]
-        self._look_up()
 
-    def _look_up(self) -> None:
-        """Look up what the running segments are; it stays until one of them ends."""
-        line, flat = self._line, self._line.base + self._segment
-        self._row, self._rows_per_s, self._length_s = line.row[flat], line.rows_per_s[flat], line.length_s[flat]
-        self._moving = line.moving[flat]
+    def seen(self, row: Ints, way: Array, person_m: Array) -> SafetyInputs:
+        """Return what it sees where the robots (B,) are in the table and persons (B, 3) stand, m."""
+        tcp_m = self._tcp[row] + way[:, None] * self._tcp_step[row]
+        return SafetyInputs(tcp_m, person_m, lambda: self._links_m(row, way))
 
     def _links_m(self, row: Ints, way: Array) -> Array:
         """Return the joints from base to TCP (B, 7, 3), m."""
@@ -131,30 +105,21 @@ class _Cells:
         origins, _, _ = link_frames(q_rad + way[:, None] * (after - q_rad))
         return origins.transpose(1, 0, 2)
 
-    def begin_at(self, segment: Ints, nominal_s: Array) -> None:
-        """Be in these segments (B,), at these nominal times in them."""
-        self._segment, self._nominal_s = segment, nominal_s
-        self._look_up()
 
-    @property
-    def running(self) -> NDArray[np.bool_]:
-        """Which cells are not done yet (B,)."""
-        return np.asarray(self._segment < self._line.last)
+class _Cells:
+    """B cells at one instant."""
 
-    @property
-    def share_done(self) -> float:
-        """Fraction of all segments done."""
-        return float(np.mean(self._segment / self._line.last))
+    def __init__(self, programs: Sequence[Program], table: MotionTable, scaling: SpeedScaling, cycle_s: float) -> None:
+        self.lines, self._scaling, self._arms = Lines(programs, cycle_s), scaling, Arms(table)
 
     def step(self, t_s: float, person_m: Array, slowing: Slowing | None, now: _Now | None) -> tuple[Array, Array, Ints]:
         """Go on by one cycle from `t_s`; return nominal time, s and segment (B,) as they were at its start.
 
         s is that of the safety function alone; `slowing` has the other causes, `now` those of them at this time.
         """
-        dt, u, segment = self._cycle_s, self._nominal_s, self._segment
-        row, way = table_rows(self._row, u, self._rows_per_s)
-        tcp_m = self._tcp[row] + way[:, None] * self._tcp_step[row]
-        s = self._scaling.advance(SafetyInputs(tcp_m, person_m, lambda: self._links_m(row, way)))
+        lines = self.lines
+        u, segment = lines.nominal_s, lines.segment
+        s = self._scaling.advance(self._arms.seen(*table_rows(lines.row, u, lines.rows_per_s), person_m))
         pace: Array = s
         standing: Array | float = 1.0
         if slowing is not None and now is not None:
@@ -162,17 +127,7 @@ class _Cells:
             reduced, stopped, paused = now
             pace = np.where(stopped | paused, 0.0, np.minimum(np.minimum(s, reduced), limit) * slider)
             standing = np.where(paused, 0.0, 1.0)
-        rate = np.where(self._moving, pace, standing)
-        left = self._length_s - u
-        self._nominal_s = u + rate * dt
-        ending = rate * dt >= left
-        if ending.any():
-            self._segment = segment + ending
-            self._look_up()
-            for b in np.flatnonzero(ending).tolist():
-                used = left[b] / rate[b]
-                self.ends_s[b][segment[b]] = t_s + used
-                self._nominal_s[b] = (dt - used) * (pace[b] if self._moving[b] else 1.0)
+        lines.advance(t_s, pace, standing)
         return u, s, segment
 
 
@@ -195,10 +150,10 @@ def run(
     records: list[tuple[Array, Array, Ints]] = []
     limit_s = _SLOWEST * max(float(program.length_s.sum()) for program in programs)
     slowing = None if options.causes is None else Slowing(programs, options.causes, streams, limit_s)
-    while cells.running.any():
+    while cells.lines.running.any():
         times = np.asarray((len(records) * _CHUNK + np.arange(_CHUNK)) * options.cycle_s, dtype=np.float64)
         if times[0] > limit_s:
-            raise SimulationError(_stuck(programs[int(np.flatnonzero(cells.running)[0])], limit_s))
+            raise SimulationError(_stuck(programs[int(np.flatnonzero(cells.lines.running)[0])], limit_s))
         people = np.stack([track.at(times) for track in tracks], axis=1)
         people = np.where(np.isnan(people), _FAR_M, people)
         now = [None] * _CHUNK if slowing is None else zip(*slowing.during(times), strict=True)
@@ -208,11 +163,12 @@ def run(
         ]
         records.append((_stack(steps, 0), _stack(steps, 1), np.stack([step[2] for step in steps])))
         if progress is not None:
-            progress(cells.share_done)
+            progress(cells.lines.share_done)
     nominal_s, scaling = (np.concatenate([record[i] for record in records]) for i in (0, 1))
     segment = np.concatenate([record[2] for record in records])
     traces = []
-    for b, (program, track, ends_s) in enumerate(zip(programs, tracks, cells.ends_s, strict=True)):
+    for b, (program, track) in enumerate(zip(programs, tracks, strict=True)):
+        ends_s = cells.lines.ends_s[b, : len(program.kind)]
         n = int(np.ceil(ends_s[-1] / options.cycle_s - 1e-9))
         parts = nominal_s[:n, b].copy(), scaling[:n, b].copy(), segment[:n, b].copy()
         trace = Trace(program, track, *parts, ends_s, options.cycle_s)
@@ -247,7 +203,7 @@ def scaling_after(
     if options.latency_s or options.hysteresis_m or options.ramp_down_per_s or options.ramp_up_per_s:
         raise SimulationError("futures are drawn without latency, hysteresis and ramps")
     cells = _Cells(programs, table, SpeedScaling(safety, options), options.cycle_s)
-    cells.begin_at(*begins)
+    cells.lines.begin_at(*begins)
     times = np.asarray(np.arange(round(after_s / options.cycle_s) + 1) * options.cycle_s, dtype=np.float64)
     people = np.stack([track.at(times) for track in tracks], axis=1)
     for t_s, person in zip(times.tolist(), np.where(np.isnan(people), _FAR_M, people), strict=True):

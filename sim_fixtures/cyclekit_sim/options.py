@@ -52,6 +52,11 @@ class SimulationOptions:
         pick_s: Process time of picking instead of the scene's.
         place_s: Process time of placing instead of the scene's.
         causes: What slows or stops the robot besides the person (CSV); None: nothing does.
+        people: What the logs hold of people (CSV): the tracker, the signals of fields, both or nothing; None: what the
+            scene has. With signals the safety function is that of the scene's fields.
+        coupling: In which share of the joint tasks robot and operator wait, in cells where they do (CSV).
+        signals: False leaves buttons and sensors out of the logs of such cells.
+        task_list: The logs of such a cell are starts and ends of tasks alone.
     """
 
     logs: Literal["csv", "mcap"] = "csv"
@@ -82,6 +87,10 @@ class SimulationOptions:
     pick_s: float | None = None
     place_s: float | None = None
     causes: MixedCauses | None = None
+    people: Literal["tracker", "signals", "both", "none"] | None = None
+    coupling: float = 1.0
+    signals: bool = True
+    task_list: bool = False
 
     def __post_init__(self) -> None:
         """Refuse values no cell can have, all at once."""
@@ -103,7 +112,9 @@ class SimulationOptions:
                 (self.encoder_noise_rad < 0, f"encoder_noise_rad is {self.encoder_noise_rad}: use 0 or more"),
                 (min(self.pick_s or 1.0, self.place_s or 1.0) < 0, "pick_s and place_s are times: use 0 or more"),
                 (self.executions_per_session < 1, "executions_per_session must be 1 or more"),
+                (not 0 <= self.coupling <= 1, f"coupling is {self.coupling}: use a fraction from 0 to 1"),
                 (self.causes is not None and self.logs == "mcap", "causes are written to CSV logs only"),
+                (self.people not in (None, "tracker") and self.logs == "mcap", "people is for CSV logs only"),
             )
             if wrong
         ]

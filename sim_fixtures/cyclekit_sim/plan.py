@@ -16,6 +16,7 @@ from cyclekit_sim.choices import (
     FRESH,
     LOGGED,
     OPERATOR,
+    PARTS,
     PAUSE,
     ROBOT,
     SLOWING,
@@ -26,6 +27,7 @@ from cyclekit_sim.choices import (
 )
 from cyclekit_sim.engine import Trace, run
 from cyclekit_sim.errors import SimulationError
+from cyclekit_sim.fields import with_inputs
 from cyclekit_sim.motion import MotionTable, plan_moves
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.program import HOME, Execution, compile_program
@@ -97,7 +99,7 @@ def run_sessions(work: Work, progress: Callable[[float], None] | None = None) ->
         traces = iter(_run(work, groups, report))
         for number, part in enumerate(batch, start=first):
             mine = [next(traces)] if scene.continuous else [next(traces) for _ in part]
-            yield Session(number, tuple(mine), _begins(work, mine), work.table)
+            yield Session(number, tuple(mine), begins_of(scene, work.seed, options, mine), work.table)
 
 
 def _run(work: Work, groups: list[list[Execution]], progress: Callable[[float], None] | None) -> list[Trace]:
@@ -106,7 +108,7 @@ def _run(work: Work, groups: list[list[Execution]], progress: Callable[[float], 
     programs = [compile_program(group, work.table, pick_s=pick_s, place_s=place_s) for group in groups]
     tracks = [_track(work, group[0].index) for group in groups]
     streams = [stream(work.seed, scene, SLOWING, group[0].index, domain=work.domain) for group in groups]
-    return run(
+    traces = run(
         programs,
         tracks,
         table=work.table,
@@ -115,6 +117,10 @@ def _run(work: Work, groups: list[list[Execution]], progress: Callable[[float], 
         streams=streams,
         progress=progress,
     )
+    if work.options.people not in ("signals", "both"):
+        return traces
+    parts = [stream(work.seed, scene, PARTS, group[0].index, domain=work.domain) for group in groups]
+    return [with_inputs(trace, scene.fields, rng) for trace, rng in zip(traces, parts, strict=True)]
 
 
 def process_times(work: Work) -> tuple[float, float]:
@@ -137,11 +143,11 @@ def _track(work: Work, index: int) -> Track:
     return WalkedTrack(operator_legs(work.scene, rng), skip_s=skip_s)
 
 
-def _begins(work: Work, traces: Sequence[Trace]) -> tuple[float, ...]:
+def begins_of(scene: Scene, seed: int, options: SimulationOptions, traces: Sequence[Trace]) -> tuple[float, ...]:
     """Return when each run begins, a pause after the one before, on whole control cycles."""
-    cycle_s, begins, at = work.options.cycle_s, [0.0], 0.0
+    cycle_s, begins, at = options.cycle_s, [0.0], 0.0
     for before, after in pairwise(traces):
-        rng = stream(work.seed, work.scene, PAUSE, after.program.executions[0].index)
+        rng = stream(seed, scene, PAUSE, after.program.executions[0].index)
         at = float(np.ceil((at + before.duration_s + rng.uniform(*_PAUSE_S)) / cycle_s)) * cycle_s
         begins.append(at)
     return tuple(begins)

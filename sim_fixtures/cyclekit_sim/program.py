@@ -18,6 +18,8 @@ from cyclekit_sim.motion import MotionTable
 MOVE, DWELL, WAIT, IDLE = 0, 1, 2, 3
 HOME = "home"
 Ints = NDArray[np.int64]
+Column = tuple[int, float, int, float, int, int, int, int]
+"""kind, length_s, row, rows_per_s, task, execution, closed_before, closed_after of a segment."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ def compile_program(executions: Sequence[Execution], table: MotionTable, *, pick
 
     The gripper says what a dwell is: an empty one picks, a full one places. Nothing happens at home.
     """
-    columns: list[tuple[int, float, int, float, int, int, int, int]] = []
+    columns: list[Column] = []
     goals: list[str] = []
     closed = 0
     for execution in executions:
@@ -84,6 +86,11 @@ def compile_program(executions: Sequence[Execution], table: MotionTable, *, pick
         if execution.idle_s > 0:
             columns.append((IDLE, execution.idle_s, stand, 0.0, -1, -1, closed, closed))
             goals.append(execution.places[-1])
+    return program_of(columns, goals, executions)
+
+
+def program_of(columns: Sequence[Column], goals: Sequence[str], executions: Sequence[Execution]) -> Program:
+    """Return the program of these segments and the goal of each."""
     kind, length_s, row, per_s, task_no, index, before, after = zip(*columns, strict=True)
 
     def whole(values: Sequence[int]) -> Ints:

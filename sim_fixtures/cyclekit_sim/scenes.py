@@ -8,9 +8,11 @@ plausible; levels and thresholds of the first two cells are those of the paper (
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from cyclekit_sim.fields import Field, rule_of
 from cyclekit_sim.motion import Place
+from cyclekit_sim.rules import Points
 from cyclekit_sim.safety import DistanceStaircase, FloorZone, FloorZones, SafetyFunction, SlowestOf
 
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -47,6 +49,11 @@ class Scene:
             station to station. "visit": away for a while, in by `door` to one to three stations, and out again, for
             ever and whatever the robot does.
         away_s: Shortest and mean time away of an operator who visits.
+        passing: Share of the visits in which somebody only walks by, in at `door` and out at `exit`.
+        fields: What watches the floor where the logs hold signals of people; its safety function is then theirs.
+        plc: A PLC's event log holds the signals; else the robot's digital inputs do.
+        tracked: A tracker logs the operator; else the signals do.
+        latency_s, ramp_down_per_s, ramp_up_per_s: Its response, where the options leave it at once.
         continuous: One recording without pauses, the operator going on from execution to execution.
     """
 
@@ -64,6 +71,13 @@ class Scene:
     operator: str
     continuous: bool
     away_s: tuple[float, float] = (0.0, 0.0)
+    passing: float = 0.0
+    fields: tuple[Field, ...] = ()
+    plc: bool = False
+    tracked: bool = True
+    latency_s: float = 0.0
+    ramp_down_per_s: float | None = None
+    ramp_up_per_s: float | None = None
 
     @property
     def slots(self) -> tuple[str, ...]:
@@ -100,6 +114,7 @@ def _box_picking() -> Scene:
         stations=stations,
         furniture=_two_tables(),
         safety=DistanceStaircase(LEVELS, (1.2, 1.5, 1.9, 2.4)),
+        fields=_three_fields(),
         picks=10,
         repeats_slots=False,
         pick_s=0.6,
@@ -212,7 +227,80 @@ def _scanner_visits() -> Scene:
     )
 
 
-BUILT_IN: dict[str, Scene] = {
-    scene.name: scene for scene in (_box_picking(), _pick_and_package(), _laser_zones(), _scanner_visits())
-}
-SCENES: tuple[str, ...] = tuple(BUILT_IN)
+_LEFT: Points = ((-1.0, 0.05), (1.0, 0.05), (1.0, 1.0), (-1.0, 1.0))
+_RIGHT: Points = ((-1.0, -1.0), (1.0, -1.0), (1.0, -0.05), (-1.0, -0.05))
+
+
+def _three_fields() -> tuple[Field, ...]:
+    """Box-picking watched by a scanner: a warning field, and a protective field on either side."""
+    return (
+        Field("warning", 4, (-1.3, 2.6), (-2.3, 2.3), 0.5),
+        Field("protective_left", 5, (-0.8, 1.4), (1.0, 2.1), 0.0, _LEFT, occupied=0),
+        Field("protective_right", 8, (-0.8, 1.4), (-2.1, -1.0), 0.0, _RIGHT, occupied=0),
+    )
+
+
+def _scanner_fields() -> Scene:
+    """Habitual visits and passers-by; the protective field counts while the robot is at its left table."""
+    stations = {
+        "door": _station(3.4, 1.6, (0.2, 0.6)),
+        "exit": _station(3.3, -1.9, (0.2, 0.6)),
+        "feeder": _station(0.7, 1.35, (3.0, 6.0)),
+        "shelf": _station(1.9, -0.9, (3.0, 8.0)),
+        "panel": _station(2.1, 0.6, (2.0, 5.0)),
+    }
+    fields = (
+        Field("warning", 4, (-1.2, 2.5), (-1.5, 2.0), 0.5),
+        Field("protective", 5, (-0.8, 1.3), (0.9, 1.8), 0.0, _LEFT, occupied=0),
+    )
+    base = _scanner_visits()
+    return replace(
+        base,
+        name="scanner-fields",
+        stations=stations,
+        safety=rule_of(fields),
+        away_s=(4.0, 12.0),
+        passing=0.35,
+        fields=fields,
+        tracked=False,
+        latency_s=0.12,
+        ramp_down_per_s=2.0,
+        ramp_up_per_s=1.0,
+    )
+
+
+def _light_curtain() -> Scene:
+    """A light curtain before each table and a mat in front, logged by a PLC; nobody walks by."""
+    stations = {
+        "door": _station(3.4, 1.6, (0.2, 0.6)),
+        "left": _station(0.1, 1.15, (2.0, 5.0)),
+        "right": _station(0.1, -1.15, (2.0, 5.0)),
+        "front": _station(1.7, 0.0, (3.0, 7.0)),
+    }
+    fields = (
+        Field("mat_front", 4, (1.3, 2.1), (-0.7, 0.7), 0.4),
+        Field("curtain_left", 5, (-0.7, 0.9), (0.8, 1.4), 0.0, _LEFT, occupied=0),
+        Field("curtain_right", 8, (-0.7, 0.9), (-1.4, -0.8), 0.0, _RIGHT, occupied=0),
+    )
+    base = _scanner_visits()
+    return replace(
+        base,
+        name="light-curtain",
+        stations=stations,
+        safety=rule_of(fields),
+        away_s=(3.0, 9.0),
+        fields=fields,
+        plc=True,
+        tracked=False,
+        latency_s=0.06,
+        ramp_down_per_s=4.0,
+        ramp_up_per_s=0.8,
+    )
+
+
+TRACKED = (_box_picking(), _pick_and_package(), _laser_zones(), _scanner_visits())
+BUILT_IN: dict[str, Scene] = {scene.name: scene for scene in (*TRACKED, _scanner_fields(), _light_curtain())}
+SCENES: tuple[str, ...] = tuple(scene.name for scene in TRACKED)
+"""Those whose operator a tracker logs."""
+FIELD_SCENES: tuple[str, ...] = tuple(name for name in BUILT_IN if name not in SCENES)
+"""Those without a tracker: signals alone tell of people."""

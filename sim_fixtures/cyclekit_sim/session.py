@@ -59,12 +59,16 @@ class RobotStates:
 
 @dataclass(frozen=True)
 class Session:
-    """Runs and when they begin (session time, whole control cycles)."""
+    """Runs and when they begin (session time, whole control cycles).
+
+    `signals` are time, name and value of what is logged as events; None: the operator's presses.
+    """
 
     index: int
     traces: tuple[Trace, ...]
     begins_s: tuple[float, ...]
     table: MotionTable
+    signals: tuple[tuple[float, str, str], ...] | None = None
 
     @property
     def name(self) -> str:
@@ -98,6 +102,12 @@ class Session:
                 done = (t_s[between] - ends[i]) / (self.begins_s[i + 1] - ends[i])
                 found[between] = here + (done**2 * (3 - 2 * done))[:, None] * (there - here)
         return found
+
+    def events(self) -> list[tuple[float, str, str]]:
+        """Return time, name and value of each event, in session time."""
+        if self.signals is not None:
+            return list(self.signals)
+        return [(press.t_s, "operator_goal", press.goal) for press in self.presses()]
 
     def presses(self) -> list[Press]:
         """Return the operator's button presses, in session time."""

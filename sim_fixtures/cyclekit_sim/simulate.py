@@ -19,17 +19,22 @@ import polars as pl
 
 from cyclekit_sim.cell_file import cell_file
 from cyclekit_sim.choices import ENCODER, SEQUENCE, TRACKER, draw_places, stream
+from cyclekit_sim.coupled import CoupledWork, coupled_work
+from cyclekit_sim.coupled_list import listed_conditions, task_list
+from cyclekit_sim.coupled_scenes import COUPLED
+from cyclekit_sim.coupled_truth import conditions, coupled_executions, coupled_tasks
 from cyclekit_sim.encoder import measured
 from cyclekit_sim.errors import SimulationError
+from cyclekit_sim.fields import NAMES, rule_of
 from cyclekit_sim.motion import Place
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.plan import Work, prepare, process_times, run_alone, run_sessions
-from cyclekit_sim.scenes import BUILT_IN, SCENES, Scene
+from cyclekit_sim.scenes import BUILT_IN, Scene
 from cyclekit_sim.session import Session
 from cyclekit_sim.tracker import record
 from cyclekit_sim.truth import execution_table, sample_table, task_rows, task_table
 from cyclekit_sim.write_bag import BAG_EPOCH_S, write_bag
-from cyclekit_sim.write_csv import UPTIME_S, write_events, write_people, write_robot
+from cyclekit_sim.write_csv import UPTIME_S, write_events, write_people, write_plc, write_robot
 
 Progress = Callable[[float, str], None]
 _DEFAULT = SimulationOptions()
@@ -59,7 +64,7 @@ def simulate(
     """Simulate a cell and write its logs, its cell file and its ground truth into the folder `out`.
 
     Args:
-        scene: One of SCENES.
+        scene: One of SCENES, FIELD_SCENES or COUPLED.
         out: Folder to make. An earlier simulation there is replaced; any other content is refused.
         executions: How many executions of the process.
         seed: Same seed, same bytes; execution i is the same however many are simulated.
@@ -73,7 +78,7 @@ def simulate(
         SimulationError: Unknown scene, unusable options, a folder with other content, or a robot that gets stuck.
         OSError: The folder cannot be written; what was there stays.
     """
-    work = prepare(_scene(scene, options), seed, options, executions=executions)
+    work = _prepare(scene, seed, options, executions)
     _refuse_foreign(out)
     partial, retired = (out.with_name(f".{out.name}.{kind}") for kind in ("partial", "retired"))
     if retired.exists() and not out.exists():  # killed between the two renames below
@@ -111,7 +116,8 @@ def simulate_sequence(
     Raises:
         SimulationError: Unknown scene or place, or a robot that gets stuck.
     """
-    work = prepare(_scene(scene, options), seed, options, executions=executions, places=places)
+    cell, options = _set_up(scene, options)
+    work = prepare(cell, seed, options, executions=executions, places=places)
     rows = [row for trace in run_alone(work, work.executions) for row in task_rows(trace, 0.0)]
     sums = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
     return (
@@ -121,11 +127,40 @@ def simulate_sequence(
     )
 
 
-def _scene(name: str, options: SimulationOptions = _DEFAULT) -> Scene:
+def _scene(name: str) -> Scene:
     if name not in BUILT_IN:
-        raise SimulationError(f"no scene {name!r}: choose one of {', '.join(SCENES)}")
-    scene = BUILT_IN[name]
-    return scene if options.rule is None else dataclasses.replace(scene, safety=options.rule)
+        raise SimulationError(f"no scene {name!r}: choose one of {', '.join((*BUILT_IN, *COUPLED))}")
+    return BUILT_IN[name]
+
+
+def _set_up(name: str, options: SimulationOptions) -> tuple[Scene, SimulationOptions]:
+    """Return the scene with the safety function that the options ask for, and the options with what it leaves open."""
+    scene = _scene(name)
+    people = options.people or ("tracker" if scene.tracked else "signals")
+    if people in ("signals", "both"):
+        if not scene.fields:
+            raise SimulationError(f"{name} has no fields, so it cannot log their signals: use people = 'tracker'")
+        scene = dataclasses.replace(scene, safety=rule_of(scene.fields))
+    if options.rule is not None:
+        scene = dataclasses.replace(scene, safety=options.rule)
+    return scene, dataclasses.replace(
+        options,
+        people=people,
+        latency_s=options.latency_s or scene.latency_s,
+        ramp_down_per_s=options.ramp_down_per_s or scene.ramp_down_per_s,
+        ramp_up_per_s=options.ramp_up_per_s or scene.ramp_up_per_s,
+    )
+
+
+def _prepare(scene: str, seed: int, options: SimulationOptions, executions: int) -> Work | CoupledWork:
+    if scene in COUPLED:
+        if options.people not in (None, "tracker"):
+            raise SimulationError(f"{scene} has no fields, so it cannot log their signals: use people = 'tracker'")
+        return coupled_work(scene, seed, dataclasses.replace(options, people="tracker"), executions)
+    if options.coupling != 1.0 or not options.signals or options.task_list:
+        raise SimulationError(f"{scene}: coupling, signals and task lists are of {', '.join(COUPLED)}")
+    cell, options = _set_up(scene, options)
+    return prepare(cell, seed, options, executions=executions)
 
 
 def _refuse_foreign(out: Path) -> None:
@@ -135,32 +170,48 @@ def _refuse_foreign(out: Path) -> None:
         raise SimulationError(f"{out} exists and is not an earlier simulation: choose another folder")
 
 
-def _write(folder: Path, work: Work, progress: Progress) -> None:
+def _write(folder: Path, work: Work | CoupledWork, progress: Progress) -> None:
     (folder / "truth").mkdir(parents=True)
     clock_s = BAG_EPOCH_S if work.options.logs == "mcap" else UPTIME_S
-    plans = {execution.index: execution for execution in work.executions}
     tables: dict[str, list[pl.DataFrame]] = {name: [] for name in _TRUTH}
+    lists: list[pl.DataFrame] = []
     total = len(work.executions)
 
     def in_motion(share: float) -> None:
         progress(share, "cell in motion")
 
-    for session in run_sessions(work, in_motion):
-        tasks = task_table(session, clock_s)
+    sessions = work.sessions(in_motion) if isinstance(work, CoupledWork) else run_sessions(work, in_motion)
+    for session in sessions:
+        tasks, executions = _tables(session, work, clock_s)
         last = int(tasks["execution"][-1])
         progress((last + 1) / total, f"writing {session.name}, execution {last + 1} of {total}")
-        _write_session(folder / session.name, session, work)
+        if isinstance(work, CoupledWork) and work.options.task_list:
+            lists.append(task_list(session, work.cell))
+        else:
+            _write_session(folder / session.name, session, work)
         tables["tasks"].append(tasks)
-        tables["executions"].append(execution_table(tasks, session.name, plans))
+        tables["executions"].append(executions)
         tables["samples"].append(sample_table(session, work.scene, clock_s))
     for name, parts in tables.items():
         pl.concat(parts).write_parquet(folder / "truth" / f"{name}.parquet")
     (folder / "truth" / "truth.json").write_text(_facts(work), encoding="utf-8")
-    (folder / "cell.toml").write_text(cell_file(work.scene, work.options), encoding="utf-8")
+    if lists:
+        pl.concat(lists).write_csv(folder / "tasks.csv", float_precision=3)
+    (folder / "cell.toml").write_text(cell_file(work.scene, work.options, *_signal_logs(work)), encoding="utf-8")
     progress(1.0, "done")
 
 
-def _write_session(folder: Path, session: Session, work: Work) -> None:
+def _tables(session: Session, work: Work | CoupledWork, clock_s: float) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Return the true tasks and executions of a session."""
+    if isinstance(work, CoupledWork):
+        tasks = coupled_tasks(session, work.cell, clock_s)
+        return tasks, coupled_executions(tasks, session)
+    tasks = task_table(session, clock_s)
+    plans = {execution.index: execution for execution in work.executions}
+    return tasks, execution_table(tasks, session.name, plans)
+
+
+def _write_session(folder: Path, session: Session, work: Work | CoupledWork) -> None:
     folder.mkdir()
     options = work.options
     frames = record(session, options, stream(work.seed, work.scene, TRACKER, session.index))
@@ -168,17 +219,39 @@ def _write_session(folder: Path, session: Session, work: Work) -> None:
     if options.logs == "mcap":
         write_bag(folder / f"{session.name}.mcap", session, robot, frames, options)
         return
-    write_robot(folder / "robot.csv", robot, options)
-    write_people(folder / "operator.csv", frames, options, session.name)
-    write_events(folder / "events.csv", session, options)
+    events, inputs = _signal_logs(work)
+    fields = options.people in ("signals", "both")
+    write_robot(folder / "robot.csv", robot, options, inputs=inputs or (fields and not work.scene.plc))
+    if fields and work.scene.plc:
+        write_plc(folder / "plc.csv", session, work.scene.fields)
+    if options.people in ("tracker", "both"):
+        write_people(folder / "operator.csv", frames, options, session.name)
+        if events:
+            write_events(folder / "events.csv", session, options)
 
 
-def _facts(work: Work) -> str:
+def _signal_logs(work: Work | CoupledWork) -> tuple[bool, bool]:
+    """Return whether there are logs of events, and digital inputs in the robot's log."""
+    return work.signal_logs if isinstance(work, CoupledWork) else (True, work.options.causes is not None)
+
+
+def _facts(work: Work | CoupledWork) -> str:
     options = dataclasses.asdict(dataclasses.replace(work.options, rule=None))
     del options["rule"]  # it is the safety function below
     if work.options.causes is None:
         del options["causes"]
+    signals = work.options.people in ("signals", "both")
+    if work.options.people == "tracker":
+        del options["people"]
     options["operator_log"] = work.options.operator_log.name if work.options.operator_log else None
+    more: dict[str, object]
+    if isinstance(work, CoupledWork):
+        feed = dataclasses.asdict(work.cell.feed) if work.cell.feed else None
+        waits = listed_conditions(work.cell) if work.options.task_list else conditions(work.cell)
+        more = {"process_s": work.cell.robot_s, "conditions": waits, "feed": feed}
+    else:
+        del options["coupling"], options["signals"], options["task_list"]
+        more = dict(zip(("pick_s", "place_s"), process_times(work), strict=True))
     scene = work.scene
     facts = {
         "scene": scene.name,
@@ -188,6 +261,7 @@ def _facts(work: Work) -> str:
         "safety": {"kind": type(scene.safety).__name__, **msgspec.to_builtins(scene.safety)},
         "places": scene.places,
         "human_places": {name: station.xyz_m for name, station in scene.stations.items()},
-        **dict(zip(("pick_s", "place_s"), process_times(work), strict=True)),
+        **more,
+        **({"fields": [dataclasses.asdict(one) for one in scene.fields], "other_bits": NAMES} if signals else {}),
     }
     return json.dumps(facts, indent=2, default=np.ndarray.tolist) + "\n"

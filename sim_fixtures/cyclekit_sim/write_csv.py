@@ -7,11 +7,13 @@ CSV has `time,signal,value`, in the tracker's clock.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
+from cyclekit_sim.fields import Field, events_of
 from cyclekit_sim.options import SimulationOptions
 from cyclekit_sim.session import RobotStates, Session
 from cyclekit_sim.tracker import Frames, in_tracker_frame, tracker_time
@@ -22,8 +24,8 @@ _BODY = "Operator"
 _BODY_ID = "5F1C2A9E0B7D11EFA3C20242AC120002"
 
 
-def write_robot(path: Path, robot: RobotStates, options: SimulationOptions) -> None:
-    """Write what the controller measured as UR's `record.py` does."""
+def write_robot(path: Path, robot: RobotStates, options: SimulationOptions, *, inputs: bool = False) -> None:
+    """Write what the controller measured as UR's `record.py` does; `inputs`: with the digital inputs."""
     count = len(robot.t_s)
     pose = np.concatenate([robot.tcp_m, robot.rotation_vector], axis=1)
     groups = zip(_GROUPS, (robot.q_rad, robot.qd_rad_s, pose, robot.twist), strict=True)
@@ -31,7 +33,7 @@ def write_robot(path: Path, robot: RobotStates, options: SimulationOptions) -> N
     columns |= {f"{name}_{i}": pl.Series(values[:, i]) for name, values in groups for i in range(6)}
     if options.log_outputs:
         columns["actual_digital_output_bits"] = pl.Series(robot.closed)
-    if options.causes is not None:
+    if inputs:
         columns["actual_digital_input_bits"] = pl.Series(robot.inputs)
     columns["robot_mode"] = pl.repeat(7, count, eager=True)
     columns["safety_status"] = pl.repeat(1, count, eager=True)
@@ -80,11 +82,18 @@ def _motive_header(take: str, frames: int, options: SimulationOptions) -> str:
 
 def write_events(path: Path, session: Session, options: SimulationOptions) -> None:
     """Write the button presses, tracker clock."""
-    presses = session.presses()
-    times = tracker_time(np.array([press.t_s for press in presses], dtype=np.float64), options)
+    events = session.events()
+    times = tracker_time(np.array([t_s for t_s, _, _ in events], dtype=np.float64), options)
     columns = {
         "time": pl.Series(times, dtype=pl.Float64),
-        "signal": pl.Series(["operator_goal"] * len(presses), dtype=pl.String),
-        "value": pl.Series([press.goal for press in presses], dtype=pl.String),
+        "signal": pl.Series([signal for _, signal, _ in events], dtype=pl.String),
+        "value": pl.Series([value for _, _, value in events], dtype=pl.String),
     }
+    pl.DataFrame(columns).write_csv(path, float_precision=4)
+
+
+def write_plc(path: Path, session: Session, fields: Sequence[Field]) -> None:
+    """Write the signals that a PLC logs, each when it changes, the robot's clock."""
+    times, names, values = events_of(session, fields)
+    columns = {"time": np.array(times) + UPTIME_S, "signal": names, "value": values}
     pl.DataFrame(columns).write_csv(path, float_precision=4)

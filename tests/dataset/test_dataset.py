@@ -30,7 +30,7 @@ CONTRACT = [
     *("execution", "t_s", "robot_x_m", "robot_y_m", "robot_z_m", "human_x_m", "human_y_m", "human_z_m"),
     *("robot_goal_x_m", "robot_goal_y_m", "robot_goal_z_m", "human_goal_x_m", "human_goal_y_m", "human_goal_z_m"),
     *("scaling", "scaling_origin", "scaling_sd", "scaling_gap", "slider", "step"),
-    *("robot_task", "human_task", "robot_moving", "human_gap", "lost_to"),
+    *("robot_task", "human_task", "robot_moving", "human_gap", "lost_to", "human_signals"),
 ]
 
 BARE = {

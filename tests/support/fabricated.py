@@ -128,7 +128,9 @@ def _execute(name: str, start_s: float, rounds: int, operator: _Operator | None)
     return _native(name, start_s, rows), done
 
 
-NOT_ROLLED = {"execution", "t_s", "scaling_origin", "scaling_sd", "scaling_gap", "slider", "step", "lost_to"}
+NOT_ROLLED = {"execution", "t_s", "scaling_origin", "scaling_sd", "scaling_gap", "slider", "step", "lost_to"} | set(
+    schema.ADDED_TO_SAMPLES
+)
 
 
 def _native(name: str, start_s: float, rows: list[list[Any]]) -> pl.DataFrame:

@@ -14,6 +14,7 @@ from cyclekit.dataset.cards.dataset import DatasetCard as DatasetCard
 from cyclekit.dataset.cards.dataset import DynamicsCard as DynamicsCard
 from cyclekit.dataset.cards.dataset import ExecutionCard as ExecutionCard
 from cyclekit.dataset.cards.dataset import FileCard as FileCard
+from cyclekit.dataset.cards.dataset import OperatorSignalCard as OperatorSignalCard
 from cyclekit.dataset.cards.dataset import PlaceCard as PlaceCard
 from cyclekit.dataset.cards.dataset import RowCounts as RowCounts
 from cyclekit.dataset.cards.dataset import UnreadCard as UnreadCard

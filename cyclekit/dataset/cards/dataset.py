@@ -12,6 +12,8 @@ from cyclekit.dataset.cards.quantities import (
     Card,
     Count,
     Digest,
+    Duration,
+    Fraction,
     Hertz,
     Length,
     Name,
@@ -101,6 +103,28 @@ class DynamicsCard(Card, frozen=True, kw_only=True):
     hold_s: Seconds | None = None
 
 
+class OperatorSignalCard(Card, frozen=True, kw_only=True):
+    """A signal that tells of people: the field of a scanner, a light curtain, a door.
+
+    Attributes:
+        name: What it is called; bit k of column `human_signals` is that of entry k.
+        signal: The signal in the logs: `digital-input 3`, or the name of an event.
+        recording: Id of the recording that holds it; None: in several sessions each has a recording of its own.
+        occupied: Its value, as text, while somebody is there.
+        delay_s: From its change to the beginning of the change of speed.
+        explained: Share of the time lost to speed scaling that it explains together with those before it.
+        told: The cell file names it; False where it was found in the logs.
+    """
+
+    name: Name
+    signal: Name
+    recording: str | None = None
+    occupied: str
+    delay_s: Duration = 0.0
+    explained: Fraction = 0.0
+    told: bool = False
+
+
 class RowCounts(Card, frozen=True, kw_only=True):
     """Rows of the tables that all recordings share."""
 
@@ -139,6 +163,7 @@ class DatasetCard(Card, frozen=True, kw_only=True):
         levels: Of the speed scaling, ascending; empty where none were found.
         scaling_origin: `logged`, `inferred`, both joined by "and"; None without a scaling.
         dynamics: The safety function in time.
+        operator_signals: Signals that tell of people, in the order of the bits of `human_signals`.
         rows: Of the shared tables.
         warnings: What a person must know before trusting it.
         files: Every other file of the dataset, by its path in there; None in those of an earlier version.
@@ -162,6 +187,7 @@ class DatasetCard(Card, frozen=True, kw_only=True):
     levels: tuple[Scaling, ...]
     scaling_origin: str | None = None
     dynamics: DynamicsCard = DynamicsCard()
+    operator_signals: Annotated[tuple[OperatorSignalCard, ...], msgspec.Meta(max_length=32)] = ()
     rows: RowCounts
     warnings: tuple[Note, ...] = ()
     files: dict[str, FileCard] | None = None

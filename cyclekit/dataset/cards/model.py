@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, field
 
 from cyclekit.dataset.cards.coupling import CouplingCard
+from cyclekit.dataset.cards.dataset import OperatorSignalCard
 from cyclekit.dataset.cards.notes import Note, from_sentences, texts
 from cyclekit.dataset.cards.quantities import (
     Card,
@@ -157,6 +158,8 @@ class TrainingCard(Card, frozen=True, kw_only=True):
         warnings: What a person must know before trusting it.
         rule: The rule that answers in place of the network; None = the network answers.
         coupling: Who waits for whom; None = it was not looked for.
+        operator_signals: Signals that it was learned from in place of the operator's position, in the order of the bits
+            of `human_signals`; empty where the position was known.
     """
 
     cyclekit: str | None = None
@@ -186,6 +189,7 @@ class TrainingCard(Card, frozen=True, kw_only=True):
     history: tuple[EpochCard, ...] | None = None
     rule: RuleCard | None = None
     coupling: CouplingCard | None = None
+    operator_signals: tuple[OperatorSignalCard, ...] = ()
 
     @property
     def held_out(self) -> tuple[str, ...]:

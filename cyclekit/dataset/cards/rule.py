@@ -68,11 +68,19 @@ class PolygonCard(Card, frozen=True, kw_only=True):
 
 
 class SignalCard(Card, frozen=True, kw_only=True):
-    """A signal has this value; the level answers after `delay_s`."""
+    """A signal has this value.
+
+    Attributes:
+        signal: Its name.
+        value: The value, as text.
+        delay_s: The commanded level answers this much later than that of the rule's latency.
+        robot: It counts only while the TCP is in this rectangle on the floor; None: wherever the TCP is.
+    """
 
     signal: str
     value: str
     delay_s: Duration = 0.0
+    robot: RectangleCard | None = None
 
 
 class RegionCard(Card, frozen=True, kw_only=True):

@@ -61,7 +61,8 @@ def inside(region: RegionCard, rows: Positions) -> Bools:
     for polygon in region.polygons:
         found |= within_sides(polygon.sides, rows.floor_m)
     for signal in region.signals:
-        found |= rows.signals[signal.signal, signal.delay_s] == signal.value
+        on = rows.signals[signal.signal, signal.delay_s] == signal.value
+        found |= on if signal.robot is None else on & within_rectangle(signal.robot, rows.tcp_m)
     if region.robot is None:
         return found
     there = within_rectangle(region.robot, rows.tcp_m)

@@ -17,12 +17,18 @@ from cyclekit.learning.rules.quantities import grown, quantities
 from cyclekit.learning.rules.regions import allowed, asks_operator
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
-    from cyclekit.dataset.cards import TrainingCard
+    from cyclekit.dataset.cards import OperatorSignalCard, TrainingCard
     from cyclekit.dataset.cards.rule import LimitCard, RegionCard, RuleCard
     from cyclekit.learning.networks.saved import TrainedModel
     from cyclekit.schema import Vector
+
+
+ON, OFF = "1", "0"
+"""Values of a signal that tells of people: somebody is there, or not."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +97,17 @@ class RuleSafety:
         found = [allowed(self.rule.limits, self.rule.levels, rows, until=until) for until in sides]
         return np.asarray(np.mean(found, axis=0))
 
+    def predict_signals(self, robot_m: NDArray[np.floating[Any]], signals: NDArray[np.int64]) -> Vector:
+        """Return the commanded scaling where signals tell of people, shape (N,); the response is not in it.
+
+        Args:
+            robot_m: The TCP, shape (N, 3), m.
+            signals: Which signals are on, shape (N,): bits as in column `human_signals` of the model's dataset.
+        """
+        robot, nobody = np.asarray(robot_m, np.float64), np.full((len(signals), 2), np.nan)
+        rows = Positions({}, nobody, robot[:, :2], bits_as_values(self.card.operator_signals, signals, self.rule))
+        return allowed(self.rule.limits, self.rule.levels, rows, until=False)
+
     def _apart(self, name: str, robot_m: NDArray[np.float64], human_m: NDArray[np.float64]) -> Vector:
         if name == TO_LINK:
             return to_links(self._arm.points(robot_m), human_m)
@@ -104,14 +121,28 @@ class RuleSafety:
 def answering(model: TrainedModel) -> TrainedModel | RuleSafety:
     """Return what answers for a model: the rule beside it if it has one that can be asked, else its network.
 
-    A rule on a signal needs its values, which no estimate has, and one on the nearest link the poses of the arm.
+    A rule on signals needs those of the model's dataset (`predict_signals`), one on the nearest link the arm's poses.
     """
     rule = model.card.rule
-    if rule is None or any(region.signals for region in _regions(rule)):
+    if rule is None or (asks_signals(rule) and not model.card.operator_signals):
         return model
     if TO_LINK in distances_of(rule) and not rule.poses:
         return model
     return RuleSafety(rule, model.card)
+
+
+def asks_signals(rule: RuleCard) -> bool:
+    """Return whether a rule goes by signals in place of positions of the operator."""
+    return any(region.signals for region in _regions(rule))
+
+
+def bits_as_values(
+    named: Sequence[OperatorSignalCard], signals: NDArray[np.int64], rule: RuleCard
+) -> dict[tuple[str, float], NDArray[np.str_]]:
+    """Return the values that a rule asks for, by signal and delay, of bit fields (N,)."""
+    bits = {one.name: k for k, one in enumerate(named)}
+    asked = {(one.signal, one.delay_s) for region in _regions(rule) for one in region.signals}
+    return {each: np.where((signals >> bits[each[0]]) & 1, ON, OFF) for each in asked}
 
 
 def distances_of(rule: RuleCard) -> set[str]:

@@ -1,0 +1,140 @@
+"""Cells where robot and operator wait, from a seed to sessions, and fresh executions of one order of both agents."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cyclekit_sim.arm import Array
+from cyclekit_sim.choices import FRESH, LOGGED, ROBOT, SEQUENCE, stream
+from cyclekit_sim.coupled_program import Order, check_order, plan_all, random_order
+from cyclekit_sim.coupled_run import CoupledTrace, make_cell, run_cells
+from cyclekit_sim.coupled_scenes import COUPLED, Coupled
+from cyclekit_sim.errors import SimulationError
+from cyclekit_sim.motion import MotionTable
+from cyclekit_sim.options import SimulationOptions
+from cyclekit_sim.plan import begins_of
+from cyclekit_sim.scenes import Scene
+from cyclekit_sim.session import Session
+
+_BATCH, _FRESH_BATCH = 128, 500  # executions stepped side by side
+_DEFAULT = SimulationOptions()
+
+
+@dataclass(frozen=True)
+class CoupledWork:
+    """What is to be simulated: the cell, its motion table, and the order of each execution."""
+
+    cell: Coupled
+    seed: int
+    options: SimulationOptions
+    table: MotionTable
+    executions: tuple[Order, ...]
+
+    @property
+    def scene(self) -> Scene:
+        """Its places, stations and safety function."""
+        return self.cell.scene
+
+    @property
+    def signal_logs(self) -> tuple[bool, bool]:
+        """Whether there are logs of events, and digital inputs in the robot's log."""
+        told = self.options.signals
+        return told and len(self.cell.bits) < len(self.cell.signals), told and bool(self.cell.bits)
+
+    def sessions(self, progress: Callable[[float], None] | None = None) -> Iterator[Session]:
+        """Yield the sessions in order."""
+        size = self.options.executions_per_session
+        per_batch = max(1, _BATCH // size) * size
+        for first in range(0, len(self.executions), per_batch):
+            last = min(first + per_batch, len(self.executions))
+
+            def report(done: float, first: int = first, count: int = last - first) -> None:
+                if progress is not None:
+                    progress((first + done * count) / len(self.executions))
+
+            traces = self.run(range(first, last), report)
+            for at in range(first, last, size):
+                mine = tuple(traces[at - first : min(at + size, last) - first])
+                begins = begins_of(self.scene, self.seed, self.options, mine)
+                yield Session(at // size, mine, begins, self.table, self._signals(mine, begins))
+
+    def run(self, numbers: Sequence[int], progress: Callable[[float], None] | None = None) -> list[CoupledTrace]:
+        """Run executions by their numbers."""
+        strength = self.options.coupling
+        cells = [make_cell(self.cell, self.executions[i], self.table, self.seed, i, strength, LOGGED) for i in numbers]
+        return run_cells(self.cell, cells, self.table, self.options, logged=True, progress=progress)[1]
+
+    def _signals(self, traces: Sequence[CoupledTrace], begins_s: Sequence[float]) -> tuple[tuple[float, str, str], ...]:
+        """Return time, name and value of each change of a signal, in session time."""
+        found: list[tuple[float, str, str]] = []
+        for trace, begin_s in zip(traces, begins_s, strict=True):
+            for on_s, off_s, name in trace.done.signals(self.cell):
+                if name not in self.cell.bits:
+                    found += [(begin_s + on_s, name, "1"), (begin_s + off_s, name, "0")]
+        return tuple(sorted(found))
+
+
+def coupled_work(name: str, seed: int, options: SimulationOptions, executions: int) -> CoupledWork:
+    """Draw the orders of all executions and plan their moves.
+
+    Raises:
+        SimulationError: Options that such a cell has not.
+    """
+    cell = _cell(name)
+    if executions < 1:
+        raise SimulationError(f"executions is {executions}: simulate at least one")
+    if options.logs != "csv" or options.causes or options.operator_log or not options.with_operator:
+        msg = f"{name}: robot and operator wait for each other: CSV logs, no operator log, no other causes"
+        raise SimulationError(msg)
+    orders = [random_order(cell, stream(seed, cell.scene, ROBOT, index)) for index in range(executions)]
+    return CoupledWork(cell, seed, options, plan_all(cell, orders), tuple(orders))
+
+
+def random_orders(scene: str, seed: int, count: int) -> list[Order]:
+    """Return orders of both agents as the scene draws them, apart from those that are logged.
+
+    Raises:
+        SimulationError: Not a scene where robot and operator wait.
+    """
+    cell = _cell(scene)
+    return [random_order(cell, stream(seed, cell.scene, SEQUENCE, number)) for number in range(count)]
+
+
+@dataclass(frozen=True)
+class FreshCycles:
+    """Fresh executions of one order: duration and waits of each (N,), s."""
+
+    durations_s: Array
+    robot_waits_s: Array
+    operator_waits_s: Array
+
+
+def fresh_cycles(
+    scene: str, order: Order, *, cycles: int, seed: int, options: SimulationOptions = _DEFAULT
+) -> FreshCycles:
+    """Run one order of both agents again and again, and write nothing.
+
+    The random streams are apart from those of `simulate`, whatever the seeds.
+
+    Raises:
+        SimulationError: Not a scene where robot and operator wait, or not an order of it.
+    """
+    cell = _cell(scene)
+    check_order(cell, order)
+    table = plan_all(cell, [order])
+    done = []
+    for first in range(0, cycles, _FRESH_BATCH):
+        numbers = range(first, min(first + _FRESH_BATCH, cycles))
+        cells = [make_cell(cell, order, table, seed, number, options.coupling, FRESH) for number in numbers]
+        done += run_cells(cell, cells, table, options)[0]
+    waits = ([each.waited_s(agent) for each in done] for agent in ("robot", "operator"))
+    return FreshCycles(np.array([each.duration_s for each in done]), *(np.array(each) for each in waits))
+
+
+def _cell(name: str) -> Coupled:
+    if name not in COUPLED:
+        raise SimulationError(f"no scene {name!r} where robot and operator wait: choose one of {', '.join(COUPLED)}")
+    return COUPLED[name]

@@ -1,0 +1,246 @@
+"""What two agents do in one execution, as segments: moves or walks, work, and gates that open when something has ended.
+
+All is drawn ahead: the way of every walk, the length of every work, the lag of every gate. When a gate opens is the
+business of `coupled_run`.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cyclekit_sim.arm import Array
+from cyclekit_sim.choices import draw_goal, draw_walk
+from cyclekit_sim.coupled_scenes import JOINT_TIMES, LINGER_S, REST, Coupled, Gate, Moment
+from cyclekit_sim.errors import SimulationError
+from cyclekit_sim.motion import MotionTable, plan_moves
+from cyclekit_sim.program import DWELL, HOME, IDLE, MOVE, WAIT, Column, Execution, Program, program_of
+from cyclekit_sim.walking import Leg, stand
+
+Order = dict[str, tuple[str, ...]]
+"""The places of each agent, in order: `robot` from home to home, `operator` from rest to rest."""
+AGENTS = ("robot", "operator", "source")
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A gate in a script: it opens a lag after the end of a segment of an agent; `agent` = None: it is open.
+
+    Attributes:
+        segment: Of the gate.
+        gate: What it waits for; None: the end of the execution, or room for a part.
+        agent, needed: Whose segment must have ended, and which.
+        lag_s: From that to going on.
+    """
+
+    segment: int
+    gate: Gate | None
+    agent: str | None
+    needed: int
+    lag_s: float
+
+
+@dataclass
+class Script:
+    """What one agent does in one execution, while it is written.
+
+    Attributes:
+        execution: Number and places.
+        columns, goals: Segments.
+        moments: Segments whose end is a moment at a place, in order.
+        gates: Segment, gate, and the number of its passage.
+        legs: Of an operator, one per segment.
+    """
+
+    execution: Execution
+    columns: list[Column] = field(default_factory=list)
+    goals: list[str] = field(default_factory=list)
+    moments: dict[tuple[str, Moment], list[int]] = field(default_factory=lambda: defaultdict(list))
+    gates: list[tuple[int, Gate, int]] = field(default_factory=list)
+    legs: list[Leg] = field(default_factory=list)
+
+    def add(self, kind: int, length_s: float, row: int, per_s: float, task: int, goal: str, closed: int = 0) -> int:
+        """Add a segment; return its number. A robot's work changes the gripper."""
+        after = 1 - closed if kind == DWELL else closed
+        execution = self.execution.index if task >= 0 else -1
+        self.columns.append((kind, length_s, row, per_s, task, execution, closed, after))
+        self.goals.append(goal)
+        return len(self.columns) - 1
+
+    def add_gates(self, gates: Sequence[Gate], row: int, task: int, goal: str, closed: int = 0) -> None:
+        """Add gates in a row."""
+        for gate in gates:
+            number = sum(gate is other for _, other, _ in self.gates)
+            self.gates.append((self.add(WAIT, 0.0, row, 0.0, task, goal, closed), gate, number))
+
+    def program(self, openings: Sequence[Opening]) -> Program:
+        """Return the program; closed gates have no end."""
+        program = program_of(self.columns, self.goals, [self.execution])
+        for opening in openings:
+            if opening.agent is not None:
+                program.length_s[opening.segment] = np.inf
+        return program
+
+
+def plan_all(cell: Coupled, orders: Sequence[Order]) -> MotionTable:
+    """Plan all moves of these orders, those by way of where the robot stops short of a place included."""
+    pairs = set()
+    for order in orders:
+        for start, goal in pairwise(order["robot"]):
+            via = [_short(goal)] if goal in cell.short_of else []
+            pairs |= set(pairwise([start, *via, goal]))
+    places = dict(cell.scene.places) | {_short(name): place for name, place in cell.short_of.items()}
+    return plan_moves(places, pairs)
+
+
+def _short(place: str) -> str:
+    return f"short of {place}"
+
+
+def robot_script(cell: Coupled, places: Sequence[str], table: MotionTable, index: int) -> Script:
+    """Write what the robot does; last it stands at home until the operator is done."""
+    script = Script(Execution(index, tuple(places), ()))
+    closed = 0
+    for task, (start, goal) in enumerate(pairwise(places)):
+        at = start
+        if goal in cell.short_of:
+            at = _short(goal)
+            row = _move(script, table, (start, at), task, goal, closed)
+            script.add_gates(_gates(cell, "robot", "approach", goal), row, task, goal, closed)
+        row = _move(script, table, (at, goal), task, goal, closed)
+        script.moments[goal, "arrives"].append(len(script.columns) - 1)
+        if goal != HOME:
+            script.add_gates(_gates(cell, "robot", "work", goal), row, task, goal, closed)
+            script.moments[goal, "leaves"].append(script.add(DWELL, cell.robot_s[goal], row, 0.0, task, goal, closed))
+            closed = 1 - closed
+    script.add(IDLE, 0.0, row, 0.0, -1, places[-1], closed)
+    return script
+
+
+def _move(script: Script, table: MotionTable, pair: tuple[str, str], task: int, goal: str, closed: int) -> int:
+    """Add a move; return the row of the table where it ends."""
+    rows, length_s = table.rows[pair], table.duration_s[pair]
+    script.add(MOVE, length_s, table.first_row[pair], rows / length_s, task, goal, closed)
+    return table.first_row[pair] + rows
+
+
+def operator_script(cell: Coupled, places: Sequence[str], index: int, rng: np.random.Generator) -> Script:
+    """Write what the operator does; rows are of the legs, one after the other."""
+    script, stations = Script(Execution(index, tuple(places), ())), cell.scene.stations
+    here = draw_goal(cell.scene, places[0], rng)
+    _stay(script, here, float(rng.uniform(*stations[places[0]].dwell_s)), -1, places[0])
+    for task, place in enumerate(places[1:]):
+        for gate in _gates(cell, "operator", "approach", place):
+            script.add_gates([gate], _rows(script), max(task - 1, 0), places[task])
+            script.legs.append(stand(here, 0.0))
+        there = draw_goal(cell.scene, place, rng)
+        leg = draw_walk(cell.scene, here, there, place, rng)
+        length_s = float(leg.t_s[-1])
+        number = script.add(MOVE, length_s, _rows(script), (len(leg.t_s) - 1) / length_s, task, place)
+        script.moments[place, "arrives"].append(number)
+        script.legs.append(leg)
+        here = there
+        if place != REST:
+            for gate in _gates(cell, "operator", "work", place):
+                script.add_gates([gate], _rows(script), task, place)
+                script.legs.append(stand(here, 0.0))
+            work_s = float(rng.uniform(*stations[place].dwell_s))
+            script.moments[place, "done"].append(_stay(script, here, work_s, task, place))
+            script.moments[place, "leaves"].append(_stay(script, here, float(rng.uniform(*LINGER_S)), task, place))
+    return script
+
+
+def _stay(script: Script, here: Array, length_s: float, task: int, place: str) -> int:
+    number = script.add(DWELL if task >= 0 else IDLE, length_s, _rows(script), 0.0, task, place)
+    script.legs.append(stand(here, length_s))
+    return number
+
+
+def _rows(script: Script) -> int:
+    return sum(len(leg.t_s) for leg in script.legs)
+
+
+def source_script(cell: Coupled, parts: int, index: int, rng: np.random.Generator) -> Script:
+    """Write how parts come: a gap, then a gate until there is room for it."""
+    script = Script(Execution(index, (), ()))
+    if cell.feed is not None:
+        for part in range(parts):
+            shortest, mean = cell.feed.gap_s
+            script.add(DWELL, shortest + float(rng.exponential(mean - shortest)), 0, 0.0, part, cell.feed.place)
+            script.moments[cell.feed.place, "arrives"].append(script.add(WAIT, 0.0, 0, 0.0, part, cell.feed.place))
+    if not script.columns:
+        script.add(IDLE, 0.0, 0, 0.0, -1, "")
+    return script
+
+
+def _gates(cell: Coupled, agent: str, at: str, place: str) -> list[Gate]:
+    return [gate for gate in cell.gates if (gate.agent, gate.at, gate.place) == (agent, at, place)]
+
+
+def link(
+    cell: Coupled, scripts: dict[str, Script], waits: NDArray[np.bool_], rng: np.random.Generator
+) -> dict[str, list[Opening]]:
+    """Return what opens each gate of one execution; `waits` tells in which joint tasks they wait (JOINT_TIMES,)."""
+    found: dict[str, list[Opening]] = {agent: [] for agent in AGENTS}
+    for agent in ("robot", "operator"):
+        for segment, gate, passage in scripts[agent].gates:
+            need = gate.need
+            moments = scripts[need.agent].moments[need.place, need.moment]
+            turn, lag_s = passage - need.back, float(rng.uniform(*need.lag_s))
+            closed = 0 <= turn < len(moments) and bool(waits[passage % JOINT_TIMES])
+            needs, needed = (need.agent, moments[turn]) if closed else (None, -1)
+            found[agent].append(Opening(segment, gate, needs, needed, lag_s))
+    done = len(scripts["operator"].columns) - 1
+    found["robot"].append(Opening(len(scripts["robot"].columns) - 1, None, "operator", done, 0.0))
+    if cell.feed is not None:
+        taken = scripts["robot"].moments[cell.feed.place, "leaves"]
+        for part, segment in enumerate(scripts["source"].moments[cell.feed.place, "arrives"]):
+            turn = part - cell.feed.buffer
+            needs, needed = ("robot", taken[turn]) if turn >= 0 else (None, -1)
+            found["source"].append(Opening(segment, None, needs, needed, 0.0))
+    return found
+
+
+def random_order(cell: Coupled, rng: np.random.Generator) -> Order:
+    """Return an order of both agents: three joint tasks and all others of each, shuffled."""
+    jobs = {"robot": cell.robot_jobs, "operator": cell.operator_jobs}
+    ends = {"robot": HOME, "operator": REST}
+    return {
+        agent: (
+            ends[agent],
+            *(place for name in _shuffled(jobs[agent], rng) for place in jobs[agent][name]),
+            ends[agent],
+        )
+        for agent in jobs
+    }
+
+
+def _shuffled(jobs: Mapping[str, tuple[str, ...]], rng: np.random.Generator) -> list[str]:
+    joint, *others = jobs
+    return [str(name) for name in rng.permutation(np.array([joint] * JOINT_TIMES + others))]
+
+
+def check_order(cell: Coupled, order: Order) -> None:
+    """Refuse an order of unknown places, or one that does not go from home to home or from rest to rest.
+
+    Raises:
+        SimulationError: It is such.
+    """
+    known = {"robot": (HOME, cell.scene.places), "operator": (REST, cell.scene.stations)}
+    for agent, (end, names) in known.items():
+        places = order.get(agent, ())
+        if unknown := sorted(set(places) - set(names)):
+            msg = f"{cell.scene.name}: the {agent} has no place {', '.join(unknown)}; it has {', '.join(names)}"
+            raise SimulationError(msg)
+        if len(places) < 3 or places[0] != end or places[-1] != end:
+            raise SimulationError(f"{cell.scene.name}: the {agent} goes from {end} to {end}, not {', '.join(places)}")
+
+
+def at_row(program: Program, row: int) -> Program:
+    """Return an operator's program with its rows counted from `row` on."""
+    return replace(program, row=program.row + row)

@@ -1,0 +1,259 @@
+"""Robot, operator and source of parts stepped together: each gate opens when what it needs has ended.
+
+The robot goes on at the scaling that the safety function allows at the operator's position of this very cycle; the
+others go on at rate 1. Agents of all cells are the lines of one `Lines`: robots first, then operators, then sources.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from cyclekit_sim.arm import Array
+from cyclekit_sim.choices import COUPLING, OPERATOR, SOURCE, stream
+from cyclekit_sim.coupled_program import (
+    AGENTS,
+    Opening,
+    Order,
+    Script,
+    at_row,
+    link,
+    operator_script,
+    robot_script,
+    source_script,
+)
+from cyclekit_sim.coupled_scenes import JOINT_TIMES, Coupled, Moment
+from cyclekit_sim.engine import Arms, Trace, table_rows
+from cyclekit_sim.errors import SimulationError
+from cyclekit_sim.lines import Lines
+from cyclekit_sim.motion import MotionTable
+from cyclekit_sim.options import SimulationOptions
+from cyclekit_sim.program import Ints, Program
+from cyclekit_sim.safety import SpeedScaling
+from cyclekit_sim.walking import Leg, WalkedTrack
+
+_LONGEST_S = 1800.0
+PULSE_S = 0.3
+"""How long a signal is on."""
+
+
+@dataclass(frozen=True)
+class Waited:
+    """A wait of an agent: from when to when, s since the start of the execution, in which task, and at what gate."""
+
+    agent: str
+    task: int
+    begin_s: float
+    end_s: float
+    opening: Opening
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One execution, ready to run."""
+
+    scripts: dict[str, Script]
+    openings: dict[str, list[Opening]]
+
+    def programs(self) -> list[Program]:
+        """Return the programs in the order of AGENTS."""
+        return [self.scripts[agent].program(self.openings[agent]) for agent in AGENTS]
+
+
+@dataclass(frozen=True)
+class Done:
+    """One execution that was run: the ends of all segments of each agent, s since its start."""
+
+    cell: Cell
+    ends_s: dict[str, Array]
+
+    @property
+    def duration_s(self) -> float:
+        """From the start to the last end of either agent."""
+        return float(self.ends_s["robot"][-1])
+
+    def moments_s(self, agent: str, place: str, moment: Moment) -> list[float]:
+        """Return when an agent arrived at a place, was done there, or left it."""
+        return [float(self.ends_s[agent][at]) for at in self.cell.scripts[agent].moments[place, moment]]
+
+    def signals(self, cell: Coupled) -> list[tuple[float, float, str]]:
+        """Return from when to when each signal is on, s, and its name."""
+        moments = [(name, t_s) for key, name in cell.signals.items() for t_s in self.moments_s(*key)]
+        return sorted((t_s, t_s + PULSE_S, name) for name, t_s in moments)
+
+    def waits(self, agent: str) -> Iterator[Waited]:
+        """Yield the waits of an agent, those of length 0 too."""
+        ends_s, script = self.ends_s[agent], self.cell.scripts[agent]
+        for opening in self.cell.openings[agent]:
+            if opening.gate is not None:
+                at = opening.segment
+                yield Waited(agent, script.columns[at][4], float(ends_s[at - 1]), float(ends_s[at]), opening)
+
+    def waited_s(self, agent: str) -> float:
+        """How long an agent waited in all."""
+        return sum(wait.end_s - wait.begin_s for wait in self.waits(agent))
+
+
+@dataclass(frozen=True)
+class CoupledTrace(Trace):
+    """What the robot of one execution did, and what everybody did and waited for."""
+
+    done: Done = field(kw_only=True)
+
+
+def make_cell(
+    cell: Coupled, order: Order, table: MotionTable, seed: int, index: int, coupling: float, domain: int
+) -> Cell:
+    """Draw one execution."""
+
+    def drawn(purpose: int) -> np.random.Generator:
+        return stream(seed, cell.scene, purpose, index, domain=domain)
+
+    parts = 0 if cell.feed is None else order["robot"].count(cell.feed.place)
+    scripts = {
+        "robot": robot_script(cell, order["robot"], table, index),
+        "operator": operator_script(cell, order["operator"], index, drawn(OPERATOR)),
+        "source": source_script(cell, parts, index, drawn(SOURCE)),
+    }
+    rng = drawn(COUPLING)
+    return Cell(scripts, link(cell, scripts, rng.random(JOINT_TIMES) < coupling, rng))
+
+
+class _Gates:
+    """What the gates of all lines need, by flat index: a segment of a line and a lag; -1: nothing."""
+
+    def __init__(self, cells: Sequence[Cell], width: int) -> None:
+        shape = (len(AGENTS) * len(cells), width)
+        self._line, self._segment = np.full(shape, -1), np.full(shape, -1)
+        self._lag_s = np.zeros(shape)
+        for a, agent in enumerate(AGENTS):
+            for b, cell in enumerate(cells):
+                for opening in cell.openings[agent]:
+                    if opening.agent is not None:
+                        row, at = a * len(cells) + b, opening.segment
+                        self._line[row, at] = AGENTS.index(opening.agent) * len(cells) + b
+                        self._segment[row, at], self._lag_s[row, at] = opening.needed, opening.lag_s
+
+    def open(self, lines: Lines) -> None:
+        """Let those lines go on whose need has ended."""
+        held = lines.held
+        if len(held):
+            at = (held, lines.segment[held])
+            ended_s = lines.ends_s[self._line[at], self._segment[at]]
+            known = ~np.isnan(ended_s)
+            if known.any():
+                lines.let_go(held[known], (ended_s + self._lag_s[at])[known])
+
+
+class _People:
+    """The ways of B operators, one table of positions."""
+
+    def __init__(self, cells: Sequence[Cell]) -> None:
+        ways = [np.concatenate([leg.xyz_m for leg in cell.scripts["operator"].legs]) for cell in cells]
+        self.first_row = np.concatenate([[0], np.cumsum([len(way) for way in ways])])
+        self._xyz_m = np.concatenate(ways)
+        self._step = np.diff(self._xyz_m, axis=0, append=self._xyz_m[-1:])
+
+    def at(self, row: Ints, nominal_s: Array, rows_per_s: Array) -> Array:
+        """Return where they are (B, 3), m."""
+        row, way = table_rows(row, nominal_s, rows_per_s)
+        return np.asarray(self._xyz_m[row] + way[:, None] * self._step[row])
+
+
+def run_cells(
+    cell: Coupled,
+    cells: Sequence[Cell],
+    table: MotionTable,
+    options: SimulationOptions,
+    *,
+    logged: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[list[Done], list[CoupledTrace]]:
+    """Step cells side by side until all agents are done; traces only if they are `logged`.
+
+    Raises:
+        SimulationError: An agent never gets done.
+    """
+    people, count = _People(cells), len(cells)
+    columns = list(zip(*(each.programs() for each in cells), strict=True))
+    operators = [at_row(program, int(row)) for program, row in zip(columns[1], people.first_row[:-1], strict=True)]
+    lines = Lines([*columns[0], *operators, *columns[2]], options.cycle_s)
+    gates, arms = _Gates(cells, lines.ends_s.shape[1]), Arms(table)
+    scaling, ones = SpeedScaling(cell.scene.safety, options), np.ones(2 * count)
+    records: list[tuple[Array, Array, Ints]] = []
+    robots, persons, cycle = slice(0, count), slice(count, 2 * count), 0
+    while lines.running.any():
+        t_s = cycle * options.cycle_s
+        if t_s > _LONGEST_S:
+            raise SimulationError(f"{cell.scene.name}: an agent is not done after {_LONGEST_S:.0f} s")
+        u, segment = lines.nominal_s, lines.segment
+        person_m = people.at(lines.row[persons], u[persons], lines.rows_per_s[persons])
+        row, way = table_rows(lines.row[robots], u[robots], lines.rows_per_s[robots])
+        s = scaling.advance(arms.seen(row, way, person_m))
+        gates.open(lines)
+        lines.advance(t_s, np.concatenate([s, ones]), 1.0)
+        cycle += 1
+        if logged:
+            records.append((u[robots], s, segment[robots]))
+        if progress is not None and cycle % 1024 == 0:
+            progress(lines.share_done)
+    done = [_done(each, lines, b, count) for b, each in enumerate(cells)]
+    return done, _traces(cell, done, records, options) if logged else []
+
+
+def _done(cell: Cell, lines: Lines, b: int, count: int) -> Done:
+    ends = {
+        agent: lines.ends_s[a * count + b, : len(cell.scripts[agent].columns)].copy() for a, agent in enumerate(AGENTS)
+    }
+    return Done(cell, ends)
+
+
+def _traces(
+    cell: Coupled, done: Sequence[Done], records: list[tuple[Array, Array, Ints]], options: SimulationOptions
+) -> list[CoupledTrace]:
+    nominal_s = np.stack([u for u, _, _ in records])
+    scaling, segment = np.stack([s for _, s, _ in records]), np.stack([of for _, _, of in records])
+    found = []
+    for b, each in enumerate(done):
+        ends_s = each.ends_s["robot"]
+        n = int(np.ceil(ends_s[-1] / options.cycle_s - 1e-9))
+        program, ways = realised(each, "robot"), _track(each)
+        at_s, s, of = nominal_s[:n, b].copy(), scaling[:n, b].copy(), segment[:n, b].astype(np.int64)
+        inputs = _inputs(cell, each, n, options) if options.signals and cell.bits else None
+        found.append(CoupledTrace(program, ways, at_s, s, of, ends_s, options.cycle_s, inputs=inputs, done=each))
+    return found
+
+
+def _inputs(cell: Coupled, done: Done, cycles: int, options: SimulationOptions) -> Ints:
+    """Return the digital inputs as a bit field (K,)."""
+    t_s = np.arange(cycles) * options.cycle_s
+    found = np.zeros(cycles, dtype=np.int64)
+    for begin_s, end_s, name in done.signals(cell):
+        if name in cell.bits:
+            found[(t_s >= begin_s) & (t_s < end_s)] |= 1 << cell.bits[name]
+    return found
+
+
+def realised(done: Done, agent: str) -> Program:
+    """Return the program of an agent with its gates as long as they were."""
+    program = done.cell.scripts[agent].program([])
+    length_s = program.length_s.copy()
+    ends_s = done.ends_s[agent]
+    for opening in done.cell.openings[agent]:
+        at = opening.segment
+        length_s[at] = ends_s[at] - (ends_s[at - 1] if at else 0.0)
+    return replace(program, length_s=length_s)
+
+
+def _track(done: Done) -> WalkedTrack:
+    """Return where the operator was: his legs, those at gates as long as he waited."""
+    script, program = done.cell.scripts["operator"], realised(done, "operator")
+    gates = {segment for segment, _, _ in script.gates}
+    legs = []
+    for at, leg in enumerate(script.legs):
+        t_s = np.array([0.0, program.length_s[at]]) if at in gates else leg.t_s
+        if t_s[-1] > 0:
+            legs.append(Leg(t_s, leg.xyz_m, leg.press))
+    return WalkedTrack(iter(legs))

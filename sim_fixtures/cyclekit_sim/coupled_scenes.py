@@ -1,0 +1,186 @@
+"""Cells where robot and operator wait: what each needs before it goes on, and what they do in one execution.
+
+In every execution each agent does three joint tasks and four of his own, in any order: the k-th joint task of one goes
+with the k-th of the other. Geometry and times are ours, tuned for cycles of 45 to 60 s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from cyclekit_sim.motion import Place
+from cyclekit_sim.safety import DistanceStaircase
+from cyclekit_sim.scenes import LEVELS, PELVIS_Z_M, Scene, Station
+
+Moment = Literal["arrives", "done", "leaves"]
+OPERATOR_LAG_S, ROBOT_LAG_S = (0.3, 0.8), (0.1, 0.2)
+INPUT = "digital-input "
+LINGER_S = (0.1, 0.4)
+"""From the end of an operator's work at a place to his first step away from it."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a gate needs: the (k - back)-th such event for its k-th passage; none where that is negative.
+
+    Attributes:
+        agent: Whose event; `source` = of the conveyor.
+        place: Where.
+        moment: He arrives there, has done his work there, or leaves it.
+        back: See above.
+        lag_s: Shortest and longest time from the event to going on.
+    """
+
+    agent: Literal["robot", "operator", "source"]
+    place: str
+    moment: Moment
+    back: int
+    lag_s: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Where an agent waits: before it goes to `place` (`approach`) or before its work there (`work`)."""
+
+    agent: Literal["robot", "operator"]
+    at: Literal["approach", "work"]
+    place: str
+    need: Need
+
+
+@dataclass(frozen=True)
+class Feed:
+    """Parts that come to a place of the robot.
+
+    Attributes:
+        place: Where they are taken.
+        gap_s: Shortest and mean time from one to the next, as long as there is room.
+        buffer: So many may wait; while they do, the next comes as soon as one is taken.
+    """
+
+    place: str
+    gap_s: tuple[float, float]
+    buffer: int
+
+
+@dataclass(frozen=True)
+class Coupled:
+    """One cell of two agents that wait.
+
+    Attributes:
+        scene: Places, stations, furniture and safety function.
+        short_of: Where the robot stops on its way to a place, by the name of that place.
+        robot_s: Process times by robot place.
+        robot_jobs, operator_jobs: Places of each task, by the task's name; joint tasks first, each done three times.
+        gates: Who waits where for what.
+        signals: Name of the signal that tells a moment of an agent at a place.
+        feed: Parts that come, if any.
+    """
+
+    scene: Scene
+    short_of: Mapping[str, Place]
+    robot_s: Mapping[str, float]
+    robot_jobs: Mapping[str, tuple[str, ...]]
+    operator_jobs: Mapping[str, tuple[str, ...]]
+    gates: tuple[Gate, ...]
+    signals: Mapping[tuple[str, str, Moment], str]
+    feed: Feed | None = None
+
+    @property
+    def bits(self) -> dict[str, int]:
+        """Bits of the signals that the robot's log has as digital inputs; the others are events."""
+        names = [name.removeprefix(INPUT) for name in self.signals.values() if name.startswith(INPUT)]
+        return {INPUT + number: int(number) for number in names}
+
+
+REST = "rest"
+JOINT_TIMES = 3
+_RACKS: dict[str, Place] = {
+    "tray": (0.30, -0.60, 0.05),
+    "rack_1": (0.02, -0.62, 0.0),
+    "rack_2": (-0.12, -0.60, 0.0),
+    "rack_3": (0.05, -0.48, 0.0),
+    "rack_4": (0.46, -0.45, 0.0),
+}
+_RACKS_S = {**dict.fromkeys(_RACKS, 0.5), "tray": 0.6}
+_SORTING = {f"sort_{number}": ("tray", f"rack_{number}") for number in (1, 2, 3, 4)}
+_OWN_STATIONS = {"shelf": (2.2, 0.1), "pack": (1.1, 1.55), "label": (1.6, -0.3), "scan": (2.25, 0.75)}
+_OWN_S = {"shelf": (1.0, 2.0), "pack": (1.5, 2.5), "label": (1.2, 2.4), "scan": (0.8, 1.8)}
+
+
+def _scene(
+    name: str,
+    places: Mapping[str, Place],
+    stations: Mapping[str, tuple[tuple[float, float], tuple[float, float]]],
+    thresholds_m: tuple[float, ...],
+) -> Scene:
+    own = {station: (xy, _OWN_S[station]) for station, xy in _OWN_STATIONS.items()}
+    all_stations = {REST: ((2.4, 1.5), (0.2, 0.8)), **stations, **own}
+    return Scene(
+        name=name,
+        places={"home": (0.40, 0.0, 0.40), **places, **_RACKS},
+        stations={key: Station((*xy, PELVIS_Z_M), dwell_s) for key, (xy, dwell_s) in all_stations.items()},
+        furniture={},
+        safety=DistanceStaircase(LEVELS, thresholds_m),
+        picks=0,
+        repeats_slots=False,
+        pick_s=0.6,
+        place_s=0.5,
+        wait_s=0.0,
+        walk_m_s=(1.0, 1.2),
+        operator="plan",
+        continuous=False,
+    )
+
+
+def _shared_fixture() -> Coupled:
+    places: dict[str, Place] = {"feeder": (0.60, -0.10, 0.10), "fixture": (0.55, 0.30, 0.10)}
+    stations = {"bench": ((1.70, 1.05), (0.4, 0.9)), "fixture": ((1.15, 0.7), (4.5, 6.5))}
+    brought = Need("robot", "fixture", "leaves", 0, OPERATOR_LAG_S)
+    released = Need("operator", "fixture", "done", 1, ROBOT_LAG_S)
+    return Coupled(
+        scene=_scene("shared-fixture", places, stations, (0.45, 0.75, 1.1, 1.6)),
+        short_of={"fixture": (0.50, 0.14, 0.25)},
+        robot_s={**_RACKS_S, "feeder": 0.6, "fixture": 1.2},
+        robot_jobs={"bring": ("feeder", "fixture"), **_SORTING},
+        operator_jobs={"mount": ("bench", "fixture"), **{name: (name,) for name in _OWN_STATIONS}},
+        gates=(Gate("operator", "approach", "fixture", brought), Gate("robot", "approach", "fixture", released)),
+        signals={("operator", "fixture", "done"): "release"},
+    )
+
+
+def _handover() -> Coupled:
+    places: dict[str, Place] = {"bin": (0.55, -0.30, 0.10), "handover": (0.62, 0.18, 0.30)}
+    stations = {"handover": ((1.15, 0.55), (1.0, 2.0)), "bench": ((1.70, 1.05), (2.5, 4.5))}
+    held = Need("robot", "handover", "arrives", 0, OPERATOR_LAG_S)
+    taken = Need("operator", "handover", "done", 0, ROBOT_LAG_S)
+    return Coupled(
+        scene=_scene("handover", places, stations, (0.3, 0.7, 1.1, 1.6)),
+        short_of={},
+        robot_s={**_RACKS_S, "bin": 0.6, "handover": 0.4},
+        robot_jobs={"give": ("bin", "handover"), **_SORTING},
+        operator_jobs={"take": ("handover", "bench"), **{name: (name,) for name in _OWN_STATIONS}},
+        gates=(Gate("operator", "work", "handover", held), Gate("robot", "work", "handover", taken)),
+        signals={("operator", "handover", "done"): "digital-input 2"},
+    )
+
+
+def _fed_line() -> Coupled:
+    places: dict[str, Place] = {"conveyor": (0.60, 0.10, 0.10), "outfeed": (0.45, 0.45, 0.10)}
+    stations = {"bench": ((1.30, 0.95), (2.0, 4.0))}
+    come = Need("source", "conveyor", "arrives", 0, ROBOT_LAG_S)
+    return Coupled(
+        scene=_scene("fed-line", places, stations, (0.45, 0.75, 1.1, 1.6)),
+        short_of={},
+        robot_s={**_RACKS_S, "conveyor": 0.6, "outfeed": 0.5},
+        robot_jobs={"load": ("conveyor", "outfeed"), **_SORTING},
+        operator_jobs={"check": ("bench",), **{name: (name,) for name in _OWN_STATIONS}},
+        gates=(Gate("robot", "work", "conveyor", come),),
+        signals={("source", "conveyor", "arrives"): "digital-input 3"},
+        feed=Feed("conveyor", (6.0, 10.0), 2),
+    )
+
+
+COUPLED: dict[str, Coupled] = {cell.scene.name: cell for cell in (_shared_fixture(), _handover(), _fed_line())}

@@ -1,0 +1,100 @@
+"""Truth of cells where robot and operator wait: the tasks of both with what ended each wait, and the conditions."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import polars as pl
+
+from cyclekit_sim.coupled_run import CoupledTrace, Waited, realised
+from cyclekit_sim.coupled_scenes import Coupled, Moment
+from cyclekit_sim.engine import Trace
+from cyclekit_sim.session import Session
+from cyclekit_sim.truth import task_rows
+from cyclekit_sim.walking import Nobody
+
+_SHORTEST_S = 1e-6  # what is no wait
+
+
+def coupled_tasks(session: Session, cell: Coupled, clock_s: float) -> pl.DataFrame:
+    """Return the tasks of both agents, those of an execution together, the robot's first."""
+    rows: list[dict[str, object]] = []
+    for trace, begin_s in zip(session.traces, session.begins_s, strict=True):
+        assert isinstance(trace, CoupledTrace)
+        rows += _rows(trace, cell, clock_s + begin_s)
+    return pl.DataFrame(rows, schema_overrides={"wait_ended_by": pl.String})
+
+
+def _rows(trace: CoupledTrace, cell: Coupled, clock_s: float) -> Iterator[dict[str, object]]:
+    done = trace.done
+    nothing = np.empty(0)
+    program = realised(done, "operator")
+    operator = Trace(
+        program, Nobody(), nothing, nothing, np.empty(0, dtype=np.int64), done.ends_s["operator"], trace.cycle_s
+    )
+    for agent, each in (("robot", trace), ("operator", operator)):
+        ended: dict[int, list[str]] = defaultdict(list)
+        for wait in done.waits(agent):
+            if wait.end_s - wait.begin_s > _SHORTEST_S:
+                ended[wait.task].append(ended_by(wait, cell.signals))
+        for row in task_rows(each, clock_s):
+            index = row["index"]
+            assert isinstance(index, int)
+            yield {"agent": agent, **row, "wait_ended_by": "; ".join(ended[index]) or None}
+
+
+def ended_by(wait: Waited, signals: Mapping[tuple[str, str, Moment], str]) -> str:
+    """Return what ended a wait: agent, place and moment, and the signal that tells it."""
+    assert wait.opening.gate is not None
+    need = wait.opening.gate.need
+    signal = signals.get((need.agent, need.place, need.moment))
+    return f"{need.agent} {need.moment} {need.place}" + (f" ({signal})" if signal else "")
+
+
+def coupled_executions(tasks: pl.DataFrame, session: Session) -> pl.DataFrame:
+    """Return one row per execution: times of the robot's tasks, waits of both, orders, from first start to last end."""
+    rows = []
+    for trace in session.traces:
+        assert isinstance(trace, CoupledTrace)
+        index, done = trace.program.executions[0].index, trace.done
+        mine = tasks.filter(pl.col("execution") == index, pl.col("agent") == "robot")
+        start_s = float(mine["start_s"].to_numpy()[0])
+        sums = {name: float(mine[name].sum()) for name in ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")}
+        scripts = done.cell.scripts
+        orders = {agent: ",".join(scripts[agent].execution.places) for agent in ("robot", "operator")}
+        rows.append(
+            {
+                "execution": index,
+                "session": session.name,
+                "start_s": start_s,
+                "end_s": start_s + done.duration_s,
+                "duration_s": done.duration_s,
+                "sequence": orders["robot"],
+                "operator_sequence": orders["operator"],
+                **sums,
+                "operator_wait_s": done.waited_s("operator"),
+            }
+        )
+    return pl.DataFrame(rows)
+
+
+def conditions(cell: Coupled) -> list[dict[str, object]]:
+    """Return who waits where for what, as JSON."""
+    return [
+        {
+            "agent": gate.agent,
+            "at": gate.at,
+            "place": gate.place,
+            "needs": {
+                "agent": gate.need.agent,
+                "place": gate.need.place,
+                "event": gate.need.moment,
+                "back": gate.need.back,
+            },
+            "signal": cell.signals.get((gate.need.agent, gate.need.place, gate.need.moment)),
+            "lag_s": list(gate.need.lag_s),
+        }
+        for gate in cell.gates
+    ]

@@ -1,0 +1,100 @@
+"""Cells without a tracker: fields that watch the floor, as bits in the logs, beside bits that tell of nobody.
+
+A field is on while the person stands in its rectangle; it may count only while the TCP is in a region of its own. What
+a controller or PLC logs besides changes as in real cells: with the gripper, the conveyor, the program, or the speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cyclekit_sim.arm import Array
+from cyclekit_sim.engine import Trace
+from cyclekit_sim.program import Ints
+from cyclekit_sim.rules import Limit, Points, Rectangle, Rule
+from cyclekit_sim.session import Session
+
+GRIPPER_BIT, CONVEYOR_BIT, LAMP_BIT, SIDE_BIT = 0, 1, 6, 7
+"""Bits that tell of nobody: feedback of the gripper, parts that pass, a lamp of slow speed, the program's own bit."""
+NAMES = {GRIPPER_BIT: "gripper_closed", CONVEYOR_BIT: "part_passes", LAMP_BIT: "slow_lamp", SIDE_BIT: "left_side"}
+_FEEDBACK_S, _LAMP_S, _PART_S = 0.04, 0.1, (1.5, 6.0)
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field: a scanner's, a light curtain, a mat.
+
+    Attributes:
+        name: Of its signal in an event log.
+        bit: Its digital input.
+        x_m, y_m: Where it watches the floor, base frame.
+        scaling: The highest scaling while somebody stands there.
+        robot_polygon_m: It counts only while the TCP is above this polygon; empty: always.
+        occupied: The value of its bit while somebody stands there; safety outputs are 0 then.
+    """
+
+    name: str
+    bit: int
+    x_m: tuple[float, float]
+    y_m: tuple[float, float]
+    scaling: float
+    robot_polygon_m: Points = ()
+    occupied: int = 1
+
+
+def rule_of(fields: Sequence[Field]) -> Rule:
+    """Return the safety function of some fields: the lowest of those that count."""
+    return Rule(
+        tuple(
+            Limit(one.scaling, rectangle=Rectangle(one.x_m, one.y_m), robot_polygon_m=one.robot_polygon_m)
+            for one in fields
+        )
+    )
+
+
+def on_of(fields: Sequence[Field], person_m: Array) -> Ints:
+    """Return which fields are on (K,), bit k = field k, for a person at (K, 3); NaN: nobody."""
+    found = np.zeros(len(person_m), np.int64)
+    for k, one in enumerate(fields):
+        found |= Rectangle(one.x_m, one.y_m).holds(np.nan_to_num(person_m, nan=1e6), 0.0).astype(np.int64) << k
+    return found
+
+
+def with_inputs(trace: Trace, fields: Sequence[Field], rng: np.random.Generator) -> Trace:
+    """Return a run with its digital inputs: those of the fields, and those that tell of no person."""
+    times = np.asarray(np.arange(len(trace.scaling)) * trace.cycle_s, dtype=np.float64)
+    on, inputs = on_of(fields, trace.track.at(times)), np.zeros(len(times), np.int64)
+    for k, one in enumerate(fields):
+        inputs |= ((((on >> k) & 1) == one.occupied).astype(np.int64)) << one.bit
+    program, of = trace.program, trace.segment
+    late = trace.nominal_s >= 0.5 * program.length_s[of]
+    closed = np.where(late, program.closed_after[of], program.closed_before[of])
+    left = np.array([name.startswith("left") for name in program.goals])[of]
+    edges = np.cumsum(rng.uniform(*_PART_S, int(times[-1] / _PART_S[0]) + 2))
+    parts = np.searchsorted(edges, times) % 2
+    slow = _later((trace.scaling < 1.0).astype(np.int64), _LAMP_S, trace.cycle_s)
+    shown = {GRIPPER_BIT: _later(closed, _FEEDBACK_S, trace.cycle_s), CONVEYOR_BIT: parts, LAMP_BIT: slow}
+    for bit, value in (shown | {SIDE_BIT: left}).items():
+        inputs |= value.astype(np.int64) << bit
+    return replace(trace, inputs=inputs if trace.inputs is None else inputs | trace.inputs)
+
+
+def events_of(session: Session, fields: Sequence[Field]) -> tuple[list[float], list[str], list[str]]:
+    """Return when which signal took which value, as a PLC logs it: session time, name, value; first the values at 0."""
+    robot = session.robot
+    names: Mapping[int, str] = {**NAMES, **{one.bit: one.name for one in fields}}
+    rows = []
+    for bit, name in names.items():
+        values = (robot.inputs >> bit) & 1
+        at = np.flatnonzero(np.diff(values, prepend=-1))
+        rows += [(float(robot.t_s[i]), name, str(int(values[i]))) for i in at]
+    times, signals, told = zip(*sorted(rows), strict=True)
+    return list(times), list(signals), list(told)
+
+
+def _later(values: Ints, by_s: float, cycle_s: float) -> Ints:
+    by = round(by_s / cycle_s)
+    return np.concatenate([np.full(by, values[0]), values])[: len(values)]

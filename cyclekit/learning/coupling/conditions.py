@@ -31,7 +31,7 @@ GAIN, GAIN_PER_DEPARTURE = 8.0, 0.05
 """By so much the log-likelihood of the departures must rise, in all and for each of them."""
 AS_GOOD, AS_GOOD_PART = 3.0, 0.1
 """Of events whose gains differ by no more than this, or this part of it, the one just before the departure is taken."""
-NATURAL = 1.1
+NATURAL = 1.3
 """Who waits until another has left may not approach; who waits until he came, or something is set, may not leave: of
 two gates that the same departures pass this one is preferred by so much."""
 SHUFFLES = 6
@@ -89,6 +89,11 @@ class Passages:
         """Conditions of this gate."""
         return [condition for gate, condition in self.since_s if gate == self.gate]
 
+    @property
+    def step(self) -> int:
+        """Every how-many-th passage serves to compare conditions."""
+        return -(-len(self.left_s) // SEEN)
+
     def causes(self, more: Vector | None = None, most: int = SEEN) -> Causes:
         """Return what decided each passage (of `most` of them), own work first, then conditions as in `since_s`."""
         step = -(-len(self.left_s) // most)
@@ -116,11 +121,10 @@ def passages_of(courses: Sequence[Course], agent: Agent) -> list[Passages]:
 
 
 def _passed(agent: Agent, before: PlaceVisit | None, after: PlaceVisit | None) -> Iterator[tuple[Gate, float, float]]:
-    if before is not None:
-        yield Gate(agent, "leave", before.place), before.arrived_s, before.left_s
     if after is not None:
         yield Gate(agent, "approach", after.place, short=True), after.reached_s, after.went_on_s
-    if before is not None and after is not None:
+    if before is not None and after is not None:  # where nobody knows whither, another gate may have decided
+        yield Gate(agent, "leave", before.place), before.arrived_s, before.left_s
         yield Gate(agent, "approach", after.place), before.arrived_s, before.left_s
 
 
@@ -178,14 +182,14 @@ def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Fou
     if len(gate.left_s) < LEAST_DECIDED:
         return None
     before = float(gate.causes().log_likelihood.sum())
+    taken = {one.event[:2] for (_, one), at in gate.since_s.items() if 2 * np.isfinite(at).sum() > len(at)}
     tried: list[_Found] = []
     for condition in candidates:
         since = since_event(times, gate, condition)
-        if condition in gate.found or not _holds(gate, condition, since):
+        if condition.event[:2] in taken or not _holds(gate, condition, since):
             continue
         causes = gate.causes(since)
-        step = -(-len(since) // SEEN)
-        if causes.share[-1].sum() * step >= LEAST_DECIDED:
+        if causes.share[-1].sum() * gate.step >= LEAST_DECIDED:
             tried.append((condition, since, float(causes.log_likelihood.sum()) - before))
     tried.sort(key=lambda each: -each[2])
     least = GAIN + np.log(max(len(candidates), 1)) + GAIN_PER_DEPARTURE * min(len(gate.left_s), SEEN)
@@ -193,7 +197,8 @@ def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Fou
     if not good or good[0][2] - _by_chance(gate, good[0][1]) + before < least:
         return None
     as_good = [each for each in good if each[2] >= good[0][2] - max(AS_GOOD, AS_GOOD_PART * good[0][2])]
-    return min(as_good, key=lambda each: abs(float(np.nanquantile(each[1], 0.1))))
+    found = min(as_good, key=lambda each: abs(float(np.nanquantile(each[1], 0.1))))
+    return found[0], found[1], found[2] * gate.step
 
 
 def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
@@ -227,7 +232,7 @@ def _holds(gate: Passages, condition: Condition, since: Vector) -> bool:
 
 def early_s(condition: Condition) -> float:
     """Return how much before a condition's event a departure may come, s."""
-    of_leaving = condition.event.event == "leaves" and condition.event.signal is None
+    of_leaving = condition.event[::2] == ("operator", "leaves") and condition.event.signal is None
     return EARLY_LEAVING_S if of_leaving else EARLY_S
 
 

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Floats, Vector
 
-LEAST_EXECUTIONS = 5
+LEAST_EXECUTIONS, MOST_EXECUTIONS = 5, 400
+"""It is learned from so many executions; of more, from some that are evenly spread."""
 LEAST_LOST = 10
 """Motions by which the spot short of a place is found."""
 AGENTS: tuple[Agent, ...] = ("robot", "operator")
@@ -35,13 +36,20 @@ AGENTS: tuple[Agent, ...] = ("robot", "operator")
 
 def learn_coupling(dataset: Dataset) -> CouplingCard | None:
     """Return who waits for whom in a dataset; None where too few complete executions show both agents."""
+    if dataset.card.coupling is not None and not dataset.is_part:
+        return dataset.card.coupling
     if len(dataset.positions) < 2:
         return None
-    courses = courses_of(dataset)
+    courses = courses_of(dataset.card.executions, dataset.every_task(), dataset.recordings, dataset.recorded)
+    return learn_executions(courses, dataset.tasks())
+
+
+def learn_executions(courses: Sequence[Course], tasks: pl.DataFrame) -> CouplingCard | None:
+    """Return who waits for whom in some executions, None in too few; `tasks`: the robot's, table TASKS."""
     if len(courses) < LEAST_EXECUTIONS:
         return None
-    found = learn_courses(courses)
-    phases = _phases(dataset.tasks())
+    found = learn_courses(courses[:: -(-len(courses) // MOST_EXECUTIONS)])
+    phases = _phases(tasks)
     gates = (replace(gate, phase=phases[gate.place]) if _short(gate, phases) else gate for gate in found.gates)
     return replace(found, gates=tuple(gates))
 

@@ -44,8 +44,8 @@ def simulate_logs(
     """Simulate a cell and log it in vendor formats; same seed, same bytes.
 
     Args:
-        scene: Which cell: box-picking, pick-and-package, laser-zones, scanner-visits, scanner-fields, light-curtain or
-            shared-fixture.
+        scene: Which cell: box-picking, pick-and-package, laser-zones, scanner-visits; scanner-fields, light-curtain;
+            shared-fixture, handover, fed-line.
         out: Folder for the logs.
         executions: How many times the process runs.
         seed: Of everything that is drawn.

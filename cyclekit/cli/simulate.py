@@ -15,18 +15,7 @@ EXAMPLE = "cyclekit simulate box-picking --out logs --executions 20 --seed 1"
 
 
 def simulate(
-    scene: Annotated[
-        Literal[
-            "box-picking",
-            "pick-and-package",
-            "laser-zones",
-            "scanner-visits",
-            "scanner-fields",
-            "light-curtain",
-            "shared-fixture",
-        ],
-        typer.Argument(help="Which cell to simulate.", metavar="SCENE"),
-    ],
+    scene: Annotated[str, typer.Argument(help="Which cell to simulate.", metavar="SCENE")],
     out: Annotated[Path, typer.Option(help="Folder for the logs.", metavar="LOGS")],
     executions: Annotated[int, typer.Option(min=1, help="How many times the process runs.")] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 0,
@@ -70,6 +59,9 @@ def simulate(
     without_signals: Annotated[
         bool, typer.Option("--no-signals", help="Leave buttons and sensors out of the logs of cells with waits.")
     ] = False,
+    task_list: Annotated[
+        bool, typer.Option("--task-list", help="Of such a cell, starts and ends of tasks only, no positions.")
+    ] = False,
     without_operator: Annotated[
         bool, typer.Option("--without-operator", help="Reference run without an operator.")
     ] = False,
@@ -82,9 +74,10 @@ def simulate(
 ) -> None:
     """Simulate a cell and log it in vendor formats.
 
-    The cell file and the ground truth lie beside the logs. SCENE is box-picking, pick-and-package, laser-zones or
-    scanner-visits; without a tracker, scanner-fields or light-curtain; and shared-fixture, where robot and operator
-    wait for each other.
+    The cell file and the ground truth lie beside the logs. SCENE is box-picking,
+    pick-and-package, laser-zones or scanner-visits; without a tracker,
+    scanner-fields or light-curtain; where robot and operator wait,
+    shared-fixture, handover or fed-line.
     """
     from cyclekit.api.simulate import simulate_logs
 
@@ -115,6 +108,7 @@ def simulate(
         "people": people,
         "coupling": coupling,
         "signals": not without_signals,
+        "task_list": task_list,
     }
     if operator_xyz is not None:
         settings["operator_xyz_m"] = vector(operator_xyz)

@@ -136,6 +136,21 @@ class Executions:
 
 
 @dataclass(frozen=True)
+class OperatorSignal:
+    """A signal that tells of people where no tracker does: the field of a scanner, a light curtain, a door.
+
+    Attributes:
+        name: What it is called.
+        signal: "digital-input 3", or the name of an event in any log.
+        occupied: Its value while somebody is there, as text.
+    """
+
+    name: str
+    signal: str
+    occupied: str = "1"
+
+
+@dataclass(frozen=True)
 class Robot:
     """The arm of a log that holds joint angles and no TCP.
 
@@ -161,6 +176,7 @@ class Cell:
         all_places_named: The robot stops for its process at the named places only; nothing else becomes a place.
         levels: Levels of the safety system's speed scaling, ascending, fractions; empty = found in the logs.
         robot: The arm, where the TCP is not logged and shall be computed from the joint angles.
+        operator_signals: Signals that tell of people; empty: without a tracker they are found in the logs.
         bridge_s: A gap in the operator's track up to this long is bridged linearly; longer ones stay unknown.
     """
 
@@ -177,3 +193,4 @@ class Cell:
     bridge_s: Number = 0.3
     levels: Levels = ()
     robot: Robot | None = None
+    operator_signals: tuple[OperatorSignal, ...] = ()

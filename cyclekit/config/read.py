@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclekit.config.arms import MODELS
 from cyclekit.config.cells import CLOCK_KEYS, Cell, Executions, Frame, Matrix, Number, Point, Robot
-from cyclekit.config.toml_file import followed, list_at, read_toml, table_at
+from cyclekit.config.toml_file import followed, list_at, read_toml, refuse_twice, table_at
 from cyclekit.errors import ConfigError, UnknownName
 from cyclekit.storage.files import resolved
 
@@ -39,7 +39,9 @@ def load_cell(path: Path) -> Cell:
     raw, where = read_toml(path), str(path)
     entries = list_at(where, raw, "sources")
     sources = [_source(f"{where} sources[{i}]", entry) for i, entry in enumerate(entries)]
-    cell = followed(where, {**raw, "sources": sources}, Cell)
+    told = [_operator_signal(entry) for entry in list_at(where, raw, "operator_signals")]
+    cell = followed(where, {**raw, "sources": sources, "operator_signals": told}, Cell)
+    refuse_twice(where, "operator signal", [one.name for one in cell.operator_signals])
     if cell.all_places_named and not cell.places:
         raise ConfigError(f"{where}: all_places_named = true, but no place is named", cure="Name them: [places.NAME]")
     _check_levels(where, cell)
@@ -78,6 +80,13 @@ def _source(where: str, entry: object) -> dict[str, Any]:
     if "map" in found:
         found["map"] = _map(f"{where} map", found["map"])
     return found
+
+
+def _operator_signal(entry: object) -> object:
+    """Return its keys with the value `occupied` as text: a bit is written as a number or as true and false."""
+    if not isinstance(entry, Mapping) or not isinstance(entry.get("occupied"), int):
+        return entry
+    return {**entry, "occupied": str(int(entry["occupied"]))}
 
 
 def _map(where: str, raw: object) -> dict[str, object]:

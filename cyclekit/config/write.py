@@ -52,6 +52,8 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
             lines += ["", f"[{title}.{_key(name)}]", f"xyz_m = {xyz}", f"radius_m = {radius}"]
     for name, thing in cell.furniture.items():
         lines += ["", f"[furniture.{_key(name)}]", *(f"{key} = {_toml(value)}" for key, value in vars(thing).items())]
+    for told in cell.operator_signals:
+        lines += ["", "[[operator_signals]]", *(f"{key} = {_toml(value)}" for key, value in vars(told).items())]
     if cell.robot is not None:
         arm = ("model", cell.robot.model) if cell.robot.model else ("dh", [list(row) for row in cell.robot.dh])
         lines += ["", "[robot]", f"{arm[0]} = {_toml(arm[1])}", f"tool_m = {_toml(list(cell.robot.tool_m))}"]

@@ -6,7 +6,7 @@ is the business of `align`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -16,6 +16,8 @@ from cyclekit.errors import ConfigError, UnknownName
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from numpy.typing import NDArray
+
     from cyclekit.dataset.cards import LogCard
     from cyclekit.schema import Bools, Ints, Vector
     from cyclekit.storage.parquet import StoredTable
@@ -23,13 +25,33 @@ if TYPE_CHECKING:
     Read = Callable[[str, str], pl.DataFrame | None]
     Stored = Callable[[str, Sequence[str]], StoredTable]
 
-OUTPUT, REGISTER = "digital-output ", "register"
+INPUT, OUTPUT, REGISTER = "digital-input ", "digital-output ", "register"
+_BITS = {"digital_in_bits": INPUT, "digital_out_bits": OUTPUT}
 _ON = {"1", "1.0", "true", "on", "high"}
 _OFF = {"0", "0.0", "false", "off", "low"}
 _SAMPLED_S = 0.1
 """A change between rows that lie nearer than this is in the middle of them, else at the later one."""
 MOST_CHANGES = 100_000
 """A signal that changes more often in one recording counts or measures, and says nothing of a program's steps."""
+
+
+class SignalChanges(NamedTuple):
+    """When a signal took which value, s, ascending; shape (M,) each."""
+
+    t_s: Vector
+    value: NDArray[np.str_]
+
+    def at(self, t_s: Vector) -> NDArray[np.str_]:
+        """Return the value at some times, shape (N,); empty before the first one."""
+        return np.append("", self.value)[np.searchsorted(self.t_s, t_s, side="right")]
+
+    def to(self, value: str) -> Vector:
+        """Return when it changed to a value, shape (K,), s; what it was at first is no change."""
+        return np.asarray(self.t_s[1:][(self.value[1:] == value) & (self.value[:-1] != value)])
+
+
+MOST_VALUES = 8
+"""A signal of more values than this measures or names something."""
 
 
 def event_times(entry: LogCard, signal: str, read: Read, stored: Stored, where: str = "sync") -> Vector:
@@ -73,10 +95,7 @@ def every_change(entry: LogCard, read: Read, stored: Stored) -> dict[str, Vector
         stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
     """
     found: dict[str, Vector] = {}
-    for column in ("digital_out_bits", REGISTER) if entry.rows.get("robot") else ():
-        table = stored(entry.id, ["t_s", column])
-        if table.unknown(column) == table.rows or (changes := _few(table, column)) is None:
-            continue
+    for column, changes in _columns(entry, ("digital_out_bits", REGISTER), stored):
         at, differ = _between(*changes[:2]), changes[2] ^ changes[3]
         if column == REGISTER:
             found[REGISTER] = at
@@ -88,6 +107,51 @@ def every_change(entry: LogCard, read: Read, stored: Stored) -> dict[str, Vector
         changed = (mine["value"] != mine["value"].shift(1)).fill_null(value=True)
         found[str(name)] = mine["t_s"].filter(changed).to_numpy()
     return {name: times for name, times in found.items() if 0 < len(times) <= MOST_CHANGES}
+
+
+def values_of(entry: LogCard, read: Read, stored: Stored) -> dict[str, SignalChanges]:
+    """Return the values over time of the inputs, outputs and events of a recording, its own clock.
+
+    Args:
+        entry: The recording.
+        read: Returns a native table of a recording (id, table), None if it has none.
+        stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
+
+    Returns:
+        By name: each bit that changes, the register, and events of up to MOST_VALUES values; not those that change more
+        than MOST_CHANGES times.
+    """
+    found: dict[str, SignalChanges] = {}
+    first_s = stored(entry.id, ["t_s"]).column("t_s", 0, 1) if entry.rows.get("robot") else np.empty(0)
+    for column, (_, at, old, new) in _columns(entry, (*_BITS, REGISTER), stored):
+        if column == REGISTER:
+            found[REGISTER] = SignalChanges(np.append(first_s, at), np.append(old[:1], new).astype(str))
+            continue
+        for bit in range(63):
+            flips = ((old ^ new) >> bit) & 1 == 1
+            if flips.any():
+                values = np.append(old[flips][:1], new[flips])
+                told = ((values >> bit) & 1).astype(str)
+                found[f"{_BITS[column]}{bit}"] = SignalChanges(np.append(first_s, at[flips]), told)
+    events = read(entry.id, "events") if "events" in entry.tables else None
+    known = pl.DataFrame() if events is None else events.drop_nulls(["t_s", "value"]).sort("t_s")
+    for (name,), mine in known.group_by("signal", maintain_order=True) if known.height else ():
+        if mine["value"].n_unique() <= MOST_VALUES and mine.height <= MOST_CHANGES:
+            found[str(name)] = SignalChanges(mine["t_s"].to_numpy(), mine["value"].to_numpy().astype(str))
+    return found
+
+
+def _columns(
+    entry: LogCard, columns: Sequence[str], stored: Stored
+) -> Iterator[tuple[str, tuple[Vector, Vector, Ints, Ints]]]:
+    """Yield the changes of those whole numbers of a robot log that it holds, and that change seldom enough."""
+    if not entry.rows.get("robot"):
+        return
+    known = stored(entry.id, ["t_s"]).names
+    for column in (column for column in columns if column in known):
+        table = stored(entry.id, ["t_s", column])
+        if table.unknown(column) < table.rows and (changes := _few(table, column)) is not None:
+            yield column, changes
 
 
 def switches(entry: LogCard, read: Read) -> dict[str, tuple[Vector, Bools]]:

@@ -84,12 +84,13 @@ class Evidence:
 NOTHING = Evidence(1.0, np.ones(1), None, {}, (), {})
 
 
-def find_evidence(rows: Rows, levels: Sequence[float]) -> Evidence:
+def find_evidence(rows: Rows, levels: Sequence[float], people: Sequence[str] = ()) -> Evidence:
     """Return what some executions tell.
 
     Args:
         rows: Their samples.
         levels: Of the scaling, ascending; fewer than two: classes are tenths.
+        people: Signals that tell of people; others are found by how they follow the operator's position.
     """
     moving = rows.moving & np.isfinite(rows.scaling)
     if not moving.any():
@@ -102,7 +103,9 @@ def find_evidence(rows: Rows, levels: Sequence[float]) -> Evidence:
     held &= label >= 0
     features, seen = features_of(rows, ())
     capping = _capping(rows, moving, top)
-    watching = tuple(name for name in capping if _follows(rows.switches[name].at(rows.t_s), features, seen, rows))
+    watching = tuple(people) or tuple(
+        name for name in capping if _follows(rows.switches[name].at(rows.t_s), features, seen, rows)
+    )
     inputs = {name: how for name, how in capping.items() if name not in watching}
     free = moving & ~_active(rows, inputs)
     slow = _always_slow(rows, free & (rows.scaling > HALTED), top)

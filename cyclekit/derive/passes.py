@@ -26,6 +26,7 @@ from cyclekit.derive.seen_slow import Switches, joined, rows_of
 from cyclekit.derive.session_end import Left, finish
 from cyclekit.derive.session_look import Look, look_at
 from cyclekit.derive.session_samples import Made, SessionToSample, samples_of
+from cyclekit.derive.session_signals import looked_for, some_executions
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.people.activity import operator_places
 from cyclekit.people.silence import absences
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from cyclekit.config import Cell, Source
-    from cyclekit.dataset.cards import ExecutionCard, Note, RecordingCard
+    from cyclekit.dataset.cards import ExecutionCard, Note, OperatorSignalCard, RecordingCard
     from cyclekit.dataset.dataset import Place
     from cyclekit.dataset.sessions import LogGroup, Session
     from cyclekit.dataset.signals import Read, Stored
@@ -65,8 +66,6 @@ SHARED_ROWS = 2_000_000
 """Of the robot, below which a pass takes less time than workers need to start."""
 SESSION_ROWS = 1000
 """What a session costs besides its rows, in rows."""
-EVIDENCE_SAMPLES = 200_000
-"""Causes of lost time are told by so many samples, of executions evenly spread."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +81,7 @@ class Derived:
     levels: tuple[float, ...]
     origin: str | None
     dynamics: SafetyResponse
+    operator_signals: tuple[OperatorSignalCard, ...]
     warnings: list[Note]
 
 
@@ -132,7 +132,7 @@ def derive(
     if _is_much(groups) or any(run.is_inferred for run in robot.runs):
         forget()  # samples and scaling of many hours take that memory
     runs = {work.session.name: list(work.runs.values()) for work in works}
-    return _finished(passes, made, files, runs, robot, cell, folder, read)
+    return _finished(passes, made, files, runs, robot, cell, folder, read, stored)
 
 
 def _finished(
@@ -144,6 +144,7 @@ def _finished(
     cell: Cell,
     folder: Path,
     read: Read,
+    stored: Stored,
 ) -> Derived:
     """Find the levels and the operator's places, and have the samples completed."""
     some = [one for one in made if one.samples]
@@ -152,13 +153,24 @@ def _finished(
     labels = np.split(staircase.label, np.cumsum([one.samples for one in made])[:-1]) if made else []
     levels = tuple(round(float(level), 6) for level in staircase.levels)
     gone = absences([one.silences for one in made])
+    watched = looked_for(made, runs, cell, levels, folder, read, stored)
     left = [
-        Left(one.part, runs[one.session], label, one.stays, absence, _switches(one, read), _times_of(one.legs))
-        for one, label, absence in zip(made, labels, gone, strict=True)
+        Left(
+            one.part, runs[one.session], label, one.stays, absence, switch or _switches(one, read), _times_of(one.legs)
+        )
+        for one, label, absence, switch in zip(made, labels, gone, watched.switches, strict=True)
     ]
-    evidence = _evidence(left, made, files, levels, folder)
+    evidence = _evidence(left, made, files, levels, folder, watched.names)
     most = max(20, MOST // max(len(some), 1))
-    rest = partial(finish, spots=spots, levels=levels, evidence=evidence, most_changes=most, folder=folder)
+    rest = partial(
+        finish,
+        spots=spots,
+        levels=levels,
+        evidence=evidence,
+        signals=watched.names,
+        most_changes=most,
+        folder=folder,
+    )
     finished = passes.over_files(rest, left, files, 0.85, 1.0, "levels")
     return Derived(
         recordings=[recording for one in made for recording in one.recordings],
@@ -169,7 +181,8 @@ def _finished(
         human_places=spots,
         levels=levels,
         origin=" and ".join(sorted({name for one in some for name in one.origins}, reverse=True)) or None,
-        dynamics=read_response([one.changes for one in finished]),
+        dynamics=watched.response(read_response([one.changes for one in finished])),
+        operator_signals=watched.found.cards,
         warnings=[*robot.warnings, *(staircase.warnings if some or not made else []), *_inputs(evidence)],
     )
 
@@ -221,11 +234,15 @@ def _switches(made: Made, read: Read) -> dict[str, Switches]:
 
 
 def _evidence(
-    left: Sequence[Left], made: Sequence[Made], files: Sequence[Sequence[int]], levels: Sequence[float], folder: Path
+    left: Sequence[Left],
+    made: Sequence[Made],
+    files: Sequence[Sequence[int]],
+    levels: Sequence[float],
+    folder: Path,
+    people: Sequence[str],
 ) -> Evidence:
     """Return what tells the causes of lost time, from every k-th execution of long logs."""
-    every = max(1, round(sum(one.samples for one in made) / EVIDENCE_SAMPLES))
-    chosen = [card.execution for one in made for card in one.cards][::every]
+    chosen = some_executions(made)
     found = []
     for numbers in files:
         if not any(made[number].samples for number in numbers):
@@ -242,7 +259,7 @@ def _evidence(
             for i, number in enumerate(numbers)
             if (which == i).any()
         ]
-    return find_evidence(joined(found), levels) if found else NOTHING
+    return find_evidence(joined(found), levels, people) if found else NOTHING
 
 
 def _numbered(looks: Sequence[Look]) -> list[Session]:

@@ -136,7 +136,8 @@ def features_of(rows: Rows, watching: Sequence[str]) -> tuple[Floats, Bools]:
     """Return what a slow-down by people may depend on, shape (N, F), and where all of that is known, shape (N,).
 
     Those are distances from robot to operator (in space and on the floor), where the operator is, and the signals that
-    watch the operator. Nobody is FAR_M away.
+    watch the operator. Nobody is FAR_M away. Where no position of an operator is known at all, the signals tell it all,
+    and how they count depends on where the robot is.
     """
     seen = np.isfinite(rows.human_m[:, :2]).all(axis=1) & np.isfinite(rows.robot_m).all(axis=1) & ~rows.absent
     way = rows.human_m - rows.robot_m
@@ -144,8 +145,10 @@ def features_of(rows: Rows, watching: Sequence[str]) -> tuple[Floats, Bools]:
     flat = np.linalg.norm(way[:, :2], axis=1)
     columns = [np.linalg.norm(way, axis=1), flat, rows.human_m[:, 0], rows.human_m[:, 1]]
     bits = [rows.switches[name].at(rows.t_s) if name in rows.switches else np.zeros(len(seen)) for name in watching]
-    features = np.column_stack([*(np.where(seen, column, FAR_M) for column in columns), *bits])
-    return features, seen | rows.absent
+    by_signals = bool(watching) and not np.isfinite(rows.human_m).any()
+    robot = rows.robot_m[:, :2].T if by_signals else ()
+    features = np.column_stack([*(np.where(seen, column, FAR_M) for column in columns), *bits, *robot])
+    return features, np.asarray(np.isfinite(rows.robot_m).all(axis=1) if by_signals else seen | rows.absent)
 
 
 def _numbered(values: pl.Series, names: Sequence[str]) -> Ints:

@@ -42,7 +42,7 @@ class Left:
         label: Index of the level in force at each sample, shape (N,), -1 = none.
         stays: Where the operator stayed, of each execution.
         absence: When a silent tracker says that nobody was there.
-        switches: Signals of two states, session time.
+        switches: Signals of two states, session time; where any tell of people those alone, on while somebody is there.
         legs: Of each of the robot's tasks its start, arrival, end of the dwell and end, and from when to when it waited
             short of its goal, shape (L, 6), session seconds.
     """
@@ -74,6 +74,7 @@ def finish(
     spots: Mapping[str, Place],
     levels: Sequence[float],
     evidence: Evidence,
+    signals: Sequence[str],
     most_changes: int,
     folder: Path,
 ) -> list[Finished]:
@@ -84,6 +85,7 @@ def finish(
         spots: Places of the operator.
         levels: Of the scaling, ascending.
         evidence: What tells the causes of lost time.
+        signals: Signals that tell of people, by name, in the order of their bits.
         most_changes: Of so many changes of one session the distances are told at most.
         folder: Where the files of samples lie.
     """
@@ -94,7 +96,7 @@ def finish(
     if sum(counts):
         file = folder / f"{left[0].part}.parquet"
         made = file.with_suffix(".part")
-        write_samples(_with_causes(_completed(file, left, spots, times, places), left, evidence, lost), made)
+        write_samples(_with_causes(_completed(file, left, spots, times, places), left, evidence, signals, lost), made)
         made.replace(file)  # whoever does this again finds the one or the other
     ends = np.cumsum(counts)[:-1]
     each = zip(left, np.split(np.concatenate(times), ends), np.split(np.concatenate(places), ends), lost, strict=True)
@@ -105,20 +107,36 @@ def finish(
 
 
 def _with_causes(
-    frames: Iterator[pl.DataFrame], left: Sequence[Left], evidence: Evidence, lost: Sequence[Floats]
+    frames: Iterator[pl.DataFrame],
+    left: Sequence[Left],
+    evidence: Evidence,
+    signals: Sequence[str],
+    lost: Sequence[Floats],
 ) -> Iterator[pl.DataFrame]:
-    """Yield the samples with the cause of what is lost there; add what each task lost, in samples, to `lost`."""
+    """Yield the samples with what is lost there, and the signals of people; add what each task lost to `lost`."""
     ends = np.cumsum([len(one.label) for one in left])
     first = 0
     for frame in frames:
-        told, begin = [], first
+        told, begin, bits = [], first, list[pl.Series]()
         while begin < first + frame.height:
             number = int(np.searchsorted(ends, begin, side="right"))
             end = min(int(ends[number]), first + frame.height)
-            told.append(_told(frame[begin - first : end - first], left[number], evidence, lost[number]))
+            some = frame[begin - first : end - first]
+            told.append(_told(some, left[number], evidence, lost[number]))
+            bits.append(_bits(some, left[number].switches, signals))
             begin = end
         first += frame.height
-        yield frame.with_columns(lost_to=pl.concat(told))
+        yield frame.with_columns(lost_to=pl.concat(told), human_signals=pl.concat(bits))
+
+
+def _bits(samples: pl.DataFrame, switches: Mapping[str, Switches], signals: Sequence[str]) -> pl.Series:
+    """Return which signals of people are on, as a bit field; null where not all of them were logged."""
+    if not signals or not all(name in switches for name in signals):
+        return pl.Series([None], dtype=pl.Int64).new_from_index(0, samples.height)
+    t_s, found = samples["t_s"].to_numpy(), np.zeros(samples.height, np.int64)
+    for k, name in enumerate(signals):
+        found |= switches[name].at(t_s).astype(np.int64) << k
+    return pl.Series(found)
 
 
 def _told(samples: pl.DataFrame, left: Left, evidence: Evidence, lost: Floats) -> pl.Series:

@@ -358,6 +358,7 @@ def _card(cell: Cell, derived: Derived, not_read: list[tuple[str, str]], wanted:
         levels=derived.levels,
         scaling_origin=derived.origin,
         dynamics=DynamicsCard(**asdict(derived.dynamics)),
+        operator_signals=derived.operator_signals,
         rows=RowCounts(samples=derived.samples, tasks=derived.tasks.height),
         warnings=tuple(derived.warnings),
     )

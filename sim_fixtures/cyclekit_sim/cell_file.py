@@ -16,10 +16,12 @@ from cyclekit_sim.write_csv import UPTIME_S
 _ROBOT_RADIUS_M = 0.05
 
 
-def cell_file(scene: Scene, options: SimulationOptions) -> str:
-    """Return the text of cell.toml."""
+def cell_file(scene: Scene, options: SimulationOptions, events: bool, inputs: bool) -> str:
+    """Return the text of cell.toml; `events`, `inputs`: there are logs of events, digital inputs in the robot's log."""
     lines = [f'name = "{scene.name}"', 'ignore = ["truth/*"]']
-    lines += _bag_sources() if options.logs == "mcap" else _csv_sources(scene, options)
+    if options.task_list:
+        return "\n".join(lines) + "\n"
+    lines += _bag_sources() if options.logs == "mcap" else _csv_sources(scene, options, events, inputs)
     for name, xyz_m in scene.places.items():
         lines += ["", f"[places.{name}]", f"xyz_m = {_numbers(xyz_m)}", f"radius_m = {_ROBOT_RADIUS_M}"]
     tracked = options.people in ("tracker", "both")
@@ -34,14 +36,14 @@ def cell_file(scene: Scene, options: SimulationOptions) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _csv_sources(scene: Scene, options: SimulationOptions) -> list[str]:
+def _csv_sources(scene: Scene, options: SimulationOptions, events: bool, inputs: bool) -> list[str]:
     offset = f"clock_offset_s = {UPTIME_S - lead_s(options):.3f}  # this log's time + this = the robot log's time"
     frame = f"frame = {{ xyz_m = {_numbers(options.tracker_xyz_m)}, yaw_deg = {options.tracker_yaw_deg} }}"
     names = 'time = "time", time_unit = "s", signal = "signal", value = "value"'
-    events = ('role = "events"', 'adapter = "csv"', offset, f'map = {{ delimiter = ",", {names} }}')
+    how = ('role = "events"', 'adapter = "csv"', offset, f'map = {{ delimiter = ",", {names} }}')
     lines = [
         *("", "[[sources]]", 'path = "session_*/robot.csv"', 'role = "robot"'),
-        *(['map = { inputs = "events" }'] if options.causes else []),
+        *(['map = { inputs = "events" }'] if inputs else []),
     ]
     if scene.plc and options.people in ("signals", "both"):
         lines += ["", "[[sources]]", 'path = "session_*/plc.csv"', 'role = "events"', 'adapter = "csv"']
@@ -51,7 +53,7 @@ def _csv_sources(scene: Scene, options: SimulationOptions) -> list[str]:
     return [
         *lines,
         *("", "[[sources]]", 'path = "session_*/operator.csv"', 'role = "people"', offset, frame),
-        *(("", "[[sources]]", 'path = "session_*/events.csv"', *events) if options.signals else ()),
+        *(("", "[[sources]]", 'path = "session_*/events.csv"', *how) if events else ()),
     ]
 
 

@@ -28,7 +28,8 @@ def stream(seed: int, scene: Scene, purpose: int, number: int, *, domain: int = 
 
     `domain` FRESH keeps executions made to check an estimate apart from those that were logged with the same seed.
     """
-    key = ((*BUILT_IN, *COUPLED).index(scene.name), domain, purpose, number)
+    kind = list(BUILT_IN).index(scene.name) if scene.name in BUILT_IN else 1000 + list(COUPLED).index(scene.name)
+    key = (kind, domain, purpose, number)
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 

@@ -20,7 +20,6 @@ from cyclekit_sim.scenes import Scene
 from cyclekit_sim.session import Session
 
 _BATCH, _FRESH_BATCH = 128, 500  # executions stepped side by side
-_PRESS_S = 0.3  # how long a button is pressed
 _DEFAULT = SimulationOptions()
 
 
@@ -38,6 +37,12 @@ class CoupledWork:
     def scene(self) -> Scene:
         """Its places, stations and safety function."""
         return self.cell.scene
+
+    @property
+    def signal_logs(self) -> tuple[bool, bool]:
+        """Whether there are logs of events, and digital inputs in the robot's log."""
+        told = self.options.signals
+        return told and len(self.cell.bits) < len(self.cell.signals), told and bool(self.cell.bits)
 
     def sessions(self, progress: Callable[[float], None] | None = None) -> Iterator[Session]:
         """Yield the sessions in order."""
@@ -64,11 +69,11 @@ class CoupledWork:
 
     def _signals(self, traces: Sequence[CoupledTrace], begins_s: Sequence[float]) -> tuple[tuple[float, str, str], ...]:
         """Return time, name and value of each change of a signal, in session time."""
-        found = []
+        found: list[tuple[float, str, str]] = []
         for trace, begin_s in zip(traces, begins_s, strict=True):
-            for (agent, place, moment), name in self.cell.signals.items():
-                for t_s in trace.done.moments_s(agent, place, moment):
-                    found += [(begin_s + t_s, name, "1"), (begin_s + t_s + _PRESS_S, name, "0")]
+            for on_s, off_s, name in trace.done.signals(self.cell):
+                if name not in self.cell.bits:
+                    found += [(begin_s + on_s, name, "1"), (begin_s + off_s, name, "0")]
         return tuple(sorted(found))
 
 

@@ -35,6 +35,8 @@ from cyclekit_sim.safety import SpeedScaling
 from cyclekit_sim.walking import Leg, WalkedTrack
 
 _LONGEST_S = 1800.0
+PULSE_S = 0.3
+"""How long a signal is on."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,11 @@ class Done:
     def moments_s(self, agent: str, place: str, moment: Moment) -> list[float]:
         """Return when an agent arrived at a place, was done there, or left it."""
         return [float(self.ends_s[agent][at]) for at in self.cell.scripts[agent].moments[place, moment]]
+
+    def signals(self, cell: Coupled) -> list[tuple[float, float, str]]:
+        """Return from when to when each signal is on, s, and its name."""
+        moments = [(name, t_s) for key, name in cell.signals.items() for t_s in self.moments_s(*key)]
+        return sorted((t_s, t_s + PULSE_S, name) for name, t_s in moments)
 
     def waits(self, agent: str) -> Iterator[Waited]:
         """Yield the waits of an agent, those of length 0 too."""
@@ -193,7 +200,7 @@ def run_cells(
         if progress is not None and cycle % 1024 == 0:
             progress(lines.share_done)
     done = [_done(each, lines, b, count) for b, each in enumerate(cells)]
-    return done, _traces(done, records, options) if logged else []
+    return done, _traces(cell, done, records, options) if logged else []
 
 
 def _done(cell: Cell, lines: Lines, b: int, count: int) -> Done:
@@ -204,7 +211,7 @@ def _done(cell: Cell, lines: Lines, b: int, count: int) -> Done:
 
 
 def _traces(
-    done: Sequence[Done], records: list[tuple[Array, Array, Ints]], options: SimulationOptions
+    cell: Coupled, done: Sequence[Done], records: list[tuple[Array, Array, Ints]], options: SimulationOptions
 ) -> list[CoupledTrace]:
     nominal_s = np.stack([u for u, _, _ in records])
     scaling, segment = np.stack([s for _, s, _ in records]), np.stack([of for _, _, of in records])
@@ -214,7 +221,18 @@ def _traces(
         n = int(np.ceil(ends_s[-1] / options.cycle_s - 1e-9))
         program, ways = realised(each, "robot"), _track(each)
         at_s, s, of = nominal_s[:n, b].copy(), scaling[:n, b].copy(), segment[:n, b].astype(np.int64)
-        found.append(CoupledTrace(program, ways, at_s, s, of, ends_s, options.cycle_s, done=each))
+        inputs = _inputs(cell, each, n, options) if options.signals and cell.bits else None
+        found.append(CoupledTrace(program, ways, at_s, s, of, ends_s, options.cycle_s, inputs=inputs, done=each))
+    return found
+
+
+def _inputs(cell: Coupled, done: Done, cycles: int, options: SimulationOptions) -> Ints:
+    """Return the digital inputs as a bit field (K,)."""
+    t_s = np.arange(cycles) * options.cycle_s
+    found = np.zeros(cycles, dtype=np.int64)
+    for begin_s, end_s, name in done.signals(cell):
+        if name in cell.bits:
+            found[(t_s >= begin_s) & (t_s < end_s)] |= 1 << cell.bits[name]
     return found
 
 

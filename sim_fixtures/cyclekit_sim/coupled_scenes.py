@@ -16,6 +16,7 @@ from cyclekit_sim.scenes import LEVELS, PELVIS_Z_M, Scene, Station
 
 Moment = Literal["arrives", "done", "leaves"]
 OPERATOR_LAG_S, ROBOT_LAG_S = (0.3, 0.8), (0.1, 0.2)
+INPUT = "digital-input "
 LINGER_S = (0.1, 0.4)
 """From the end of an operator's work at a place to his first step away from it."""
 
@@ -87,6 +88,12 @@ class Coupled:
     signals: Mapping[tuple[str, str, Moment], str]
     feed: Feed | None = None
 
+    @property
+    def bits(self) -> dict[str, int]:
+        """Bits of the signals that the robot's log has as digital inputs; the others are events."""
+        names = [name.removeprefix(INPUT) for name in self.signals.values() if name.startswith(INPUT)]
+        return {INPUT + number: int(number) for number in names}
+
 
 REST = "rest"
 JOINT_TIMES = 3
@@ -144,4 +151,36 @@ def _shared_fixture() -> Coupled:
     )
 
 
-COUPLED: dict[str, Coupled] = {cell.scene.name: cell for cell in (_shared_fixture(),)}
+def _handover() -> Coupled:
+    places: dict[str, Place] = {"bin": (0.55, -0.30, 0.10), "handover": (0.62, 0.18, 0.30)}
+    stations = {"handover": ((1.15, 0.55), (1.0, 2.0)), "bench": ((1.70, 1.05), (2.5, 4.5))}
+    held = Need("robot", "handover", "arrives", 0, OPERATOR_LAG_S)
+    taken = Need("operator", "handover", "done", 0, ROBOT_LAG_S)
+    return Coupled(
+        scene=_scene("handover", places, stations, (0.3, 0.7, 1.1, 1.6)),
+        short_of={},
+        robot_s={**_RACKS_S, "bin": 0.6, "handover": 0.4},
+        robot_jobs={"give": ("bin", "handover"), **_SORTING},
+        operator_jobs={"take": ("handover", "bench"), **{name: (name,) for name in _OWN_STATIONS}},
+        gates=(Gate("operator", "work", "handover", held), Gate("robot", "work", "handover", taken)),
+        signals={("operator", "handover", "done"): "digital-input 2"},
+    )
+
+
+def _fed_line() -> Coupled:
+    places: dict[str, Place] = {"conveyor": (0.60, 0.10, 0.10), "outfeed": (0.45, 0.45, 0.10)}
+    stations = {"bench": ((1.30, 0.95), (2.0, 4.0))}
+    come = Need("source", "conveyor", "arrives", 0, ROBOT_LAG_S)
+    return Coupled(
+        scene=_scene("fed-line", places, stations, (0.45, 0.75, 1.1, 1.6)),
+        short_of={},
+        robot_s={**_RACKS_S, "conveyor": 0.6, "outfeed": 0.5},
+        robot_jobs={"load": ("conveyor", "outfeed"), **_SORTING},
+        operator_jobs={"check": ("bench",), **{name: (name,) for name in _OWN_STATIONS}},
+        gates=(Gate("robot", "work", "conveyor", come),),
+        signals={("source", "conveyor", "arrives"): "digital-input 3"},
+        feed=Feed("conveyor", (6.0, 10.0), 2),
+    )
+
+
+COUPLED: dict[str, Coupled] = {cell.scene.name: cell for cell in (_shared_fixture(), _handover(), _fed_line())}

@@ -56,6 +56,7 @@ class SimulationOptions:
             scene has. With signals the safety function is that of the scene's fields.
         coupling: In which share of the joint tasks robot and operator wait, in cells where they do (CSV).
         signals: False leaves buttons and sensors out of the logs of such cells.
+        task_list: The logs of such a cell are starts and ends of tasks alone.
     """
 
     logs: Literal["csv", "mcap"] = "csv"
@@ -89,6 +90,7 @@ class SimulationOptions:
     people: Literal["tracker", "signals", "both", "none"] | None = None
     coupling: float = 1.0
     signals: bool = True
+    task_list: bool = False
 
     def __post_init__(self) -> None:
         """Refuse values no cell can have, all at once."""
@@ -112,7 +114,7 @@ class SimulationOptions:
                 (self.executions_per_session < 1, "executions_per_session must be 1 or more"),
                 (not 0 <= self.coupling <= 1, f"coupling is {self.coupling}: use a fraction from 0 to 1"),
                 (self.causes is not None and self.logs == "mcap", "causes are written to CSV logs only"),
-                (self.people is not None and self.logs == "mcap", "people is for CSV logs only"),
+                (self.people not in (None, "tracker") and self.logs == "mcap", "people is for CSV logs only"),
             )
             if wrong
         ]

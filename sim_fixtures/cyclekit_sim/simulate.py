@@ -20,6 +20,7 @@ import polars as pl
 from cyclekit_sim.cell_file import cell_file
 from cyclekit_sim.choices import ENCODER, SEQUENCE, TRACKER, draw_places, stream
 from cyclekit_sim.coupled import CoupledWork, coupled_work
+from cyclekit_sim.coupled_list import listed_conditions, task_list
 from cyclekit_sim.coupled_scenes import COUPLED
 from cyclekit_sim.coupled_truth import conditions, coupled_executions, coupled_tasks
 from cyclekit_sim.encoder import measured
@@ -156,8 +157,8 @@ def _prepare(scene: str, seed: int, options: SimulationOptions, executions: int)
         if options.people not in (None, "tracker"):
             raise SimulationError(f"{scene} has no fields, so it cannot log their signals: use people = 'tracker'")
         return coupled_work(scene, seed, dataclasses.replace(options, people="tracker"), executions)
-    if options.coupling != 1.0 or not options.signals:
-        raise SimulationError(f"{scene}: coupling and signals are of {', '.join(COUPLED)}")
+    if options.coupling != 1.0 or not options.signals or options.task_list:
+        raise SimulationError(f"{scene}: coupling, signals and task lists are of {', '.join(COUPLED)}")
     cell, options = _set_up(scene, options)
     return prepare(cell, seed, options, executions=executions)
 
@@ -173,6 +174,7 @@ def _write(folder: Path, work: Work | CoupledWork, progress: Progress) -> None:
     (folder / "truth").mkdir(parents=True)
     clock_s = BAG_EPOCH_S if work.options.logs == "mcap" else UPTIME_S
     tables: dict[str, list[pl.DataFrame]] = {name: [] for name in _TRUTH}
+    lists: list[pl.DataFrame] = []
     total = len(work.executions)
 
     def in_motion(share: float) -> None:
@@ -183,14 +185,19 @@ def _write(folder: Path, work: Work | CoupledWork, progress: Progress) -> None:
         tasks, executions = _tables(session, work, clock_s)
         last = int(tasks["execution"][-1])
         progress((last + 1) / total, f"writing {session.name}, execution {last + 1} of {total}")
-        _write_session(folder / session.name, session, work)
+        if isinstance(work, CoupledWork) and work.options.task_list:
+            lists.append(task_list(session, work.cell))
+        else:
+            _write_session(folder / session.name, session, work)
         tables["tasks"].append(tasks)
         tables["executions"].append(executions)
         tables["samples"].append(sample_table(session, work.scene, clock_s))
     for name, parts in tables.items():
         pl.concat(parts).write_parquet(folder / "truth" / f"{name}.parquet")
     (folder / "truth" / "truth.json").write_text(_facts(work), encoding="utf-8")
-    (folder / "cell.toml").write_text(cell_file(work.scene, work.options), encoding="utf-8")
+    if lists:
+        pl.concat(lists).write_csv(folder / "tasks.csv", float_precision=3)
+    (folder / "cell.toml").write_text(cell_file(work.scene, work.options, *_signal_logs(work)), encoding="utf-8")
     progress(1.0, "done")
 
 
@@ -212,14 +219,20 @@ def _write_session(folder: Path, session: Session, work: Work | CoupledWork) -> 
     if options.logs == "mcap":
         write_bag(folder / f"{session.name}.mcap", session, robot, frames, options)
         return
+    events, inputs = _signal_logs(work)
     fields = options.people in ("signals", "both")
-    write_robot(folder / "robot.csv", robot, options, inputs=fields and not work.scene.plc)
+    write_robot(folder / "robot.csv", robot, options, inputs=inputs or (fields and not work.scene.plc))
     if fields and work.scene.plc:
         write_plc(folder / "plc.csv", session, work.scene.fields)
     if options.people in ("tracker", "both"):
         write_people(folder / "operator.csv", frames, options, session.name)
-        if options.signals:
+        if events:
             write_events(folder / "events.csv", session, options)
+
+
+def _signal_logs(work: Work | CoupledWork) -> tuple[bool, bool]:
+    """Return whether there are logs of events, and digital inputs in the robot's log."""
+    return work.signal_logs if isinstance(work, CoupledWork) else (True, work.options.causes is not None)
 
 
 def _facts(work: Work | CoupledWork) -> str:
@@ -233,9 +246,11 @@ def _facts(work: Work | CoupledWork) -> str:
     options["operator_log"] = work.options.operator_log.name if work.options.operator_log else None
     more: dict[str, object]
     if isinstance(work, CoupledWork):
-        more = {"process_s": work.cell.robot_s, "conditions": conditions(work.cell)}
+        feed = dataclasses.asdict(work.cell.feed) if work.cell.feed else None
+        waits = listed_conditions(work.cell) if work.options.task_list else conditions(work.cell)
+        more = {"process_s": work.cell.robot_s, "conditions": waits, "feed": feed}
     else:
-        del options["coupling"], options["signals"]
+        del options["coupling"], options["signals"], options["task_list"]
         more = dict(zip(("pick_s", "place_s"), process_times(work), strict=True))
     scene = work.scene
     facts = {

@@ -33,7 +33,7 @@ def write_robot(path: Path, robot: RobotStates, options: SimulationOptions, *, i
     columns |= {f"{name}_{i}": pl.Series(values[:, i]) for name, values in groups for i in range(6)}
     if options.log_outputs:
         columns["actual_digital_output_bits"] = pl.Series(robot.closed)
-    if inputs or options.causes is not None:
+    if inputs:
         columns["actual_digital_input_bits"] = pl.Series(robot.inputs)
     columns["robot_mode"] = pl.repeat(7, count, eager=True)
     columns["safety_status"] = pl.repeat(1, count, eager=True)

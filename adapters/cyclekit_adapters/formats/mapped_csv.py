@@ -152,7 +152,7 @@ def _columns(mapping: CsvMap, role: Role) -> tuple[list[str], list[str], list[st
         person = [mapping.person] if mapping.person else []
         numbers = [*number_time, *places.values(), *([mapping.confidence] if mapping.confidence else [])]
         return list(dict.fromkeys(numbers)), [*text_time, *person], [*time, *person]
-    whole_numbers = (mapping.digital_out, mapping.register)
+    whole_numbers = (mapping.digital_in, mapping.digital_out, mapping.register)
     others = [column for column in (*mapping.scaling, mapping.slider, mapping.speed, *whole_numbers) if column]
     numbers = [*places.values(), *others, *mapping.joints]
     if not numbers:
@@ -181,8 +181,12 @@ def _robot(frame: pl.DataFrame, mapping: CsvMap) -> pl.DataFrame:
         words = dict(zip(STATES, STATES, strict=True)) | dict(mapping.states)
         state = pl.col(mapping.state).replace_strict(words, default=None, return_dtype=pl.String)
         columns.append(state.alias("state"))
-    bits = {mapping.digital_out: "digital_out_bits", mapping.register: "register"}
-    columns += [pl.col(n).cast(pl.Int64, strict=False).alias(name) for n, name in bits.items() if n]
+    whole = (
+        ("digital_in_bits", mapping.digital_in),
+        ("digital_out_bits", mapping.digital_out),
+        ("register", mapping.register),
+    )
+    columns += [pl.col(n).cast(pl.Int64, strict=False).alias(name) for name, n in whole if n]
     return conform(frame.select(columns), ROBOT)
 
 

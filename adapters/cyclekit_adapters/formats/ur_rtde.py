@@ -68,7 +68,8 @@ class _UrRtdeCsv:
         joints = _joints(names)
         _require(path, names, joints)
         inputs = _inputs(path, layout, options)
-        wanted = _fields(register, joints, options.columns) + [_INPUTS] * (inputs is not None)
+        needed = [_INPUTS] if inputs is not None else []
+        wanted = list(dict.fromkeys([*_fields(register, joints, options.columns), *needed]))
         once, seen = Once("timestamp"), _Seen()
 
         def make(rows: TextRows) -> Recording:
@@ -163,6 +164,7 @@ def _fields(register: str, joints: dict[str, str], columns: Sequence[str]) -> li
         "scaling": [*_FRACTIONS, "runtime_state"],
         "slider": ["target_speed_fraction"],
         "state": ["runtime_state"],
+        "digital_in_bits": [_INPUTS],
         "digital_out_bits": [_OUTPUTS],
         "register": [register],
     }
@@ -196,7 +198,7 @@ def _robot(frame: pl.DataFrame, register: str, joints: dict[str, str]) -> pl.Dat
         if have.issuperset(_FRACTIONS):
             product = _fraction(frame, "speed_scaling") * _fraction(frame, "target_speed_fraction")
             columns.append(_series("scaling", np.where(code == _PLAYING, product, np.nan)))
-    whole = {_OUTPUTS: "digital_out_bits", register: "register"}
+    whole = {_INPUTS: "digital_in_bits", _OUTPUTS: "digital_out_bits", register: "register"}
     columns += [frame.get_column(n).cast(pl.Int64, strict=False).alias(c) for n, c in whole.items() if n in have]
     return conform(pl.DataFrame(columns), ROBOT)
 

@@ -66,6 +66,7 @@ class CsvMap:
     speed: str | None = None
     state: str | None = None
     states: Mapping[str, str] = field(default_factory=dict)
+    digital_in: str | None = None
     digital_out: str | None = None
     register: str | None = None
     signal: str | None = None

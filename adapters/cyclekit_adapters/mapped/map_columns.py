@@ -19,7 +19,21 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
-ONE = ("x", "y", "z", "person", "confidence", "slider", "speed", "state", "digital_out", "register", "signal", "value")
+ONE = (
+    "x",
+    "y",
+    "z",
+    "person",
+    "confidence",
+    "slider",
+    "speed",
+    "state",
+    "digital_in",
+    "digital_out",
+    "register",
+    "signal",
+    "value",
+)
 """Keys of one column."""
 MANY = ("time", "scaling", "joints")
 """Keys of one column or several."""

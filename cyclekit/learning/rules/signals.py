@@ -7,10 +7,12 @@ whatever the level does; one by which the controller only tells that it is slow 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+
+from cyclekit.dataset.signals import MOST_VALUES, SignalChanges
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,20 +29,9 @@ SPREAD_S = 0.1
 """A delay is the same within this: the time between two samples."""
 FOLLOWED = 0.9
 """The level must follow this part of the changes of a signal."""
-MOST_VALUES, _TEXT = 8, "U64"
+_TEXT = "U64"
 
 Signals = dict[tuple[str, float], "NDArray[np.str_]"]
-
-
-class SignalChanges(NamedTuple):
-    """When a signal took which value, session time, s, ascending; shape (M,) each."""
-
-    t_s: Vector
-    value: NDArray[np.str_]
-
-    def at(self, t_s: Vector) -> NDArray[np.str_]:
-        """Return the value at some times, shape (N,); empty before the first one."""
-        return np.append("", self.value)[np.searchsorted(self.t_s, t_s, side="right")]
 
 
 def signals_of(dataset: Dataset, executions: Sequence[str], frame: pl.DataFrame, level: Ints, stretch: Ints) -> Signals:

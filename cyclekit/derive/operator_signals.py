@@ -1,0 +1,268 @@
+"""Which signals tell of people, where no tracker does: fields of a scanner, light curtains, doors, mats.
+
+A signal is believed if the level answers to it, always the same time later, and if with it more of the lost time is
+explained on held-out executions than by the robot's place and the signals before it. What the robot itself sets tells
+of nobody: outputs, the register, inputs that mirror an output, and what follows the speed instead of leading it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from cyclekit.dataset.cards import OperatorSignalCard
+from cyclekit.dataset.signals import OUTPUT, REGISTER, SignalChanges
+from cyclekit.derive.usual_levels import usual_levels
+from cyclekit.people.activity import GOAL_SIGNAL
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from cyclekit.config.cells import OperatorSignal
+    from cyclekit.schema import Bools, Ints, Vector
+
+MOST_LAG_S, BIN_S = 1.0, 0.02
+"""A level answers to a signal within this time; delays are counted in bins of that width."""
+LEAST_ALIKE, LEAST_ANSWERS, CHANCE = 2, 4, 4.0
+"""So many falls, or rises, must follow a signal after the same time, so many of both, and so many deviations more than
+by chance."""
+SAME_S = 0.04
+"""Delays within this are the same."""
+AT_ONCE_S = 0.012
+"""A signal that changes with the level to within this may be its cause or its effect; believed after all others."""
+GAIN = 0.02
+"""A signal must explain this share of the lost time more."""
+MIRRORS = 0.9
+"""An input of which this share of the changes follows an output within MIRROR_S only mirrors it."""
+MIRROR_S = 0.5
+CELL_M = 0.05
+"""Places of the robot within this are one, m."""
+FAR_M = 99.0
+"""Where the robot counts as being while a signal is off: one cut then tells that it is on and the robot in a region."""
+PROGRAM = 0.97
+"""A signal that the robot's task and place predict so well (balanced accuracy) is the program's own."""
+FOLDS, MOST_SIGNALS, MOST_ROWS = 5, 16, 30_000
+
+
+@dataclass(frozen=True)
+class SignalEvidence:
+    """What sessions tell: N samples, and at the log's own rate when the level and each signal changed.
+
+    Times of several sessions lie apart from each other.
+
+    Attributes:
+        t_s: Time, shape (N,).
+        level: Index of the commanded level, -1 = unknown, shape (N,).
+        place: The robot's TCP on the floor, shape (N, 2), m.
+        task: Number of the robot's task, shape (N,).
+        execution: Number of the execution, shape (N,).
+        falls_s, rises_s: When the level began to fall and to rise.
+        signals: Changes of each signal.
+        levels: Of the scaling, ascending.
+    """
+
+    t_s: Vector
+    level: Ints
+    place: Vector
+    task: Ints
+    execution: Ints
+    falls_s: Vector
+    rises_s: Vector
+    signals: Mapping[str, SignalChanges]
+    levels: Sequence[float]
+
+
+class _Lead(NamedTuple):
+    """How the level answers to a signal: its value while somebody is there, and the delays, s, to fall and to rise."""
+
+    occupied: str
+    delay_s: float
+    rise_s: float | None
+
+
+class FoundSignals(NamedTuple):
+    """Signals that tell of people; reaction time to the first, and how much later the level rises; None: not seen."""
+
+    cards: tuple[OperatorSignalCard, ...] = ()
+    latency_s: float | None = None
+    hold_s: float | None = None
+
+
+def find_signals(evidence: SignalEvidence, told: Sequence[OperatorSignal] = ()) -> FoundSignals:
+    """Return the signals that tell of people.
+
+    Args:
+        evidence: Of all sessions, or of some.
+        told: Those that the cell file names; then no others are looked for.
+    """
+    leads: dict[str, _Lead] = {}
+    if told:
+        for one in told:
+            (falls_s, _), (rises_s, _) = _delays(evidence, one.signal, one.occupied)
+            leads[one.signal] = _Lead(one.occupied, falls_s or 0.0, rises_s)
+        order = [(one.name, one.signal) for one in told]
+    else:
+        leads = _leading(evidence)
+        order = [(name, name) for name in _believed(evidence, leads)]
+    cards: list[OperatorSignalCard] = []
+    on: list[Bools] = []
+    for name, signal in order:
+        lead = leads[signal]
+        on.append(_on(evidence, signal, lead))
+        cards.append(
+            OperatorSignalCard(
+                name=name,
+                signal=signal,
+                occupied=lead.occupied,
+                delay_s=round(max(lead.delay_s, 0.0), 3),
+                explained=max(0.0, min(1.0, round(_explained(evidence, on), 4))),
+                told=bool(told),
+            )
+        )
+    first = leads[order[0][1]] if order else None
+    if first is None:
+        return FoundSignals()
+    hold_s = None if first.rise_s is None else first.rise_s - first.delay_s
+    return FoundSignals(tuple(cards), max(first.delay_s, 0.0), hold_s if hold_s and hold_s > SAME_S else None)
+
+
+def _leading(evidence: SignalEvidence) -> dict[str, _Lead]:
+    """Return the signals that the level answers to, and that the robot does not set."""
+    own = [name for name in evidence.signals if name == REGISTER or name.startswith(OUTPUT)]
+    own_s = np.sort(np.concatenate([np.empty(0), *(_flips(evidence.signals[name]) for name in own)]))
+    found = {}
+    for name, changes in evidence.signals.items():
+        if name in own or GOAL_SIGNAL in name or _mirrors(_flips(changes), own_s):
+            continue
+        tried = [(value, *_delays(evidence, name, value)) for value in np.unique(changes.value).tolist()]
+        told = [
+            (falls[1] + rises[1], value, falls[0], rises[0]) for value, falls, rises in tried if falls[0] is not None
+        ]
+        if not told:
+            continue
+        count, value, falls_s, rises_s = max(told, key=lambda one: one[0])
+        if falls_s is None or falls_s <= -AT_ONCE_S or count < LEAST_ANSWERS:
+            continue
+        if not _of_program(evidence, changes.at(evidence.t_s) == value):
+            found[name] = _Lead(value, falls_s, rises_s)
+    return found
+
+
+def _believed(evidence: SignalEvidence, leads: Mapping[str, _Lead]) -> list[str]:
+    """Return the signals that explain what the robot's place and those before them do not, the best first."""
+    chosen: list[str] = []
+    on: list[Bools] = []
+    share = _explained(evidence, on)
+    for at_once in (False, True):
+        left = [name for name, lead in leads.items() if (lead.delay_s < AT_ONCE_S) == at_once]
+        while left and len(chosen) < MOST_SIGNALS:
+            states = {name: _on(evidence, name, leads[name]) for name in left}
+            shares = {name: _explained(evidence, [*on, state]) for name, state in states.items()}
+            best = max(shares, key=lambda name: shares[name])
+            if shares[best] < share + GAIN:
+                break
+            share = shares[best]
+            on.append(states[best])
+            chosen.append(best)
+            left.remove(best)
+    return chosen
+
+
+def _delays(
+    evidence: SignalEvidence, signal: str, occupied: str
+) -> tuple[tuple[float | None, int], tuple[float | None, int]]:
+    """Return as of `_answers` how the level falls after a signal turned occupied, and rises after it turned free."""
+    changes = evidence.signals.get(signal)
+    if changes is None:
+        return (None, 0), (None, 0)
+    free = np.sort(np.concatenate([changes.to(str(value)) for value in np.unique(changes.value) if value != occupied]))
+    return _answers(changes.to(occupied), evidence.falls_s), _answers(free, evidence.rises_s)
+
+
+def _answers(cause_s: Vector, answer_s: Vector) -> tuple[float | None, int]:
+    """Return the time after which most answers follow a cause, s, negative where they precede it, and how many do.
+
+    None where no time is more frequent than by chance.
+    """
+    if not len(cause_s) or not len(answer_s):
+        return None, 0
+    first = np.searchsorted(cause_s, answer_s - MOST_LAG_S)
+    count = np.searchsorted(cause_s, answer_s + MOST_LAG_S) - first
+    number = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+    lags = np.repeat(answer_s, count) - cause_s[np.repeat(first, count) + number]
+    if not len(lags):
+        return None, 0
+    edges = np.arange(-MOST_LAG_S, MOST_LAG_S + BIN_S / 2, BIN_S)
+    near = np.convolve(np.histogram(lags, edges)[0], np.ones(3), "same")
+    chance = 3 * len(lags) / (len(edges) - 1)
+    peak = int(near.argmax())
+    if near[peak] < max(LEAST_ALIKE, chance + CHANCE * np.sqrt(chance)):
+        return None, 0
+    middle = float(edges[peak]) + BIN_S / 2
+    alike = lags[np.abs(lags - middle) <= 1.5 * BIN_S]
+    return float(np.median(alike)), len(alike)
+
+
+def _flips(changes: SignalChanges) -> Vector:
+    return np.asarray(changes.t_s[1:][changes.value[1:] != changes.value[:-1]])
+
+
+def _mirrors(flips_s: Vector, own_s: Vector) -> bool:
+    """Tell whether the changes of a signal follow those of what the robot sets."""
+    if not len(flips_s) or not len(own_s):
+        return False
+    before = np.searchsorted(own_s, flips_s + 1e-6) - 1
+    after_s = np.where(before >= 0, flips_s - own_s[np.maximum(before, 0)], np.inf)
+    usual = np.median(after_s)
+    return bool(usual < MIRROR_S and (np.abs(after_s - usual) <= SAME_S).mean() >= MIRRORS)
+
+
+def _of_program(evidence: SignalEvidence, on: Bools) -> bool:
+    """Tell whether the robot's task and place predict a signal, on executions held out."""
+    cells = np.floor(evidence.place / CELL_M)
+    _, group = np.unique(np.column_stack([evidence.task, np.nan_to_num(cells)]), axis=0, return_inverse=True)
+    even = evidence.execution % 2 == 0
+    right = np.zeros(len(on), np.bool_)
+    for learn in (even, ~even):
+        right[~learn] = (_usual(group.ravel(), on, learn) == on)[~learn]
+    return bool(on.any() and not on.all() and (right[on].mean() + right[~on].mean()) / 2 >= PROGRAM)
+
+
+def _on(evidence: SignalEvidence, name: str, lead: _Lead) -> Bools:
+    """Return where somebody is there by a signal, (N,), as the level answers to it."""
+    changes = evidence.signals.get(name)
+    if changes is None:
+        return np.zeros(len(evidence.t_s), np.bool_)
+    on = changes.at(evidence.t_s - lead.delay_s) == lead.occupied
+    if lead.rise_s is not None and lead.rise_s > lead.delay_s + SAME_S:
+        on |= changes.at(evidence.t_s - lead.rise_s) == lead.occupied
+    return np.asarray(on)
+
+
+def _explained(evidence: SignalEvidence, on: Sequence[Bools]) -> float:
+    """Return the share of the lost time that signals and the robot's place explain, on executions held out."""
+    known = np.flatnonzero(evidence.level >= 0)
+    known = known[:: 1 + len(known) // MOST_ROWS]
+    levels, level, execution = np.asarray(evidence.levels), evidence.level[known], evidence.execution[known]
+    place = evidence.place[known]
+    counts = [np.where(state[known, None], place, away) for state in on for away in (-FAR_M, FAR_M)]
+    features = np.column_stack([place, *(state[known] for state in on), *counts]).astype(np.float64)
+    wrong, fold = 0.0, np.unique(execution, return_inverse=True)[1].ravel() % FOLDS
+    for part in np.unique(fold).tolist():
+        learn = fold != part
+        if not learn.any():
+            return 0.0
+        tree = usual_levels(features[learn], level[learn], len(levels), execution[learn])
+        said = tree.lowest(features[~learn], 0.5)
+        wrong += float(np.abs(levels[said] - levels[level[~learn]]).sum())
+    lost = float((levels[-1] - levels[level]).sum())
+    return 1.0 - wrong / lost if lost > 0.0 else 0.0
+
+
+def _usual(group: Ints, state: Bools, learn: Bools) -> Bools:
+    """Return the more frequent state of each group in the samples to learn from, at each sample (N,)."""
+    count = int(group.max(initial=0)) + 1
+    on, every = (np.bincount(group[learn], weight, count) for weight in (state[learn].astype(np.float64), None))
+    return np.asarray(2 * on > every)[group]

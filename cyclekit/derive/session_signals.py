@@ -1,0 +1,200 @@
+"""The signals of all sessions, laid side by side, to find those that tell of people (`operator_signals`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from cyclekit.dataset.signals import SignalChanges, values_of
+from cyclekit.dataset.time_grid import stretches
+from cyclekit.derive.operator_signals import FoundSignals, SignalEvidence, find_signals
+from cyclekit.derive.seen_slow import Switches
+from cyclekit.scaling.commanded import commanded_levels
+from cyclekit.scaling.response import LevelChange, SafetyResponse, changes_of, rate_of
+from cyclekit.segmentation.stored_run import pieces
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from cyclekit.config import Cell
+    from cyclekit.dataset.cards import ExecutionCard
+    from cyclekit.dataset.signals import Read, Stored
+    from cyclekit.derive.session_samples import Made
+    from cyclekit.schema import Ints, Vector
+    from cyclekit.segmentation.stored_run import Run
+
+EVIDENCE_SAMPLES = 200_000
+"""Causes of lost time, and signals of people, are told by so many samples, of executions evenly spread."""
+_APART_S = 1e5
+_COLUMNS = ["execution", "t_s", "scaling", "robot_x_m", "robot_y_m", "robot_task"]
+
+
+@dataclass(frozen=True)
+class Watched:
+    """Signals that tell of people.
+
+    Attributes:
+        found: Which.
+        switches: Of each session by name, on while somebody is there; empty where there are none.
+    """
+
+    found: FoundSignals
+    switches: Sequence[Mapping[str, Switches]]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names, in the order of their bits."""
+        return tuple(one.name for one in self.found.cards)
+
+    def response(self, seen: SafetyResponse) -> SafetyResponse:
+        """Return a response with the reaction time to the signals, where positions tell of none."""
+        if not self.found.cards or seen.latency_s is not None:
+            return seen
+        return replace(seen, latency_s=self.found.latency_s, hold_s=self.found.hold_s)
+
+
+def looked_for(
+    made: Sequence[Made],
+    runs: Mapping[str, Sequence[Run]],
+    cell: Cell,
+    levels: Sequence[float],
+    folder: Path,
+    read: Read,
+    stored: Stored,
+) -> Watched:
+    """Return the signals that tell of people: those of the cell file, else, where no log tracks people, found ones.
+
+    Args:
+        made: The sessions.
+        runs: Of the robot of each session.
+        cell: Which signals are told.
+        levels: Of the scaling, ascending.
+        folder: Where the files of samples lie.
+        read: Returns a native table of a recording (id, table), None if it has none.
+        stored: Opens the robot table of a recording (id, columns), to be read by ranges of rows.
+    """
+    tracked = any("people" in one.tables for mine in made for one in mine.recordings)
+    if len(levels) < 2 or (tracked and not cell.operator_signals):
+        return Watched(FoundSignals(), [{}] * len(made))
+    values = [_values(mine, read, stored) for mine in made]
+    found = find_signals(_evidence(made, values, runs, levels, folder), cell.operator_signals)
+    return Watched(found, [_switches(mine, found) for mine in values])
+
+
+def some_executions(made: Sequence[Made]) -> list[str]:
+    """Return the executions that serve as evidence: all, of long logs every k-th."""
+    every = max(1, round(sum(one.samples for one in made) / EVIDENCE_SAMPLES))
+    return [card.execution for one in made for card in one.cards][::every]
+
+
+def _values(made: Made, read: Read, stored: Stored) -> dict[str, SignalChanges]:
+    """Return all signals of a session, session time."""
+    found: dict[str, SignalChanges] = {}
+    for entry in made.recordings:
+        for name, changes in values_of(entry, read, stored).items():
+            found.setdefault(name, changes._replace(t_s=changes.t_s * entry.clock.rate + entry.clock.offset_s))
+    return found
+
+
+def _switches(values: Mapping[str, SignalChanges], found: FoundSignals) -> dict[str, Switches]:
+    return {
+        one.name: Switches(values[one.signal].t_s, values[one.signal].value == one.occupied)
+        for one in found.cards
+        if one.signal in values
+    }
+
+
+def _evidence(
+    made: Sequence[Made],
+    values: Sequence[Mapping[str, SignalChanges]],
+    runs: Mapping[str, Sequence[Run]],
+    levels: Sequence[float],
+    folder: Path,
+) -> SignalEvidence:
+    """Return what some executions tell, with the times of the sessions apart from each other."""
+    chosen = set(some_executions(made))
+    shifts = np.cumsum([0.0, *(_APART_S + max((card.end_s for card in mine.cards), default=0.0) for mine in made)])
+    changes = [_changes(mine, chosen, runs[mine.session], levels) for mine in made]
+    every = [change for mine in changes for change in mine]
+    down, up = (rate_of([change for change in every if change.rises is rises]) for rises in (False, True))
+    response = SafetyResponse(None, down, up, None, len(every), None)
+    parts = list(_samples(made, chosen, levels, response, shifts.tolist(), folder))
+    t_s, level, x_m, y_m, task, execution = (np.concatenate([part[i] for part in parts]) for i in range(6))
+    falls, rises = (
+        np.array(
+            [c.t_s + at for mine, at in zip(changes, shifts.tolist(), strict=False) for c in mine if c.rises is up]
+        )
+        for up in (False, True)
+    )
+    place = np.column_stack([x_m, y_m])
+    return SignalEvidence(
+        t_s, level, place, task, execution, np.sort(falls), np.sort(rises), _joined(values, shifts.tolist()), levels
+    )
+
+
+def _joined(values: Sequence[Mapping[str, SignalChanges]], shifts: Sequence[float]) -> dict[str, SignalChanges]:
+    """Return each signal over all sessions; where one lacks it, it is unknown."""
+    names = dict.fromkeys(name for mine in values for name in mine)
+    unknown = SignalChanges(np.array([-_APART_S / 2]), np.array([""]))
+    found = {}
+    for name in names:
+        each = [mine.get(name, unknown) for mine in values]
+        times = [one.t_s + at for one, at in zip(each, shifts, strict=False)]
+        found[name] = SignalChanges(np.concatenate(times), np.concatenate([one.value for one in each]))
+    return found
+
+
+def _changes(made: Made, chosen: Collection[str], runs: Sequence[Run], levels: Sequence[float]) -> list[LevelChange]:
+    """Return the changes of level in the chosen executions of a session, at the log's own rate."""
+    return [
+        change
+        for card in made.cards
+        if card.execution in chosen
+        for run in runs
+        for change in _changes_during(run, card, levels)
+    ]
+
+
+def _changes_during(run: Run, card: ExecutionCard, levels: Sequence[float]) -> Iterator[LevelChange]:
+    first, last = run.row_at(np.array([card.start_s, card.end_s])).tolist()
+    if last > first and run.time_at(first) <= card.end_s and run.time_at(last) >= card.start_s:
+        for _, part in pieces(run, first, last):
+            yield from changes_of(part.t_s, part.scaling, levels)
+
+
+def _samples(
+    made: Sequence[Made],
+    chosen: Collection[str],
+    levels: Sequence[float],
+    response: SafetyResponse,
+    shifts: Sequence[float],
+    folder: Path,
+) -> Iterator[tuple[Vector, Ints, Vector, Vector, Ints, Ints]]:
+    """Yield time, commanded level, place (x, y) and task of the robot, and execution of the samples of each file."""
+    session = {card.execution: at for one, at in zip(made, shifts, strict=False) for card in one.cards}
+    numbers = {name: number for number, name in enumerate(session)}
+    tasks = dict[str | None, int]()
+    for part in dict.fromkeys(one.part for one in made if one.samples):
+        rows = pl.scan_parquet(folder / f"{part}.parquet", glob=False).select(_COLUMNS)
+        frame = rows.filter(pl.col("execution").is_in(list(chosen))).collect(engine="streaming")
+        if not frame.height:
+            continue
+        frame = frame.with_columns(pl.col("scaling", "robot_x_m", "robot_y_m").fill_null(np.nan))
+        t_s, scaling = frame["t_s"].to_numpy(), frame["scaling"].to_numpy()
+        period_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.1
+        ends = np.flatnonzero(np.diff(stretches(frame, 1.0 / period_s))) + 1
+        pairs = zip(np.split(t_s, ends), np.split(scaling, ends), strict=True)
+        level = np.concatenate([commanded_levels(t, s, levels, response).level for t, s in pairs]).astype(np.int64)
+        level[~np.isfinite(frame["robot_x_m"].to_numpy())] = -1
+        of = frame["execution"]
+        at = of.replace_strict(session, return_dtype=pl.Float64).to_numpy()
+        number = of.replace_strict(numbers, return_dtype=pl.Int64).to_numpy()
+        task = np.array([tasks.setdefault(name, len(tasks)) for name in frame["robot_task"].to_list()])
+        yield t_s + at, level, frame["robot_x_m"].to_numpy(), frame["robot_y_m"].to_numpy(), task, number
+
+
+__all__ = ["Watched", "looked_for", "some_executions"]

@@ -1,0 +1,127 @@
+"""Task lists of cells where robot and operator wait: starts and ends of the tasks of both, nothing else.
+
+A job is cut into tasks where an agent may have to wait, and where something ends that the other waits for; so every
+wait lies between two tasks. Tasks before a gate are named `JOB to PLACE`, those that end with such a moment in the
+middle of a job `JOB PLACE`, the last of a job `JOB`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import polars as pl
+
+from cyclekit_sim.coupled_program import Order, Script, operator_script, plan_all, random_order, robot_script
+from cyclekit_sim.coupled_run import CoupledTrace
+from cyclekit_sim.program import IDLE
+
+if TYPE_CHECKING:
+    from cyclekit_sim.coupled_scenes import Coupled
+    from cyclekit_sim.session import Session
+
+NAMES = {"robot": "arm", "operator": "worker"}
+"""What the list calls the agents."""
+EPOCH_S = 1_700_000_000.0
+
+
+class Listed(NamedTuple):
+    """A task of the list: its name, first and last segment."""
+
+    name: str
+    first: int
+    last: int
+
+
+def task_list(session: Session, cell: Coupled) -> pl.DataFrame:
+    """Return the tasks of a session's executions as logged: run, agent, task, t_start, t_end."""
+    rows = []
+    for trace, begin_s in zip(session.traces, session.begins_s, strict=True):
+        assert isinstance(trace, CoupledTrace)
+        run = f"{trace.program.executions[0].index:04d}"
+        for agent, name in NAMES.items():
+            ends_s = trace.done.ends_s[agent]
+            for task in tasks_of(cell, agent, trace.done.cell.scripts[agent]):
+                start_s = ends_s[task.first - 1] if task.first else 0.0
+                at_s = EPOCH_S + 1e4 * session.index + begin_s
+                rows.append((run, name, task.name, at_s + start_s, at_s + ends_s[task.last]))
+    columns = ("run", "agent", "task", "t_start", "t_end")
+    return pl.DataFrame(rows, schema=columns, orient="row").sort("t_start", "agent")
+
+
+def tasks_of(cell: Coupled, agent: str, script: Script) -> list[Listed]:
+    """Cut the script of an agent into tasks."""
+    jobs = _jobs(cell.robot_jobs if agent == "robot" else cell.operator_jobs, script.execution.places[1:])
+    gates = {segment: gate for segment, gate, _ in script.gates}
+    needs = {(gate.need.place, gate.need.moment) for gate in cell.gates if gate.need.agent == agent}
+    closing = {segment for key in needs for segment in script.moments[key]}
+    idle = {at for at, column in enumerate(script.columns) if column[0] == IDLE} | set(_last_steps(script, jobs, agent))
+    own = [at for at in range(len(script.columns)) if at not in idle]
+    job_at = {at: jobs[script.columns[at][4]] for at in own}
+    found, first = [], -1
+    for at, after in zip(own, [*own[1:], -1], strict=True):
+        job, number = job_at[at]
+        last = after < 0 or job_at[after] != (job, number)
+        if at in gates:
+            if first >= 0:
+                found.append(Listed(f"{job} to {gates[at].place}", first, at - 1))
+            first = -1
+            continue
+        first = at if first < 0 else first
+        if last or at in closing:
+            found.append(Listed(job if last else f"{job} {script.goals[at]}", first, at))
+            first = -1
+    return found
+
+
+def _jobs(jobs: Mapping[str, tuple[str, ...]], places: Sequence[str]) -> list[tuple[str, int]]:
+    """Return of each visit the job, and its number in the order; a place of no job is one."""
+    found: list[tuple[str, int]] = []
+    number = 0
+    while len(found) < len(places):
+        rest = tuple(places[len(found) :])
+        name, visits = next(((n, p) for n, p in jobs.items() if rest[: len(p)] == p), (rest[0], rest[:1]))
+        found += [(name, number)] * len(visits)
+        number += 1
+    return found
+
+
+def _last_steps(script: Script, jobs: Sequence[tuple[str, int]], agent: str) -> list[int]:
+    """Return the segments in which the operator has done a job but not left yet."""
+    if agent != "operator":
+        return []
+    leaving = [at for (_, moment), some in script.moments.items() if moment == "leaves" for at in some]
+    tasks = {at: script.columns[at][4] for at in leaving}
+    return [at for at, task in tasks.items() if task + 1 == len(jobs) or jobs[task + 1] != jobs[task]]
+
+
+def _scripts(cell: Coupled, order: Order) -> dict[str, Script]:
+    rng = np.random.default_rng(0)
+    table = plan_all(cell, [order])
+    return {
+        "robot": robot_script(cell, order["robot"], table, 0),
+        "operator": operator_script(cell, order["operator"], 0, rng),
+    }
+
+
+def task_plan(cell: Coupled, order: Order) -> list[tuple[str, str]]:
+    """Return the agent and the task, as the list calls them, of all tasks of an order."""
+    scripts = _scripts(cell, order)
+    return [(name, task.name) for agent, name in NAMES.items() for task in tasks_of(cell, agent, scripts[agent])]
+
+
+def listed_conditions(cell: Coupled) -> list[dict[str, object]]:
+    """Return which task waits for the end of which other one, as JSON."""
+    scripts = _scripts(cell, random_order(cell, np.random.default_rng(0)))
+    tasks = {agent: tasks_of(cell, agent, scripts[agent]) for agent in scripts}
+    found = []
+    for gate in cell.gates:
+        if gate.need.agent == "source":
+            continue
+        at = next(segment for segment, other, _ in scripts[gate.agent].gates if other is gate)
+        ends = scripts[gate.need.agent].moments[gate.need.place, gate.need.moment]
+        waiting = next(task.name for task in tasks[gate.agent] if task.first > at)
+        needed = next(task.name for task in tasks[gate.need.agent] if task.last == ends[0])
+        found.append({"task": waiting, "needs": needed, "back": gate.need.back, "lag_s": list(gate.need.lag_s)})
+    return found

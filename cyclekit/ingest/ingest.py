@@ -282,7 +282,7 @@ def _build(
         recordings, warnings = take_out(recordings, names, staging), names.notes(warnings)
         cell, not_read = names.settings(), names.not_read(not_read)
     courses = courses_of(derived.executions, derived.tasks, derived.recordings, native)
-    coupling = learn_executions(courses, derived.tasks)
+    coupling = learn_executions(courses, derived.tasks, cell.waits)
     tasks = derived.tasks if coupling is None else with_waits_named(derived.tasks, courses, coupling)
     write_parquet(tasks, staging / TASKS)
     derived = replace(derived, recordings=recordings, warnings=warnings)

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from cyclekit.errors import UnknownName
 from cyclekit.learning.coupling.lags import Causes, take_apart
 from cyclekit.learning.coupling.visits import Event
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from cyclekit.config import Wait
     from cyclekit.dataset.cards.coupling import Agent
     from cyclekit.learning.coupling.visits import Course, PlaceVisit
     from cyclekit.schema import Floats, Ints, Vector
@@ -34,6 +36,10 @@ AS_GOOD, AS_GOOD_PART = 3.0, 0.1
 NATURAL = 1.3
 """Who waits until another has left may not approach; who waits until he came, or something is set, may not leave: of
 two gates that the same departures pass this one is preferred by so much."""
+FOLLOWS = 0.8
+"""An event that is as near to so many of the departures that own work decided follows own work, and is no condition."""
+PULSE_S = 1.0
+"""Whoever presses a button sets a signal; that it is cleared so soon afterwards says the same."""
 SHUFFLES = 6
 MOST = 2
 """Conditions of one gate."""
@@ -147,24 +153,90 @@ def _comparable(found: list[Passages]) -> list[Passages]:
     return [each for each in found if each.gate.short or each.gate.at == "leave" or each.gate.place not in short]
 
 
-def find_conditions(courses: Sequence[Course], agent: Agent) -> list[Passages]:
-    """Return the passages of an agent's gates with the conditions that were found."""
-    gates = passages_of(courses, agent)
-    times = times_of(courses)
+def find_conditions(courses: Sequence[Course], agent: Agent, told: Sequence[Wait] = ()) -> list[Passages]:
+    """Return the passages of an agent's gates with the conditions that were found, or told.
+
+    Raises:
+        UnknownName: The cell file tells of a place or event that the logs do not show.
+    """
+    gates, times = passages_of(courses, agent), times_of(courses)
+    told = [wait for wait in told if wait.agent == agent]
+    for wait in told:
+        chosen = gate_of(gates, wait)
+        if not wait.never:
+            condition = _told(times, chosen, wait)
+            _attach(gates, chosen, condition, since_event(times, chosen, condition))
     candidates = [Condition(event, back) for event in times if event.agent != agent for back in (0, 1)]
-    open_to = {number: _best(times, gate, candidates) for number, gate in enumerate(gates)}
-    while any(open_to.values()):
-        number = max((n for n in open_to if open_to[n]), key=lambda n: _worth(gates[n].gate, open_to[n]))
+    allowed = [[one for one in candidates if not _forbidden(told, gate, one)] for gate in gates]
+    open_to = [_best(times, gate, some) for gate, some in zip(gates, allowed, strict=True)]
+    while any(open_to):
+        number = max((n for n, found in enumerate(open_to) if found), key=lambda n: _worth(gates[n].gate, open_to[n]))
         condition, since, _ = open_to[number]  # type: ignore[misc]  # there is one
-        by_row = dict(zip(gates[number].rows.tolist(), since.tolist(), strict=True))
-        for other, gate in enumerate(gates):
-            if gate.gate.short != gates[number].gate.short:
-                continue  # it is another instant
-            shared = np.array([by_row.get(row, np.nan) for row in gate.rows.tolist()])
-            if np.isfinite(shared).any():
-                gate.since_s[gates[number].gate, condition] = shared
-                open_to[other] = _best(times, gate, candidates) if len(gate.found) < MOST else None
+        for other in _attach(gates, gates[number], condition, since):
+            open_to[other] = _best(times, gates[other], allowed[other]) if len(gates[other].found) < MOST else None
     return gates
+
+
+def _attach(gates: Sequence[Passages], to: Passages, condition: Condition, since: Vector) -> list[int]:
+    """Have all gates know a condition of one; return the numbers of those that it concerns."""
+    by_row = dict(zip(to.rows.tolist(), since.tolist(), strict=True))
+    concerned = []
+    for number, gate in enumerate(gates):
+        shared = np.array([by_row.get(row, np.nan) for row in gate.rows.tolist()])
+        if gate.gate.short == to.gate.short and (gate is to or np.isfinite(shared).any()):  # else another instant
+            gate.since_s[to.gate, condition] = shared
+            concerned.append(number)
+    return concerned
+
+
+def gate_of(gates: Sequence[Passages], wait: Wait) -> Passages:
+    """Return the gate that the cell file means; of two before one place that short of it.
+
+    Raises:
+        UnknownName: There is none.
+    """
+    at, place = ("approach", wait.before) if wait.before is not None else ("leave", wait.leaving)
+    found = [gate for gate in gates if (gate.gate.at, gate.gate.place) == (at, place)]
+    if not found:
+        known = sorted({gate.gate.place for gate in gates if gate.gate.at == at})
+        raise UnknownName(f"cell.toml [[waits]] of the {wait.agent}", "place", str(place), known)
+    return max(found, key=lambda gate: gate.gate.short)
+
+
+def _told(times: Times, gate: Passages, wait: Wait) -> Condition:
+    """Return the condition that the cell file tells, with the number that the logs agree with best."""
+    found = [event for event in times if _means(wait, event)]
+    if not found:
+        known = sorted({told_event(event) for event in times if event.agent != wait.agent})
+        raise UnknownName(f"cell.toml [[waits]] of the {wait.agent}", "event", str(wait.until), known)
+    numbers = (0, 1) if wait.back is None else (wait.back,)
+    conditions = [Condition(found[0], back) for back in numbers]
+
+    def likelihood(condition: Condition) -> float:
+        since = since_event(times, gate, condition)
+        held = np.where(since >= -early_s(condition), since, np.nan)
+        late = float((held != since).mean()) if len(since) else 0.0
+        return float(gate.causes(held).log_likelihood.sum()) * (1.0 + late) if np.isfinite(held).any() else -np.inf
+
+    return max(conditions, key=likelihood) if len(conditions) > 1 else conditions[0]
+
+
+def told_event(event: Event) -> str:
+    """Return an event as the cell file names it."""
+    if event.signal is not None:
+        return event.signal
+    return f"{event.place} {event.event}" if event.agent == "signal" else f"{event.agent} {event.event} {event.place}"
+
+
+def _means(wait: Wait, event: Event) -> bool:
+    return wait.until is None or wait.until == told_event(event)
+
+
+def _forbidden(told: Sequence[Wait], gate: Passages, condition: Condition) -> bool:
+    def concerns(wait: Wait) -> bool:
+        return wait.never and wait.place(gate.gate.at) == gate.gate.place and _means(wait, condition.event)
+
+    return any(concerns(wait) for wait in told)
 
 
 _Found = tuple[Condition, "Vector", float]
@@ -189,7 +261,7 @@ def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Fou
         if condition.event[:2] in taken or not _holds(gate, condition, since):
             continue
         causes = gate.causes(since)
-        if causes.share[-1].sum() * gate.step >= LEAST_DECIDED:
+        if causes.share[-1].sum() * gate.step >= LEAST_DECIDED and not _follows(causes, since[:: gate.step]):
             tried.append((condition, since, float(causes.log_likelihood.sum()) - before))
     tried.sort(key=lambda each: -each[2])
     least = GAIN + np.log(max(len(candidates), 1)) + GAIN_PER_DEPARTURE * min(len(gate.left_s), SEEN)
@@ -197,8 +269,23 @@ def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Fou
     if not good or good[0][2] - _by_chance(gate, good[0][1]) + before < least:
         return None
     as_good = [each for each in good if each[2] >= good[0][2] - max(AS_GOOD, AS_GOOD_PART * good[0][2])]
-    found = min(as_good, key=lambda each: abs(float(np.nanquantile(each[1], 0.1))))
+    found = min(as_good, key=lambda each: _before(*each[:2]))
     return found[0], found[1], found[2] * gate.step
+
+
+def _follows(causes: Causes, since: Vector) -> bool:
+    """Tell whether an event is a consequence of the agent's own work: where that decided it is just as near."""
+    decided = causes.share.argmax(axis=0)
+    own, by_event = since[decided == 0], since[decided == len(causes.share) - 1]
+    own = own[np.isfinite(own)]
+    if len(own) < LEAST_DECIDED or not len(by_event):
+        return False
+    return bool(np.mean(own <= by_event.max() + EARLY_S) > FOLLOWS)
+
+
+def _before(condition: Condition, since: Vector) -> float:
+    """Return how far before the departures an event comes, s; the end of a button's pulse counts as later."""
+    return abs(float(np.nanquantile(since, 0.1))) + (PULSE_S if "cleared" in str(condition.event) else 0.0)
 
 
 def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:

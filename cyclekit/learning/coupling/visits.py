@@ -145,28 +145,26 @@ def _edges(on: Bools) -> tuple[Bools, Bools]:
 
 
 def _with_givers(courses: Sequence[Course]) -> list[Course]:
-    """Return the courses; a signal that one agent gives at one place is an event of his leaving it."""
+    """Return the courses; a signal that the operator gives at one place is an event of his leaving it."""
     given = {}
     for kind in sorted({key for course in courses for key in course.events if key.agent == "signal"}):
-        for agent in ("operator", "robot"):
-            places = sorted({visit.place for course in courses for visit in course.visits[agent]})
-            shares = {place: _share(courses, kind, agent, place) for place in places}
-            place = max(shares, key=lambda name: shares[name], default=None)
-            if place is not None and shares[place] >= GIVEN:
-                given[kind] = Event(agent, place, "leaves", f"{kind.place} {kind.event}")
-                break
+        places = sorted({visit.place for course in courses for visit in course.visits["operator"]})
+        shares = {place: _share(courses, kind, place) for place in places}
+        place = max(shares, key=lambda name: shares[name], default=None)
+        if place is not None and shares[place] >= GIVEN:
+            given[kind] = Event("operator", place, "leaves", f"{kind.place} {kind.event}")
     return [
         Course(one.name, one.visits, {given.get(key, key): times for key, times in one.events.items()})
         for one in courses
     ]
 
 
-def _share(courses: Sequence[Course], kind: Event, agent: Agent, place: str) -> float:
-    """Return which part of a signal's changes an agent's visits of a place account for, each for one."""
+def _share(courses: Sequence[Course], kind: Event, place: str) -> float:
+    """Return which part of a signal's changes the operator's visits of a place account for, each for one."""
     within, total = 0, 0
     for course in courses:
         at = course.events.get(kind, np.empty(0))
-        mine = [visit for visit in course.visits[agent] if visit.place == place]
+        mine = [visit for visit in course.visits["operator"] if visit.place == place]
         ends = [np.inf if np.isnan(visit.left_s) else visit.left_s + WITHIN_S for visit in mine]
         counts = [int(((at >= visit.arrived_s) & (at <= end)).sum()) for visit, end in zip(mine, ends, strict=True)]
         within += sum(min(count, 1) for count in counts)

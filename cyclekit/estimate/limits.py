@@ -14,6 +14,7 @@ from cyclekit.dataset.unknown_height import said_of_height
 from cyclekit.errors import EstimateError, ModelError
 from cyclekit.estimate.check import Check, check_rollout
 from cyclekit.estimate.nominal import slider_losses
+from cyclekit.estimate.safety import OnStates
 from cyclekit.learning.windows import nobody_there
 
 if TYPE_CHECKING:
@@ -73,7 +74,7 @@ def limits_of_cycles(cycles: Rolled, entry: CycleEstimate) -> list[str]:
 
 def limits_of_logs(dataset: Dataset, model: SafetyModel) -> list[str]:
     """Return what limits every number from these logs, one sentence each."""
-    found = []
+    found = list(model.limits) if isinstance(model, OnStates) else []
     samples = dataset.samples(columns=["execution", "human_x_m", "human_z_m", "human_gap", "scaling_origin"])
     found += said_of_height(samples)
     absent = samples.filter(nobody_there()).height / max(samples.height, 1)

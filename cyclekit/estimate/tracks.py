@@ -21,6 +21,7 @@ import polars as pl
 
 from cyclekit.errors import DatasetError, EstimateError
 from cyclekit.estimate.continuation import Continuation, Stretch
+from cyclekit.estimate.safety import OnStates
 from cyclekit.people.tracks import OCCLUDED_S
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from cyclekit.dataset.dataset import Dataset
+    from cyclekit.estimate.safety import SafetyModel
 
 RUN_ON_S = 5.0
 """The next execution of a session goes on with the same operator if it begins within this time."""
@@ -60,6 +62,8 @@ class OperatorTracks:
         goal_m: g_h, shape (K, T, 3); NaN = unknown; None where it was not asked for.
         phase_free: What `phase_is_free` says of these logs.
         runs_on: Most executions are followed by the next one without a pause, and the operator with them.
+        state: What the safety function is asked for in place of x_h, shape (K, T, D), D not 3; None: it is asked for
+            x_h.
     """
 
     xyz_m: NDArray[np.float64]
@@ -71,11 +75,14 @@ class OperatorTracks:
     goal_m: NDArray[np.float64] | None = None
     phase_free: bool = False
     runs_on: bool = False
+    state: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
 class LoggedTrack:
     """What was logged of one execution: x_h (and g_h if asked for), shape (T, 3 or 6), activity (T,), its two ends, s.
+
+    Of an operator who is only known by states: no position, and the states behind it, shape (T, 3 + D).
 
     `seen`: somebody is, at some time. `away`: the tracker saw all along that nobody is. `followed`: its log is
     never silent for longer than OCCLUDED_S.
@@ -97,6 +104,7 @@ def operator_tracks(
     operator: Sequence[str] | None = None,
     phases: int | None = None,
     goals: bool = False,
+    model: SafetyModel | None = None,
 ) -> OperatorTracks:
     """Return the tracks of all complete executions, each at least `horizon_s` long.
 
@@ -110,12 +118,15 @@ def operator_tracks(
         phases: Entries per execution; None: PHASES where `phase_is_free` and no order is asked for, else 1. The first
             entry of each execution is its beginning, and those come first, in the order of the executions.
         goals: Also return g_h.
+        model: Whom the tracks are for; one of states gets these in place of positions.
 
     Raises:
         EstimateError: No execution has an operator track, or none matches `operator`.
     """
     step = 1.0 / dataset.rate_hz
-    names, tracks = _names_and_tracks(dataset, goals=goals)
+    on_states = isinstance(model, OnStates)
+    found = _in_states(dataset, model) if isinstance(model, OnStates) else _names_and_tracks(dataset, goals=goals)
+    names, tracks = found
     complete = set(dataset.executions.filter("complete")["execution"].to_list())
     seen_in = [name for name in tracks if name in complete and tracks[name].seen]
     begins = [name for name in seen_in if tracks[name].followed]
@@ -145,9 +156,9 @@ def operator_tracks(
     )
     logged = np.array([len(stream.where) for stream in streams])
     executions = tuple(name for name, _ in entries)
-    goal_m = where[..., 3:] if goals else None
+    goal_m, state = (where[..., 3:] if wanted else None for wanted in (goals, on_states))
     return OperatorTracks(
-        where[..., :3], activity, tuple(names), logged, executions, step, goal_m, free, _runs_on(dataset)
+        where[..., :3], activity, tuple(names), logged, executions, step, goal_m, free, _runs_on(dataset), state
     )
 
 
@@ -196,6 +207,8 @@ def _is_alike(tracks: Sequence[LoggedTrack], every: Stretch, at: int) -> bool:
     if len(here) < LEAST_FREE:
         return False
     spread, there = everywhere.std(axis=0), here.std(axis=0)
+    if not spread.any():  # he is known by states, which are alike
+        return True
     off = np.abs(here.mean(axis=0) - everywhere.mean(axis=0)) / np.maximum(spread / np.sqrt(len(here)), 1e-9)
     ratio = there / np.maximum(spread, 1e-9)
     return bool((off < SAME_MEAN).all() and (ratio > SAME_SPREAD[0]).all() and (ratio < SAME_SPREAD[1]).all())
@@ -252,6 +265,18 @@ def _names_and_tracks(dataset: Dataset, *, goals: bool) -> tuple[list[str], dict
         away = bool(absent[mine].all())
         tracks[str(execution)] = LoggedTrack(where[mine], activity[mine], *ends, bool(seen.any()), away, followed)
     return names, tracks
+
+
+def _in_states(dataset: Dataset, model: OnStates) -> tuple[list[str], dict[str, LoggedTrack]]:
+    """Names of the states, and in which ones the operator was in each execution that was not run without him."""
+    alone = {one.execution for one in dataset.card.executions if one.reference}
+    tracks = {}
+    for name, (t_s, state) in model.logged_states(dataset).items():
+        if name not in alone:
+            where = np.hstack([np.zeros((len(state), 3)), state])
+            ends = float(t_s[0]), float(t_s[-1])
+            tracks[name] = LoggedTrack(where, state[:, 0].astype(np.int64), *ends, seen=True, away=False, followed=True)
+    return list(model.states), tracks
 
 
 def _bridge(t_s: NDArray[np.float64], xyz_m: NDArray[np.float64], hidden: NDArray[np.bool_]) -> None:

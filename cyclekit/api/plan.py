@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import jobs_of, model_of, path_of, place_of
 from cyclekit.dataset.dataset import Dataset
@@ -50,6 +52,16 @@ def plan_order(
     asked = {"validate": validate, "other_cell": other_cell}
     found = plan(model_of(model), Dataset.of(dataset), wanted, seed=seed, check=check, progress=progress, **asked)
     if file is not None:
-        names = ", ".join(f'"{place}"' for place in found.places)
-        write_text(file, f'# Written by cyclekit plan\n[[sequence]]\nname = "planned"\nplaces = [{names}]\n')
+        write_text(file, _sequence_file(found))
     return found
+
+
+def _sequence_file(found: OrderPlan) -> str:
+    """Return the order found as a sequence file: the robot's places, or a plan for both."""
+    head = '# Written by cyclekit plan\n[[sequence]]\nname = "planned"\n'
+    if found.operator is None:
+        names = ", ".join(f'"{place}"' for place in found.places)
+        return f"{head}places = [{names}]\n"
+    tasks = [("robot", f"{a}->{b}") for a, b in pairwise(found.places)]
+    tasks += [("operator", place) for place in found.operator]
+    return head + "".join(f'[[sequence.task]]\nagent = "{agent}"\nname = "{name}"\n' for agent, name in tasks)

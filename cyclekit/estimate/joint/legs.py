@@ -241,13 +241,14 @@ def operator_agenda(
     Args:
         places: In order.
         gates: Of the cell.
-        work_s: Quantiles of his work at each place, where no gate tells them; at others nothing is known of it.
+        work_s: Quantiles of his stays at each place: his work where no condition ends them; at others he has none.
         told: What each of them shall come after, by number.
         not_before_s: Earliest start of each.
     """
     builder = _Builder("operator", "", np.empty((0, 3)), gates)
     for number, place in enumerate(places):
-        own = gates.own_s("operator", place)
+        gate = gates.at("operator", "leave", place)
+        own = gates.own_s("operator", place) if gate is not None and gate.conditions else None
         own = work_s.get(place, NONE) if own is None or place not in work_s else own
         leg = AgendaLeg(number, place, np.empty((0, 3)), start=builder.legs[-1].place, own_s=own, name=place)
         earliest = not_before_s[number] if not_before_s else 0.0

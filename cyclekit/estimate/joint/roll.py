@@ -99,6 +99,11 @@ class JointCell:
             seen = f"{dataset.path}: no complete execution has an operator who stays at one of his places"
             raise EstimateError(seen, cure="Ingest the tracker's log too; name [human_places.*] in the cell file.")
 
+    @property
+    def executions(self) -> int:
+        """How many logged executions it rests on."""
+        return len(self.segments.orders)
+
     @cached_property
     def work_s(self) -> dict[str, Vector]:
         """How long the operator stays at each of his places, as logged."""
@@ -134,7 +139,7 @@ class JointCell:
         which = np.repeat(np.arange(len(plans)), cycles)
         turn = np.tile(np.arange(cycles), len(plans))
         does = np.array([number[plan.operators[k % len(plan.operators)]] for plan in plans for k in range(cycles)])
-        sources = [self._source(source, robots) for source in (self.coupling.sources if self.coupling else ())]
+        sources = [self.source(source, robots) for source in (self.coupling.sources if self.coupling else ())]
         columns = EventColumns([*robots, *operators, *sources])
         every = np.arange(len(which))
         done = [(agenda, np.flatnonzero(which == n)) for n, agenda in enumerate(robots)]
@@ -161,7 +166,7 @@ class JointCell:
         for n, plan in enumerate(plans):
             yield _of_one(plan, walked, np.flatnonzero(which == n), columns, number, does)
 
-    def _source(self, source: SourceCard, robots: Sequence[Agenda]) -> Agenda:
+    def source(self, source: SourceCard, robots: Sequence[Agenda]) -> Agenda:
         """Return how parts come: one after the other, as long as there is room."""
         taken = [event for agenda in robots for event, _ in agenda.events if event[1:3] == (source.taken_by, "leaves")]
         count = 1 + max((event[3] for event in taken), default=-1)

@@ -23,6 +23,8 @@ WALK_M_S = 1.2
 """Of an operator whose walks were never logged."""
 LEAST_WALKS, LEAST_M = 10, 0.1
 """From fewer walks, or from walks of much the same length, it is not known how long others take."""
+SURE = 3.0
+"""So many standard errors between two means are no chance."""
 STRAIGHT = 16
 """So many straight walks of different duration stand for a way that was never logged."""
 
@@ -90,14 +92,23 @@ class Segments:
         return np.array([(len(self._parts[number]) - 1) * self._step_s for number in numbers.tolist()])
 
     def work_s(self, place: str) -> Vector:
-        """Return how long he stayed at a place, ascending, shape (N,), s; without stays cut by an execution's ends."""
-        found = [
-            visit.leaves_s - visit.arrives_s
-            for order in self.orders.values()
-            for visit in order[:-1]
-            if visit.place == place and visit.arrives_s > 0.0
-        ]
-        return np.sort(found)
+        """Return how long he stayed at a place, ascending, shape (N,), s; without stays cut by an execution's ends.
+
+        Two tasks at one place, one after the other, are seen as one long stay. Executions with the most stays there
+        have none such: where their stays are shorter beyond chance, they alone count.
+        """
+        stays: list[tuple[int, float]] = []
+        for order in self.orders.values():
+            times = sum(visit.place == place for visit in order)
+            mine = [visit for visit in order[:-1] if visit.place == place and visit.arrives_s > 0.0]
+            stays += [(times, visit.leaves_s - visit.arrives_s) for visit in mine]
+        most = max((times for times, _ in stays), default=0)
+        single, others = (np.array([s for n, s in stays if (n == most) is alone]) for alone in (True, False))
+        if min(len(single), len(others)) >= LEAST_WALKS:
+            chance = np.hypot(single.std(ddof=1) / len(single) ** 0.5, others.std(ddof=1) / len(others) ** 0.5)
+            if others.mean() - single.mean() > SURE * chance:
+                return np.sort(single)
+        return np.sort([s for _, s in stays])
 
     def _cut(self, name: str, track: LoggedTrack, visits: pl.DataFrame) -> None:
         where, last = track.where[:, :3], len(track.where) - 1

@@ -297,7 +297,7 @@ def walk_both(
     known, looked, stuck = np.zeros(count), np.zeros(count), np.zeros(count, dtype=np.bool_)
     scaling, human = np.ones(count), np.zeros((count, 3))
     doing = np.zeros(count, dtype=np.int64)
-    _settle(others, np.arange(count))
+    settle(others, np.arange(count))
     for number in range(int(until_s / FINE_STEP_S)):
         if number % asks_after == 0:
             tcp = line.where(scaling * asks_after * FINE_STEP_S / 2)
@@ -311,7 +311,7 @@ def walk_both(
         lost, touched = line.advance(scaling, (number + 1) * FINE_STEP_S)
         activity_s[line.row, doing] += lost
         if len(touched):
-            _settle(others, touched)
+            settle(others, touched)
         stuck[line.row] = (line.part == WAITS) & ~np.isfinite(_due(line))
         ended = (line.part == ENDED) | stuck[line.row]
         if ended.any():
@@ -325,7 +325,7 @@ def walk_both(
     return JointCycles(line.times, others[0].times, activity_s, people.activities, known, looked, stuck, events_s)
 
 
-def _settle(others: Sequence[Unhindered], rows: Ints) -> None:
+def settle(others: Sequence[Unhindered], rows: Ints) -> None:
     """Let those that nothing slows go on as far as is known, each with what the others brought."""
     while len(rows):
         moved = [other.go_on(rows) for other in others]

@@ -101,8 +101,13 @@ def rows_of(asked: argparse.Namespace, scene: str, kind: str, executions: int, s
         both = {each.name: each for each in estimate(cell.model, cell.dataset, plans, refused=_refuse)}
     OUT.print(f"{scene}, {kind}, {executions} executions, seed {seed}: {len(both)} of {len(plans)} answered, "
               f"{time.process_time() - began:.1f} s cpu")  # fmt: skip
-    plain = {each.name: each.expected_s for each in estimate(without, cell.dataset, places, refused=_refuse)}
-    history = {each.name: each.expected_s for each in estimate(without, cell.dataset, places, estimator="history")}
+    alone = {
+        name: {
+            each.name: each.expected_s
+            for each in estimate(without, cell.dataset, places, estimator=name, validate=False, refused=_refuse)
+        }
+        for name in ("rollout", "history")
+    }
     found = []
     for number, order in orders:
         name = str(number)
@@ -114,8 +119,8 @@ def rows_of(asked: argparse.Namespace, scene: str, kind: str, executions: int, s
         found.append(
             Row(
                 entry.expected_s / mean - 1,
-                plain.get(name, np.nan) / mean - 1,
-                history[name] / mean - 1,
+                alone["rollout"].get(name, np.nan) / mean - 1,
+                alone["history"].get(name, np.nan) / mean - 1,
                 entry.expected_low_s <= mean <= entry.expected_high_s,
                 float(np.mean((true[0] >= entry.quantiles_s[0.05]) & (true[0] <= entry.quantiles_s[0.95]))),
                 (float(true[1].mean()), told[0]),

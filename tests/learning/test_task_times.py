@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 
 from cyclekit import TaskSequence, estimate_cycles, train_model, train_task_times
 from cyclekit.config.sequences import PlannedTask
+from cyclekit.dataset.cards.task_model import PaceCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import DatasetError, EstimateError, ModelError
 from cyclekit.estimate.gantt import chart_of
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.task_times.learn import learn_task_times
+from cyclekit.learning.task_times.pace import pace_drift
 from cyclekit.learning.task_times.rates import fit_rates
 from cyclekit.learning.task_times.roll import roll_plan
 from cyclekit.learning.task_times.runs import DoneTask, Run
@@ -192,3 +194,47 @@ def test_few_executions_are_refused(tmp_path) -> None:
     ingest([tmp_path / "logs" / "tasks.csv"], tmp_path / "dataset")
     with pytest.raises(DatasetError, match="3 executions whose tasks all have an end"):
         learn_task_times(Dataset.open(tmp_path / "dataset"))
+
+
+def test_a_task_that_takes_longer_each_time_in_an_execution_is_learned_so(tmp_path) -> None:
+    card = learned(tmp_path, 4, ListOptions(coupled=False, beside=False, turns=0.2)).card
+    rolled = roll_plan(card, [PlannedTask("worker", "pack")] * 3, cycles=500)
+    took = (rolled.end_s - rolled.start_s).mean(axis=0)
+    assert took[1] / took[0] == pytest.approx(1.2, abs=0.05)
+    assert took[2] / took[0] == pytest.approx(1.4, abs=0.07)
+
+
+@given(st.floats(-0.4, 0.4), st.sampled_from(["linear", "learning"]), st.integers(0, 10_000))
+def test_a_drift_of_the_pace_is_found_where_there_is_one(change: float, law: str, seed: int) -> None:
+    true = PaceCard(law=law, change=change, first=0, last=79)  # type: ignore[arg-type]
+    number = np.repeat(np.arange(80), 5)
+    log_work = change * true.passed(number) + 0.05 * np.random.default_rng(seed).standard_normal(len(number))
+    found = pace_drift(number, log_work - log_work.mean())
+    if abs(change) > 0.1:
+        assert found is not None
+        assert found.factor(0) == pytest.approx(np.exp(-change), rel=0.12)
+    if found is not None:
+        assert abs(found.change - change) < 0.1
+
+
+def test_no_drift_is_found_where_executions_near_each_other_are_alike() -> None:
+    found = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        number = np.repeat(np.arange(100), 5)
+        log_work = np.repeat(0.1 * rng.standard_normal(10), 50) + 0.1 * rng.standard_normal(500)
+        found += pace_drift(number, log_work) is not None
+    assert found <= 3
+
+
+@pytest.mark.slow
+def test_where_the_operator_becomes_quicker_a_plan_takes_what_it_takes_now(tmp_path) -> None:
+    options = ListOptions(drift=0.3)
+    card = learned(tmp_path, 6, options).card
+    assert card.pace["worker"].change == pytest.approx(np.log(0.7), abs=0.1)
+    assert list(card.pace) == ["worker"]
+    order = random_order(np.random.default_rng(5))
+    found = estimate_cycles(tmp_path / "model", tmp_path / "dataset", plan_of(order))
+    true_s = np.mean(fresh_durations(order, cycles=200, seed=1, options=options))
+    assert found[0].expected_s == pytest.approx(true_s, rel=0.04)
+    assert any("worker becomes" in text and "quicker over 40 executions" in text for text in found[0].warnings)

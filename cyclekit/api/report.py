@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.estimate import estimate_cycles
@@ -164,7 +164,8 @@ class _Asked:
         }
 
     def _planned(self, jobs: Jobs | Place) -> OrderPlan:
-        return plan_order(self.model, self.data, jobs_of(jobs), progress=_part(self.tell, 0.0, 0.2), **self.given)
+        found = plan_order(self.model, self.data, jobs_of(jobs), progress=_part(self.tell, 0.0, 0.2), **self.given)
+        return cast("OrderPlan", found)  # of places, as the jobs are
 
     def _estimated(self, wanted: list[TaskSequence]) -> CycleEstimates:
         asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.2, 0.4), **self.given}

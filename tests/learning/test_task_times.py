@@ -10,12 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit import TaskSequence, estimate_cycles, train_model, train_task_times
+from cyclekit import TaskSequence, estimate_cycles, plan_order, train_model, train_task_times, what_if
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import PaceCard
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.errors import DatasetError, EstimateError, ModelError
+from cyclekit.errors import ConfigError, DatasetError, EstimateError, ModelError
 from cyclekit.estimate.gantt import chart_of
+from cyclekit.estimate.plan.both import JobTask, TaskJobs, TaskOrderPlan
+from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.whatif.change import Change
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.task_times.learn import learn_task_times
 from cyclekit.learning.task_times.pace import pace_drift
@@ -238,3 +241,63 @@ def test_where_the_operator_becomes_quicker_a_plan_takes_what_it_takes_now(tmp_p
     true_s = np.mean(fresh_durations(order, cycles=200, seed=1, options=options))
     assert found[0].expected_s == pytest.approx(true_s, rel=0.04)
     assert any("worker becomes" in text and "quicker over 40 executions" in text for text in found[0].warnings)
+
+
+KINDS = {"bring": "robot", "weld": "robot", "polish": "robot", "mount": "operator", "pack": "operator"}
+WORK = TaskJobs(task=tuple(JobTask(agent, name, 2) for name, agent in KINDS.items()))
+
+
+def test_plan_orders_the_work_of_both_agents_close_to_the_best_order(coupled, tmp_path) -> None:
+    folder, _ = coupled
+    found = plan_order(folder / "model", folder / "dataset", WORK, out=tmp_path / "planned.toml")
+    assert isinstance(found, TaskOrderPlan)
+    order = {agent: [task.name for task in found.tasks if task.agent == agent] for agent in ("robot", "operator")}
+    took = np.mean(fresh_durations(order, cycles=100, seed=1))
+    rng, others = np.random.default_rng(1), []
+    for _ in range(60):
+        other = {agent: list(rng.permutation(tasks)) for agent, tasks in order.items()}
+        try:
+            others.append(np.mean(fresh_durations(other, cycles=20, seed=1)))
+        except ValueError:  # cannot be done
+            continue
+    assert took <= 1.03 * min(others)
+    assert found.saves_s[0] > 0.0
+    (again,) = estimate_cycles(folder / "model", folder / "dataset", tmp_path / "planned.toml")
+    assert again.expected_s == pytest.approx(found.estimate.expected_s)
+
+
+def test_work_that_cannot_be_ordered_is_refused(coupled) -> None:
+    folder, _ = coupled
+    circle = TaskJobs(
+        task=(JobTask("robot", "bring"), JobTask("robot", "weld")), before=(("bring", "weld"), ("weld", "bring"))
+    )
+    with pytest.raises(EstimateError, match="no order is possible"):
+        plan_order(folder / "model", folder / "dataset", circle)
+    with pytest.raises(ConfigError, match="places to visit"):
+        plan_order(folder / "model", folder / "dataset", Jobs(("a", "b"), "home"))
+
+
+CHANGES = [
+    Change("faster", faster={"operator": 1.5}),
+    Change("alone", no_wait=(("weld", "mount"), ("mount", "bring"))),
+    Change("buffer", buffer={"mount": 1}),
+    Change("thresholds", frequency=0.5),
+    Change("no such wait", no_wait=(("pack", "bring"),)),
+]
+
+
+def test_what_if_answers_a_faster_operator_a_removed_wait_and_a_buffer(coupled) -> None:
+    folder, _ = coupled
+    order = {"robot": ["bring", "bring", "weld", "weld"], "operator": ["inspect", "mount", "mount"]}
+    found = what_if(folder / "model", folder / "dataset", plan_of(order), CHANGES)
+    by_name = {one.change: one for one in found}
+    assert set(by_name) == {"faster", "alone", "buffer"}
+    own = plan_of({"robot": ["bring"], "operator": ["inspect", "pack", "inspect"]})
+    (faster,) = what_if(folder / "model", folder / "dataset", own, CHANGES[0])
+    assert faster.saves_s[0] == pytest.approx(18.0 / 3.0, abs=0.5)
+    without = np.mean(fresh_durations(order, cycles=200, seed=1, options=ListOptions(coupled=False)))
+    assert by_name["alone"].after.expected_s == pytest.approx(without, rel=0.03)
+    assert by_name["buffer"].saves_s[1] <= by_name["buffer"].saves_s[0] <= by_name["buffer"].saves_s[2]
+    reasons = {one.name: str(one.error) for one in found.refused}
+    assert "task lists hold neither" in reasons["thresholds"]
+    assert "mount for bring" in reasons["no such wait"]

@@ -195,14 +195,16 @@ def _needs(
 
 
 def _drawn(plan: _Plan, cycles: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return work at rate 1 and lag of each task in each cycle, shape (cycles, tasks), s."""
-    work, lag = [], []
-    for card, before, turn in zip(plan.cards, plan.before, plan.turn, strict=True):
+    """Return work at rate 1 and lag of each task in each cycle, shape (cycles, tasks), s: alike in every order."""
+    work, lag = np.empty((cycles, len(plan.cards))), np.empty((cycles, len(plan.cards)))
+    names = [(card.agent, card.task, turn) for card, turn in zip(plan.cards, plan.turn, strict=True)]
+    for number in sorted(range(len(names)), key=lambda each: names[each]):
+        card, before, turn = plan.cards[number], plan.before[number], plan.turn[number]
         factor = card.after.get("" if before < 0 else plan.cards[before].task, 1.0)
         factor *= card.turns[turn] if turn < len(card.turns) else 1.0
-        work.append(factor * rng.choice(card.work_s, cycles))
-        lag.append(np.maximum(rng.choice(card.lags_s, cycles), 0.0))
-    return np.stack(work, axis=1), np.stack(lag, axis=1)
+        work[:, number] = factor * rng.choice(card.work_s, cycles)
+        lag[:, number] = np.maximum(rng.choice(card.lags_s, cycles), 0.0)
+    return work, lag
 
 
 def _rates(plan: _Plan, running: Bools) -> Floats:

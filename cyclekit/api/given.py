@@ -29,9 +29,15 @@ def model_of(given: SafetyModel | Place) -> SafetyModel:
 
 def estimator_model(given: SafetyModel | TaskTimesModel | Place) -> SafetyModel | TaskTimesModel:
     """Return what an estimate asks: a safety function, or task times learned from task lists."""
+    times = times_of(given)
+    return times if times is not None else model_of(given)  # type: ignore[arg-type]  # it is no other
+
+
+def times_of(given: object) -> TaskTimesModel | None:
+    """Return a model of task times, opened; None where it is another thing."""
     if isinstance(given, str | Path) and holds_task_times(given):
         return load_task_times(given)
-    return given if isinstance(given, TaskTimesModel) else model_of(given)
+    return given if isinstance(given, TaskTimesModel) else None
 
 
 def trained_of(given: TrainedModel | Place) -> TrainedModel:

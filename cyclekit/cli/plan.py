@@ -22,9 +22,7 @@ def plan(
     model: ModelPlace,
     jobs: Annotated[
         Path,
-        typer.Argument(
-            help="Places to visit, or both agents' tasks; constraints (before).", metavar="JOBS.toml"
-        ),
+        typer.Argument(help="Places to visit, or both agents' tasks; constraints (before).", metavar="JOBS.toml"),
     ],
     dataset: LoggedPlace,
     out: Annotated[Path | None, typer.Option(help="Also write the order here, as a sequence file.")] = None,

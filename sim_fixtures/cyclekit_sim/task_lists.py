@@ -138,15 +138,18 @@ def _rate(agents: dict[str, _Agent], name: str, options: ListOptions) -> float:
 
 
 def simulate_task_lists(
-    folder: Path, *, executions: int = 60, seed: int = 0, options: ListOptions | None = None
+    folder: Path, *, executions: int = 60, seed: int = 0, options: ListOptions | None = None, first: float = 0.0
 ) -> list[Order]:
-    """Write `tasks.csv` and `truth/truth.json` into a folder; return the order of each execution."""
+    """Write `tasks.csv` and `truth/truth.json` into a folder; return the order of each execution.
+
+    `first` is the part of the drift that has passed before the first execution.
+    """
     wanted = options or ListOptions()
     rng = np.random.default_rng(seed)
     orders = [random_order(rng) for _ in range(executions)]
     lines, at_s = ["run,agent,task,t_start,t_end"], EPOCH_S
     for number, order in enumerate(orders):
-        cycle = one_cycle(order, rng, wanted, number / max(executions - 1, 1))
+        cycle = one_cycle(order, rng, wanted, first + (1.0 - first) * number / max(executions - 1, 1))
         for agent, task, start_s, end_s in sorted(cycle, key=lambda each: each[2]):
             lines.append(f"{number:04d},{AGENTS[agent]},{task},{at_s + start_s:.3f},{at_s + end_s:.3f}")
         at_s += max(end_s for *_, end_s in cycle) + 30.0

@@ -10,7 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cyclekit import TaskSequence, estimate_cycles, plan_order, train_model, train_task_times, what_if
+from cyclekit import (
+    TaskSequence,
+    estimate_cycles,
+    evaluate_task_times,
+    plan_order,
+    train_model,
+    train_task_times,
+    what_if,
+    write_report,
+)
 from cyclekit.config.sequences import PlannedTask
 from cyclekit.dataset.cards.task_model import PaceCard
 from cyclekit.dataset.dataset import Dataset
@@ -301,3 +310,35 @@ def test_what_if_answers_a_faster_operator_a_removed_wait_and_a_buffer(coupled) 
     reasons = {one.name: str(one.error) for one in found.refused}
     assert "task lists hold neither" in reasons["thresholds"]
     assert "mount for bring" in reasons["no such wait"]
+
+
+def test_the_report_has_a_time_chart_and_who_waits_for_what_and_what_is_not_known(coupled, tmp_path) -> None:
+    folder, _ = coupled
+    order = {"robot": ["bring", "weld"], "operator": ["inspect", "mount"]}
+    asked = {"model": folder / "model", "sequences": plan_of(order, "plan 3"), "what_if": [CHANGES[0]]}
+    facts = write_report(folder / "dataset", tmp_path / "page.html", **asked)
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert facts.pictures == 1
+    assert "data:image/svg+xml;base64," in page
+    assert facts.headline.startswith("Shortest of 1: plan 3")
+    write_report(folder / "dataset", tmp_path / "page.md", **asked)
+    words = (tmp_path / "page.md").read_text(encoding="utf-8")
+    assert "operator: mount (" in words
+    assert "| arm | weld | 120 |" in words
+    assert "Nothing is known of positions, distances, zones and the safety function" in words
+    assert "| faster | plan 3 |" in words
+
+
+def test_evaluate_names_a_pace_that_changed_since_the_training(coupled, tmp_path) -> None:
+    folder, _ = coupled
+    same = evaluate_task_times(folder / "model", folder / "dataset", trained_on=folder / "dataset")
+    assert not any(shift.changed for shift in same.drift or ())
+    assert abs(same.bias) < 0.02
+    quicker = ListOptions(drift=0.25)
+    simulate_task_lists(tmp_path / "logs", executions=20, seed=8, options=quicker, first=1.0)
+    ingest([tmp_path / "logs" / "tasks.csv"], tmp_path / "newer")
+    found = evaluate_task_times(folder / "model", tmp_path / "newer", trained_on=folder / "dataset")
+    by_agent = {shift.agent: shift for shift in found.drift or ()}
+    assert not by_agent["arm"].changed
+    assert by_agent["worker"].change == pytest.approx(-0.25, abs=0.05)
+    assert "durations of worker since the training: CHANGED by -2" in found.said()

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from cyclekit.api.estimate import estimate_cycles as estimate_cycles
     from cyclekit.api.evaluate import evaluate_model as evaluate_model
     from cyclekit.api.evaluate import evaluate_models as evaluate_models
+    from cyclekit.api.evaluate import evaluate_task_times as evaluate_task_times
     from cyclekit.api.export import export_model as export_model
     from cyclekit.api.ingest import ingest_logs as ingest_logs
     from cyclekit.api.inspect import draft_cell as draft_cell
@@ -51,6 +52,9 @@ if TYPE_CHECKING:
     from cyclekit.estimate.plan.answer import OrderPlan as OrderPlan
     from cyclekit.estimate.plan.jobs import Jobs as Jobs
     from cyclekit.estimate.plan.jobs import load_jobs as load_jobs
+    from cyclekit.estimate.plan.task_orders import JobTask as JobTask
+    from cyclekit.estimate.plan.task_orders import TaskJobs as TaskJobs
+    from cyclekit.estimate.plan.task_orders import TaskOrderPlan as TaskOrderPlan
     from cyclekit.estimate.result import CycleEstimate as CycleEstimate
     from cyclekit.estimate.whatif.answer import WhatIf as WhatIf
     from cyclekit.estimate.whatif.answers import WhatIfAnswers as WhatIfAnswers
@@ -79,7 +83,7 @@ _NAMES = {
     "api.calibrate": "calibrate_tracker",
     "api.convert": "convert_log",
     "api.estimate": "estimate_cycles",
-    "api.evaluate": "evaluate_model evaluate_models",
+    "api.evaluate": "evaluate_model evaluate_models evaluate_task_times",
     "api.export": "export_model",
     "api.ingest": "ingest_logs",
     "api.inspect": "draft_cell inspect_logs",
@@ -97,6 +101,7 @@ _NAMES = {
     "errors": "CyclekitError",
     "estimate.answers": "CycleEstimates",
     "estimate.plan.answer": "OrderPlan",
+    "estimate.plan.task_orders": "JobTask TaskJobs TaskOrderPlan",
     "estimate.plan.jobs": "Jobs load_jobs",
     "estimate.result": "CycleEstimate",
     "estimate.whatif.answer": "WhatIf",

@@ -5,21 +5,24 @@ from __future__ import annotations
 from itertools import pairwise
 
 from cyclekit.api.arguments import Place, Progress, checked
-from cyclekit.api.given import jobs_of, model_of, path_of, place_of
+from cyclekit.api.given import estimator_model, jobs_of, path_of, place_of, task_jobs_of
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.plan.answer import OrderPlan, plan
 from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.plan.task_orders import TaskJobs, TaskOrderPlan, plan_tasks
 from cyclekit.estimate.safety import SafetyModel
+from cyclekit.learning.task_times.runs import logged_runs
+from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.storage.atomic import write_text
 
 
 @checked
 def plan_order(
-    model: SafetyModel | Place,
+    model: SafetyModel | TaskTimesModel | Place,
     dataset: Dataset | Place,
-    jobs: Jobs | Place,
+    jobs: Jobs | TaskJobs | Place,
     *,
     out: Place | None = None,
     seed: int = 0,
@@ -27,13 +30,14 @@ def plan_order(
     check: Check | None = None,
     other_cell: bool = False,
     progress: Progress | None = None,
-) -> OrderPlan:
+) -> OrderPlan | TaskOrderPlan:
     """Search the order of the jobs with the least expected cycle time.
 
     Args:
-        model: A model of problem `now`, its folder or its URL.
+        model: A model of problem `now` or of task times, its folder or its URL.
         dataset: Logs that hold the tasks of at least one allowed order, and the operator's tracks.
-        jobs: What is to be visited, and what comes first: jobs, or the jobs file.
+        jobs: What is to be visited, and what comes first: jobs, or the jobs file. For a model of task times the
+            tasks of both agents.
         out: Also write the order here, as a sequence file (`.toml`).
         seed: Of the search and the resampling.
         validate: As of `estimate_cycles`.
@@ -48,11 +52,19 @@ def plan_order(
     """
     file = path_of(out)
     check_output(file, "sequences", [place_of(model), place_of(jobs), place_of(dataset)], endings=(".toml",))
-    wanted = jobs_of(jobs)
-    asked = {"validate": validate, "other_cell": other_cell}
-    found = plan(model_of(model), Dataset.of(dataset), wanted, seed=seed, check=check, progress=progress, **asked)
+    opened, logs = estimator_model(model), Dataset.of(dataset)
+    found: OrderPlan | TaskOrderPlan
+    if isinstance(opened, TaskTimesModel):
+        work = task_jobs_of(jobs)
+        runs, _ = logged_runs(logs)
+        found = plan_tasks(opened.card, work, runs, seed=seed, progress=progress)
+        text = found.to_toml()
+    else:
+        asked = {"validate": validate, "other_cell": other_cell}
+        found = plan(opened, logs, jobs_of(jobs), seed=seed, check=check, progress=progress, **asked)
+        text = _sequence_file(found)
     if file is not None:
-        write_text(file, _sequence_file(found))
+        write_text(file, text)
     return found
 
 

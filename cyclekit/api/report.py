@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.estimate import estimate_cycles
 from cyclekit.api.evaluate import evaluate_model
-from cyclekit.api.given import Sequences, jobs_of, place_of, sequences_of, trained_of
+from cyclekit.api.given import Sequences, jobs_of, place_of, sequences_of, times_of, trained_of
 from cyclekit.api.plan import plan_order
 from cyclekit.api.whatif import what_if as try_changes
 from cyclekit.config.sequences import TaskSequence
@@ -24,12 +24,15 @@ from cyclekit.estimate.whatif.change import Change, load_changes
 from cyclekit.learning.evaluation.evaluate import Evaluation
 from cyclekit.learning.networks.cell import refuse_other_cell
 from cyclekit.learning.networks.saved import TrainedModel
+from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.report import ReportFacts, Template, Tried, compose_report, load_tried, need_browser, write_pdf
+from cyclekit.report.task_lists import report_tasks
 
 if TYPE_CHECKING:
     from cyclekit.dataset.guard import Kind
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.plan.answer import OrderPlan
+    from cyclekit.estimate.plan.task_orders import TaskOrderPlan
     from cyclekit.estimate.whatif.answers import WhatIfAnswers
 
 Format = Literal["html", "json", "csv", "md"]
@@ -44,7 +47,7 @@ def write_report(
     dataset: Dataset | Place,
     out: Place,
     *,
-    model: TrainedModel | Place | None = None,
+    model: TrainedModel | TaskTimesModel | Place | None = None,
     sequences: Sequences | None = None,
     what_if: Sequence[Place | Change | Tried] = (),
     jobs: Jobs | Place | None = None,
@@ -65,7 +68,7 @@ def write_report(
     Args:
         dataset: The logs: a dataset, its folder or its URL.
         out: The file; an existing one is replaced when the new one is complete.
-        model: Trained model; without it the page is about the logs alone.
+        model: Trained model; without it the page is about the logs alone. One of task times has a page of its own.
         sequences: Whose estimates go into the page: sequences, or the sequence file.
         what_if: Tried on the sequences: changes, or files of them (`CHANGES.toml`). Or what was computed before:
             `FILE.json` of `what_if`, `LABEL=FILE.json` of `estimate_cycles`.
@@ -103,7 +106,13 @@ def write_report(
     data = Dataset.of(dataset)
     page: dict[str, Any] = {"estimates": estimates or (), "check": estimates.check if estimates else None}
     page["what_if"] = tried
-    trained = None if model is None else trained_of(model)
+    times = times_of(model)
+    if times is not None:
+        facts = _of_tasks(times, data, file, sequences, changes, jobs, chosen, folder, cell_name)
+        if printed is not None:
+            write_pdf(file, printed)
+        return replace(facts, pdf=printed)
+    trained = None if model is None else trained_of(model)  # type: ignore[arg-type]  # none of task times
     if trained is not None:
         asked = _Asked(trained, data, validate, extrapolate, other_cell, tell)
         page = asked.found(sequences, changes, tried, jobs, estimates, evaluation)
@@ -113,6 +122,30 @@ def write_report(
         tell(1.0, "printing")
         write_pdf(file, printed)
     return replace(facts, pdf=printed)
+
+
+def _of_tasks(
+    model: TaskTimesModel,
+    data: Dataset,
+    file: Path,
+    sequences: Sequences | None,
+    changes: list[Change],
+    jobs: Jobs | Place | None,
+    kind: str,
+    template: Path | None,
+    cell_name: str | None,
+) -> ReportFacts:
+    """Write the report of a model of task times."""
+    wanted = [] if sequences is None else sequences_of(sequences)
+    planned = None if jobs is None else cast("TaskOrderPlan", plan_order(model, data, jobs))
+    asked = [*wanted, *([TaskSequence.of_plan("planned", planned.tasks)] if planned else [])]
+    if changes and not asked:
+        raise ConfigError("changes are tried on sequences, and none are given", cure="Give sequences or jobs.")
+    found = estimate_cycles(model, data, wanted).require_all() if wanted else None
+    changed = try_changes(model, data, asked, changes).require_all() if changes else ()
+    name = cell_name or data.card.name or data.path.name
+    parts: dict[str, Any] = {"estimates": found, "planned": planned, "changed": list(changed)}
+    return report_tasks(model.card, file, name=name, kind=kind, template=template, **parts)
 
 
 class _Asked:
@@ -164,7 +197,8 @@ class _Asked:
         }
 
     def _planned(self, jobs: Jobs | Place) -> OrderPlan:
-        return plan_order(self.model, self.data, jobs_of(jobs), progress=_part(self.tell, 0.0, 0.2), **self.given)
+        found = plan_order(self.model, self.data, jobs_of(jobs), progress=_part(self.tell, 0.0, 0.2), **self.given)
+        return cast("OrderPlan", found)  # of places, as the jobs are
 
     def _estimated(self, wanted: list[TaskSequence]) -> CycleEstimates:
         asked = {"extrapolate": self.extrapolate, "progress": _part(self.tell, 0.2, 0.4), **self.given}

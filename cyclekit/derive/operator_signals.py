@@ -265,7 +265,8 @@ def _explained(evidence: SignalEvidence, on: Sequence[Bools]) -> float:
         learn = fold != part
         if not learn.any():
             return 0.0
-        tree = usual_levels(features[learn], level[learn], len(levels), execution[learn])
+        together = np.zeros(int(learn.sum()), np.int64)  # cuts are judged by the executions held out here
+        tree = usual_levels(features[learn], level[learn], len(levels), together)
         said = tree.lowest(features[~learn], 0.5)
         wrong += float(np.abs(levels[said] - levels[level[~learn]]).sum())
     lost = float((levels[-1] - levels[level]).sum())

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import jobs_of, model_of, path_of, place_of
+from cyclekit.config.sequences import TaskSequence
+from cyclekit.config.write import sequence_to_toml
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.estimate.check import Check
@@ -50,6 +52,5 @@ def plan_order(
     asked = {"validate": validate, "other_cell": other_cell}
     found = plan(model_of(model), Dataset.of(dataset), wanted, seed=seed, check=check, progress=progress, **asked)
     if file is not None:
-        names = ", ".join(f'"{place}"' for place in found.places)
-        write_text(file, f'# Written by cyclekit plan\n[[sequence]]\nname = "planned"\nplaces = [{names}]\n')
+        write_text(file, "# Written by cyclekit plan\n" + sequence_to_toml(TaskSequence("planned", found.places)))
     return found

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import Sequences, estimator_model, path_of, place_of, sequences_of
+from cyclekit.api.workbooks import need_workbook, sheets_of_estimates
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
-from cyclekit.dataset.guard import check_output
+from cyclekit.dataset.guard import Kind, check_output
 from cyclekit.errors import EstimateError, ModelError
 from cyclekit.estimate.answers import CycleEstimates, Refusal, refusing, together
 from cyclekit.estimate.check import Check
@@ -20,8 +21,10 @@ from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.plots.canvas import KINDS
 from cyclekit.storage.atomic import write_text
+from cyclekit.storage.workbook import write_workbook
 from cyclekit.text.plain_json import json_text
 
+_KINDS: dict[str, Kind] = {".csv": "estimates-csv", ".xlsx": "workbook"}
 QUANTILES = (0.05, 0.5, 0.95)
 """Of single cycles, where no others are asked for."""
 
@@ -51,7 +54,7 @@ def estimate_cycles(
         model: A model, its folder or its URL; one of task times answers plans for robot and operator.
         dataset: Logs that hold the tasks and the operator's tracks; a dataset, its folder or its URL.
         sequences: What is asked for: sequences, or the sequence file.
-        out: Also write the result here, `.json` or `.csv`.
+        out: Also write the result here, `.json`, `.csv` or `.xlsx`.
         gantt: Also draw a time chart here, `.svg`, `.png` or `.pdf`.
         estimator: `rollout`, `average`, `history` or `nominal`; None: what suits the model.
         quantiles: Levels in (0, 1) of single cycles.
@@ -74,9 +77,10 @@ def estimate_cycles(
         CyclekitError: Something that was given cannot be read, or the result cannot be written.
     """
     file = path_of(out)
-    as_table = file is not None and file.suffix.lower() == ".csv"
+    ending = "" if file is None else file.suffix.lower()
     inputs = [place_of(model), place_of(sequences), place_of(dataset)]
-    check_output(file, "estimates-csv" if as_table else "estimates-json", inputs, endings=(".json", ".csv"))
+    check_output(file, _KINDS.get(ending, "estimates-json"), inputs, endings=(".json", ".csv", ".xlsx"))
+    need_workbook(file)
     chart = path_of(gantt)
     check_output(chart, "picture", inputs, option="--gantt", endings=KINDS)
     wanted = sequences_of(sequences)
@@ -114,8 +118,10 @@ def estimate_cycles(
     if not found and wanted:
         raise together(refused)
     answer = CycleEstimates(tuple(found), tuple(refused))
-    if file is not None:
-        write_text(file, answer.to_csv() if as_table else json_text(answer.to_dict(), ascii_only=True) + "\n")
+    if file is not None and ending == ".xlsx":
+        write_workbook(file, sheets_of_estimates(answer, logs, opened))
+    elif file is not None:
+        write_text(file, answer.to_csv() if ending == ".csv" else json_text(answer.to_dict(), ascii_only=True) + "\n")
     if chart is not None:
         write_gantt(chart, answer)
     return answer

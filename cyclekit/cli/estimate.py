@@ -49,7 +49,7 @@ def estimate(
     model: ModelPlace,
     sequences: SequenceFile,
     dataset: LoggedPlace,
-    out: Annotated[Path | None, typer.Option(help="Also write the result here: JSON, or CSV for x.csv.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Also write it here: JSON; CSV for x.csv, Excel for x.xlsx.")] = None,
     gantt: Annotated[Path | None, typer.Option(help="Also draw a time chart here: SVG, PNG or PDF.")] = None,
     estimator: Annotated[
         str | None, typer.Option(help="rollout, average, history or nominal; by default what suits the model.")

@@ -145,11 +145,8 @@ def run_project(
     cell = ProjectCell(told.name, told.logs, str(file.parent), told.cell, told.sequences, checksums=True, project=told)
     inputs = [*told.logs, file, told.cell, told.sequences, told.template]
     check_output(cell.ledger, "cell", inputs, option=f"{file}")
-    places: dict[Kind, str] = {
-        "dataset": told.dataset,
-        "model": told.model,
-        ("workbook" if told.report.endswith(".xlsx") else "page"): told.report,
-    }
+    page: Kind = "workbook" if told.report.endswith(".xlsx") else "page"
+    places: dict[Kind, str] = {"dataset": told.dataset, "model": told.model, page: told.report}
     for kind, place in places.items():
         check_output(place, kind, inputs, option=f"{file}")
     rows = work_on(cell, stages=tuple(stages), known=PROJECT_STAGES, progress=progress)

@@ -53,7 +53,10 @@ def test_a_text_is_never_a_formula_a_link_or_a_number(tmp_path: Path) -> None:
     assert read == [text.replace("\t", "\\t") for text in EVIL]
 
 
-@given(st.lists(st.one_of(st.floats(), st.integers(-(2**50), 2**50), st.booleans(), st.text(max_size=30)), max_size=8))
+VALUES = st.one_of(st.floats(), st.integers(-(2**50), 2**50), st.booleans(), st.text(max_size=30))
+
+
+@given(values=st.lists(VALUES, max_size=8))
 def test_values_come_back(values: list[object], tmp_path_factory: pytest.TempPathFactory) -> None:
     file = tmp_path_factory.mktemp("book") / "x.xlsx"
     write_workbook(file, {"answer": [["value", "end"], *([value, "end"] for value in values)]})

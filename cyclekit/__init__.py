@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from cyclekit.api.init import start_project as start_project
     from cyclekit.api.inspect import draft_cell as draft_cell
     from cyclekit.api.inspect import inspect_logs as inspect_logs
+    from cyclekit.api.inspect import plan_recordings as plan_recordings
     from cyclekit.api.levels import ScalingLevels as ScalingLevels
     from cyclekit.api.levels import find_levels as find_levels
     from cyclekit.api.plan import plan_order as plan_order
@@ -86,7 +87,7 @@ _NAMES = {
     "api.export": "export_model",
     "api.gate": "gate_takt",
     "api.ingest": "ingest_logs",
-    "api.inspect": "draft_cell inspect_logs",
+    "api.inspect": "draft_cell inspect_logs plan_recordings",
     "api.levels": "ScalingLevels find_levels",
     "api.plan": "plan_order",
     "api.init": "start_project",

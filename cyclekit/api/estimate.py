@@ -10,13 +10,14 @@ from cyclekit.api.workbooks import need_workbook, sheets_of_estimates
 from cyclekit.config.sequences import TaskSequence
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import Kind, check_output
-from cyclekit.errors import EstimateError, ModelError
+from cyclekit.errors import CyclekitError, EstimateError, ModelError
 from cyclekit.estimate.answers import CycleEstimates, Refusal, refusing, together
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.gantt import write_gantt
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.safety import SafetyModel
 from cyclekit.estimate.task_times import estimate_plans
+from cyclekit.estimate.what_to_log import what_to_log
 from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.parallel.engine import LOCAL, Engine
 from cyclekit.plots.canvas import KINDS
@@ -116,7 +117,7 @@ def estimate_cycles(
             progress=progress,
         )
     if not found and wanted:
-        raise together(refused)
+        raise _with_plan(together(refused), opened, logs, wanted)
     answer = CycleEstimates(tuple(found), tuple(refused))
     if file is not None and ending == ".xlsx":
         write_workbook(file, sheets_of_estimates(answer, logs, opened))
@@ -125,3 +126,17 @@ def estimate_cycles(
     if chart is not None:
         write_gantt(chart, answer)
     return answer
+
+
+def _with_plan(
+    error: EstimateError, model: SafetyModel | TaskTimesModel, logs: Dataset, wanted: Sequence[TaskSequence]
+) -> EstimateError:
+    """Return an error with what to log next, so that these sequences can be answered."""
+    if isinstance(model, TaskTimesModel) or any(one.plan for one in wanted):
+        return error
+    try:
+        lines = what_to_log(logs, wanted).lines
+    except CyclekitError:
+        return error
+    told = [f"To log next: {line}" for line in lines]
+    return EstimateError(error.seen, cure="\n  ".join(text for text in (error.cure or "", *told) if text))

@@ -19,7 +19,7 @@ PROJECT_FILE = "cyclekit.toml"
 _ESTIMATE = {"model": "model", "sequences": "sequences", "dataset": "dataset", "takt": "takt"}
 PATHS: dict[str, dict[str, str]] = {
     "ingest": {"logs": "logs", "out": "dataset", "cell": "cell"},
-    "inspect": {"path": "made"},
+    "inspect": {"path": "made", "sequences": "sequences_there"},
     "trace": {"dataset": "dataset"},
     "levels": {"dataset": "dataset"},
     "train": {"dataset": "dataset", "out": "model"},
@@ -81,6 +81,8 @@ class _LeftOut:
 
             self._project = load_project(Path(PROJECT_FILE))
         project = self._project
+        if key == "sequences_there":
+            return project.sequences if Path(project.sequences).exists() else None
         if key == "made":
             key = "dataset" if Path(project.dataset).exists() or "://" in project.dataset else "logs"
         value = getattr(project, key)

@@ -235,3 +235,13 @@ def test_parts_of_a_duration_add_up(hours: int, minutes: int, seconds: int) -> N
 def test_what_is_no_duration_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="duration"):
         seconds_in(text)
+
+
+def test_inspect_and_a_refused_estimate_say_what_to_log_next(begun: Path, cyclekit: Shell) -> None:
+    Path("far.toml").write_text('[[sequence]]\nname = "far"\nplaces = ["left_1", "left_2"]\n', encoding="utf-8")
+    refused = cyclekit("estimate", "far.toml", "--no-check", "--quiet")
+    assert refused.code == 1
+    assert "log 5 executions of left_1, left_2 (sequence 'far')" in refused.err
+    looked = cyclekit("inspect", "--sequences", "far.toml", "--quiet")
+    assert "What to log next\n- missing: left_1->left_2" in looked.out
+    assert cyclekit("inspect", "--json", "--quiet").document["to_log"]["executions"] == 6

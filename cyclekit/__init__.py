@@ -28,9 +28,12 @@ if TYPE_CHECKING:
     from cyclekit.api.evaluate import evaluate_models as evaluate_models
     from cyclekit.api.evaluate import evaluate_task_times as evaluate_task_times
     from cyclekit.api.export import export_model as export_model
+    from cyclekit.api.gate import gate_takt as gate_takt
     from cyclekit.api.ingest import ingest_logs as ingest_logs
+    from cyclekit.api.init import start_project as start_project
     from cyclekit.api.inspect import draft_cell as draft_cell
     from cyclekit.api.inspect import inspect_logs as inspect_logs
+    from cyclekit.api.inspect import plan_recordings as plan_recordings
     from cyclekit.api.levels import ScalingLevels as ScalingLevels
     from cyclekit.api.levels import find_levels as find_levels
     from cyclekit.api.plan import plan_order as plan_order
@@ -63,6 +66,7 @@ if TYPE_CHECKING:
     from cyclekit.estimate.whatif.change import load_changes as load_changes
     from cyclekit.estimate.whatif.costs import SafetyCosts as SafetyCosts
     from cyclekit.estimate.whatif.separation import Separation as Separation
+    from cyclekit.fleet.project import run_project as run_project
     from cyclekit.fleet.run import FleetRun as FleetRun
     from cyclekit.fleet.run import run_fleet as run_fleet
     from cyclekit.ingest.ingest import IngestReport as IngestReport
@@ -85,10 +89,12 @@ _NAMES = {
     "api.estimate": "estimate_cycles",
     "api.evaluate": "evaluate_model evaluate_models evaluate_task_times",
     "api.export": "export_model",
+    "api.gate": "gate_takt",
     "api.ingest": "ingest_logs",
-    "api.inspect": "draft_cell inspect_logs",
+    "api.inspect": "draft_cell inspect_logs plan_recordings",
     "api.levels": "ScalingLevels find_levels",
     "api.plan": "plan_order",
+    "api.init": "start_project",
     "api.replay": "write_replay",
     "api.report": "write_report",
     "api.simulate": "simulate_logs",
@@ -109,6 +115,7 @@ _NAMES = {
     "estimate.whatif.change": "Change LimitChange load_changes",
     "estimate.whatif.costs": "SafetyCosts",
     "estimate.whatif.separation": "Separation",
+    "fleet.project": "run_project",
     "fleet.run": "FleetRun run_fleet",
     "ingest.ingest": "IngestReport",
     "learning.evaluation.evaluate": "Evaluation",

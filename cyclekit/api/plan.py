@@ -6,8 +6,10 @@ from itertools import pairwise
 
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import estimator_model, jobs_of, path_of, place_of, task_jobs_of
+from cyclekit.api.workbooks import need_workbook, sheets_of_plan
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
+from cyclekit.errors import ConfigError
 from cyclekit.estimate.check import Check
 from cyclekit.estimate.plan.answer import OrderPlan, plan
 from cyclekit.estimate.plan.jobs import Jobs
@@ -16,6 +18,7 @@ from cyclekit.estimate.safety import SafetyModel
 from cyclekit.learning.task_times.runs import logged_runs
 from cyclekit.learning.task_times.saved import TaskTimesModel
 from cyclekit.storage.atomic import write_text
+from cyclekit.storage.workbook import write_workbook
 
 
 @checked
@@ -38,7 +41,8 @@ def plan_order(
         dataset: Logs that hold the tasks of at least one allowed order, and the operator's tracks.
         jobs: What is to be visited, and what comes first: jobs, or the jobs file. For a model of task times the
             tasks of both agents.
-        out: Also write the order here, as a sequence file (`.toml`).
+        out: Also write the order here, as a sequence file (`.toml`), or all of it as a workbook (`.xlsx`; not for a
+            model of task times).
         seed: Of the search and the resampling.
         validate: As of `estimate_cycles`.
         check: As of `estimate_cycles`.
@@ -51,29 +55,33 @@ def plan_order(
         EstimateError: Every allowed order needs a task that was never logged, or there is no operator track.
     """
     file = path_of(out)
-    check_output(file, "sequences", [place_of(model), place_of(jobs), place_of(dataset)], endings=(".toml",))
+    as_book = file is not None and file.suffix.lower() == ".xlsx"
+    inputs = [place_of(model), place_of(jobs), place_of(dataset)]
+    check_output(file, "workbook" if as_book else "sequences", inputs, endings=(".toml", ".xlsx"))
+    need_workbook(file)
     opened, logs = estimator_model(model), Dataset.of(dataset)
-    found: OrderPlan | TaskOrderPlan
     if isinstance(opened, TaskTimesModel):
-        work = task_jobs_of(jobs)
+        if as_book:
+            seen = f"{file}: the order of both agents' tasks is written as a sequence file, not as a workbook"
+            raise ConfigError(seen, cure="Give a file that ends in .toml.")
         runs, _ = logged_runs(logs)
-        found = plan_tasks(opened.card, work, runs, seed=seed, progress=progress)
-        text = found.to_toml()
-    else:
-        asked = {"validate": validate, "other_cell": other_cell}
-        found = plan(opened, logs, jobs_of(jobs), seed=seed, check=check, progress=progress, **asked)
-        text = _sequence_file(found)
-    if file is not None:
-        write_text(file, text)
+        both = plan_tasks(opened.card, task_jobs_of(jobs), runs, seed=seed, progress=progress)
+        if file is not None:
+            write_text(file, both.to_toml())
+        return both
+    asked = {"validate": validate, "other_cell": other_cell}
+    found = plan(opened, logs, jobs_of(jobs), seed=seed, check=check, progress=progress, **asked)
+    if file is not None and as_book:
+        write_workbook(file, sheets_of_plan(found, logs, opened))
+    elif file is not None:
+        write_text(file, _sequence_file(found))
     return found
 
 
 def _sequence_file(found: OrderPlan) -> str:
     """Return the order found as a sequence file: the robot's places, or a plan for both."""
-    head = '# Written by cyclekit plan\n[[sequence]]\nname = "planned"\n'
-    if found.operator is None:
-        names = ", ".join(f'"{place}"' for place in found.places)
-        return f"{head}places = [{names}]\n"
-    tasks = [("robot", f"{a}->{b}") for a, b in pairwise(found.places)]
-    tasks += [("operator", place) for place in found.operator]
-    return head + "".join(f'[[sequence.task]]\nagent = "{agent}"\nname = "{name}"\n' for agent, name in tasks)
+    order = TaskSequence("planned", found.places)
+    if found.operator is not None:
+        tasks = [PlannedTask("robot", f"{a}->{b}") for a, b in pairwise(found.places)]
+        order = TaskSequence.of_plan("planned", [*tasks, *(PlannedTask("operator", place) for place in found.operator)])
+    return "# Written by cyclekit plan\n" + sequence_to_toml(order)

@@ -25,7 +25,7 @@ def plan(
         typer.Argument(help="Places to visit, or both agents' tasks; constraints (before).", metavar="JOBS.toml"),
     ],
     dataset: LoggedPlace,
-    out: Annotated[Path | None, typer.Option(help="Also write the order here, as a sequence file.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Also write it: a sequence file (.toml) or Excel (.xlsx).")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the search and the resampling.")] = 0,
     check: Checked = True,
     other_cell: OtherCell = False,

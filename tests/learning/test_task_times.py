@@ -25,8 +25,8 @@ from cyclekit.dataset.cards.task_model import PaceCard
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.errors import ConfigError, DatasetError, EstimateError, ModelError
 from cyclekit.estimate.gantt import chart_of
-from cyclekit.estimate.plan.task_orders import JobTask, TaskJobs, TaskOrderPlan
 from cyclekit.estimate.plan.jobs import Jobs
+from cyclekit.estimate.plan.task_orders import JobTask, TaskJobs, TaskOrderPlan
 from cyclekit.estimate.whatif.change import Change
 from cyclekit.ingest.ingest import ingest
 from cyclekit.learning.task_times.learn import learn_task_times

@@ -23,6 +23,7 @@ from msgspec import Meta
 
 from cyclekit.config.sequences import PlannedTask, TaskSequence
 from cyclekit.config.toml_file import followed, read_toml
+from cyclekit.config.write import sequence_to_toml
 from cyclekit.errors import ConfigError, EstimateError, UnknownName
 from cyclekit.estimate.task_times import SURE, estimate_plans
 from cyclekit.learning.task_times.learn import plan_of
@@ -119,23 +120,12 @@ class TaskOrderPlan(Result):
 
     def to_toml(self) -> str:
         """Return the order as a sequence file."""
-        lines = ["# Written by cyclekit plan", "[[sequence]]", 'name = "planned"']
-        for task in self.tasks:
-            lines += ["[[sequence.task]]", f"agent = {_quoted(task.agent)}", f"name = {_quoted(task.name)}"]
-            lines += [] if task.not_before_s is None else [f"not_before_s = {task.not_before_s}"]
-            lines += [f"after = [{', '.join(_quoted(name) for name in task.after)}]"] if task.after else []
-        return "\n".join([*lines, ""])
+        return "# Written by cyclekit plan\n" + sequence_to_toml(TaskSequence.of_plan("planned", self.tasks))
 
     def _said(self) -> list[str]:
         saved, low, high = self.saves_s
         against = f"saves {saved:.1f} s (95% CI {low:.1f} to {high:.1f} s) against {self.against}"
         return [f"{self.estimate.expected_s:.1f} s; {against}", *(task.shown for task in self.tasks)]
-
-
-def _quoted(text: str) -> str:
-    from cyclekit.text.plain_json import json_text
-
-    return json_text(text).strip()
 
 
 def load_task_jobs(path: Path) -> TaskJobs:

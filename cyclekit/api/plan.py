@@ -7,6 +7,8 @@ from itertools import pairwise
 from cyclekit.api.arguments import Place, Progress, checked
 from cyclekit.api.given import estimator_model, jobs_of, path_of, place_of, task_jobs_of
 from cyclekit.api.workbooks import need_workbook, sheets_of_plan
+from cyclekit.config.sequences import PlannedTask, TaskSequence
+from cyclekit.config.write import sequence_to_toml
 from cyclekit.dataset.dataset import Dataset
 from cyclekit.dataset.guard import check_output
 from cyclekit.errors import ConfigError

@@ -297,7 +297,7 @@ def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
 
 
 def times_of(courses: Sequence[Course]) -> Times:
-    """Return when each kind of event came in each execution, shape (executions, most of one, at least 1), NaN behind the last."""
+    """Return when each kind of event came in each execution, shape (executions, at least 1), NaN behind the last."""
     found: Times = {}
     for event in sorted({event for course in courses for event in course.events}, key=str):
         every = [course.events.get(event, np.empty(0)) for course in courses]

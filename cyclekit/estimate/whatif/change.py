@@ -30,6 +30,13 @@ frequency = 0.5                                      # visits per hour, against 
 name = "quicker recovery"        # how s follows the safety function; what is not given stays as it was logged
 ramp_up_per_s = 2.0              # inf: at once
 hysteresis_m = 0.0               # also ramp_down_per_s, latency_s
+
+[[change]]
+name = "a second fixture, a practised operator"    # where robot and operator wait for each other
+more_places = { fixture = 1 }                      # so many more of a place that must be free again
+operator_pace = 1.2                                # he works and walks so many times as fast
+buffer = { part = 3 }                              # so many parts of a source may wait
+without_waits = ["robot approach fixture"]         # nobody waits there any more
 """
 
 from __future__ import annotations
@@ -117,6 +124,10 @@ class Change:
         base_m, base_yaw_deg: Where the robot's base shall stand, in the present base frame.
         places: Robot places that move: name -> TCP, m, in the frame of the robot's base.
         frequency: The operator's visits per hour, as a multiple of the logged ones.
+        operator_pace: The operator works and walks so many times as fast.
+        more_places: So many more of a place that somebody waits for to be free again, by its name.
+        buffer: So many parts of a source may wait, by its signal.
+        without_waits: Waits that fall away: `robot approach fixture`.
         dynamics: What changes of how s follows the safety function, by the name of `Dynamics`: s, 1/s or m.
     """
 
@@ -130,6 +141,10 @@ class Change:
     places: Mapping[str, Point] = field(default_factory=dict)
     frequency: float | None = None
     dynamics: Mapping[str, float] = field(default_factory=dict)
+    operator_pace: float | None = None
+    more_places: Mapping[str, int] = field(default_factory=dict)
+    buffer: Mapping[str, int] = field(default_factory=dict)
+    without_waits: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what is no safety function or no change.
@@ -157,9 +172,20 @@ class Change:
             self._refuse("thresholds_m or zones without levels", _CURE)
         if self.frequency is not None and not 0 < self.frequency < math.inf:
             self._refuse(f"frequency {self.frequency}", "0.5 means half as many visits per hour as were logged.")
+        if self.operator_pace is not None and not 0 < self.operator_pace < math.inf:
+            self._refuse(f"operator_pace {self.operator_pace}", "1.2 means that he works and walks 1.2 times as fast.")
+        for name, count in (*self.more_places.items(), *self.buffer.items()):
+            if count < 1:
+                self._refuse(f"{name}: {count}", "Give a whole number, 1 or more.")
         self._refuse_dynamics()
-        if not (self.levels or self.limits or self.base_m or self.places or self.frequency or self.dynamics):
+        found = self.levels, self.limits, self.base_m, self.places, self.frequency, self.dynamics, self.waits_change
+        if not any(found):
             self._refuse("nothing is changed", _CURE)
+
+    @property
+    def waits_change(self) -> bool:
+        """Whether it changes who waits for whom, or how long."""
+        return bool(self.operator_pace or self.more_places or self.buffer or self.without_waits)
 
     def _refuse_dynamics(self) -> None:
         for name, value in self.dynamics.items():
@@ -208,6 +234,10 @@ class _Entry:
     ramp_down_per_s: float | None = None
     ramp_up_per_s: float | None = None
     hysteresis_m: float | None = None
+    operator_pace: float | None = None
+    more_places: Mapping[str, int] = field(default_factory=dict)
+    buffer: Mapping[str, int] = field(default_factory=dict)
+    without_waits: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -228,5 +258,9 @@ def _change(entry: _Entry, number: int) -> Change:
         base_yaw_deg=entry.base.yaw_deg if entry.base else 0.0,
         places=entry.places,
         frequency=entry.frequency,
+        operator_pace=entry.operator_pace,
+        more_places=entry.more_places,
+        buffer=entry.buffer,
+        without_waits=entry.without_waits,
         dynamics={key: value for key in _DYNAMICS if (value := getattr(entry, key)) is not None},
     )

@@ -54,6 +54,9 @@ def cell_to_toml(cell: Cell, drafts: Mapping[str, Draft] | None = None) -> str:
         lines += ["", f"[furniture.{_key(name)}]", *(f"{key} = {_toml(value)}" for key, value in vars(thing).items())]
     for told in cell.operator_signals:
         lines += ["", "[[operator_signals]]", *(f"{key} = {_toml(value)}" for key, value in vars(told).items())]
+    for wait in cell.waits:
+        keys = [f"{key} = {_toml(value)}" for key, value in vars(wait).items() if value not in (None, False)]
+        lines += ["", "[[waits]]", *keys]
     if cell.robot is not None:
         arm = ("model", cell.robot.model) if cell.robot.model else ("dh", [list(row) for row in cell.robot.dh])
         lines += ["", "[robot]", f"{arm[0]} = {_toml(arm[1])}", f"tool_m = {_toml(list(cell.robot.tool_m))}"]

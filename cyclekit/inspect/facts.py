@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     import polars as pl
 
-    from cyclekit.dataset.cards import TrainingCard
+    from cyclekit.dataset.cards import CouplingCard, TrainingCard
     from cyclekit.dataset.lost_time import LostTime
     from cyclekit.learning.task_times.saved import TaskTimesModel
 
@@ -201,6 +201,7 @@ class DatasetDescription(Result):
         safety: What each recording of a safety system's log says, by recording.
         lost: Lost time by cause; None where nothing of it is known.
         positions: Of whom places are known.
+        coupling: Who waits for whom; None where too few executions show both agents.
         tasks: Per task found in the robot's motion: how often, mean seconds of motion at full speed, of safety loss, of
             dwell and wait.
         level_share: Per staircase level, fraction of those samples that are on a level; `on_level`: of all samples, the
@@ -245,12 +246,15 @@ class DatasetDescription(Result):
     safety: Mapping[str, SafetyFacts] = field(default_factory=dict)
     lost: LostTime | None = None
     positions: tuple[str, ...] = ()
+    coupling: CouplingCard | None = None
     kind: str = "dataset"
     verified: int | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        document = super().to_dict()
+        from cyclekit.dataset.cards import plain
+
+        document = super().to_dict() | {"coupling": None if self.coupling is None else plain(self.coupling)}
         return document if self.verified is not None else {k: v for k, v in document.items() if k != "verified"}
 
     def _frame_rows(self) -> tuple[Mapping[str, Any], ...]:

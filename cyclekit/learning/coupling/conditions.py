@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from cyclekit.errors import UnknownName
 from cyclekit.learning.coupling.lags import Causes, take_apart
 from cyclekit.learning.coupling.visits import Event
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from cyclekit.config import Wait
     from cyclekit.dataset.cards.coupling import Agent
     from cyclekit.learning.coupling.visits import Course, PlaceVisit
     from cyclekit.schema import Floats, Ints, Vector
@@ -31,9 +33,13 @@ GAIN, GAIN_PER_DEPARTURE = 8.0, 0.05
 """By so much the log-likelihood of the departures must rise, in all and for each of them."""
 AS_GOOD, AS_GOOD_PART = 3.0, 0.1
 """Of events whose gains differ by no more than this, or this part of it, the one just before the departure is taken."""
-NATURAL = 1.1
+NATURAL = 1.3
 """Who waits until another has left may not approach; who waits until he came, or something is set, may not leave: of
 two gates that the same departures pass this one is preferred by so much."""
+FOLLOWS = 0.8
+"""An event that is as near to so many of the departures that own work decided follows own work, and is no condition."""
+PULSE_S = 1.0
+"""Whoever presses a button sets a signal; that it is cleared so soon afterwards says the same."""
 SHUFFLES = 6
 MOST = 2
 """Conditions of one gate."""
@@ -89,6 +95,11 @@ class Passages:
         """Conditions of this gate."""
         return [condition for gate, condition in self.since_s if gate == self.gate]
 
+    @property
+    def step(self) -> int:
+        """Every how-many-th passage serves to compare conditions."""
+        return -(-len(self.left_s) // SEEN)
+
     def causes(self, more: Vector | None = None, most: int = SEEN) -> Causes:
         """Return what decided each passage (of `most` of them), own work first, then conditions as in `since_s`."""
         step = -(-len(self.left_s) // most)
@@ -116,11 +127,10 @@ def passages_of(courses: Sequence[Course], agent: Agent) -> list[Passages]:
 
 
 def _passed(agent: Agent, before: PlaceVisit | None, after: PlaceVisit | None) -> Iterator[tuple[Gate, float, float]]:
-    if before is not None:
-        yield Gate(agent, "leave", before.place), before.arrived_s, before.left_s
     if after is not None:
         yield Gate(agent, "approach", after.place, short=True), after.reached_s, after.went_on_s
-    if before is not None and after is not None:
+    if before is not None and after is not None:  # where nobody knows whither, another gate may have decided
+        yield Gate(agent, "leave", before.place), before.arrived_s, before.left_s
         yield Gate(agent, "approach", after.place), before.arrived_s, before.left_s
 
 
@@ -143,24 +153,90 @@ def _comparable(found: list[Passages]) -> list[Passages]:
     return [each for each in found if each.gate.short or each.gate.at == "leave" or each.gate.place not in short]
 
 
-def find_conditions(courses: Sequence[Course], agent: Agent) -> list[Passages]:
-    """Return the passages of an agent's gates with the conditions that were found."""
-    gates = passages_of(courses, agent)
-    times = times_of(courses)
+def find_conditions(courses: Sequence[Course], agent: Agent, told: Sequence[Wait] = ()) -> list[Passages]:
+    """Return the passages of an agent's gates with the conditions that were found, or told.
+
+    Raises:
+        UnknownName: The cell file tells of a place or event that the logs do not show.
+    """
+    gates, times = passages_of(courses, agent), times_of(courses)
+    told = [wait for wait in told if wait.agent == agent]
+    for wait in told:
+        chosen = gate_of(gates, wait)
+        if not wait.never:
+            condition = _told(times, chosen, wait)
+            _attach(gates, chosen, condition, since_event(times, chosen, condition))
     candidates = [Condition(event, back) for event in times if event.agent != agent for back in (0, 1)]
-    open_to = {number: _best(times, gate, candidates) for number, gate in enumerate(gates)}
-    while any(open_to.values()):
-        number = max((n for n in open_to if open_to[n]), key=lambda n: _worth(gates[n].gate, open_to[n]))
+    allowed = [[one for one in candidates if not _forbidden(told, gate, one)] for gate in gates]
+    open_to = [_best(times, gate, some) for gate, some in zip(gates, allowed, strict=True)]
+    while any(open_to):
+        number = max((n for n, found in enumerate(open_to) if found), key=lambda n: _worth(gates[n].gate, open_to[n]))
         condition, since, _ = open_to[number]  # type: ignore[misc]  # there is one
-        by_row = dict(zip(gates[number].rows.tolist(), since.tolist(), strict=True))
-        for other, gate in enumerate(gates):
-            if gate.gate.short != gates[number].gate.short:
-                continue  # it is another instant
-            shared = np.array([by_row.get(row, np.nan) for row in gate.rows.tolist()])
-            if np.isfinite(shared).any():
-                gate.since_s[gates[number].gate, condition] = shared
-                open_to[other] = _best(times, gate, candidates) if len(gate.found) < MOST else None
+        for other in _attach(gates, gates[number], condition, since):
+            open_to[other] = _best(times, gates[other], allowed[other]) if len(gates[other].found) < MOST else None
     return gates
+
+
+def _attach(gates: Sequence[Passages], to: Passages, condition: Condition, since: Vector) -> list[int]:
+    """Have all gates know a condition of one; return the numbers of those that it concerns."""
+    by_row = dict(zip(to.rows.tolist(), since.tolist(), strict=True))
+    concerned = []
+    for number, gate in enumerate(gates):
+        shared = np.array([by_row.get(row, np.nan) for row in gate.rows.tolist()])
+        if gate.gate.short == to.gate.short and (gate is to or np.isfinite(shared).any()):  # else another instant
+            gate.since_s[to.gate, condition] = shared
+            concerned.append(number)
+    return concerned
+
+
+def gate_of(gates: Sequence[Passages], wait: Wait) -> Passages:
+    """Return the gate that the cell file means; of two before one place that short of it.
+
+    Raises:
+        UnknownName: There is none.
+    """
+    at, place = ("approach", wait.before) if wait.before is not None else ("leave", wait.leaving)
+    found = [gate for gate in gates if (gate.gate.at, gate.gate.place) == (at, place)]
+    if not found:
+        known = sorted({gate.gate.place for gate in gates if gate.gate.at == at})
+        raise UnknownName(f"cell.toml [[waits]] of the {wait.agent}", "place", str(place), known)
+    return max(found, key=lambda gate: gate.gate.short)
+
+
+def _told(times: Times, gate: Passages, wait: Wait) -> Condition:
+    """Return the condition that the cell file tells, with the number that the logs agree with best."""
+    found = [event for event in times if _means(wait, event)]
+    if not found:
+        known = sorted({told_event(event) for event in times if event.agent != wait.agent})
+        raise UnknownName(f"cell.toml [[waits]] of the {wait.agent}", "event", str(wait.until), known)
+    numbers = (0, 1) if wait.back is None else (wait.back,)
+    conditions = [Condition(found[0], back) for back in numbers]
+
+    def likelihood(condition: Condition) -> float:
+        since = since_event(times, gate, condition)
+        held = np.where(since >= -early_s(condition), since, np.nan)
+        late = float((held != since).mean()) if len(since) else 0.0
+        return float(gate.causes(held).log_likelihood.sum()) * (1.0 + late) if np.isfinite(held).any() else -np.inf
+
+    return max(conditions, key=likelihood) if len(conditions) > 1 else conditions[0]
+
+
+def told_event(event: Event) -> str:
+    """Return an event as the cell file names it."""
+    if event.signal is not None:
+        return event.signal
+    return f"{event.place} {event.event}" if event.agent == "signal" else f"{event.agent} {event.event} {event.place}"
+
+
+def _means(wait: Wait, event: Event) -> bool:
+    return wait.until is None or wait.until == told_event(event)
+
+
+def _forbidden(told: Sequence[Wait], gate: Passages, condition: Condition) -> bool:
+    def concerns(wait: Wait) -> bool:
+        return wait.never and wait.place(gate.gate.at) == gate.gate.place and _means(wait, condition.event)
+
+    return any(concerns(wait) for wait in told)
 
 
 _Found = tuple[Condition, "Vector", float]
@@ -178,14 +254,14 @@ def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Fou
     if len(gate.left_s) < LEAST_DECIDED:
         return None
     before = float(gate.causes().log_likelihood.sum())
+    taken = {one.event[:2] for (_, one), at in gate.since_s.items() if 2 * np.isfinite(at).sum() > len(at)}
     tried: list[_Found] = []
     for condition in candidates:
         since = since_event(times, gate, condition)
-        if condition in gate.found or not _holds(gate, condition, since):
+        if condition.event[:2] in taken or not _holds(gate, condition, since):
             continue
         causes = gate.causes(since)
-        step = -(-len(since) // SEEN)
-        if causes.share[-1].sum() * step >= LEAST_DECIDED:
+        if causes.share[-1].sum() * gate.step >= LEAST_DECIDED and not _follows(causes, since[:: gate.step]):
             tried.append((condition, since, float(causes.log_likelihood.sum()) - before))
     tried.sort(key=lambda each: -each[2])
     least = GAIN + np.log(max(len(candidates), 1)) + GAIN_PER_DEPARTURE * min(len(gate.left_s), SEEN)
@@ -193,7 +269,23 @@ def _best(times: Times, gate: Passages, candidates: Sequence[Condition]) -> _Fou
     if not good or good[0][2] - _by_chance(gate, good[0][1]) + before < least:
         return None
     as_good = [each for each in good if each[2] >= good[0][2] - max(AS_GOOD, AS_GOOD_PART * good[0][2])]
-    return min(as_good, key=lambda each: abs(float(np.nanquantile(each[1], 0.1))))
+    found = min(as_good, key=lambda each: _before(*each[:2]))
+    return found[0], found[1], found[2] * gate.step
+
+
+def _follows(causes: Causes, since: Vector) -> bool:
+    """Tell whether an event is a consequence of the agent's own work: where that decided it is just as near."""
+    decided = causes.share.argmax(axis=0)
+    own, by_event = since[decided == 0], since[decided == len(causes.share) - 1]
+    own = own[np.isfinite(own)]
+    if len(own) < LEAST_DECIDED or not len(by_event):
+        return False
+    return bool(np.mean(own <= by_event.max() + EARLY_S) > FOLLOWS)
+
+
+def _before(condition: Condition, since: Vector) -> float:
+    """Return how far before the departures an event comes, s; the end of a button's pulse counts as later."""
+    return abs(float(np.nanquantile(since, 0.1))) + (PULSE_S if "cleared" in str(condition.event) else 0.0)
 
 
 def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
@@ -205,11 +297,11 @@ def since_event(times: Times, gate: Passages, condition: Condition) -> Vector:
 
 
 def times_of(courses: Sequence[Course]) -> Times:
-    """Return when each kind of event came in each execution, shape (executions, most of one), NaN behind the last."""
+    """Return when each kind of event came in each execution, shape (executions, most of one, at least 1), NaN behind the last."""
     found: Times = {}
     for event in sorted({event for course in courses for event in course.events}, key=str):
         every = [course.events.get(event, np.empty(0)) for course in courses]
-        found[event] = np.full((len(courses), max(map(len, every), default=0)), np.nan)
+        found[event] = np.full((len(courses), max(1, *map(len, every))), np.nan)
         for row, mine in zip(found[event], every, strict=True):
             row[: len(mine)] = mine
     return found
@@ -227,7 +319,7 @@ def _holds(gate: Passages, condition: Condition, since: Vector) -> bool:
 
 def early_s(condition: Condition) -> float:
     """Return how much before a condition's event a departure may come, s."""
-    of_leaving = condition.event.event == "leaves" and condition.event.signal is None
+    of_leaving = condition.event[::2] == ("operator", "leaves") and condition.event.signal is None
     return EARLY_LEAVING_S if of_leaving else EARLY_S
 
 

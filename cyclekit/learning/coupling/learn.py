@@ -19,15 +19,18 @@ from cyclekit.learning.coupling.conditions import (
     times_of,
 )
 from cyclekit.learning.coupling.lags import quantiles, reverse_kaplan_meier
+from cyclekit.learning.coupling.sources import find_sources
 from cyclekit.learning.coupling.visits import Course, courses_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from cyclekit.config import Wait
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.schema import Floats, Vector
 
-LEAST_EXECUTIONS = 5
+LEAST_EXECUTIONS, MOST_EXECUTIONS = 5, 400
+"""It is learned from so many executions; of more, from some that are evenly spread."""
 LEAST_LOST = 10
 """Motions by which the spot short of a place is found."""
 AGENTS: tuple[Agent, ...] = ("robot", "operator")
@@ -35,24 +38,41 @@ AGENTS: tuple[Agent, ...] = ("robot", "operator")
 
 def learn_coupling(dataset: Dataset) -> CouplingCard | None:
     """Return who waits for whom in a dataset; None where too few complete executions show both agents."""
+    if dataset.card.coupling is not None and not dataset.is_part:
+        return dataset.card.coupling
     if len(dataset.positions) < 2:
         return None
-    courses = courses_of(dataset)
+    courses = courses_of(dataset.card.executions, dataset.every_task(), dataset.recordings, dataset.recorded)
+    return learn_executions(courses, dataset.tasks(), dataset.card.settings.waits)
+
+
+def learn_executions(courses: Sequence[Course], tasks: pl.DataFrame, told: Sequence[Wait] = ()) -> CouplingCard | None:
+    """Return who waits for whom in some executions, None in too few.
+
+    Args:
+        courses: The executions.
+        tasks: The robot's, table TASKS.
+        told: By the cell file.
+
+    Raises:
+        UnknownName: The cell file tells of a place or event that the logs do not show.
+    """
     if len(courses) < LEAST_EXECUTIONS:
         return None
-    found = learn_courses(courses)
-    phases = _phases(dataset.tasks())
+    found = learn_courses(courses[:: -(-len(courses) // MOST_EXECUTIONS)], told)
+    phases = _phases(tasks)
     gates = (replace(gate, phase=phases[gate.place]) if _short(gate, phases) else gate for gate in found.gates)
     return replace(found, gates=tuple(gates))
 
 
-def learn_courses(courses: Sequence[Course]) -> CouplingCard:
+def learn_courses(courses: Sequence[Course], told: Sequence[Wait] = ()) -> CouplingCard:
     """Return who waits for whom in some executions; a robot's `phase` of a motion is left open."""
-    gates = [card for agent in AGENTS for found in find_conditions(courses, agent) if (card := _gate(courses, found))]
-    return CouplingCard(gates=tuple(gates), executions=len(courses))
+    found = [_gate(courses, gate, told) for agent in AGENTS for gate in find_conditions(courses, agent, told)]
+    gates = tuple(gate for gate in found if gate is not None)
+    return CouplingCard(gates=gates, sources=find_sources(courses, gates), executions=len(courses))
 
 
-def _gate(courses: Sequence[Course], found: Passages) -> GateCard | None:
+def _gate(courses: Sequence[Course], found: Passages, told: Sequence[Wait]) -> GateCard | None:
     """Return the card of a gate; of one without conditions there is one for leaving alone, with own work."""
     gate = found.gate
     if gate.at == "approach" and not found.found:
@@ -64,6 +84,7 @@ def _gate(courses: Sequence[Course], found: Passages) -> GateCard | None:
         place=gate.place,
         own_s=own_s if gate.at == "leave" else (0.0,),
         conditions=tuple(cards),
+        told=any(wait.agent == gate.agent and gate.place == wait.place(gate.at) for wait in told),
         passages=len(found.left_s),
     )
 

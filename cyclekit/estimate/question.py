@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from cyclekit.dataset.cards import CouplingCard
     from cyclekit.dataset.dataset import Dataset
     from cyclekit.estimate.check import Check
     from cyclekit.estimate.nominal import NominalTask
@@ -24,6 +25,10 @@ class Altered:
     dynamics: Dynamics
     moved: Mapping[str, float] = field(default_factory=dict)
     """What logged durations moved the number of each sequence by in the cell that was logged, as a factor, by name."""
+    coupling: CouplingCard | None = None
+    """Who waits for whom there."""
+    pace: float = 1.0
+    """How many times as fast the operator walks and works there."""
 
 
 @dataclass(frozen=True)

@@ -101,7 +101,7 @@ def estimate(
     chosen = _chosen(model, estimator)
     if ESTIMATORS[chosen].needs is not None:
         refuse_other_cell(model.card, dataset, other_cell=other_cell)
-    if both := [each for each in sequences if chosen == "rollout" and (each.plan or waits_are_known(model))]:
+    if both := [each for each in sequences if chosen == "rollout" and (each.plan or waits_are_known(model, altered))]:
         ask = Question(model, dataset, chosen, tuple(quantiles), takt_s, seed, extrapolate, check, altered, engine)
         judged: dict[str, Any] = {"validate": validate, "other_cell": other_cell}
         of_both = estimate_both(ask, both, **judged, refuse=refused or _raised, tell=tell)

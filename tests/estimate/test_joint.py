@@ -11,6 +11,8 @@ import pytest
 from known_cells import Constant, TrueStaircase
 
 from cyclekit.api.estimate import estimate_cycles
+from cyclekit.api.plan import plan_order
+from cyclekit.api.whatif import what_if
 from cyclekit.config.sequences import PlannedTask, TaskSequence, load_sequences
 from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard, SourceCard, TrainingCard
 from cyclekit.dataset.dataset import Dataset
@@ -19,7 +21,9 @@ from cyclekit.estimate.joint.plans import Planner
 from cyclekit.estimate.joint.roll import JointCell, RolledBoth
 from cyclekit.estimate.joint.shares import planned_shares
 from cyclekit.estimate.nominal import nominal_tasks
+from cyclekit.estimate.plan.jobs import Jobs
 from cyclekit.estimate.rollout import estimate
+from cyclekit.estimate.whatif.change import Change
 
 ROBOT = ("home->conveyor", "conveyor->left_2", "left_2->conveyor", "conveyor->left_5", "left_5->conveyor")
 OWN_S = 1.0
@@ -120,9 +124,9 @@ def test_told_precedence_and_earliest_start_hold(logged: Dataset) -> None:
 
 
 def test_a_cycle_for_both_lasts_to_the_last_end_of_either(logged: Dataset) -> None:
-    found = rolled(logged, gates(own_s=30.0), both(("inbound", "out_left_1"), ROBOT[:1]))
+    found = rolled(logged, gates(), both(("inbound", "out_left_1", "inbound", "rest"), ROBOT[:1]))
     assert found.duration_s == pytest.approx(found.operators[0].times.passes_s[:, -1])
-    assert found.duration_s.min() > 60.0
+    assert found.duration_s.min() > found.robot.times.passes_s[:, -1].max() + 3.0
 
 
 @pytest.mark.parametrize("buffer", [1, 2])
@@ -178,3 +182,51 @@ def test_an_estimate_says_who_waited_for_what(logged: Dataset, tmp_path: Path) -
     parts = ("nominal_s", "safety_loss_s", "dwell_s", "wait_s")
     assert both_["expected_s"] == pytest.approx(sum(both_[part] for part in parts))
     assert "both: operator" in chart.read_text()
+
+
+ROOM = ConditionCard(agent="operator", place="inbound", event="leaves", back=1, lag_s=(0.25,))
+BOTH_WAIT = (
+    GateCard(agent="robot", at="approach", place="conveyor", conditions=(ROOM,)),
+    GateCard(
+        agent="operator",
+        at="approach",
+        place="inbound",
+        conditions=(ConditionCard(agent="robot", place="conveyor", event="leaves", lag_s=(0.5,)),),
+    ),
+)
+
+
+def test_plan_orders_the_work_of_both(logged: Dataset, tmp_path: Path) -> None:
+    jobs = Jobs(
+        visit=("conveyor->left_2", "conveyor->left_5", "conveyor->left_1"),
+        start="home",
+        operator=("inbound", "inbound", "out_left_1", "out_right_1"),
+    )
+    model, file = Coupled(gates(*BOTH_WAIT, own_s=4.0)), tmp_path / "planned.toml"
+    found = plan_order(model, logged, jobs, out=file, validate=False)
+    assert found.operator is not None
+    assert sorted(found.operator) == sorted(jobs.operator)
+    assert found.against_s > found.expected_s
+    (sequence,) = load_sequences(file)
+    (again,) = estimate_cycles(model, logged, [sequence], validate=False, extrapolate=True)
+    assert again.expected_s == pytest.approx(found.expected_s)
+
+
+def test_what_if_takes_quicker_people_and_a_second_place(logged: Dataset) -> None:
+    robot = ("home->conveyor", "conveyor->left_2", "left_2->conveyor", "conveyor->left_5", "left_5->conveyor")
+    asked = [both(("inbound", "out_left_1", "inbound", "rest"), robot)]
+    model = Coupled(gates(*BOTH_WAIT, own_s=0.5))
+    changes = [
+        Change("quick", faster={"operator": 2.0}),
+        Change("two", more_places={"inbound": 1}),
+        Change("free", without_waits=("robot approach conveyor",)),
+    ]
+    found = what_if(model, logged, asked, changes, validate=False, extrapolate=True)
+    saved = {each.change: each.saves_s[0] for each in found}
+    assert saved["quick"] > 1.0
+    assert saved["free"] > 0.1
+    assert saved["two"] > 0.1
+    with pytest.raises(UnknownName, match="robot leave home"):
+        what_if(model, logged, asked, [Change("wrong", without_waits=("robot leave home",))], validate=False)
+    with pytest.raises(EstimateError, match="nobody waits"):
+        what_if(Constant(1.0), logged, [TaskSequence("plain", ("home", "conveyor"))], changes[:1], validate=False)

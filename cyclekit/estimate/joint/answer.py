@@ -15,7 +15,7 @@ from cyclekit.estimate.joint.roll import JointCell, longest_s
 from cyclekit.estimate.joint.shares import planned_shares, task_shares
 from cyclekit.estimate.limits import FEW_EXECUTIONS, extrapolation_of, few_tracks, limits_of_logs, refuse_biased
 from cyclekit.estimate.nominal import NominalTask, nominal_tasks
-from cyclekit.estimate.question import Question
+from cyclekit.estimate.question import Altered, Question
 from cyclekit.estimate.ranked import ranked
 from cyclekit.estimate.resample import interval_of_mean, share_within
 from cyclekit.estimate.result import CycleEstimate, TaskShare
@@ -38,9 +38,10 @@ RESAMPLES = 1000
 NOT_JUDGED = "not validated on logged executions, so no bias is known or corrected: too few of them can be rolled out"
 
 
-def waits_are_known(model: SafetyModel) -> bool:
-    """Return whether it was learned that one agent waits for the other."""
-    return model.card.coupling is not None and model.card.coupling.coupled
+def waits_are_known(model: SafetyModel, altered: Altered | None = None) -> bool:
+    """Return whether it is known that one agent waits for the other, or did before the cell was altered."""
+    card = altered.coupling if altered is not None else model.card.coupling
+    return card is not None and (card.coupled or altered is not None)
 
 
 def estimate_both(
@@ -70,7 +71,9 @@ def estimate_both(
     nominal: Mapping[str, NominalTask] = nominal_tasks(dataset)
     altered = ask.altered
     nominal = altered.tasks(nominal) if altered else nominal
-    cell = JointCell(ask.model, dataset, ask.model.card.coupling, dynamics=altered.dynamics if altered else None)
+    card = altered.coupling if altered else ask.model.card.coupling
+    cell = JointCell(ask.model, dataset, card, dynamics=altered.dynamics if altered else None)
+    cell.pace = 1.0 / altered.pace if altered else 1.0
     answers = JointAnswers(ask, cell, nominal)
     judged = ask.check if isinstance(ask.check, JointCheck) else None
     if judged is None and validate and altered is None:

@@ -107,6 +107,10 @@ class Gates:
             if turn >= one.back
         )
 
+    def waits(self, agent: str) -> bool:
+        """Return whether an agent ever waits: a stay of it is then more than its work."""
+        return any(gate.conditions for gate in self._gates.values() if gate.agent == agent)
+
     def own_s(self, agent: str, place: str) -> Vector | None:
         """Return the quantiles of an agent's own work at a place, where they were learned."""
         gate = self.at(agent, "leave", place)
@@ -241,14 +245,13 @@ def operator_agenda(
     Args:
         places: In order.
         gates: Of the cell.
-        work_s: Quantiles of his stays at each place: his work where no condition ends them; at others he has none.
+        work_s: Quantiles of his stays at each place: his work, if he never waits; at others he has none.
         told: What each of them shall come after, by number.
         not_before_s: Earliest start of each.
     """
     builder = _Builder("operator", "", np.empty((0, 3)), gates)
     for number, place in enumerate(places):
-        gate = gates.at("operator", "leave", place)
-        own = gates.own_s("operator", place) if gate is not None and gate.conditions else None
+        own = gates.own_s("operator", place) if gates.waits("operator") else None
         own = work_s.get(place, NONE) if own is None or place not in work_s else own
         leg = AgendaLeg(number, place, np.empty((0, 3)), start=builder.legs[-1].place, own_s=own, name=place)
         earliest = not_before_s[number] if not_before_s else 0.0

@@ -94,7 +94,7 @@ class JointCell:
         self.model, self.dataset, self.coupling = model, dataset, coupling
         self.gates, self.segments = Gates(coupling), Segments(dataset)
         self.dynamics = dynamics or Dynamics.of(dataset.card.dynamics, model)
-        self.pace = 1.0
+        self.pace = 1.0  # what the operator does takes so many times as long as logged
         if not self.segments.orders:
             seen = f"{dataset.path}: no complete execution has an operator who stays at one of his places"
             raise EstimateError(seen, cure="Ingest the tracker's log too; name [human_places.*] in the cell file.")
@@ -108,7 +108,7 @@ class JointCell:
     def work_s(self) -> dict[str, Vector]:
         """How long the operator stays at each of his places, as logged."""
         found = {place: self.segments.work_s(place) for place in self.dataset.human_places}
-        return {place: works for place, works in found.items() if len(works)}
+        return {place: self.pace * works for place, works in found.items() if len(works)}
 
     @cached_property
     def support(self) -> Support | None:

@@ -14,6 +14,7 @@ from cyclekit.estimate.resample import resampled
 from cyclekit.estimate.rollout import estimate
 from cyclekit.estimate.safety import Dynamics
 from cyclekit.estimate.whatif.alter import altered_safety, altered_tasks, altered_tracks
+from cyclekit.estimate.whatif.coupled import altered_coupling
 from cyclekit.parallel.one_thread import one_thread
 from cyclekit.text.results import Result
 
@@ -134,7 +135,8 @@ def what_if(
         tell(number / len(changes), change.name)
         try:
             safety = altered_safety(change, model, logged)
-            altered = replace(_altered(change, safety, dataset, logged), moved=moved)
+            altered = replace(_altered(change, safety, dataset, logged), moved=moved, pace=change.operator_pace)
+            altered = replace(altered, coupling=altered_coupling(change, model.card.coupling))
             after = estimates(safety, altered, check=_check_of(change, check))
         except EstimateError as error:
             if refused is None:

@@ -1,0 +1,66 @@
+"""Who waits for whom after a change: quicker people, a second place, room for more parts, a wait less."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
+
+from cyclekit.errors import EstimateError, UnknownName
+
+if TYPE_CHECKING:
+    from cyclekit.dataset.cards import ConditionCard, CouplingCard, GateCard
+    from cyclekit.estimate.whatif.change import Change
+
+
+def altered_coupling(change: Change, card: CouplingCard | None) -> CouplingCard | None:
+    """Return who waits for whom after a change; None where nobody did before it.
+
+    Raises:
+        UnknownName: It names a place, a signal or a wait that nobody waits at.
+        EstimateError: It changes waits where nobody waits, or is not known to be answered where somebody does.
+    """
+    where = f"change {change.name!r}"
+    if card is None or not card.coupled:
+        if change.waits_change:
+            seen = f"{where}: in these logs nobody waits for anybody"
+            raise EstimateError(seen, cure="Train on a dataset with tracks of both: cyclekit train DATASET --out MODEL")
+        return None
+    if change.frequency is not None or change.base_m is not None:
+        seen = f"{where}: frequency or base, and the operator of this cell works with the robot"
+        raise EstimateError(seen, cure="Change faster, places or the safety function.")
+    if change.no_wait or set(change.faster) - {"operator"}:
+        seen = f"{where}: no_wait and a faster robot are of task lists, and this cell has positions"
+        raise EstimateError(
+            seen, cure="Name a wait in without_waits; how fast the robot moves is what its levels allow."
+        )
+    known = {shown(gate): gate for gate in card.gates if gate.conditions}
+    if missing := [name for name in change.without_waits if name not in known]:
+        raise UnknownName(where, "wait", missing[0], known)
+    places = {one.place for gate in card.gates for one in gate.conditions if one.back > 0}
+    if missing := [name for name in change.more_places if name not in places]:
+        raise UnknownName(where, "place that must be free again", missing[0], places)
+    if missing := [name for name in change.buffer if name not in {source.signal for source in card.sources}]:
+        raise UnknownName(where, "source of parts", missing[0], {source.signal for source in card.sources})
+    sources = (replace(one, buffer=change.buffer.get(one.signal, one.buffer)) for one in card.sources)
+    return replace(card, gates=tuple(_gate(change, gate) for gate in card.gates), sources=tuple(sources))
+
+
+def shown(gate: GateCard) -> str:
+    """Return how a change names a wait: `robot approach fixture`."""
+    return f"{gate.agent} {gate.at} {gate.place}"
+
+
+def _gate(change: Change, gate: GateCard) -> GateCard:
+    conditions = () if shown(gate) in change.without_waits else gate.conditions
+    pace = change.operator_pace if gate.agent == "operator" else 1.0
+    return replace(
+        gate,
+        own_s=tuple(seconds / pace for seconds in gate.own_s),
+        conditions=tuple(_condition(change, one) for one in conditions),
+    )
+
+
+def _condition(change: Change, one: ConditionCard) -> ConditionCard:
+    """Return a condition; one that a place is free again looks back one more turn for each further place."""
+    return replace(one, back=one.back + change.more_places.get(one.place, 0)) if one.back else one

@@ -61,13 +61,17 @@ class Row:
 
 
 def fresh(asked: argparse.Namespace, scene: str, order: Order, number: int, strength: float) -> NDArray[np.float64]:
-    """Return duration, robot's wait and operator's wait of fresh executions (3, N), s; simulated once."""
+    """Return duration, robot's wait and operator's wait of fresh executions (3, N), s; simulated once.
+
+    Where nobody waits for anybody, the cycle is over when the robot is back home.
+    """
     file = asked.work / "fresh-coupled" / f"{scene}-{strength:g}-{number}-{asked.fresh}.npy"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
         options = SimulationOptions(coupling=strength)
         found = fresh_cycles(scene, order, cycles=asked.fresh, seed=JUDGED_SEED + number, options=options)
-        np.save(file, np.array([found.durations_s, found.robot_waits_s, found.operator_waits_s]))
+        took_s = found.durations_s if strength else found.robot_s
+        np.save(file, np.array([took_s, found.robot_waits_s, found.operator_waits_s]))
     return np.load(file)
 
 

@@ -134,7 +134,7 @@ def rows_of(asked: argparse.Namespace, scene: str, kind: str, executions: int, s
         if asked.each:
             OUT.print(f"    {name}: true {mean:.2f}, expected {entry.expected_s:.2f} ({entry.expected_low_s:.2f} to "
                       f"{entry.expected_high_s:.2f}), inside {found[-1].inside:.0%}, waits of the robot "
-                      f"{true[1].mean():.2f} ({entry.wait_s:.2f}), of the operator {true[2].mean():.2f} "
+                      f"{true[1].mean():.2f} ({told[0]:.2f}), of the operator {true[2].mean():.2f} "
                       f"({told[1]:.2f}); {'; '.join(entry.doubts)}")  # fmt: skip
     return found, missed, invented
 

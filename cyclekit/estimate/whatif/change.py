@@ -34,7 +34,7 @@ hysteresis_m = 0.0               # also ramp_down_per_s, latency_s
 [[change]]
 name = "a practised operator, parts in advance"   # where robot and operator wait for each other
 faster = { operator = 1.2 }                       # 1.2 times as fast; in task lists also robot or the agent's name
-buffer = { part = 3 }                             # so many parts of a source may wait; in task lists: of a task in advance
+buffer = { part = 3 }                             # so many parts of a source, or of a task of task lists, in advance
 more_places = { fixture = 1 }                     # so many more of a place that must be free again
 without_waits = ["robot approach fixture"]        # nobody waits there any more
 no_wait = [["weld", "mount"]]                     # in task lists: weld no longer waits for mount

@@ -180,8 +180,8 @@ SENTENCES: dict[str, str | Callable[[Mapping[str, Value]], str]] = {
     "input-slows": "while {signal} is {state}, the robot runs at {percent} % speed at most, wherever the operator is",
     "operator-signal": (
         "{signal} = {occupied} is taken as a person's presence: the speed answers {delay_s:.2f} s later, and with it "
-        "{explained:.0%} of the lost time is explained; if it tells of nobody, name the right ones: [[operator_signals]] in "
-        "cell.toml"
+        "{explained:.0%} of the lost time is explained; if it tells of nobody, name the right ones: "
+        "[[operator_signals]] in cell.toml"
     ),
     "scaling-nowhere": "the scaling is unknown everywhere",
     "levels-none": (
